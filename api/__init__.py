@@ -1,0 +1,1 @@
+"""Every face turned outwards: REST, command line."""

@@ -1,0 +1,1 @@
+"""The mathematics: contact geometry, vehicle equations, estimators, trends and rules. Pure."""

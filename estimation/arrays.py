@@ -1,0 +1,60 @@
+"""Arrays inside frozen values: checked and made read-only at construction."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+def frozen_array(
+    value: npt.ArrayLike, shape: tuple[int | None, ...], dtype: npt.DTypeLike = np.float64, *, name: str
+) -> npt.NDArray[Any]:
+    """Return ``value`` as a read-only, C-contiguous array of ``dtype`` and ``shape``.
+
+    Parameters
+    ----------
+    value
+        Anything numpy takes. Never modified: an array that is still writable is copied.
+    shape
+        Expected shape; ``None`` stands for any length.
+    dtype
+        Wanted dtype.
+    name
+        The field, for the message.
+
+    Raises
+    ------
+    ValueError
+        The number of axes or a length differs.
+    """
+    array = np.ascontiguousarray(value, dtype=dtype)
+    wanted = len(shape)
+    if array.ndim != wanted or any(
+        want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
+    ):
+        raise ValueError(f"{name}: shape {array.shape}, expected {shape}")
+    if array.flags.writeable:
+        array = array.copy()
+        array.flags.writeable = False
+    return array
+
+
+def same_values(first: object, second: object) -> bool:
+    """Whether two frozen values hold the same bits, arrays included; NaN equals NaN."""
+    if type(first) is not type(second):
+        return False
+    names = [name for cls in type(first).__mro__ for name in getattr(cls, "__slots__", ())]
+    for name in names:
+        a, b = getattr(first, name), getattr(second, name)
+        if isinstance(a, np.ndarray):
+            if not (a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()):
+                return False
+        elif a != b and not (a != a and b != b):  # noqa: PLR0124 - NaN is the value unequal to itself
+            return False
+    return True

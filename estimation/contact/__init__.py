@@ -1,0 +1,1 @@
+"""Contact geometry of a wheelset on a track: profiles, contact tables, equivalent conicity."""

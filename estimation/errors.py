@@ -1,0 +1,129 @@
+"""One tree for everything that is raised on purpose.
+
+Bad *data* is never an exception: it is a value marked invalid with its reason. What is raised is either a
+mistake of ours or bad input from the outside world, and carries its facts as fields::
+
+    TreadwatchError
+    ├── InputError                 what somebody handed us is wrong: names the file, line or field
+    │   ├── ProfileError           a wheel or rail profile
+    │   ├── ContactError           profiles that never touch, a table that cannot be built
+    │   ├── ScenarioError          a scenario file
+    │   ├── CatalogueError         a signal catalogue (DBC)
+    │   ├── LogFileError           a recording of a bus
+    │   └── ParameterError         a parameter outside its range
+    ├── NotFoundError              no such fleet, vehicle, wheelset, section, alert, job
+    ├── ConflictError              the thing is not in the state that the request assumes
+    └── StorageError               the database or the window files
+        ├── MigrationError         the database is at another migration head
+        └── AlreadyRunningError    a second scheduler on the same database
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class TreadwatchError(Exception):
+    """Root of the tree; ``str(error)`` is a message fit for a person."""
+
+
+class InputError(TreadwatchError):
+    """What somebody handed us is wrong.
+
+    Parameters
+    ----------
+    reason
+        What is wrong, in one sentence, without the place.
+    file, line, field
+        Where it is, as far as known.
+    """
+
+    def __init__(
+        self,
+        reason: str,
+        *,
+        file: Path | str | None = None,
+        line: int | None = None,
+        field: str | None = None,
+    ) -> None:
+        self.reason = reason
+        self.file = str(file) if file is not None else None
+        self.line = line
+        self.field = field
+        super().__init__(self._message())
+
+    def _message(self) -> str:
+        place = []
+        if self.file is not None:
+            place.append(self.file if self.line is None else f"{self.file}:{self.line}")
+        elif self.line is not None:
+            place.append(f"line {self.line}")
+        if self.field is not None:
+            place.append(f"field {self.field!r}")
+        return f"{', '.join(place)}: {self.reason}" if place else self.reason
+
+
+class ProfileError(InputError):
+    """A wheel or rail profile that cannot be read or used."""
+
+
+class ContactError(InputError):
+    """Profiles that never touch, or a contact table that cannot be built from them."""
+
+
+class ScenarioError(InputError):
+    """A scenario file of the simulator with a missing, unknown or impossible entry."""
+
+
+class CatalogueError(InputError):
+    """A signal catalogue (DBC) that lacks what the codec needs."""
+
+
+class LogFileError(InputError):
+    """A recording of a bus that is truncated, corrupt, or no recording at all."""
+
+
+class ParameterError(InputError):
+    """A parameter outside its range."""
+
+
+class NotFoundError(TreadwatchError):
+    """No such thing: ``kind`` and ``key`` say which."""
+
+    def __init__(self, kind: str, key: str) -> None:
+        self.kind = kind
+        self.key = key
+        super().__init__(f"no {kind} {key!r}")
+
+
+class ConflictError(TreadwatchError):
+    """The thing is not in the state that the request assumes."""
+
+    def __init__(self, reason: str, *, kind: str = "", key: str = "") -> None:
+        self.reason = reason
+        self.kind = kind
+        self.key = key
+        super().__init__(reason)
+
+
+class StorageError(TreadwatchError):
+    """The database or the window files cannot do what was asked."""
+
+
+class MigrationError(StorageError):
+    """The database is at another migration head than this code."""
+
+    def __init__(self, found: str | None, expected: str) -> None:
+        self.found = found
+        self.expected = expected
+        super().__init__(
+            f"the database is at migration {found or 'none'}, this version needs {expected}; run: treadwatch db upgrade"
+        )
+
+
+class AlreadyRunningError(StorageError):
+    """Another scheduler holds the lock of this database."""
+
+    def __init__(self, holder: str) -> None:
+        self.holder = holder
+        super().__init__(f"another scheduler is already running on this database ({holder})")

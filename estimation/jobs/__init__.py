@@ -1,0 +1,1 @@
+"""Scheduled jobs, one file each, and the scheduler that runs them."""

@@ -1,0 +1,287 @@
+"""What the jobs need from the world, as Protocols: storage in transactions, and the time.
+
+``fleet_db`` implements them, one factory in ``api`` joins. Value types in and out, never rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol
+
+from estimation.alerts import Alert, AlertEventKind, AlertKind, JsonValue
+from estimation.types import BinTable, TrackAlignment, WearTrend, WheelsetGeometry, Window, WindowQuality
+
+
+class WindowState(StrEnum):
+    """Where a window stands on its way to a bin table."""
+
+    PENDING = "pending"
+    ESTIMATED = "estimated"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRecord:
+    """A fleet: who operates what."""
+
+    code: str
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleRecord:
+    """A vehicle and what its rules depend on."""
+
+    code: str
+    fleet: str
+    vehicle_class: str
+    axles: int
+    max_speed_m_s: float
+    axle_offsets_m: tuple[float, ...]  # distance of each axle behind the position reference, m
+
+
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """Which wheelset ran at which axle of which vehicle, ``[from_ns, to_ns)`` on the vehicle's clock."""
+
+    wheelset: str
+    vehicle: str
+    axle: int
+    from_ns: int
+    to_ns: int | None
+    vehicle_odometer_km: float  # at from_ns
+    wheelset_mileage_km: float  # at from_ns
+    reversed: bool = False  # left wheel on the right-hand side
+
+
+@dataclass(frozen=True, slots=True)
+class Reprofiling:
+    """A wheelset came back from the lathe; every later window belongs to a new baseline."""
+
+    wheelset: str
+    at_ns: int
+    mileage_km: float
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class WheelsetRecord:
+    """A wheelset by serial, with where it is now and its history of lathes."""
+
+    serial: str
+    fleet: str
+    wheel_profile: str
+    nominal_radius_m: float
+    mounting: Mounting | None
+    reprofilings: tuple[Reprofiling, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class TrackSectionRecord:
+    """A stretch of line by code; ``number`` is what the vehicle says on its bus."""
+
+    code: str
+    number: int
+    name: str
+    rail_profile: str
+    rail_inclination: float
+    nominal_gauge_m: float
+    length_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class WindowRecord:
+    """A stored window without its samples. Key: (wheelset, start_ns)."""
+
+    wheelset: str
+    start_ns: int
+    length_ns: int
+    vehicle: str
+    axle: int
+    track_section: str | None
+    mileage_km: float  # of the wheelset since new, at the start
+    quality: WindowQuality
+    state: WindowState
+    reason: str
+    content_digest: str  # sha256 of the samples; the same content again changes nothing
+    recorded_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class GeometryRecord:
+    """A geometry estimate with its provenance. Never changed; a later one with the same key supersedes it.
+
+    Key: (wheelset, baseline, interval). ``baseline`` counts reprofilings before it; ``interval`` is the mileage interval
+    since the baseline, and None for the current geometry (all windows since the baseline, forgetting by mileage).
+    """
+
+    wheelset: str
+    baseline: int
+    interval: int | None
+    mileage_km: float  # weighted mean mileage of its windows since new
+    from_ns: int
+    to_ns: int
+    geometry: WheelsetGeometry
+    input_digest: str  # over keys and digests of windows and track versions
+    track_versions: Mapping[str, int]
+    parameters: Mapping[str, JsonValue]
+    code_version: str
+    recorded_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class TrendRecord:
+    """A trend as refreshed at ``recorded_ns``."""
+
+    wheelset: str
+    baseline: int
+    trend: WearTrend
+    input_digest: str
+    code_version: str
+    recorded_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class JobRun:
+    """One run of one job; ``finished_ns`` None while running. ``counts`` are what it did."""
+
+    run_id: int
+    job: str
+    trigger: str  # "schedule", "api", "cli"
+    started_ns: int
+    finished_ns: int | None
+    outcome: str  # "running", "succeeded", "failed", "abandoned"
+    counts: Mapping[str, int]
+    error: str | None = None
+
+
+class Registry(Protocol):
+    """Fleets, vehicles, wheelsets, mountings, reprofilings. Writes are upserts: a repeat changes nothing."""
+
+    def fleets(self) -> Sequence[FleetRecord]: ...
+    def vehicles(self, fleet: str | None = None) -> Sequence[VehicleRecord]: ...
+    def vehicle(self, code: str) -> VehicleRecord: ...
+    def wheelsets(self, fleet: str | None = None) -> Sequence[WheelsetRecord]: ...
+    def wheelset(self, serial: str) -> WheelsetRecord: ...
+    def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None: ...
+    def mountings(self, wheelset: str) -> Sequence[Mounting]: ...
+    def add_fleet(self, record: FleetRecord) -> None: ...
+    def add_vehicle(self, record: VehicleRecord) -> None: ...
+    def add_wheelset(self, record: WheelsetRecord) -> None: ...
+    def add_mounting(self, record: Mounting) -> None: ...
+    def add_reprofiling(self, record: Reprofiling) -> None: ...
+
+
+class Tracks(Protocol):
+    """Track sections and versions of their alignment."""
+
+    def sections(self) -> Sequence[TrackSectionRecord]: ...
+    def section(self, code: str) -> TrackSectionRecord: ...
+    def section_by_number(self, number: int) -> TrackSectionRecord | None: ...
+    def add_section(self, record: TrackSectionRecord) -> None: ...
+    def alignment(self, section: str, version: int | None = None) -> TrackAlignment | None: ...
+    def add_alignment(self, alignment: TrackAlignment) -> int: ...
+
+
+class Windows(Protocol):
+    """Windows of samples and their state."""
+
+    def put(self, window: Window, mileage_km: float, recorded_ns: int) -> bool: ...
+    def pending(self, limit: int) -> Sequence[WindowRecord]: ...
+    def load(self, wheelset: str, start_ns: int) -> Window: ...
+    def mark(self, wheelset: str, start_ns: int, state: WindowState, reason: str) -> None: ...
+    def list(self, wheelset: str, from_ns: int | None = None, to_ns: int | None = None) -> Sequence[WindowRecord]: ...
+    def latest(self, wheelset: str) -> WindowRecord | None: ...
+
+
+class BinTables(Protocol):
+    """One packed bin table per window."""
+
+    def put(
+        self, wheelset: str, start_ns: int, table: BinTable, track_version: int | None, window_digest: str
+    ) -> None: ...
+    def stream(
+        self, wheelset: str, from_ns: int, to_ns: int | None
+    ) -> Iterator[tuple[WindowRecord, BinTable, int | None]]: ...
+
+
+class Geometries(Protocol):
+    """Geometry estimates, append-only; reads give what was believed at ``as_of_ns`` (recorded time)."""
+
+    def put(self, record: GeometryRecord) -> bool: ...
+    def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None: ...
+    def intervals(
+        self, wheelset: str, baseline: int | None = None, as_of_ns: int | None = None
+    ) -> Sequence[GeometryRecord]: ...
+    def stale(self, limit: int) -> Sequence[str]: ...
+
+
+class Trends(Protocol):
+    """Trends, append-only."""
+
+    def put(self, record: TrendRecord) -> bool: ...
+    def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None: ...
+
+
+class Alerts(Protocol):
+    """Alerts and their feed; at most one open alert per (wheelset, kind), held by the database."""
+
+    def open(self, wheelset: str, kind: AlertKind) -> Alert | None: ...
+    def all_open(self, wheelset: str | None = None) -> Sequence[Alert]: ...
+    def get(self, alert_id: int) -> Alert: ...
+    def save(
+        self,
+        alert: Alert,
+        events: Sequence[AlertEventKind],
+        recorded_ns: int,
+        actor: str = "treadwatch",
+        note: str = "",
+    ) -> Alert: ...
+
+
+class JobRuns(Protocol):
+    """The record of every run."""
+
+    def start(self, job: str, trigger: str, started_ns: int) -> JobRun: ...
+    def finish(
+        self, run_id: int, outcome: str, counts: Mapping[str, int], finished_ns: int, error: str | None = None
+    ) -> None: ...
+    def abandon_running(self, finished_ns: int) -> int: ...
+    def recent(self, job: str | None = None, limit: int = 100) -> Sequence[JobRun]: ...
+
+
+class UnitOfWork(Protocol):
+    """One transaction over all stores."""
+
+    @property
+    def registry(self) -> Registry: ...
+    @property
+    def tracks(self) -> Tracks: ...
+    @property
+    def windows(self) -> Windows: ...
+    @property
+    def tables(self) -> BinTables: ...
+    @property
+    def geometries(self) -> Geometries: ...
+    @property
+    def trends(self) -> Trends: ...
+    @property
+    def alerts(self) -> Alerts: ...
+    @property
+    def jobs(self) -> JobRuns: ...
+
+
+class Storage(Protocol):
+    """Transactions: ``write`` commits on a clean exit and rolls back on an exception; ``read`` sees one snapshot."""
+
+    def write(self) -> AbstractContextManager[UnitOfWork]: ...
+    def read(self) -> AbstractContextManager[UnitOfWork]: ...
+
+
+class Clock(Protocol):
+    """What time it is, ours."""
+
+    def now_ns(self) -> int: ...

@@ -1,0 +1,292 @@
+"""The values that flow: frames, samples, windows, bin tables, geometries, trends.
+
+All are frozen and slotted; arrays are float64 unless said, read-only, and checked at construction. SI inside:
+metres, radians, seconds, newtons. Times are int64 nanoseconds UTC (Unix epoch); ``t_ns`` and ``start_ns`` are on the
+vehicle's clock, ``received_ns`` on ours, ``recorded_ns`` in commit order. Axes: x forward, y left, z up (ISO 8855).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from estimation.arrays import BoolArray, FloatArray, IntArray, frozen_array
+
+EXTENDED_FLAG = 0x8000_0000
+REMOTE_FLAG = 0x4000_0000
+ERROR_FLAG = 0x2000_0000
+
+
+class Status(StrEnum):
+    """What a published number is worth."""
+
+    UNESTIMATED = "unestimated"
+    ESTIMATED = "estimated"
+    INVALID = "invalid"
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number with its uncertainty; never published without.
+
+    ``value`` and ``std`` are None exactly when ``status`` is not ``estimated``; then ``reason`` says why.
+    ``low`` and ``high`` are the ends of the 95 % interval, ``count`` the effective number of windows behind it.
+    """
+
+    value: float | None
+    std: float | None
+    low: float | None
+    high: float | None
+    count: float
+    status: Status
+    reason: str = ""
+
+    @staticmethod
+    def unknown(reason: str, count: float = 0.0, status: Status = Status.UNESTIMATED) -> Estimate:
+        """Return the estimate that says: not known, for this reason."""
+        return Estimate(None, None, None, None, count, status, reason)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameBatch:
+    """Frames of one bus, in the order they were recorded.
+
+    ``arbitration_id`` carries SocketCAN's flags in its upper bits (EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG).
+    Bytes of ``data`` beyond ``dlc`` are zero.
+    """
+
+    channel: str
+    t_ns: IntArray  # (n,)
+    arbitration_id: npt.NDArray[np.uint32]  # (n,)
+    dlc: npt.NDArray[np.uint8]  # (n,)
+    data: npt.NDArray[np.uint8]  # (n, 8)
+
+    def __post_init__(self) -> None:
+        n = len(self.t_ns)
+        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, (n,), np.int64, name="t_ns"))
+        object.__setattr__(
+            self, "arbitration_id", frozen_array(self.arbitration_id, (n,), np.uint32, name="arbitration_id")
+        )
+        object.__setattr__(self, "dlc", frozen_array(self.dlc, (n,), np.uint8, name="dlc"))
+        object.__setattr__(self, "data", frozen_array(self.data, (n, 8), np.uint8, name="data"))
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class SampleBlock:
+    """Samples of one node of one vehicle on one time base; where ``valid`` is False the value is NaN."""
+
+    vehicle: str
+    node: int
+    signals: tuple[str, ...]  # m names
+    t_ns: IntArray  # (n,), strictly increasing
+    values: FloatArray  # (n, m)
+    valid: BoolArray  # (n, m)
+
+    def __post_init__(self) -> None:
+        n, m = len(self.t_ns), len(self.signals)
+        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, (n,), np.int64, name="t_ns"))
+        object.__setattr__(self, "values", frozen_array(self.values, (n, m), name="values"))
+        object.__setattr__(self, "valid", frozen_array(self.valid, (n, m), np.bool_, name="valid"))
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class WindowQuality:
+    """What gates look at before a window is estimated."""
+
+    coverage: float  # share of grid points with a valid sample, 0 to 1
+    longest_gap_s: float
+    gaps: int
+    clipped: float  # share of samples with the clipping bit or a raw value at its limit
+    invalid: float  # share of samples marked invalid by the sensor
+    speed_min_m_s: float
+    speed_max_m_s: float
+    position_quality: float  # 0 (unknown) to 1
+    sensor_fault: bool  # self-test failed or an emergency was sent
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A fixed length of running time of one wheelset, on a uniform grid; accelerations are NaN where not ``valid``.
+
+    ``start_ns`` is a multiple of the window length on the vehicle's clock, so that windows do not depend on how
+    recordings were cut. ``distance`` is the position of the wheelset (not of the vehicle's antenna) along the track
+    section. ``resolution`` holds the SI value of one count of each acceleration, in the order of the fields: the
+    accelerations are whole multiples of it.
+    """
+
+    wheelset: str
+    vehicle: str
+    axle: int  # node number on the bus, 1..N
+    start_ns: int
+    length_ns: int
+    sample_interval_s: float
+    lateral_acceleration: FloatArray  # (n,) m/s2
+    yaw_acceleration: FloatArray  # (n,) rad/s2
+    roll_acceleration: FloatArray  # (n,) rad/s2
+    mass_lateral_acceleration: FloatArray  # (n,) m/s2
+    speed: FloatArray  # (n,) m/s
+    distance: FloatArray  # (n,) m along the section
+    valid: BoolArray  # (n,)
+    resolution: tuple[float, float, float, float]
+    track_section: str | None
+    odometer_m: float  # vehicle odometer at the start of the window
+    quality: WindowQuality
+
+    def __post_init__(self) -> None:
+        n = len(self.valid)
+        for name in (*ACCELERATIONS, "speed", "distance"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+        object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
+
+
+ACCELERATIONS = ("lateral_acceleration", "yaw_acceleration", "roll_acceleration", "mass_lateral_acceleration")
+
+
+@dataclass(frozen=True, slots=True)
+class TrackAlignment:
+    """What is known of a track section: lateral alignment and gauge deviation against distance, each with its std."""
+
+    section: str
+    version: int
+    s: FloatArray  # (n,) m, uniform
+    alignment: FloatArray  # (n,) m, positive to the left
+    alignment_std: FloatArray  # (n,) m
+    gauge_deviation: FloatArray  # (n,) m, actual minus nominal gauge
+    gauge_deviation_std: FloatArray  # (n,) m
+    passes: IntArray  # (n,) passes behind each value; 0 for a recording car
+    status: Status
+
+    def __post_init__(self) -> None:
+        n = len(self.s)
+        for name in ("s", "alignment", "alignment_std", "gauge_deviation", "gauge_deviation_std"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+        object.__setattr__(self, "passes", frozen_array(self.passes, (n,), np.int64, name="passes"))
+
+
+@dataclass(frozen=True, slots=True)
+class BinTable:
+    """Mergeable sufficient statistics of the piecewise least squares, per bin of lateral displacement and group.
+
+    Groups are what standard deviations come from: blocks of running time are dealt to ``g`` groups, and any derived
+    number is recomputed with one group left out (delete-a-group jackknife). ``lateral`` and ``yaw`` hold, per group and
+    bin, the upper triangle of the Gram matrix of [regressors, target], row by row.
+    """
+
+    parameter_key: str  # digest of every parameter that shapes the statistics
+    edges: FloatArray  # (b + 1,) m
+    weight: FloatArray  # (g, b) sum of weights; the sample count without forgetting
+    lateral: FloatArray  # (g, b, 15) regressors [x1, x1 u, x2, x2 u], target z1
+    yaw: FloatArray  # (g, b, 15) regressors [(l W/2) psi, c, c u, c u^2], target z2
+    samples: int  # samples ever added, without weights
+    windows: int
+
+    def __post_init__(self) -> None:
+        b = len(self.edges) - 1
+        g = len(self.weight)
+        object.__setattr__(self, "edges", frozen_array(self.edges, (b + 1,), name="edges"))
+        object.__setattr__(self, "weight", frozen_array(self.weight, (g, b), name="weight"))
+        object.__setattr__(self, "lateral", frozen_array(self.lateral, (g, b, 15), name="lateral"))
+        object.__setattr__(self, "yaw", frozen_array(self.yaw, (g, b, 15), name="yaw"))
+
+
+class BinStatus(StrEnum):
+    """Why a bin's number is published or not."""
+
+    ESTIMATED = "estimated"
+    TOO_FEW = "too few samples"
+    CONTACT_JUMP = "a contact jump crosses the bin"
+    UNOBSERVABLE = "the data cannot say"
+
+
+COMBINATIONS = (
+    "rolling_radius_sum",
+    "rolling_radius_difference",
+    "contact_angle_sum",
+    "contact_angle_difference",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class BinValues:
+    """One of the four combinations over the bins; NaN where not estimated."""
+
+    value: FloatArray  # (b,) m or rad
+    std: FloatArray  # (b,)
+    status: tuple[BinStatus, ...]  # (b,)
+
+    def __post_init__(self) -> None:
+        b = len(self.status)
+        object.__setattr__(self, "value", frozen_array(self.value, (b,), name="value"))
+        object.__setattr__(self, "std", frozen_array(self.std, (b,), name="std"))
+
+
+@dataclass(frozen=True, slots=True)
+class WheelsetGeometry:
+    """What the data say of one wheelset's contact geometry."""
+
+    bin_edges: FloatArray  # (b + 1,) m, lateral displacement y - d
+    samples: FloatArray  # (b,) effective samples
+    rolling_radius_sum: BinValues
+    rolling_radius_difference: BinValues
+    contact_angle_sum: BinValues
+    contact_angle_difference: BinValues
+    amplitude: FloatArray  # (k,) m
+    conicity: tuple[Estimate, ...]  # (k,) equivalent conicity at each amplitude
+    headline_amplitude: float  # m: 3 mm, or the largest amplitude covered
+    equivalent_conicity: Estimate  # at headline_amplitude
+    nonlinearity: Estimate  # NP, 1/mm as in EN 15302: (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2
+    zero_crossing: Estimate  # m, lateral displacement where rL = rR
+    windows: int
+    parameter_key: str
+    status: Status
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        b = len(self.samples)
+        object.__setattr__(self, "bin_edges", frozen_array(self.bin_edges, (b + 1,), name="bin_edges"))
+        object.__setattr__(self, "samples", frozen_array(self.samples, (b,), name="samples"))
+        object.__setattr__(self, "amplitude", frozen_array(self.amplitude, (len(self.conicity),), name="amplitude"))
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """Where a limit is reached: quantiles over the trend's uncertainty; None means not within the horizon."""
+
+    p10: float | None
+    p50: float | None
+    p90: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class WearTrend:
+    """An indicator since the last reprofiling, its robust slope, and when it reaches its limit."""
+
+    quantity: str  # "equivalent_conicity"
+    mileage_km: FloatArray  # (k,) since the wheelset was new
+    measured_ns: IntArray  # (k,)
+    value: FloatArray  # (k,)
+    std: FloatArray  # (k,)
+    slope_per_1000_km: Estimate
+    slope_per_year: Estimate
+    current: Estimate  # fitted value at the last point
+    limit: float
+    distance_to_limit_km: Forecast  # from the last point; 0 where already reached
+    date_of_limit_ns: Forecast
+    probability_over_limit: float | None  # now
+    status: Status
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        k = len(self.value)
+        for name in ("mileage_km", "value", "std"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
+        object.__setattr__(self, "measured_ns", frozen_array(self.measured_ns, (k,), np.int64, name="measured_ns"))

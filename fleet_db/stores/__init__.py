@@ -1,0 +1,1 @@
+"""Stores: the only SQL; value types in and out, never rows."""
