@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from estimation.alerts import Alert, AlertEventKind, AlertKind, JsonValue
+from estimation.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, Condition, JsonValue
 from estimation.types import BinTable, TrackAlignment, WearTrend, WheelsetGeometry, Window, WindowQuality
 
 
@@ -114,8 +114,8 @@ class WindowRecord:
 class GeometryRecord:
     """A geometry estimate with its provenance. Never changed; a later one with the same key supersedes it.
 
-    Key: (wheelset, baseline, interval). ``baseline`` counts reprofilings before it; ``interval`` is the mileage interval
-    since the baseline, and None for the current geometry (all windows since the baseline, forgetting by mileage).
+    Key: (wheelset, baseline, interval). ``baseline`` counts reprofilings before it; ``interval`` is the mileage
+    interval since the baseline, and None for the current geometry (all windows since the baseline, with forgetting).
     """
 
     wheelset: str
@@ -158,6 +158,34 @@ class JobRun:
     error: str | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class ChunkRecord:
+    """The receipt of a recording: raw bytes are stored under their digest before this row is committed."""
+
+    digest: str  # sha256 of the raw bytes
+    vehicle: str
+    suffix: str  # ".blf", ".asc", ".log", ".mf4"
+    size_bytes: int
+    state: str  # "stored", "decoded", "rejected"
+    reason: str
+    first_ns: int | None  # vehicle clock, once decoded
+    last_ns: int | None
+    frames: int
+    counts: Mapping[str, int]  # marked and counted: unknown identifiers, wrong lengths, gaps, clipped, invalid ...
+    received_ns: int
+    recorded_ns: int
+
+
+class Chunks(Protocol):
+    """Receipts of recordings."""
+
+    def get(self, digest: str) -> ChunkRecord | None: ...
+    def put(self, record: ChunkRecord) -> bool: ...
+    def update(self, record: ChunkRecord) -> None: ...
+    def overlapping(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[ChunkRecord]: ...
+    def with_state(self, state: str, limit: int = 100) -> Sequence[ChunkRecord]: ...
+
+
 class Registry(Protocol):
     """Fleets, vehicles, wheelsets, mountings, reprofilings. Writes are upserts: a repeat changes nothing."""
 
@@ -168,6 +196,10 @@ class Registry(Protocol):
     def wheelset(self, serial: str) -> WheelsetRecord: ...
     def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None: ...
     def mountings(self, wheelset: str) -> Sequence[Mounting]: ...
+    def vehicles_page(self, fleet: str | None, after: str | None, limit: int) -> Sequence[VehicleRecord]: ...
+    def wheelsets_page(
+        self, fleet: str | None, vehicle: str | None, after: str | None, limit: int
+    ) -> Sequence[WheelsetRecord]: ...
     def add_fleet(self, record: FleetRecord) -> None: ...
     def add_vehicle(self, record: VehicleRecord) -> None: ...
     def add_wheelset(self, record: WheelsetRecord) -> None: ...
@@ -195,6 +227,8 @@ class Windows(Protocol):
     def mark(self, wheelset: str, start_ns: int, state: WindowState, reason: str) -> None: ...
     def list(self, wheelset: str, from_ns: int | None = None, to_ns: int | None = None) -> Sequence[WindowRecord]: ...
     def latest(self, wheelset: str) -> WindowRecord | None: ...
+    def page(self, wheelset: str, after_start_ns: int | None, limit: int) -> Sequence[WindowRecord]: ...
+    def counts(self) -> Mapping[str, int]: ...
 
 
 class BinTables(Protocol):
@@ -232,6 +266,19 @@ class Alerts(Protocol):
     def open(self, wheelset: str, kind: AlertKind) -> Alert | None: ...
     def all_open(self, wheelset: str | None = None) -> Sequence[Alert]: ...
     def get(self, alert_id: int) -> Alert: ...
+    def page(
+        self,
+        *,
+        fleet: str | None,
+        wheelset: str | None,
+        kind: AlertKind | None,
+        condition: Condition | None,
+        open_only: bool,
+        after_id: int | None,
+        limit: int,
+    ) -> Sequence[Alert]: ...
+    def feed(self, after_sequence: int, limit: int) -> Sequence[AlertEvent]: ...
+    def events(self, alert_id: int) -> Sequence[AlertEvent]: ...
     def save(
         self,
         alert: Alert,
@@ -250,12 +297,22 @@ class JobRuns(Protocol):
         self, run_id: int, outcome: str, counts: Mapping[str, int], finished_ns: int, error: str | None = None
     ) -> None: ...
     def abandon_running(self, finished_ns: int) -> int: ...
-    def recent(self, job: str | None = None, limit: int = 100) -> Sequence[JobRun]: ...
+    def get(self, run_id: int) -> JobRun: ...
+    def page(self, job: str | None, before_id: int | None, limit: int) -> Sequence[JobRun]: ...
+
+
+class Idempotency(Protocol):
+    """Answers already given to POSTs, by ``Idempotency-Key``."""
+
+    def get(self, key: str) -> tuple[str, int, str] | None: ...
+    def put(self, key: str, request_digest: str, status_code: int, body: str, recorded_ns: int) -> None: ...
 
 
 class UnitOfWork(Protocol):
     """One transaction over all stores."""
 
+    @property
+    def chunks(self) -> Chunks: ...
     @property
     def registry(self) -> Registry: ...
     @property
@@ -272,13 +329,19 @@ class UnitOfWork(Protocol):
     def alerts(self) -> Alerts: ...
     @property
     def jobs(self) -> JobRuns: ...
+    @property
+    def idempotency(self) -> Idempotency: ...
 
 
 class Storage(Protocol):
-    """Transactions: ``write`` commits on a clean exit and rolls back on an exception; ``read`` sees one snapshot."""
+    """Transactions: ``write`` commits on a clean exit and rolls back on an exception; ``read`` sees one snapshot.
+
+    ``scheduler_lock`` is held by the one scheduler of a deployment; a second gets ``AlreadyRunningError``.
+    """
 
     def write(self) -> AbstractContextManager[UnitOfWork]: ...
     def read(self) -> AbstractContextManager[UnitOfWork]: ...
+    def scheduler_lock(self, holder: str) -> AbstractContextManager[None]: ...
 
 
 class Clock(Protocol):
