@@ -178,14 +178,14 @@ class BinTable:
 
     Groups are what standard deviations come from: blocks of running time are dealt to ``g`` groups, and any derived
     number is recomputed with one group left out (delete-a-group jackknife). ``lateral`` and ``yaw`` hold, per group and
-    bin, the upper triangle of the Gram matrix of [regressors, target], row by row.
+    bin, the packed moments that ``estimation.least_squares`` lays out.
     """
 
     parameter_key: str  # digest of every parameter that shapes the statistics
     edges: FloatArray  # (b + 1,) m
     weight: FloatArray  # (g, b) sum of weights; the sample count without forgetting
-    lateral: FloatArray  # (g, b, 15) regressors [x1, x1 u, x2, x2 u], target z1
-    yaw: FloatArray  # (g, b, 15) regressors [(l W/2) psi, c, c u, c u^2], target z2
+    lateral: FloatArray  # (g, b, q) regressors [x1, x1 u, x2, x2 u], targets z1 and its parameter sensitivities
+    yaw: FloatArray  # (g, b, r) regressors [(l W/2) psi, c, c u, c u^2], targets z2 and its sensitivities
     samples: int  # samples ever added, without weights
     windows: int
 
@@ -194,8 +194,8 @@ class BinTable:
         g = len(self.weight)
         object.__setattr__(self, "edges", frozen_array(self.edges, (b + 1,), name="edges"))
         object.__setattr__(self, "weight", frozen_array(self.weight, (g, b), name="weight"))
-        object.__setattr__(self, "lateral", frozen_array(self.lateral, (g, b, 15), name="lateral"))
-        object.__setattr__(self, "yaw", frozen_array(self.yaw, (g, b, 15), name="yaw"))
+        object.__setattr__(self, "lateral", frozen_array(self.lateral, (g, b, None), name="lateral"))
+        object.__setattr__(self, "yaw", frozen_array(self.yaw, (g, b, None), name="yaw"))
 
 
 class BinStatus(StrEnum):
