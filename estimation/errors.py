@@ -13,6 +13,7 @@ mistake of ours or bad input from the outside world, and carries its facts as fi
     │   └── ParameterError         a parameter outside its range
     ├── NotFoundError              no such fleet, vehicle, wheelset, section, alert, job
     ├── ConflictError              the thing is not in the state that the request assumes
+    ├── StoppedError               a job ended between two batches because the process is stopping
     └── StorageError               the database or the window files
         ├── MigrationError         the database is at another migration head
         └── AlreadyRunningError    a second scheduler on the same database
@@ -104,6 +105,15 @@ class ConflictError(TreadwatchError):
         self.kind = kind
         self.key = key
         super().__init__(reason)
+
+
+class StoppedError(TreadwatchError):
+    """A job ended between two batches because the process is stopping; a later run does the rest."""
+
+    def __init__(self, done: int, total: int) -> None:
+        self.done = done
+        self.total = total
+        super().__init__(f"stopped on request after {done} of {total}")
 
 
 class StorageError(TreadwatchError):

@@ -1,0 +1,133 @@
+"""What a job is, what it gets, and how one run of it is recorded.
+
+A job is some twenty lines: load, compute with pure functions, store. It commits its work in batches, each batch in
+one ``storage.write()`` and keyed, so that a kill leaves nothing half-written and a rerun repeats nothing. Between
+batches it calls :meth:`JobContext.checkpoint`, which tells the progress and ends the run when a stop was asked for.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from estimation.errors import StoppedError, TreadwatchError
+from estimation.ports import Clock, JobRun, Storage
+
+_log = logging.getLogger(__name__)
+_Setting = TypeVar("_Setting")
+
+
+@dataclass(frozen=True, slots=True)
+class JobContext:
+    """What a job may touch.
+
+    Attributes
+    ----------
+    storage, clock
+        Where everything is kept, and our time.
+    code_version
+        Goes into the provenance of what is stored.
+    progress
+        Called with (done, total) between batches; a screen's or a test's, never needed.
+    stopping
+        Says whether the process has been asked to stop.
+    settings
+        One frozen settings value per type, see :meth:`setting`.
+    """
+
+    storage: Storage
+    clock: Clock
+    code_version: str
+    progress: Callable[[int, int], None] | None = None
+    stopping: Callable[[], bool] | None = None
+    settings: tuple[object, ...] = ()
+
+    def setting(self, kind: type[_Setting]) -> _Setting:
+        """Return the settings value of this type, or its shipped defaults (``kind()``) where none was given."""
+        for value in self.settings:
+            if isinstance(value, kind):
+                return value
+        return kind()
+
+    def checkpoint(self, done: int, total: int) -> None:
+        """Tell the progress; to be called between two batches, with everything before it committed.
+
+        Raises
+        ------
+        StoppedError
+            The process is stopping; what was committed stays, a later run does the rest.
+        """
+        if self.progress is not None:
+            self.progress(done, total)
+        if self.stopping is not None and self.stopping():
+            raise StoppedError(done, total)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """Something that is run again and again; ``run`` returns what it did, by name."""
+
+    name: str
+    description: str
+    every_s: float  # default interval of the schedule
+    run: Callable[[JobContext], Mapping[str, int]]
+
+
+def run_job(job: Job, context: JobContext, trigger: str) -> JobRun:
+    """Run a job once and record it: start, finish, outcome, counts and, where it failed, the message.
+
+    The record is written in transactions of its own, before and after the work, so that a killed run stays visible as
+    ``running`` until the next scheduler marks it ``abandoned``.
+
+    Parameters
+    ----------
+    job
+        What to run.
+    context
+        What it may touch.
+    trigger
+        Who asked: "schedule", "api" or "cli".
+
+    Returns
+    -------
+    JobRun
+        The finished record. A failure is in it (outcome ``failed``; the message, without a trace), and where a
+        stop was asked for the outcome is ``abandoned``; neither is raised. ``counts`` of such a run hold ``done``
+        and ``total`` of the last checkpoint.
+    """
+    with context.storage.write() as unit:
+        run_id = unit.jobs.start(job.name, trigger, context.clock.now_ns()).run_id
+    reached: list[tuple[int, int]] = []
+    outcome, counts, error = _attempt(job, replace(context, progress=_remember(context.progress, reached)))
+    if error is not None and reached:
+        counts = {"done": reached[-1][0], "total": reached[-1][1]}
+    with context.storage.write() as unit:
+        unit.jobs.finish(run_id, outcome, counts, context.clock.now_ns(), error)
+    with context.storage.read() as unit:
+        return unit.jobs.get(run_id)
+
+
+def _remember(
+    progress: Callable[[int, int], None] | None, reached: list[tuple[int, int]]
+) -> Callable[[int, int], None]:
+    def tell(done: int, total: int) -> None:
+        reached[:] = [(done, total)]
+        if progress is not None:
+            progress(done, total)
+
+    return tell
+
+
+def _attempt(job: Job, context: JobContext) -> tuple[str, Mapping[str, int], str | None]:
+    try:
+        return "succeeded", dict(job.run(context)), None
+    except StoppedError as error:
+        return "abandoned", {}, str(error)
+    except TreadwatchError as error:
+        _log.warning("job %s failed: %s", job.name, error)
+        return "failed", {}, str(error)
+    except Exception as error:  # noqa: BLE001 - whatever fails in a job is a fact of its run, never the end of the scheduler
+        _log.exception("job %s failed", job.name)
+        return "failed", {}, f"{type(error).__name__}: {error}".splitlines()[0]
