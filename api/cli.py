@@ -1,11 +1,89 @@
-"""The one command, ``treadwatch``: every service and every tool is a subcommand of it."""
+"""The one command, ``treadwatch``: every service and every tool is a subcommand of it.
+
+Only the subcommand that is asked for is imported, so that ``treadwatch contact`` does not wait for the web server.
+"""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import version
+from typing import Annotated
+
 import typer
+
+from estimation.errors import TreadwatchError
+
+REFUSED = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A subcommand: ``attribute`` of ``module`` is a function, or a Typer group of further subcommands."""
+
+    name: str
+    module: str
+    attribute: str
+    summary: str
+
+
+COMMANDS = (
+    Command("demo", "api.commands.demo", "demo", "Run the main job end to end on the embedded default."),
+    Command("simulate", "api.commands.simulate", "simulate", "Let a simulated fleet speak CAN frames."),
+    Command("ingest", "api.commands.ingest", "ingest", "Receive CAN frames from log files or a live bus."),
+    Command("estimate", "api.commands.estimate", "estimate", "Run the scheduled jobs once, now, in order."),
+    Command("serve", "api.commands.serve", "serve", "Serve the REST API."),
+    Command("schedule", "api.commands.schedule", "schedule", "Run the jobs on schedule; one per deployment."),
+    Command("contact", "api.commands.contact", "contact", "Compute the contact geometry of a wheel on a rail."),
+    Command("reproduce", "api.commands.reproduce", "reproduce", "Reproduce the published figures."),
+    Command("db", "api.commands.db", "db", "Upgrade or check the database."),
+    Command("openapi", "api.commands.openapi", "openapi", "Print or write the OpenAPI document."),
+)
+
+
+def _print_version(wanted: bool) -> None:  # noqa: FBT001 - typer hands an option's value by position
+    if wanted:
+        typer.echo(f"treadwatch {version('treadwatch')}")
+        raise typer.Exit
+
+
+def _root(
+    *,
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end.")
+    ] = False,
+) -> None:
+    """Wheel-rail wear of a fleet, from CAN frames to trends and alerts."""
+
+
+def _not_imported() -> None:
+    """Stand for a subcommand that was not asked for."""
+
+
+def build(arguments: Sequence[str]) -> typer.Typer:
+    """Return the command line with the subcommand named in ``arguments`` loaded; the others only as their summary."""
+    app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+    app.callback()(_root)
+    chosen = next((word for word in arguments if not word.startswith("-")), None)
+    for command in COMMANDS:
+        if command.name != chosen:
+            app.command(command.name, help=command.summary)(_not_imported)
+            continue
+        target = getattr(import_module(command.module), command.attribute)
+        if isinstance(target, typer.Typer):
+            app.add_typer(target, name=command.name, help=command.summary)
+        else:
+            app.command(command.name)(target)
+    return app
 
 
 def main() -> None:
-    """Run the command line."""
-    app = typer.Typer(no_args_is_help=True, add_completion=False)
-    app()
+    """Run the command line; a refusal is one line on standard error and exit code 2."""
+    arguments = sys.argv[1:]
+    try:
+        build(arguments)(arguments, prog_name="treadwatch")
+    except TreadwatchError as error:
+        print(f"treadwatch: {error}", file=sys.stderr)  # noqa: T201 - the command line speaks here
+        raise SystemExit(REFUSED) from None

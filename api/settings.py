@@ -1,0 +1,104 @@
+"""What a deployment may set, from the environment (``TREADWATCH_...``) or a ``.env`` file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, ValidationError, field_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from estimation.errors import ParameterError
+
+PREFIX = "TREADWATCH_"
+
+
+class Settings(BaseSettings):
+    """Everything that differs between deployments; the defaults are the embedded one.
+
+    Parameters
+    ----------
+    data_dir
+        Directory of everything that is kept beside the database: raw recordings, samples of windows. The embedded
+        database lies here too.
+    database_url
+        ``sqlite:///...`` or ``postgresql://...``; left out, a SQLite file in ``data_dir``.
+    rules_file
+        TOML file of alert rules; left out, the rules shipped with the package.
+    host, port
+        Where the REST API listens.
+    log_level, log_format
+        How much is logged, and whether as JSON lines or as text for a terminal.
+    window_length_s
+        Length of a window of running time, in seconds. Windows are cut at multiples of it, so it must not be changed
+        once data are stored.
+    estimate_every_s, trends_every_s, alerts_every_s
+        Periods of the scheduled jobs, in seconds.
+    shutdown_timeout_s
+        How long running requests and jobs may take to finish after SIGTERM, in seconds.
+    """
+
+    model_config = SettingsConfigDict(
+        env_prefix=PREFIX, env_file=".env", env_file_encoding="utf-8", extra="ignore", frozen=True
+    )
+
+    data_dir: Path = Path("treadwatch-data")
+    database_url: str | None = Field(default=None, repr=False)  # it may carry a password
+    rules_file: Path | None = None
+    host: str = "127.0.0.1"
+    port: int = Field(default=8000, ge=0, le=65535)
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    log_format: Literal["json", "text"] = "text"
+    window_length_s: float = Field(default=30.0, gt=0.0, le=3600.0)
+    estimate_every_s: float = Field(default=30.0, gt=0.0)
+    trends_every_s: float = Field(default=60.0, gt=0.0)
+    alerts_every_s: float = Field(default=60.0, gt=0.0)
+    shutdown_timeout_s: int = Field(default=10, ge=1, le=600)
+
+    @field_validator("database_url", "rules_file", mode="before")
+    @classmethod
+    def _empty_is_left_out(cls, value: object) -> object:
+        """Read ``TREADWATCH_RULES_FILE=`` (as compose files leave it) as not set."""
+        return None if value == "" else value
+
+    @field_validator("database_url")
+    @classmethod
+    def _known_database(cls, value: str | None) -> str | None:
+        if value is not None and not value.startswith(("sqlite:///", "postgresql://", "postgresql+psycopg://")):
+            msg = "must begin with sqlite:/// or postgresql://"
+            raise ValueError(msg)
+        return value
+
+    @property
+    def url(self) -> str:
+        """The database's address, with the embedded default filled in."""
+        if self.database_url is not None:
+            return self.database_url
+        return f"sqlite:///{(self.data_dir / 'treadwatch.sqlite').resolve()}"
+
+    @property
+    def samples_dir(self) -> Path:
+        """Where samples of windows are kept."""
+        return self.data_dir / "windows"
+
+    @property
+    def raw_dir(self) -> Path:
+        """Where raw recordings are kept under their digests."""
+        return self.data_dir / "raw"
+
+
+def load_settings(**overrides: object) -> Settings:
+    """Read the environment; ``overrides`` that are not None win.
+
+    Raises
+    ------
+    ParameterError
+        Naming the environment variable that is wrong. The value itself is not repeated: it may be a secret.
+    """
+    given = {name: value for name, value in overrides.items() if value is not None}
+    try:
+        return Settings(**given)  # type: ignore[arg-type]
+    except ValidationError as error:
+        first = error.errors(include_input=False, include_url=False)[0]
+        name = "_".join(str(part) for part in first["loc"])
+        raise ParameterError(first["msg"], field=f"{PREFIX}{name.upper()}") from None
