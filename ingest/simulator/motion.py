@@ -1,0 +1,231 @@
+"""One wheelset running over a track: from parameters, contact geometry and speed to its motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from estimation.arrays import FloatArray, frozen_array
+from estimation.errors import ParameterError
+from estimation.vehicle import VehicleParameters, creep_rate
+from ingest.simulator.stepping import (
+    LOOKED_UP,
+    OUTPUTS,
+    STATES,
+    Constants,
+    Grid,
+    integrate,
+    time_derivative,
+    uniform_spacing,
+)
+from ingest.simulator.track import TrackTruth
+
+STEP = 1e-3  # s
+RATE_LIMIT = 1.0  # creep rate x sub-step; Runge-Kutta of 4th order is stable to 2.78
+MINIMUM_SPEED = 0.5  # m/s: Kalker's linear creep has no meaning at rest
+_MINIMUM_NODES = 3
+
+
+class ContactGeometryTable(Protocol):
+    """What the simulator needs of a contact table: uniform grids in m, arrays (n, g) in m and rad."""
+
+    @property
+    def lateral_displacement(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - the class docstring says it
+    @property
+    def gauge_deviation(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
+    @property
+    def rolling_radius_left(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
+    @property
+    def rolling_radius_right(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
+    @property
+    def contact_angle_left(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
+    @property
+    def contact_angle_right(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
+    @property
+    def roll(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
+
+
+@dataclass(frozen=True, slots=True)
+class WheelsetMotion:
+    """The true motion of a wheelset and its suspended mass, every ``STEP`` s; all arrays (n,), SI.
+
+    ``outside`` counts samples whose lateral displacement left the contact table: there the motion means nothing.
+    """
+
+    t: FloatArray  # s, from 0
+    distance: FloatArray  # m along the section, of this wheelset
+    speed: FloatArray  # m/s
+    lateral_displacement: FloatArray  # y, m, absolute
+    lateral_velocity: FloatArray
+    lateral_acceleration: FloatArray
+    yaw: FloatArray  # psi, rad
+    yaw_rate: FloatArray
+    yaw_acceleration: FloatArray
+    roll: FloatArray  # phi, rad
+    roll_rate: FloatArray
+    roll_acceleration: FloatArray
+    mass_lateral_displacement: FloatArray  # ym, m, absolute
+    mass_lateral_velocity: FloatArray
+    mass_lateral_acceleration: FloatArray
+    alignment: FloatArray  # d at the wheelset, m
+    gauge_deviation: FloatArray  # at the wheelset, m
+    rolling_radius_left: FloatArray  # m
+    rolling_radius_right: FloatArray  # m
+    contact_angle_left: FloatArray  # rad
+    contact_angle_right: FloatArray  # rad
+    outside: int
+
+    def __post_init__(self) -> None:
+        n = len(self.t)
+        for name in ("t", "distance", "speed", "roll_acceleration", *OUTPUTS):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def relative_displacement(self) -> FloatArray:
+        """Lateral displacement relative to the track, y - d (n,), m."""
+        return self.lateral_displacement - self.alignment
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedTable:
+    """A contact table laid out for the stepping loop; make it once, run it often."""
+
+    nodes: FloatArray  # (n, g, 7)
+    x0: float
+    x_step: float
+    e0: float
+    e_step: float
+
+    @staticmethod
+    def of(table: ContactGeometryTable) -> PreparedTable:
+        """Lay out ``table``, with the slopes of roll at its nodes.
+
+        Raises
+        ------
+        ParameterError
+            A grid is not uniform, too short, or a value is not finite.
+        """
+        x, e = table.lateral_displacement, table.gauge_deviation
+        x_step, e_step = uniform_spacing(x), uniform_spacing(e)
+        if x_step is None or len(x) < _MINIMUM_NODES:
+            raise ParameterError("the grid must be uniform and increasing", field="lateral_displacement")
+        if e_step is None:
+            raise ParameterError("the grid must be uniform and increasing", field="gauge_deviation")
+        roll = np.asarray(table.roll)
+        slopes = (
+            np.gradient(roll, x_step, axis=0),
+            np.gradient(roll, e_step, axis=1) if len(e) > 1 else np.zeros_like(roll),
+        )
+        radii_and_angles = (
+            table.rolling_radius_left,
+            table.rolling_radius_right,
+            table.contact_angle_left,
+            table.contact_angle_right,
+        )
+        nodes = np.stack([*radii_and_angles, roll, *slopes], axis=-1)
+        if not np.isfinite(nodes).all():
+            raise ParameterError("the contact table has values that are not finite")
+        shape = (len(x), len(e), LOOKED_UP)
+        return PreparedTable(frozen_array(nodes, shape, name="nodes"), float(x[0]), x_step, float(e[0]), e_step)
+
+
+def simulate_wheelset(
+    parameters: VehicleParameters,
+    table: ContactGeometryTable | PreparedTable,
+    track: TrackTruth,
+    speed: FloatArray,
+    start: float,
+    *,
+    initial: FloatArray | None = None,
+) -> WheelsetMotion:
+    """Run a wheelset along ``track`` from distance ``start`` (m) with ``speed`` (n,), m/s, given every ``STEP`` s.
+
+    Between samples the speed is linear. ``initial`` (6,) holds y, y', psi, psi', ym, ym' in SI; without it wheelset
+    and mass start at rest relative to the track, on its centre line. Two runs of the same input give the same bits.
+
+    Raises
+    ------
+    ParameterError
+        Speed below ``MINIMUM_SPEED``, or the run leaves the track.
+    """
+    speed = np.ascontiguousarray(speed, dtype=np.float64)
+    prepared = table if isinstance(table, PreparedTable) else PreparedTable.of(table)
+    if not (np.isfinite(speed).all() and len(speed) > 0 and speed.min() >= MINIMUM_SPEED):
+        raise ParameterError(f"speed must be at least {MINIMUM_SPEED} m/s throughout", field="speed")
+    distance = travelled(speed, start)
+    if start < track.s[0] or distance[-1] > track.s[-1]:
+        raise ParameterError(
+            f"the run, {start:.1f} to {distance[-1]:.1f} m, leaves the track, {track.s[0]:.1f} to {track.s[-1]:.1f} m",
+            field="start",
+        )
+    grid = Grid(prepared.x0, 1 / prepared.x_step, prepared.e0, 1 / prepared.e_step, float(track.s[0]), track.interval)
+    coefficients = track.spline_coefficients()
+    state = _start(coefficients, track, start, float(speed[0])) if initial is None else np.array(initial, np.float64)
+    out = np.empty((len(OUTPUTS), len(speed)))
+    outside = integrate(
+        constants(parameters),
+        prepared.nodes,
+        coefficients,
+        grid,
+        speed,
+        distance,
+        STEP,
+        RATE_LIMIT,
+        creep_rate(parameters, 1.0),
+        state,
+        out,
+    )
+    named = dict(zip(OUTPUTS, out, strict=True))
+    return WheelsetMotion(
+        t=STEP * np.arange(len(speed), dtype=np.float64),
+        distance=distance,
+        speed=speed,
+        roll_acceleration=time_derivative(named["roll_rate"], STEP),
+        outside=int(outside),
+        **named,
+    )
+
+
+def travelled(speed: FloatArray, start: float) -> FloatArray:
+    """Return the distance (n,), m, at each sample of ``speed`` (n,), m/s, linear between samples every ``STEP`` s."""
+    return np.asarray(start + np.concatenate([[0.0], np.cumsum(0.5 * STEP * (speed[1:] + speed[:-1]))]))
+
+
+def constants(parameters: VehicleParameters) -> Constants:
+    """Return ``parameters`` as the compiled loop takes them."""
+    p = parameters
+    return Constants(
+        f11=p.longitudinal_creep_coefficient,
+        f22=p.lateral_creep_coefficient,
+        f23=p.lateral_spin_creep_coefficient,
+        f33=p.spin_creep_coefficient,
+        fy=p.lateral_damping,
+        f_psi=p.yaw_damping,
+        inertia=p.yaw_inertia,
+        pitch_inertia=p.pitch_inertia,
+        half=p.half_contact_distance,
+        mass=p.wheelset_mass,
+        suspended=p.suspended_mass,
+        ky=p.lateral_stiffness,
+        k_psi=p.yaw_stiffness,
+        load=p.load,
+        r0=p.nominal_radius,
+    )
+
+
+def _start(coefficients: FloatArray, track: TrackTruth, start: float, speed: float) -> FloatArray:
+    cell = min(int((start - track.s[0]) / track.interval), len(coefficients) - 1)
+    h = start - float(track.s[cell])
+    c = coefficients[cell]
+    offset, slope = float(np.polyval(c[:4], h)), float(np.polyval(np.polyder(c[:4]), h))
+    state = np.zeros(STATES)
+    state[[0, 4]] = offset
+    state[[1, 5]] = speed * slope
+    state[2] = slope
+    return state

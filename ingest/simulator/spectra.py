@@ -1,0 +1,86 @@
+"""Track irregularities from power spectral densities: the German / ERRI B176 forms, by random phases.
+
+Densities are one-sided over angular wavenumber W (rad/m): the variance is their integral over W > 0. Recorded lines
+have far more gauge variation than the German gauge spectrum gives, so the level is set by standard deviation and
+only the *form* is taken from the spectrum.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+import scipy.fft
+import scipy.integrate
+
+from estimation.arrays import FloatArray
+from estimation.errors import ParameterError
+
+Irregularity = Literal["alignment", "gauge"]
+
+CRITICAL_WAVENUMBER = 0.8246  # Wc, rad/m
+LOW_WAVENUMBER = 0.0206  # Wr, rad/m
+GAUGE_WAVENUMBER = 0.4380  # Ws, rad/m
+ALIGNMENT_LEVEL = {"low": 2.119e-7, "high": 6.125e-7}  # A, m2 rad/m
+
+
+def density(kind: Irregularity, wavenumber: FloatArray, level: float = ALIGNMENT_LEVEL["low"]) -> FloatArray:
+    """Return the one-sided density (n,), m2/(rad/m), at angular ``wavenumber`` (n,), rad/m.
+
+    Alignment: S = A Wc^2 / ((W^2 + Wr^2)(W^2 + Wc^2)). Gauge, as cross level: the same times W^2 / (W^2 + Ws^2).
+    """
+    w2 = np.asarray(wavenumber, dtype=np.float64) ** 2
+    S = level * CRITICAL_WAVENUMBER**2 / ((w2 + LOW_WAVENUMBER**2) * (w2 + CRITICAL_WAVENUMBER**2))
+    return S * w2 / (w2 + GAUGE_WAVENUMBER**2) if kind == "gauge" else S
+
+
+def standard_deviation(kind: Irregularity, wavelengths: tuple[float, float], level: float) -> float:
+    """Return the standard deviation, m, of the density over ``wavelengths`` (shortest, longest), m."""
+    low, high = _band(wavelengths)
+    variance, _ = scipy.integrate.quad(lambda w: float(density(kind, np.array(w), level)), low, high)
+    return math.sqrt(variance)
+
+
+def synthesise(
+    kind: Irregularity,
+    *,
+    length: float,
+    interval: float,
+    target_std: float,
+    wavelengths: tuple[float, float],
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return an irregularity (n,), m, every ``interval`` m over ``length`` m, with exactly ``target_std`` m.
+
+    Every wavenumber line inside the band carries the amplitude of the density and a random phase. The mean is
+    removed and the standard deviation set on the stretch that is returned.
+
+    Raises
+    ------
+    ParameterError
+        The band is empty or not resolved by ``interval``, or the stretch is shorter than the longest wavelength.
+    """
+    low, high = _band(wavelengths)
+    if wavelengths[0] < 4.0 * interval:
+        raise ParameterError(f"a grid of {interval} m cannot carry a wavelength of {wavelengths[0]} m")
+    if length < wavelengths[1]:
+        raise ParameterError(f"{length} m of track are shorter than the longest wavelength, {wavelengths[1]} m")
+    count = round(length / interval) + 1
+    if target_std == 0.0:
+        return np.zeros(count)
+    size = scipy.fft.next_fast_len(count + round(wavelengths[1] / interval), real=True)
+    wavenumber = 2.0 * np.pi * scipy.fft.rfftfreq(size, interval)
+    inside = (wavenumber >= low) & (wavenumber <= high)
+    amplitude = np.where(inside, np.sqrt(density(kind, np.maximum(wavenumber, low))), 0.0)
+    phase = rng.uniform(0.0, 2.0 * np.pi, len(wavenumber))
+    values = np.asarray(scipy.fft.irfft(amplitude * np.exp(1j * phase), size))[:count]
+    values -= values.mean()
+    return np.asarray(values * (target_std / values.std()))
+
+
+def _band(wavelengths: tuple[float, float]) -> tuple[float, float]:
+    shortest, longest = wavelengths
+    if not 0.0 < shortest < longest:
+        raise ParameterError(f"wavelengths {shortest} m to {longest} m are no band")
+    return 2.0 * math.pi / longest, 2.0 * math.pi / shortest
