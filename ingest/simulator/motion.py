@@ -181,6 +181,7 @@ def simulate_wheelset(
         state,
         out,
     )
+    out.flags.writeable = False
     named = dict(zip(OUTPUTS, out, strict=True))
     return WheelsetMotion(
         t=STEP * np.arange(len(speed), dtype=np.float64),
