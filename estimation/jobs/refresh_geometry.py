@@ -1,0 +1,117 @@
+"""Job: bin tables of a wheelset become its geometry, per mileage interval and current."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from estimation import bins, geometry
+from estimation.jobs.job import Job, JobContext
+from estimation.ports import GeometryRecord, UnitOfWork, WheelsetRecord, WindowRecord
+from estimation.settings import EstimationSettings
+from estimation.types import BinTable
+
+_STALE_AT_ONCE = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """The life of a profile between two reprofilings, ``[from_ns, to_ns)``."""
+
+    number: int
+    from_ns: int
+    to_ns: int | None
+    mileage_km: float  # of the wheelset at its begin
+
+
+def baselines(wheelset: WheelsetRecord) -> list[Baseline]:
+    """Return the baselines of a wheelset, oldest first; number 0 begins when it was new."""
+    turned = sorted(wheelset.reprofilings, key=lambda item: item.at_ns)
+    starts = [(0, 0.0), *((item.at_ns, item.mileage_km) for item in turned)]
+    ends: list[int | None] = [item.at_ns for item in turned] + [None]
+    return [Baseline(i, a, b, km) for i, ((a, km), b) in enumerate(zip(starts, ends, strict=True))]
+
+
+def run(context: JobContext) -> Mapping[str, int]:
+    """Refresh every wheelset whose windows changed; each wheelset is committed together."""
+    counts: Counter[str] = Counter(wheelsets=0, geometries=0)
+    with context.storage.read() as unit:
+        stale = unit.geometries.stale(_STALE_AT_ONCE)
+    for done, serial in enumerate(stale, start=1):
+        with context.storage.read() as unit:
+            records = refreshed(unit, serial, context)
+        with context.storage.write() as unit:
+            counts["geometries"] += sum(unit.geometries.put(record) for record in records)
+        counts["wheelsets"] += 1
+        context.checkpoint(done, len(stale))
+    return counts
+
+
+JOB = Job("refresh_geometry", "Merge bin tables into wheelset geometries", every_s=300.0, run=run)
+
+_Entry = tuple[WindowRecord, BinTable, int | None]
+
+
+def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[GeometryRecord]:
+    """Return the geometries of one wheelset whose inputs differ from what is stored; ``current`` always comes last."""
+    settings = context.setting(EstimationSettings)
+    key = settings.bins.key
+    records: list[GeometryRecord] = []
+    for baseline in baselines(unit.registry.wheelset(serial)):
+        entries = [e for e in unit.tables.stream(serial, baseline.from_ns, baseline.to_ns) if e[1].parameter_key == key]
+        if not entries:
+            continue
+        known = {record.interval: record.input_digest for record in unit.geometries.intervals(serial, baseline.number)}
+        for interval, part in _by_interval(entries, baseline, settings.interval_km).items():
+            if known.get(interval) != _digest(part, context.code_version):
+                table = bins.merge_all([entry[1] for entry in part], settings.bins)
+                records.append(_record(serial, baseline, interval, part, table, context))
+        if baseline.to_ns is None:
+            faded = bins.merge_with_mileage(
+                [(entry[0].mileage_km, entry[1]) for entry in entries], settings.half_life_km, settings.bins
+            )
+            records.append(_record(serial, baseline, None, entries, faded, context))
+    return records
+
+
+def _by_interval(entries: Sequence[_Entry], baseline: Baseline, interval_km: float) -> dict[int, list[_Entry]]:
+    parts: defaultdict[int, list[_Entry]] = defaultdict(list)
+    for entry in entries:
+        parts[int((entry[0].mileage_km - baseline.mileage_km) // interval_km)].append(entry)
+    return parts
+
+
+def _digest(entries: Sequence[_Entry], code_version: str) -> str:
+    text = hashlib.sha256(code_version.encode())
+    for window, table, version in entries:
+        text.update(f"{window.start_ns} {window.content_digest} {table.parameter_key} {version}\n".encode())
+    return text.hexdigest()
+
+
+def _record(
+    serial: str,
+    baseline: Baseline,
+    interval: int | None,
+    entries: Sequence[_Entry],
+    table: BinTable,
+    context: JobContext,
+) -> GeometryRecord:
+    settings = context.setting(EstimationSettings)
+    windows = [entry[0] for entry in entries]
+    versions = {w.track_section: v for w, _, v in entries if w.track_section is not None and v is not None}
+    return GeometryRecord(
+        wheelset=serial,
+        baseline=baseline.number,
+        interval=interval,
+        mileage_km=sum(w.mileage_km for w in windows) / len(windows),
+        from_ns=windows[0].start_ns,
+        to_ns=windows[-1].start_ns + windows[-1].length_ns,
+        geometry=geometry.estimate(table, settings.bins, settings.geometry),
+        input_digest=_digest(entries, context.code_version),
+        track_versions=versions,
+        parameters=settings.as_json(),
+        code_version=context.code_version,
+        recorded_ns=context.clock.now_ns(),
+    )

@@ -1,0 +1,49 @@
+"""One window to its bin table, or the reason why not."""
+
+from __future__ import annotations
+
+from estimation import bins
+from estimation.settings import EstimationSettings
+from estimation.signals import Refusal, motion
+from estimation.types import BinTable, TrackAlignment, Window
+
+NO_ALIGNMENT = "the alignment of the track section is not known"
+
+
+def tabulate_window(window: Window, track: TrackAlignment | None, settings: EstimationSettings) -> BinTable | Refusal:
+    """Return the bin table of ``window`` on ``track``, or why the window is refused.
+
+    Parameters
+    ----------
+    window
+        Measured accelerations of one wheelset.
+    track
+        Alignment of its track section; None where none is on file.
+    settings
+        Gates, filters and bins.
+    """
+    refused = _gate(window, settings)
+    if refused is not None:
+        return refused
+    if track is None:
+        return Refusal(NO_ALIGNMENT)
+    moved = motion(window, track, settings.signals)
+    if isinstance(moved, Refusal):
+        return moved
+    table = bins.tabulate(moved, settings.bins)
+    return table if table.samples else Refusal("no sample inside the bins")
+
+
+def _gate(window: Window, settings: EstimationSettings) -> Refusal | None:
+    quality, gates = window.quality, settings.gates
+    if quality.sensor_fault:
+        return Refusal("the sensor reports a fault")
+    if quality.coverage < gates.least_coverage:
+        return Refusal(f"{quality.coverage:.0%} of the samples, {gates.least_coverage:.0%} are needed")
+    if quality.clipped > gates.most_clipped:
+        return Refusal(f"{quality.clipped:.1%} of the samples are clipped")
+    if window.track_section is None:
+        return Refusal("the track section is not known")
+    if quality.position_quality < gates.least_position_quality:
+        return Refusal("the position is not known well enough")
+    return None
