@@ -1,0 +1,243 @@
+"""The signal catalogue: a DBC file, read once, as a plan for the vectorised codec.
+
+cantools reads the file; after that it is not asked again. The conventions on top of DBC are few: the name of a message
+ends with its node (``ACCELERATION_3``), ``GenMsgCycleTime`` of SYNC is the sampling interval, and ``InvalidRawValue``
+is the raw value that says "not available".
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import as_file, files
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from estimation.errors import CatalogueError
+
+VEHICLE_NODE = 16
+
+ACCELERATION = "ACCELERATION"
+STATUS = "STATUS"
+EMERGENCY = "EMERGENCY"
+MOTION = "MOTION"
+PLACE = "PLACE"
+POSITION = "POSITION"
+HEARTBEAT = "HEARTBEAT"
+SYNC = "SYNC"
+TIME = "TIME"
+
+NEEDED = {
+    SYNC: ("counter",),
+    TIME: ("milliseconds", "days"),
+    ACCELERATION: ("lateral_acceleration", "yaw_acceleration", "roll_acceleration", "mass_lateral_acceleration"),
+    STATUS: ("sample_counter", "self_test_failed"),
+    MOTION: ("speed", "odometer"),
+    POSITION: ("track_section", "distance", "position_quality"),
+}
+"""Signals that the receiver cannot do without, by kind of message."""
+
+_NAME = re.compile(r"(?P<kind>[A-Z]+)(?:_(?P<node>\d+))?")
+
+
+@dataclass(frozen=True, slots=True)
+class SignalPlan:
+    """Where a signal lies in the payload and what its raw value means: ``value = raw * scale + offset``."""
+
+    name: str
+    start_bit: int
+    bits: int
+    signed: bool
+    scale: float
+    offset: float
+    unit: str
+    raw_minimum: int
+    raw_maximum: int
+    raw_invalid: int | None  # the raw value that says "not available"
+    clips: bool  # the limits are the ends of the raw range: a value on a limit was clipped
+
+
+@dataclass(frozen=True, slots=True)
+class MessagePlan:
+    """One message: its kind and node, its length, its signals and how to view its payload."""
+
+    name: str
+    kind: str
+    node: int | None
+    arbitration_id: int
+    length: int  # bytes
+    cycle_ns: int  # 0 when sent on events
+    signals: tuple[SignalPlan, ...]
+
+    def signal(self, name: str) -> SignalPlan:
+        """Return the plan of one signal.
+
+        Raises
+        ------
+        CatalogueError
+            The message has no such signal.
+        """
+        for plan in self.signals:
+            if plan.name == name:
+                return plan
+        raise CatalogueError(f"message {self.name} has no signal {name}", field=name)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the signals, in the order of their bits."""
+        return tuple(plan.name for plan in self.signals)
+
+    @property
+    def four_int16(self) -> bool:
+        """Whether the payload is just four signed 16-bit numbers, so that a view of it is the raw values."""
+        return [(p.start_bit, p.bits, p.signed) for p in self.signals] == [(16 * i, 16, True) for i in range(4)]
+
+
+@dataclass(frozen=True, slots=True)
+class Catalogue:
+    """All messages of a vehicle bus by arbitration id."""
+
+    messages: Mapping[int, MessagePlan]
+    sample_interval_ns: int
+
+    @property
+    def wheelset_nodes(self) -> tuple[int, ...]:
+        """Nodes that have an acceleration message: the wheelsets that the bus has room for."""
+        return tuple(sorted(p.node for p in self.messages.values() if p.kind == ACCELERATION and p.node is not None))
+
+    def find(self, kind: str, node: int | None = None) -> MessagePlan:
+        """Return the message of a kind and node.
+
+        Raises
+        ------
+        CatalogueError
+            There is none.
+        """
+        for plan in self.messages.values():
+            if plan.kind == kind and plan.node == node:
+                return plan
+        raise CatalogueError(f"no message {kind}{'' if node is None else f' of node {node}'}")
+
+
+def load_catalogue(path: Path) -> Catalogue:
+    """Read a DBC file.
+
+    Parameters
+    ----------
+    path
+        The DBC file; 11-bit identifiers, little endian, integers, no multiplexing.
+
+    Raises
+    ------
+    CatalogueError
+        The file cannot be read, or lacks what the codec needs; names file and field.
+    """
+    database = _parse(path)
+    messages = {message.frame_id: _message_plan(message, path) for message in database.messages}
+    catalogue = Catalogue(MappingProxyType(messages), _sample_interval_ns(messages, path))
+    _check_needed(catalogue, path)
+    return catalogue
+
+
+@cache
+def default_catalogue() -> Catalogue:
+    """Return the catalogue that comes with the package."""
+    with as_file(files("ingest.dbc") / "treadwatch.dbc") as path:
+        return load_catalogue(path)
+
+
+def _parse(path: Path) -> Any:  # noqa: ANN401 - cantools is untyped
+    import cantools  # noqa: PLC0415 - a slow import, needed only to read a catalogue
+
+    try:
+        return cantools.database.load_file(path, database_format="dbc", strict=True)
+    except OSError as error:
+        raise CatalogueError(error.strerror or str(error), file=path) from error
+    except UnicodeDecodeError as error:
+        raise CatalogueError("is no text file", file=path) from error
+    except (cantools.database.Error, ValueError, KeyError) as error:
+        raise CatalogueError(f"is no DBC file: {error}", file=path) from error
+
+
+def _message_plan(message: Any, path: Path) -> MessagePlan:  # noqa: ANN401 - cantools is untyped
+    match = _NAME.fullmatch(message.name)
+    if match is None:
+        raise CatalogueError("a message is named KIND or KIND_node", file=path, field=message.name)
+    if message.is_extended_frame or message.is_fd or message.length > 8:  # noqa: PLR2004 - classic CAN
+        raise CatalogueError("a message has an 11-bit identifier and at most 8 bytes", file=path, field=message.name)
+    signals = sorted(message.signals, key=lambda signal: int(signal.start))
+    node = match["node"]
+    return MessagePlan(
+        name=message.name,
+        kind=match["kind"],
+        node=int(node) if node is not None else None,
+        arbitration_id=message.frame_id,
+        length=message.length,
+        cycle_ns=int(message.cycle_time or 0) * 1_000_000,
+        signals=tuple(_signal_plan(signal, f"{message.name}.{signal.name}", path) for signal in signals),
+    )
+
+
+def _signal_plan(signal: Any, name: str, path: Path) -> SignalPlan:  # noqa: ANN401 - cantools is untyped
+    if signal.byte_order != "little_endian" or signal.is_float or signal.is_multiplexer or signal.multiplexer_ids:
+        raise CatalogueError("a signal is a little-endian integer, not multiplexed", file=path, field=name)
+    if signal.length > 32:  # noqa: PLR2004 - raw values stay exact in float64 and int64
+        raise CatalogueError("a signal has at most 32 bits", file=path, field=name)
+    scale, offset = float(signal.scale), float(signal.offset)
+    lowest = -(1 << (signal.length - 1)) if signal.is_signed else 0
+    highest = lowest + (1 << signal.length) - 1
+    attribute = signal.dbc.attributes.get("InvalidRawValue") if signal.dbc else None
+    invalid = int(attribute.value) if attribute is not None else None
+    limits = [
+        end if limit is None else round((float(limit) - offset) / scale)
+        for limit, end in ((signal.minimum, lowest), (signal.maximum, highest))
+    ]
+    minimum, maximum = min(limits), max(limits)
+    if not lowest <= minimum < maximum <= highest:
+        raise CatalogueError("the limits do not fit the number of bits", file=path, field=name)
+    if invalid is not None and (minimum <= invalid <= maximum or not lowest <= invalid <= highest):
+        raise CatalogueError("InvalidRawValue lies inside the limits or outside the raw range", file=path, field=name)
+    return SignalPlan(
+        name=signal.name,
+        start_bit=signal.start,
+        bits=signal.length,
+        signed=signal.is_signed,
+        scale=scale,
+        offset=offset,
+        unit=signal.unit or "",
+        raw_minimum=minimum,
+        raw_maximum=maximum,
+        raw_invalid=invalid,
+        clips=invalid is not None and maximum - minimum == highest - lowest - 1,
+    )
+
+
+def _sample_interval_ns(messages: Mapping[int, MessagePlan], path: Path) -> int:
+    interval = next((plan.cycle_ns for plan in messages.values() if plan.kind == SYNC), 0)
+    if interval == 0:
+        raise CatalogueError("SYNC needs a GenMsgCycleTime: it is the sampling interval", file=path, field=SYNC)
+    return interval
+
+
+def _check_needed(catalogue: Catalogue, path: Path) -> None:
+    kinds = {plan.kind for plan in catalogue.messages.values()}
+    for kind, names in NEEDED.items():
+        if kind not in kinds:
+            raise CatalogueError("the message is missing", file=path, field=kind)
+        for plan in catalogue.messages.values():
+            missing = set(names) - set(plan.names) if plan.kind == kind else set()
+            if missing:
+                raise CatalogueError(f"lacks {', '.join(sorted(missing))}", file=path, field=plan.name)
+    for plan in catalogue.messages.values():
+        if plan.kind == ACCELERATION and not plan.four_int16:
+            raise CatalogueError("an acceleration message is four int16", file=path, field=plan.name)
+
+
+def resolution(plan: MessagePlan) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return the value of one count of each signal, (m,)."""
+    return np.array([signal.scale for signal in plan.signals])

@@ -1,0 +1,212 @@
+"""Frames <-> SI signals, vectorised over all frames of a message."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from estimation.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.errors import ParameterError
+from estimation.types import ERROR_FLAG, REMOTE_FLAG, FrameBatch
+from ingest.catalogue import Catalogue, MessagePlan, SignalPlan
+from ingest.frames import DATA_BYTES, DEFAULT_CHANNEL, batch_of
+from ingest.sorting import STANDARD_IDENTIFIERS, count_by_identifier, count_within, gather_by_identifier, scaled
+
+RawArray = npt.NDArray[np.signedinteger[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCounts:
+    """What became of the frames of a batch; every frame is in exactly one of the first seven after ``frames``.
+
+    ``invalid_values`` and ``clipped_values`` count signal values, not frames.
+    """
+
+    frames: int = 0
+    decoded: int = 0
+    unknown_identifiers: int = 0
+    wrong_lengths: int = 0
+    extended_frames: int = 0
+    remote_frames: int = 0
+    error_frames: int = 0
+    invalid_values: int = 0
+    clipped_values: int = 0
+
+    def __add__(self, other: FrameCounts) -> FrameCounts:
+        mine, theirs = asdict(self), asdict(other)
+        return FrameCounts(**{name: mine[name] + theirs[name] for name in mine})
+
+
+@dataclass(frozen=True, slots=True)
+class MessageValues:
+    """All frames of one message: where they stood in the batch and their raw values, one column a signal."""
+
+    plan: MessagePlan
+    index: IntArray  # (n,) position in the batch, increasing
+    raw: RawArray  # (n, m)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "index", frozen_array(self.index, (len(self.index),), np.int64, name="index"))
+        shape = (len(self.index), len(self.plan.signals))
+        object.__setattr__(self, "raw", frozen_array(self.raw, shape, self.raw.dtype, name="raw"))
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def column(self, name: str) -> IntArray:
+        """Return the raw values of one signal, (n,) int64."""
+        return self.raw[:, self.plan.names.index(name)].astype(np.int64)
+
+    def values(self) -> FloatArray:
+        """Return (n, m) values in the units of the catalogue; NaN where not valid."""
+        scale = np.array([signal.scale for signal in self.plan.signals])
+        offset = np.array([signal.offset for signal in self.plan.signals])
+        return scaled(self.raw, *raw_limits(self.plan, with_clipped=False), scale, offset)  # type: ignore[no-any-return]
+
+    def valid(self) -> BoolArray:
+        """Return (n, m): inside the limits, and neither "not available" nor clipped."""
+        low, high = raw_limits(self.plan, with_clipped=False)
+        return (self.raw >= low) & (self.raw <= high)
+
+    def invalid(self) -> BoolArray:
+        """Return (n, m): the raw value says "not available" or lies outside the limits."""
+        low, high = raw_limits(self.plan, with_clipped=True)
+        return (self.raw < low) | (self.raw > high)
+
+    def clipped(self) -> BoolArray:
+        """Return (n, m): the raw value sits on a limit that is an end of the raw range."""
+        return ~(self.valid() | self.invalid())
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """The frames of a batch by arbitration id, and what became of all of them."""
+
+    messages: Mapping[int, MessageValues]
+    counts: FrameCounts
+
+
+def raw_limits(plan: MessagePlan, *, with_clipped: bool) -> tuple[IntArray, IntArray]:
+    """Return the lowest and highest raw values (m,) that are values, those that tell of clipping among them or not."""
+    low = [s.raw_minimum + (s.clips and s.signed and not with_clipped) for s in plan.signals]
+    high = [s.raw_maximum - (s.clips and not with_clipped) for s in plan.signals]
+    return np.array(low, dtype=np.int64), np.array(high, dtype=np.int64)
+
+
+def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
+    """Sort the frames of a batch by message and unpack their raw values.
+
+    Frames that are no data frames with an 11-bit identifier of the catalogue and the length it gives are counted by
+    reason and left out.
+    """
+    lengths = np.full(STANDARD_IDENTIFIERS, -1, dtype=np.int16)
+    for arbitration_id, plan in catalogue.messages.items():
+        lengths[arbitration_id] = plan.length
+    by_id, wrong, unknown = count_by_identifier(batch.arbitration_id, batch.dlc, lengths)
+    starts = np.cumsum(by_id)
+    words = batch.data.view("<u8").ravel()
+    index, words = gather_by_identifier(batch.arbitration_id, batch.dlc, lengths, words, starts)
+    index.flags.writeable = words.flags.writeable = False  # what is cut from them are views, not copies
+    messages = {}
+    for arbitration_id, plan in catalogue.messages.items():
+        span = slice(int(starts[arbitration_id]), int(starts[arbitration_id + 1]))
+        if span.stop > span.start:
+            messages[arbitration_id] = MessageValues(plan, index[span], unpack(plan, words[span]))
+    valid, invalid, clipped = _count_values(messages)
+    error, remote, extended = _count_strange(batch.arbitration_id, len(batch) - wrong - unknown - int(starts[-1]))
+    counts = FrameCounts(
+        frames=len(batch),
+        decoded=int(starts[-1]),
+        unknown_identifiers=unknown,
+        wrong_lengths=wrong,
+        extended_frames=extended,
+        remote_frames=remote,
+        error_frames=error,
+        invalid_values=invalid,
+        clipped_values=clipped,
+    )
+    return Decoded(MappingProxyType(messages), counts)
+
+
+def _count_strange(arbitration_id: npt.NDArray[np.uint32], count: int) -> tuple[int, int, int]:
+    """Return how many error, remote and extended data frames are among the ``count`` without 11-bit identifier."""
+    if count == 0:
+        return 0, 0, 0
+    error = (arbitration_id & ERROR_FLAG) != 0
+    remote = ~error & ((arbitration_id & REMOTE_FLAG) != 0)
+    errors, remotes = int(np.count_nonzero(error)), int(np.count_nonzero(remote))
+    return errors, remotes, count - errors - remotes
+
+
+def _count_values(messages: Mapping[int, MessageValues]) -> tuple[int, int, int]:
+    """Return how many values are valid, invalid, clipped."""
+    total = valid = within = 0
+    for values in messages.values():
+        inside = count_within(values.raw, *raw_limits(values.plan, with_clipped=False))
+        total += values.raw.size
+        valid += inside
+        if inside == values.raw.size:
+            within += inside
+        else:
+            within += count_within(values.raw, *raw_limits(values.plan, with_clipped=True))
+    return valid, total - within, within - valid
+
+
+def unpack(plan: MessagePlan, words: npt.NDArray[np.uint64]) -> RawArray:
+    """Return the raw values (n, m) in payloads given as little-endian 64-bit words (n,)."""
+    if plan.four_int16:
+        return words.view("<i2").reshape(-1, 4)
+    raw = np.empty((len(words), len(plan.signals)), dtype=np.int64)
+    for column, signal in enumerate(plan.signals):
+        raw[:, column] = (words >> np.uint64(signal.start_bit)) & np.uint64((1 << signal.bits) - 1)
+        if signal.signed:
+            raw[:, column] -= (raw[:, column] >> (signal.bits - 1)) << signal.bits
+    return raw
+
+
+def encode(
+    plan: MessagePlan, t_ns: IntArray, values: Mapping[str, npt.ArrayLike], channel: str = DEFAULT_CHANNEL
+) -> FrameBatch:
+    """Return one frame per time with signals in the units of the catalogue.
+
+    NaN becomes "not available"; what lies beyond a limit is clipped to it; signals that are not given are "not
+    available" where the catalogue has a code for that, else 0.
+
+    Raises
+    ------
+    ParameterError
+        A name that the message does not have; NaN in a signal without a code for it.
+    """
+    unknown = set(values) - set(plan.names)
+    if unknown:
+        raise ParameterError(f"message {plan.name} has no signal {', '.join(sorted(unknown))}", field=plan.name)
+    n = len(t_ns)
+    words = np.zeros(n, dtype="<u8")
+    for signal in plan.signals:
+        raw = raw_of(signal, np.broadcast_to(np.asarray(values.get(signal.name, np.nan), np.float64), (n,)))
+        if signal.name not in values and signal.raw_invalid is None:
+            raw = np.zeros(n, dtype=np.int64)
+        words |= (raw.astype(np.uint64) & np.uint64((1 << signal.bits) - 1)) << np.uint64(signal.start_bit)
+    data = words.view(np.uint8).reshape(n, DATA_BYTES)
+    if any(name in values and plan.signal(name).raw_invalid is None and _any_nan(values[name]) for name in values):
+        raise ParameterError("NaN in a signal that cannot say 'not available'", field=plan.name)
+    return batch_of(plan.arbitration_id, t_ns, data, plan.length, channel)
+
+
+def raw_of(signal: SignalPlan, values: FloatArray) -> IntArray:
+    """Return the raw values (n,) of a signal: rounded to the nearest count, clipped, NaN as "not available"."""
+    counts = np.rint((values - signal.offset) / signal.scale)
+    missing = np.isnan(counts)
+    raw = np.clip(np.where(missing, 0.0, counts), signal.raw_minimum, signal.raw_maximum).astype(np.int64)
+    if signal.raw_invalid is not None:
+        raw[missing] = signal.raw_invalid
+    return raw
+
+
+def _any_nan(values: npt.ArrayLike) -> bool:
+    return bool(np.isnan(np.asarray(values, dtype=np.float64)).any())

@@ -1,0 +1,123 @@
+"""Frames as arrays: build, join, put in order, cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from estimation.arrays import BoolArray, IntArray
+from estimation.types import FrameBatch
+
+DEFAULT_CHANNEL = "can0"
+DATA_BYTES = 8
+
+
+def batch_of(
+    arbitration_id: int, t_ns: IntArray, data: npt.NDArray[np.uint8], length: int, channel: str = DEFAULT_CHANNEL
+) -> FrameBatch:
+    """Return frames that all carry one identifier.
+
+    Parameters
+    ----------
+    arbitration_id
+        Identifier of every frame.
+    t_ns
+        (n,) time of each frame.
+    data
+        (n, 8) payload, zero beyond ``length``.
+    length
+        Number of data bytes of every frame.
+    channel
+        Name of the bus.
+    """
+    n = len(t_ns)
+    return FrameBatch(
+        channel=channel,
+        t_ns=t_ns,
+        arbitration_id=np.full(n, arbitration_id, dtype=np.uint32),
+        dlc=np.full(n, length, dtype=np.uint8),
+        data=data,
+    )
+
+
+def empty_batch(channel: str = DEFAULT_CHANNEL) -> FrameBatch:
+    """Return no frames."""
+    return batch_of(0, np.empty(0, np.int64), np.empty((0, DATA_BYTES), np.uint8), 0, channel)
+
+
+def sealed(
+    channel: str,
+    t_ns: IntArray,
+    arbitration_id: npt.NDArray[np.uint32],
+    dlc: npt.NDArray[np.uint8],
+    data: npt.NDArray[np.uint8],
+) -> FrameBatch:
+    """Return a batch of arrays that the caller has just made and gives away: sealed in place instead of copied."""
+    for array in (t_ns, arbitration_id, dlc, data):
+        if array.base is None:
+            array.flags.writeable = False
+    return FrameBatch(channel, t_ns, arbitration_id, dlc, data)
+
+
+def take(batch: FrameBatch, index: IntArray | BoolArray | slice) -> FrameBatch:
+    """Return the frames that ``index`` (positions, a mask or a slice) picks, in its order."""
+    return sealed(batch.channel, batch.t_ns[index], batch.arbitration_id[index], batch.dlc[index], batch.data[index])
+
+
+def concatenate(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBatch:
+    """Return the frames of all batches, one after the other, as one bus (named as the first unless told)."""
+    if not batches:
+        return empty_batch(channel or DEFAULT_CHANNEL)
+    if len(batches) == 1 and channel in (None, batches[0].channel):
+        return batches[0]
+    return sealed(
+        channel=channel or batches[0].channel,
+        t_ns=np.concatenate([batch.t_ns for batch in batches]),
+        arbitration_id=np.concatenate([batch.arbitration_id for batch in batches]),
+        dlc=np.concatenate([batch.dlc for batch in batches]),
+        data=np.concatenate([batch.data for batch in batches]),
+    )
+
+
+def sort_by_time(batch: FrameBatch) -> FrameBatch:
+    """Return the frames by time; of frames with equal times, the order is kept."""
+    if np.all(batch.t_ns[1:] >= batch.t_ns[:-1]):
+        return batch
+    return take(batch, np.argsort(batch.t_ns, kind="stable"))
+
+
+def merge(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBatch:
+    """Return the *set* of frames of all batches in one order that does not depend on how they were cut.
+
+    The order is by time, then identifier (as arbitration on the bus would have it: SYNC before what it causes), then
+    length and payload. A frame that occurs twice with the same time, identifier and payload is the same frame, and
+    is kept once.
+    """
+    joined = concatenate(batches, channel)
+    if np.all(joined.t_ns[1:] > joined.t_ns[:-1]):
+        return joined
+    joined = sort_by_time(joined)
+    tied = joined.t_ns[1:] == joined.t_ns[:-1]
+    in_tie = np.zeros(len(joined), dtype=np.bool_)
+    in_tie[1:] |= tied
+    in_tie[:-1] |= tied
+    at = np.flatnonzero(in_tie)
+    payload = np.ascontiguousarray(joined.data[at]).view(np.uint64).ravel()
+    keys = (payload, joined.dlc[at], joined.arbitration_id[at], joined.t_ns[at])
+    within = np.lexsort(keys)
+    order = np.arange(len(joined))
+    order[at] = at[within]
+    keep = np.ones(len(joined), dtype=np.bool_)
+    repeated = np.ones(max(len(at) - 1, 0), dtype=np.bool_)
+    for key in keys:
+        repeated &= key[within][1:] == key[within][:-1]
+    keep[at[1:][repeated]] = False
+    return take(joined, order[keep])
+
+
+def between(batch: FrameBatch, from_ns: int, to_ns: int) -> FrameBatch:
+    """Return the frames of a time-ordered batch with ``from_ns <= t < to_ns``."""
+    first, last = np.searchsorted(batch.t_ns, [from_ns, to_ns])
+    return take(batch, slice(int(first), int(last)))
