@@ -1,0 +1,79 @@
+"""Opaque cursors of lists: where the last page ended, bound to the list and its filter."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import hashlib
+from collections.abc import Mapping
+
+import orjson
+
+from api.problems import ProblemError
+
+_DIGEST_LENGTH = 12
+_INT64 = 2**63
+Key = str | int
+
+
+def _digest(operation: str, filters: Mapping[str, object]) -> str:
+    told = orjson.dumps([operation, sorted((name, str(value)) for name, value in filters.items() if value is not None)])
+    return hashlib.sha256(told).hexdigest()[:_DIGEST_LENGTH]
+
+
+def encode(operation: str, filters: Mapping[str, object], key: Key) -> str:
+    """Return the cursor that stands behind ``key`` in this list under this filter."""
+    raw = orjson.dumps([_digest(operation, filters), key])
+    return base64.urlsafe_b64encode(raw).decode().rstrip("=")
+
+
+def _refused(detail: str) -> ProblemError:
+    return ProblemError(400, "invalid-cursor", detail)
+
+
+def _unpack(cursor: str) -> tuple[str, object]:
+    try:
+        raw = base64.b64decode(cursor + "=" * (-len(cursor) % 4), altchars=b"-_", validate=True)
+        digest, key = orjson.loads(raw)
+    except (binascii.Error, ValueError, TypeError):
+        raise _refused("this is no cursor of this service") from None
+    return str(digest), key
+
+
+def decode_number(operation: str, filters: Mapping[str, object], cursor: str | None) -> int | None:
+    """Return the key of a list that is ordered by a number; None at its beginning.
+
+    Raises
+    ------
+    ProblemError
+        400: not a cursor, or a cursor of another list or filter.
+    """
+    key = _decode(operation, filters, cursor)
+    if key is not None and (not isinstance(key, int) or isinstance(key, bool) or not -_INT64 <= key < _INT64):
+        raise _refused("this is no cursor of this list")
+    return key
+
+
+def decode_text(operation: str, filters: Mapping[str, object], cursor: str | None) -> str | None:
+    """Return the key of a list that is ordered by a text; None at its beginning.
+
+    Raises
+    ------
+    ProblemError
+        400: not a cursor, or a cursor of another list or filter.
+    """
+    key = _decode(operation, filters, cursor)
+    if key is not None and (not isinstance(key, str) or "\0" in key):
+        raise _refused("this is no cursor of this list")
+    return key
+
+
+def _decode(operation: str, filters: Mapping[str, object], cursor: str | None) -> object:
+    if cursor is None:
+        return None
+    digest, key = _unpack(cursor)
+    if digest != _digest(operation, filters):
+        raise _refused("this cursor belongs to another list or another filter; start again without it")
+    if key is None:
+        raise _refused("this is no cursor of this list")
+    return key

@@ -1,0 +1,162 @@
+"""Problems as the API tells them (RFC 9457), and the one table from our errors to HTTP."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from http import HTTPStatus
+from typing import Any
+
+import orjson
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, Field
+from starlette.exceptions import HTTPException
+
+from estimation.errors import ConflictError, InputError, MigrationError, NotFoundError, StorageError
+
+PROBLEM_MEDIA_TYPE = "application/problem+json"
+_log = logging.getLogger(__name__)
+
+# Type URIs are names for programs to compare; they never change once published.
+TYPES: Mapping[str, str] = {
+    "not-found": "No such resource",
+    "invalid-request": "The request does not validate",
+    "invalid-cursor": "The cursor cannot be used",
+    "conflict": "The resource is not in the state that the request assumes",
+    "precondition-required": "If-Match is required",
+    "precondition-failed": "The resource has changed since it was read",
+    "idempotency-key-reused": "The Idempotency-Key was used for another request",
+    "not-acceptable": "None of the accepted media types is offered",
+    "unsupported-media-type": "The request's media type is not supported",
+    "content-too-large": "The request body is too large",
+    "not-ready": "The service is not ready",
+    "internal-error": "The service failed",
+}
+
+
+class ProblemItem(BaseModel):
+    """One thing that does not validate: a JSON Pointer into the part of the request that is named by ``in``."""
+
+    part: str = Field(serialization_alias="in", examples=["query"])
+    pointer: str = Field(examples=["#/limit"])
+    detail: str = Field(examples=["Input should be less than or equal to 1000"])
+
+
+class Problem(BaseModel):
+    """What went wrong, as in RFC 9457."""
+
+    type: str = Field(examples=["urn:treadwatch:problem:not-found"])
+    title: str = Field(examples=["No such resource"])
+    status: int = Field(ge=400, le=599, examples=[404])
+    detail: str | None = Field(default=None, examples=["no wheelset 'WS-9999'"])
+    instance: str | None = Field(default=None, examples=["/v1/wheelsets/WS-9999"])
+    errors: list[ProblemItem] | None = None
+
+
+class ProblemError(Exception):
+    """A problem that a handler raises: the key of its type, the HTTP status, what happened."""
+
+    def __init__(
+        self, status: int, kind: str, detail: str, errors: Sequence[ProblemItem] = (), headers: Mapping[str, str] = {}
+    ) -> None:
+        self.status = status
+        self.kind = kind
+        self.detail = detail
+        self.errors = list(errors)
+        self.headers = dict(headers)
+        super().__init__(detail)
+
+
+def problem_response(request: Request, error: ProblemError) -> Response:
+    """Return the problem as a response."""
+    problem = Problem(
+        type=f"urn:treadwatch:problem:{error.kind}" if error.kind in TYPES else "about:blank",
+        title=TYPES.get(error.kind) or HTTPStatus(error.status).phrase,
+        status=error.status,
+        detail=error.detail or None,
+        instance=request.scope.get("path"),
+        errors=error.errors or None,
+    )
+    body = orjson.dumps(problem.model_dump(by_alias=True, exclude_none=True))
+    return Response(body, error.status, headers=error.headers, media_type=PROBLEM_MEDIA_TYPE)
+
+
+def pointer(parts: Sequence[str | int]) -> str:
+    """Return the JSON Pointer (RFC 6901, as a URI fragment) of a place."""
+    return "#" + "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in parts)
+
+
+def _invalid(error: RequestValidationError) -> ProblemError:
+    items = []
+    for entry in error.errors():
+        part, *place = entry["loc"] or ("body",)
+        if entry["type"] == "json_invalid":
+            place = []
+        message = str(entry["msg"]).removeprefix("Value error, ")
+        items.append(ProblemItem(part=str(part), pointer=pointer(place), detail=message))
+    first = f"{items[0].part} {items[0].pointer}: {items[0].detail}" if items else ""
+    return ProblemError(422, "invalid-request", first, items)
+
+
+def _bad_input(error: InputError) -> ProblemError:
+    place = [error.field] if error.field else []
+    item = ProblemItem(part="body", pointer=pointer(place), detail=error.reason)
+    return ProblemError(422, "invalid-request", error.reason, [item])
+
+
+def _plain(error: HTTPException) -> ProblemError:
+    kind = "not-found" if error.status_code == HTTPStatus.NOT_FOUND else ""
+    return ProblemError(error.status_code, kind, str(error.detail), headers=error.headers or {})
+
+
+def _unavailable(_error: StorageError) -> ProblemError:
+    return ProblemError(503, "not-ready", "the storage is not available", headers={"Retry-After": "5"})
+
+
+def _unexpected(_error: Exception) -> ProblemError:
+    return ProblemError(500, "internal-error", "the failure has been logged")
+
+
+# The first line whose class fits; what is not ours is told without its words.
+_TABLE: tuple[tuple[type[Exception], Callable[[Any], ProblemError]], ...] = (
+    (ProblemError, lambda error: error),
+    (RequestValidationError, _invalid),
+    (HTTPException, _plain),
+    (NotFoundError, lambda error: ProblemError(404, "not-found", str(error))),
+    (ConflictError, lambda error: ProblemError(409, "conflict", str(error))),
+    (InputError, _bad_input),
+    (MigrationError, lambda error: ProblemError(503, "not-ready", str(error))),
+    (StorageError, _unavailable),
+    (Exception, _unexpected),
+)
+
+
+def from_error(error: Exception) -> ProblemError:
+    """Return how an error is told."""
+    return next(tell(error) for kind, tell in _TABLE if isinstance(error, kind))
+
+
+def install(app: FastAPI) -> None:
+    """Let every error of this app be told as a problem."""
+
+    async def tell(request: Request, error: Exception) -> Response:
+        problem = from_error(error)
+        if problem.status >= HTTPStatus.INTERNAL_SERVER_ERROR:
+            _log.error("request failed: %s", request.scope.get("path"), exc_info=error)
+        return problem_response(request, problem)
+
+    for kind, _ in _TABLE:
+        app.add_exception_handler(kind, tell)
+
+
+def described(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return the ``responses`` of a route's OpenAPI description for these statuses."""
+    schema = {"$ref": "#/components/schemas/Problem"}
+    return {
+        status: {
+            "description": HTTPStatus(status).phrase,
+            "content": {PROBLEM_MEDIA_TYPE: {"schema": schema}},
+        }
+        for status in statuses
+    }

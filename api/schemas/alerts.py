@@ -1,0 +1,180 @@
+"""Alerts, their events, and what people and maintenance systems may do to them."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from pydantic import Field, JsonValue
+
+from api.schemas.common import Links, Representation, Request, finite
+from api.schemas.registry import segment
+from api.times import Moment, Timestamp, to_rfc3339
+from estimation.alerts import Alert as AlertValue
+from estimation.alerts import AlertEvent, AlertEventKind, AlertKind, Condition, Severity
+
+_WORDS = r"^[^\x00]*$"
+
+
+class DisplayState(StrEnum):
+    """One word for a list on a screen, derived from the facts; programs should read the facts."""
+
+    CLOSED = "closed"
+    CLEARED = "cleared"
+    SHELVED = "shelved"
+    ACKNOWLEDGED = "acknowledged"
+    UNKNOWN = "unknown"
+    ACTIVE = "active"
+    PENDING = "pending"
+
+
+class Alert(Representation):
+    """One alert of one wheelset; at most one of a kind is open at a time."""
+
+    id: int = Field(examples=[17])
+    fleet: str = Field(examples=["demo"])
+    wheelset: str = Field(examples=["WS-0001"])
+    kind: AlertKind
+    severity: Severity
+    condition: Condition
+    display_state: DisplayState
+    opened_at: Timestamp
+    last_seen_at: Timestamp
+    cleared_at: Timestamp | None
+    closed_at: Timestamp | None
+    close_reason: str | None
+    occurrence_count: int
+    probability_1: float | None
+    raise_limit: float | None = Field(description="As it was when the alert fired, in the unit of `limit_unit`.")
+    clear_limit: float | None = Field(description="As it was when the alert fired, in the unit of `limit_unit`.")
+    limit_unit: str | None = Field(examples=["1"], description="Unit of both limits; fixed for a kind.")
+    evidence: dict[str, JsonValue] = Field(description="Numbers, intervals, windows and limits that led to it.")
+    action: str = Field(description="Suggested action, from a code list.", examples=["reprofile"])
+    acknowledged_by: str | None
+    acknowledged_at: Timestamp | None
+    shelved_until: Timestamp | None
+    shelved_reason: str | None
+    external_refs: list[str]
+    version: int
+    links: Links
+
+
+class Event(Representation):
+    """Something that happened to an alert, with the alert as it was right after."""
+
+    event: AlertEventKind
+    recorded_at: Timestamp
+    actor: str
+    note: str
+    alert: Alert
+
+
+class Feed(Representation):
+    """Events in commit order; poll again with `next_cursor`, which is there even when nothing is new."""
+
+    items: list[Event]
+    next_cursor: str = Field(description="Keep it, and hand it back as `after`.")
+    next: str
+
+
+class Events(Representation):
+    """Everything that happened to one alert, oldest first."""
+
+    items: list[Event]
+
+
+class Acknowledgement(Request):
+    """Somebody has seen the alert."""
+
+    by: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["j.smith"])
+    note: str = Field(default="", max_length=2000, pattern=_WORDS, examples=["Inspection planned"])
+
+
+class Shelving(Request):
+    """Somebody wants to hear nothing of the alert until then."""
+
+    by: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["j.smith"])
+    until: Moment = Field(examples=["2027-01-31T00:00:00Z"])
+    reason: str = Field(min_length=1, max_length=2000, pattern=_WORDS, examples=["Reprofiling ordered"])
+
+
+class ExternalReference(Request):
+    """The identity that a maintenance system gave to its work on the alert."""
+
+    ref: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["maximo:WO-4711"])
+    by: str = Field(default="maintenance system", min_length=1, max_length=200, pattern=_WORDS)
+
+
+LIMIT_UNITS: dict[AlertKind, str] = {
+    AlertKind.CONICITY_LIMIT: "1",
+    AlertKind.LIMIT_FORECAST: "km",
+    AlertKind.WHEEL_ASYMMETRY: "mm",
+    AlertKind.NO_DATA: "days",
+}
+
+
+def display_state(alert: AlertValue, now_ns: int) -> DisplayState:
+    """Return the one word that is shown for an alert now."""
+    if alert.closed_ns is not None:
+        return DisplayState.CLOSED
+    if alert.condition is Condition.CLEARED:
+        return DisplayState.CLEARED
+    if alert.shelved_until_ns is not None and alert.shelved_until_ns > now_ns:
+        return DisplayState.SHELVED
+    if alert.acknowledged_ns is not None:
+        return DisplayState.ACKNOWLEDGED
+    return DisplayState(alert.condition.value)
+
+
+def _time(t_ns: int | None) -> str | None:
+    return None if t_ns is None else to_rfc3339(t_ns)
+
+
+def alert(record: AlertValue, now_ns: int) -> Alert:
+    """Return the representation of an alert at this time."""
+    own = f"/v1/alerts/{record.alert_id}"
+    wheelset = f"/v1/wheelsets/{segment(record.wheelset)}"
+    return Alert(
+        id=record.alert_id,
+        fleet=record.fleet,
+        wheelset=record.wheelset,
+        kind=record.kind,
+        severity=record.severity,
+        condition=record.condition,
+        display_state=display_state(record, now_ns),
+        opened_at=to_rfc3339(record.opened_ns),
+        last_seen_at=to_rfc3339(record.last_seen_ns),
+        cleared_at=_time(record.cleared_ns),
+        closed_at=_time(record.closed_ns),
+        close_reason=record.close_reason,
+        occurrence_count=record.occurrence_count,
+        probability_1=finite(record.probability),
+        raise_limit=finite(record.raise_limit),
+        clear_limit=finite(record.clear_limit),
+        limit_unit=LIMIT_UNITS.get(record.kind),
+        evidence=dict(record.evidence),
+        action=record.action,
+        acknowledged_by=record.acknowledged_by,
+        acknowledged_at=_time(record.acknowledged_ns),
+        shelved_until=_time(record.shelved_until_ns),
+        shelved_reason=record.shelved_reason,
+        external_refs=list(record.external_refs),
+        version=record.version,
+        links={
+            "self": own,
+            "events": f"{own}/events",
+            "wheelset": wheelset,
+            "geometry": f"{wheelset}/geometry",
+            "trend": f"{wheelset}/trend",
+        },
+    )
+
+
+def event(record: AlertEvent) -> Event:
+    """Return the representation of an event; the alert's display state is the one at the event."""
+    return Event(
+        event=record.kind,
+        recorded_at=to_rfc3339(record.recorded_ns),
+        actor=record.actor,
+        note=record.note,
+        alert=alert(record.alert, record.recorded_ns),
+    )

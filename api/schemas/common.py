@@ -1,0 +1,94 @@
+"""What every representation is made of: numbers with their uncertainty, links, pages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Annotated, Generic, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from estimation.types import Estimate, Status
+
+ItemT = TypeVar("ItemT")
+Href = Annotated[str, Field(examples=["/v1/wheelsets/WS-0001"])]
+Links = Annotated[dict[str, Href], Field(description="Paths of related resources, by relation.")]
+
+
+class Representation(BaseModel):
+    """A value that goes out; fields are never added at run time."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True)
+
+
+class Request(BaseModel):
+    """A body that comes in; unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+
+
+class Page(Representation, Generic[ItemT]):
+    """One page of a list; ``next_cursor`` and ``next`` are null on the last."""
+
+    items: list[ItemT]
+    next_cursor: str | None = Field(description="Hand it back as `cursor`, with the same filter.")
+    next: str | None = Field(description="The path of the next page; the same as Link rel=next.")
+
+
+class Uncertain(Representation):
+    """A number with its uncertainty; null means unknown, and `reason` says why."""
+
+    value: float | None
+    std: float | None
+    interval_95: tuple[float, float] | None
+    n_windows: float = Field(description="Effective number of windows behind the value.")
+    status: Status
+    reason: str | None
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "value": 0.182,
+                    "std": 0.006,
+                    "interval_95": [0.17, 0.194],
+                    "n_windows": 12.0,
+                    "status": "estimated",
+                    "reason": None,
+                }
+            ]
+        }
+    )
+
+
+def finite(value: float | None, scale: float = 1.0) -> float | None:
+    """Return ``value * scale``; None where that is no finite number, for JSON has no others."""
+    if value is None:
+        return None
+    scaled = float(value) * scale
+    return scaled if math.isfinite(scaled) else None
+
+
+def finite_list(values: Iterable[float], scale: float = 1.0) -> list[float | None]:
+    """Return every value as :func:`finite` does."""
+    return [finite(value, scale) for value in values]
+
+
+def uncertain(estimate: Estimate, scale: float = 1.0) -> Uncertain:
+    """Return an estimate in the unit that ``scale`` turns it into; unknown where a part of it is no finite number."""
+    value, std = finite(estimate.value, scale), finite(estimate.std, scale)
+    low, high = finite(estimate.low, scale), finite(estimate.high, scale)
+    count = finite(estimate.count) or 0.0
+    if value is None or std is None or low is None or high is None:
+        status = Status.INVALID if estimate.status is Status.ESTIMATED else estimate.status
+        reason = estimate.reason or "no finite number"
+        return Uncertain(value=None, std=None, interval_95=None, n_windows=count, status=status, reason=reason)
+    interval = (min(low, high), max(low, high))
+    return Uncertain(
+        value=value,
+        std=std,
+        interval_95=interval,
+        n_windows=count,
+        status=estimate.status,
+        reason=estimate.reason or None,
+    )

@@ -1,0 +1,150 @@
+"""The bin table of a wheelset and the conicity that follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pydantic import Field, JsonValue
+
+from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
+from api.schemas.registry import segment
+from api.times import Timestamp, to_rfc3339
+from estimation.ports import GeometryRecord
+from estimation.types import COMBINATIONS, BinStatus, BinValues, Status
+
+MM = 1000.0
+
+
+class BinColumn(Representation):
+    """One combination over the bins; null where its status is not `estimated`."""
+
+    value: list[float | None]
+    std: list[float | None]
+    status: list[BinStatus]
+
+
+class Bins(Representation):
+    """The bin table, column by column; bins of lateral displacement of the wheelset, positive to the left."""
+
+    lower_mm: list[float]
+    upper_mm: list[float]
+    samples_1: list[float | None] = Field(description="Effective number of samples.")
+    rolling_radius_sum_mm: BinColumn = Field(description="rL + rR.")
+    rolling_radius_difference_mm: BinColumn = Field(description="rL - rR.")
+    contact_angle_sum_rad: BinColumn = Field(description="Left plus right contact angle.")
+    contact_angle_difference_rad: BinColumn = Field(description="Left minus right contact angle.")
+
+
+class ConicityAtAmplitude(Representation):
+    """Equivalent conicity tan(gamma_e) at one amplitude of the wheelset's motion (EN 15302)."""
+
+    amplitude_mm: float
+    equivalent_conicity_1: Uncertain
+
+
+class Provenance(Representation):
+    """What an estimate was made from; the same inputs and code give the same numbers."""
+
+    code_version: str
+    input_digest: str
+    parameter_key: str
+    parameters: dict[str, JsonValue]
+    track_versions: dict[str, int]
+
+
+class Geometry(Representation):
+    """What the data say of one wheelset's contact geometry since its last reprofiling."""
+
+    wheelset: str = Field(examples=["WS-0001"])
+    status: Status
+    reason: str | None
+    baseline: int = Field(description="Number of reprofilings before it.")
+    mileage_km: float = Field(description="Weighted mean mileage of its windows since the wheelset was new.")
+    measured_from: Timestamp
+    measured_to: Timestamp
+    recorded_at: Timestamp
+    n_windows: int
+    equivalent_conicity_1: Uncertain
+    equivalent_conicity_amplitude_mm: float
+    conicity_by_amplitude: list[ConicityAtAmplitude]
+    nonlinearity_parameter_per_mm: Uncertain
+    zero_crossing_mm: Uncertain = Field(description="Lateral displacement at which both rolling radii are equal.")
+    bins: Bins
+    provenance: Provenance
+    links: Links
+
+
+def _column(values: BinValues, scale: float) -> BinColumn:
+    estimated = [status is BinStatus.ESTIMATED for status in values.status]
+    return BinColumn(
+        value=[finite(v, scale) if known else None for v, known in zip(values.value, estimated, strict=True)],
+        std=[finite(v, scale) if known else None for v, known in zip(values.std, estimated, strict=True)],
+        status=list(values.status),
+    )
+
+
+def geometry(record: GeometryRecord) -> Geometry:
+    """Return the representation of a geometry estimate."""
+    found = record.geometry
+    own = f"/v1/wheelsets/{segment(record.wheelset)}"
+    return Geometry(
+        wheelset=record.wheelset,
+        status=found.status,
+        reason=found.reason or None,
+        baseline=record.baseline,
+        mileage_km=record.mileage_km,
+        measured_from=to_rfc3339(record.from_ns),
+        measured_to=to_rfc3339(record.to_ns),
+        recorded_at=to_rfc3339(record.recorded_ns),
+        n_windows=found.windows,
+        equivalent_conicity_1=uncertain(found.equivalent_conicity),
+        equivalent_conicity_amplitude_mm=finite(found.headline_amplitude, MM) or 0.0,
+        conicity_by_amplitude=[
+            ConicityAtAmplitude(amplitude_mm=float(amplitude) * MM, equivalent_conicity_1=uncertain(conicity))
+            for amplitude, conicity in zip(found.amplitude, found.conicity, strict=True)
+        ],
+        nonlinearity_parameter_per_mm=uncertain(found.nonlinearity),
+        zero_crossing_mm=uncertain(found.zero_crossing, MM),
+        bins=_bins(record),
+        provenance=Provenance(
+            code_version=record.code_version,
+            input_digest=record.input_digest,
+            parameter_key=found.parameter_key,
+            parameters=dict(record.parameters),
+            track_versions=dict(record.track_versions),
+        ),
+        links={
+            "self": f"{own}/geometry",
+            "as_recorded": f"{own}/geometry?as_of={to_rfc3339(record.recorded_ns)}",
+            "wheelset": own,
+            "trend": f"{own}/trend",
+            "windows": f"{own}/windows",
+        },
+    )
+
+
+def _bins(record: GeometryRecord) -> Bins:
+    found = record.geometry
+    edges = [float(edge) * MM for edge in found.bin_edges]
+    return Bins(
+        lower_mm=edges[:-1],
+        upper_mm=edges[1:],
+        samples_1=finite_list(found.samples),
+        rolling_radius_sum_mm=_column(found.rolling_radius_sum, MM),
+        rolling_radius_difference_mm=_column(found.rolling_radius_difference, MM),
+        contact_angle_sum_rad=_column(found.contact_angle_sum, 1.0),
+        contact_angle_difference_rad=_column(found.contact_angle_difference, 1.0),
+    )
+
+
+def table(geometry_: Geometry) -> tuple[Sequence[str], list[Sequence[object]]]:
+    """Return the bin table as a header and rows, one row a bin."""
+    bins = geometry_.bins
+    units = {name: "mm" if name.startswith("rolling") else "rad" for name in COMBINATIONS}
+    header = ["lower_mm", "upper_mm", "samples_1"]
+    columns: list[Sequence[object]] = [bins.lower_mm, bins.upper_mm, bins.samples_1]
+    for name, unit in units.items():
+        column: BinColumn = getattr(bins, f"{name}_{unit}")
+        header += [f"{name}_{unit}", f"{name}_std_{unit}", f"{name}_status"]
+        columns += [column.value, column.std, [str(status) for status in column.status]]
+    return header, list(zip(*columns, strict=True))

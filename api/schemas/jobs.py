@@ -1,0 +1,68 @@
+"""Jobs and their runs."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from api.schemas.common import Links, Representation
+from api.schemas.registry import segment
+from api.times import Timestamp, to_rfc3339
+from estimation.ports import JobRun as JobRunValue
+
+
+class JobRun(Representation):
+    """One run of one job and what it did; `finished_at` is null while it runs."""
+
+    id: int = Field(examples=[42])
+    job: str = Field(examples=["estimate_windows"])
+    trigger: Literal["schedule", "api", "cli"]
+    started_at: Timestamp
+    finished_at: Timestamp | None
+    duration_s: float | None
+    outcome: Literal["running", "succeeded", "failed", "abandoned"]
+    counts: dict[str, int]
+    error: str | None
+    links: Links
+
+
+class Job(Representation):
+    """A scheduled job with its last run; `next_due_at` is what the schedule asks for, once a scheduler runs."""
+
+    name: str = Field(examples=["estimate_windows"])
+    description: str
+    every_s: float
+    last_run: JobRun | None
+    next_due_at: Timestamp | None = Field(description="Null before the first run.")
+    links: Links
+
+
+def run(record: JobRunValue) -> JobRun:
+    """Return the representation of a run."""
+    finished = record.finished_ns
+    return JobRun(
+        id=record.run_id,
+        job=record.job,
+        trigger=record.trigger,  # type: ignore[arg-type]  # pydantic checks the word
+        started_at=to_rfc3339(record.started_ns),
+        finished_at=None if finished is None else to_rfc3339(finished),
+        duration_s=None if finished is None else max(0, finished - record.started_ns) / 1e9,
+        outcome=record.outcome,  # type: ignore[arg-type]  # pydantic checks the word
+        counts=dict(record.counts),
+        error=record.error,
+        links={"self": f"/v1/job-runs/{record.run_id}", "job_runs": f"/v1/jobs/{segment(record.job)}/runs"},
+    )
+
+
+def job(name: str, description: str, every_s: float, last: JobRunValue | None) -> Job:
+    """Return the representation of a job."""
+    due = None if last is None else to_rfc3339(last.started_ns + int(every_s * 1e9))
+    return Job(
+        name=name,
+        description=description,
+        every_s=every_s,
+        last_run=None if last is None else run(last),
+        next_due_at=due,
+        links={"self": f"/v1/jobs/{segment(name)}", "runs": f"/v1/jobs/{segment(name)}/runs"},
+    )

@@ -1,0 +1,151 @@
+"""Fleets, vehicles, wheelsets and their dated records."""
+
+from __future__ import annotations
+
+from urllib.parse import quote
+
+from pydantic import Field
+
+from api.schemas.common import Links, Representation, Request
+from api.times import Moment, Timestamp, to_rfc3339
+from estimation.ports import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+
+
+class Fleet(Representation):
+    """Who operates what."""
+
+    code: str = Field(examples=["demo"])
+    name: str = Field(examples=["Demonstration fleet"])
+    links: Links
+
+
+class Vehicle(Representation):
+    """A vehicle and what its alert rules depend on."""
+
+    code: str = Field(examples=["V-101"])
+    fleet: str = Field(examples=["demo"])
+    vehicle_class: str = Field(examples=["passenger"])
+    axles: int = Field(examples=[4])
+    max_speed_m_s: float = Field(examples=[44.4])
+    axle_offsets_m: list[float] = Field(examples=[[2.0, 4.5, 16.0, 18.5]])
+    links: Links
+
+
+class MountingPeriod(Representation):
+    """Where a wheelset ran, `[mounted_from, mounted_to)`; null `mounted_to` means until now."""
+
+    wheelset: str = Field(examples=["WS-0001"])
+    vehicle: str = Field(examples=["V-101"])
+    axle: int = Field(examples=[1])
+    mounted_from: Timestamp
+    mounted_to: Timestamp | None
+    vehicle_odometer_km: float
+    wheelset_mileage_km: float
+    reversed: bool = Field(description="The left wheel runs on the right-hand side.")
+
+
+class ReprofilingRecord(Representation):
+    """A visit to the lathe; every later window belongs to a new baseline."""
+
+    wheelset: str = Field(examples=["WS-0001"])
+    reprofiled_at: Timestamp
+    mileage_km: float = Field(examples=[151200.0])
+    note: str
+
+
+class NewReprofiling(Request):
+    """A visit to the lathe, as it is reported."""
+
+    reprofiled_at: Moment = Field(examples=["2026-03-01T06:00:00Z"])
+    mileage_km: float = Field(ge=0.0, le=1e8, description="Of the wheelset since new.", examples=[151200.0])
+    note: str = Field(default="", max_length=2000, pattern=r"^[^\x00]*$", examples=["Depot North, lathe 2"])
+
+
+class Wheelset(Representation):
+    """A wheelset by serial: where it runs now, and its visits to the lathe."""
+
+    serial: str = Field(examples=["WS-0001"])
+    fleet: str = Field(examples=["demo"])
+    wheel_profile: str = Field(examples=["P8"])
+    nominal_radius_mm: float = Field(examples=[460.0])
+    mounting: MountingPeriod | None
+    reprofilings: list[ReprofilingRecord]
+    links: Links
+
+
+def segment(text: str) -> str:
+    """Return a key as one segment of a path."""
+    return quote(text, safe="")
+
+
+def fleet(record: FleetRecord) -> Fleet:
+    """Return the representation of a fleet."""
+    key = segment(record.code)
+    links = {
+        "self": f"/v1/fleets/{key}",
+        "vehicles": f"/v1/vehicles?fleet={key}",
+        "wheelsets": f"/v1/wheelsets?fleet={key}",
+        "alerts": f"/v1/alerts?fleet={key}",
+    }
+    return Fleet(code=record.code, name=record.name, links=links)
+
+
+def vehicle(record: VehicleRecord) -> Vehicle:
+    """Return the representation of a vehicle."""
+    key = segment(record.code)
+    return Vehicle(
+        code=record.code,
+        fleet=record.fleet,
+        vehicle_class=record.vehicle_class,
+        axles=record.axles,
+        max_speed_m_s=record.max_speed_m_s,
+        axle_offsets_m=list(record.axle_offsets_m),
+        links={
+            "self": f"/v1/vehicles/{key}",
+            "fleet": f"/v1/fleets/{segment(record.fleet)}",
+            "wheelsets": f"/v1/wheelsets?vehicle={key}",
+        },
+    )
+
+
+def mounting(record: Mounting) -> MountingPeriod:
+    """Return the representation of a mounting."""
+    return MountingPeriod(
+        wheelset=record.wheelset,
+        vehicle=record.vehicle,
+        axle=record.axle,
+        mounted_from=to_rfc3339(record.from_ns),
+        mounted_to=None if record.to_ns is None else to_rfc3339(record.to_ns),
+        vehicle_odometer_km=record.vehicle_odometer_km,
+        wheelset_mileage_km=record.wheelset_mileage_km,
+        reversed=record.reversed,
+    )
+
+
+def reprofiling(record: Reprofiling) -> ReprofilingRecord:
+    """Return the representation of a visit to the lathe."""
+    return ReprofilingRecord(
+        wheelset=record.wheelset,
+        reprofiled_at=to_rfc3339(record.at_ns),
+        mileage_km=record.mileage_km,
+        note=record.note,
+    )
+
+
+def wheelset(record: WheelsetRecord) -> Wheelset:
+    """Return the representation of a wheelset, with paths to everything known of it."""
+    own = f"/v1/wheelsets/{segment(record.serial)}"
+    links = {name: f"{own}/{name}" for name in ("geometry", "trend", "windows", "mountings", "reprofilings")}
+    links = {"self": own, "fleet": f"/v1/fleets/{segment(record.fleet)}", **links}
+    links["alerts"] = f"/v1/alerts?wheelset={segment(record.serial)}"
+    if record.mounting is not None:
+        links["vehicle"] = f"/v1/vehicles/{segment(record.mounting.vehicle)}"
+    return Wheelset(
+        serial=record.serial,
+        fleet=record.fleet,
+        wheel_profile=record.wheel_profile,
+        nominal_radius_mm=record.nominal_radius_m * 1000.0,
+        mounting=None if record.mounting is None else mounting(record.mounting),
+        reprofilings=[reprofiling(one) for one in record.reprofilings],
+        links=links,
+    )

@@ -1,0 +1,129 @@
+"""The trend of a wheelset's indicator since its last reprofiling."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pydantic import Field
+
+from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
+from api.schemas.registry import segment
+from api.times import Timestamp, to_rfc3339
+from estimation.ports import TrendRecord
+from estimation.types import Forecast, Status
+
+_BEYOND = "not reached within the forecast horizon, or unknown"
+
+
+class TrendPoints(Representation):
+    """The indicator's history, column by column."""
+
+    mileage_km: list[float | None]
+    measured_at: list[Timestamp]
+    value_1: list[float | None]
+    std_1: list[float | None]
+
+
+class DistanceForecast(Representation):
+    """Quantiles of the distance still to run; null means beyond the horizon, and `reason` says so."""
+
+    p10: float | None
+    p50: float | None
+    p90: float | None
+    reason: str | None
+
+
+class DateForecast(Representation):
+    """Quantiles of the date; null means beyond the horizon, and `reason` says so."""
+
+    p10: Timestamp | None
+    p50: Timestamp | None
+    p90: Timestamp | None
+    reason: str | None
+
+
+class TrendProvenance(Representation):
+    """What the trend was made from."""
+
+    code_version: str
+    input_digest: str
+
+
+class Trend(Representation):
+    """An indicator since the last reprofiling, its robust slope, and when it reaches its limit."""
+
+    wheelset: str = Field(examples=["WS-0001"])
+    quantity: str = Field(examples=["equivalent_conicity"])
+    status: Status
+    reason: str | None
+    baseline: int
+    recorded_at: Timestamp
+    points: TrendPoints
+    current_1: Uncertain
+    slope_1_per_1000_km: Uncertain
+    slope_1_per_year: Uncertain
+    limit_1: float | None
+    distance_to_limit_km: DistanceForecast
+    date_of_limit: DateForecast
+    probability_over_limit_1: float | None = Field(description="That the limit is exceeded now; null means unknown.")
+    provenance: TrendProvenance
+    links: Links
+
+
+def _distance(forecast: Forecast) -> DistanceForecast:
+    p10, p50, p90 = finite(forecast.p10), finite(forecast.p50), finite(forecast.p90)
+    reason = _BEYOND if None in (p10, p50, p90) else None
+    return DistanceForecast(p10=p10, p50=p50, p90=p90, reason=reason)
+
+
+def _moment(t_ns: float | None) -> str | None:
+    value = finite(t_ns)
+    return None if value is None or abs(value) >= 2.0**63 else to_rfc3339(int(value))
+
+
+def _date(forecast: Forecast) -> DateForecast:
+    p10, p50, p90 = _moment(forecast.p10), _moment(forecast.p50), _moment(forecast.p90)
+    reason = _BEYOND if None in (p10, p50, p90) else None
+    return DateForecast(p10=p10, p50=p50, p90=p90, reason=reason)
+
+
+def trend(record: TrendRecord) -> Trend:
+    """Return the representation of a trend."""
+    found = record.trend
+    own = f"/v1/wheelsets/{segment(record.wheelset)}"
+    return Trend(
+        wheelset=record.wheelset,
+        quantity=found.quantity,
+        status=found.status,
+        reason=found.reason or None,
+        baseline=record.baseline,
+        recorded_at=to_rfc3339(record.recorded_ns),
+        points=TrendPoints(
+            mileage_km=finite_list(found.mileage_km),
+            measured_at=[to_rfc3339(int(t_ns)) for t_ns in found.measured_ns],
+            value_1=finite_list(found.value),
+            std_1=finite_list(found.std),
+        ),
+        current_1=uncertain(found.current),
+        slope_1_per_1000_km=uncertain(found.slope_per_1000_km),
+        slope_1_per_year=uncertain(found.slope_per_year),
+        limit_1=finite(found.limit),
+        distance_to_limit_km=_distance(found.distance_to_limit_km),
+        date_of_limit=_date(found.date_of_limit_ns),
+        probability_over_limit_1=finite(found.probability_over_limit),
+        provenance=TrendProvenance(code_version=record.code_version, input_digest=record.input_digest),
+        links={
+            "self": f"{own}/trend",
+            "as_recorded": f"{own}/trend?as_of={to_rfc3339(record.recorded_ns)}",
+            "wheelset": own,
+            "geometry": f"{own}/geometry",
+            "alerts": f"/v1/alerts?wheelset={segment(record.wheelset)}",
+        },
+    )
+
+
+def table(trend_: Trend) -> tuple[Sequence[str], list[Sequence[object]]]:
+    """Return the points as a header and rows."""
+    points = trend_.points
+    header = ["mileage_km", "measured_at", "value_1", "std_1"]
+    return header, list(zip(points.mileage_km, points.measured_at, points.value_1, points.std_1, strict=True))

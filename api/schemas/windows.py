@@ -1,0 +1,67 @@
+"""Windows of running time, without their samples."""
+
+from __future__ import annotations
+
+from api.schemas.common import Representation, finite
+from api.times import Timestamp, to_rfc3339
+from estimation.ports import WindowRecord, WindowState
+
+
+class WindowQuality(Representation):
+    """What the gates looked at."""
+
+    coverage_1: float | None
+    longest_gap_s: float | None
+    gaps: int
+    clipped_1: float | None
+    invalid_1: float | None
+    speed_min_m_s: float | None
+    speed_max_m_s: float | None
+    position_quality_1: float | None
+    sensor_fault: bool
+
+
+class Window(Representation):
+    """A stored window, `[measured_from, measured_to)` on the vehicle's clock."""
+
+    wheelset: str
+    measured_from: Timestamp
+    measured_to: Timestamp
+    vehicle: str
+    axle: int
+    track_section: str | None
+    mileage_km: float | None
+    state: WindowState
+    reason: str | None
+    quality: WindowQuality
+    content_digest: str
+    recorded_at: Timestamp
+
+
+def window(record: WindowRecord) -> Window:
+    """Return the representation of a window."""
+    quality = record.quality
+    return Window(
+        wheelset=record.wheelset,
+        measured_from=to_rfc3339(record.start_ns),
+        measured_to=to_rfc3339(record.start_ns + record.length_ns),
+        vehicle=record.vehicle,
+        axle=record.axle,
+        track_section=record.track_section,
+        mileage_km=finite(record.mileage_km),
+        state=record.state,
+        reason=record.reason or None,
+        quality=WindowQuality(
+            coverage_1=finite(quality.coverage),
+            longest_gap_s=finite(quality.longest_gap_s),
+            gaps=quality.gaps,
+            clipped_1=finite(quality.clipped),
+            invalid_1=finite(quality.invalid),
+            speed_min_m_s=finite(quality.speed_min_m_s),
+            speed_max_m_s=finite(quality.speed_max_m_s),
+            position_quality_1=finite(quality.position_quality),
+            sensor_fault=quality.sensor_fault,
+        ),
+        content_digest=record.content_digest,
+        recorded_at=to_rfc3339(record.recorded_ns),
+    )

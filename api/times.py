@@ -1,0 +1,52 @@
+"""Times at the edge: RFC 3339 in UTC outside, int64 nanoseconds inside; nothing is lost between the two."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime, timedelta
+from typing import Annotated
+
+from pydantic import BeforeValidator, WithJsonSchema
+
+_SHAPE = re.compile(r"(\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?([Zz]|[+-]\d\d:\d\d)", re.ASCII)
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_NS = 1_000_000_000
+_INT64 = 2**63
+
+
+def to_rfc3339(t_ns: int) -> str:
+    """Return nanoseconds since the epoch as RFC 3339 in UTC, with as many decimals as the time has."""
+    seconds, rest = divmod(t_ns, _NS)
+    text = (_EPOCH + timedelta(seconds=seconds)).strftime("%Y-%m-%dT%H:%M:%S")
+    decimals = f".{rest:09d}".rstrip("0") if rest else ""
+    return f"{text}{decimals}Z"
+
+
+def from_rfc3339(text: object) -> int:
+    """Return nanoseconds since the epoch.
+
+    Raises
+    ------
+    ValueError
+        Not RFC 3339, without an offset, or outside of what 64 bits of nanoseconds can hold (1677 to 2262).
+    """
+    match = _SHAPE.fullmatch(text) if isinstance(text, str) else None
+    if match is None:
+        raise ValueError("must be a time as in RFC 3339 with its offset, such as 2026-01-31T12:00:00Z")
+    whole, decimals, offset = match.groups()
+    try:
+        moment = datetime.fromisoformat(whole.upper() + offset.upper())
+        since = moment - _EPOCH
+    except (ValueError, OverflowError):
+        raise ValueError("must be a time that exists") from None
+    t_ns = (since.days * 86400 + since.seconds) * _NS + int((decimals or "").ljust(9, "0"))
+    if not -_INT64 <= t_ns < _INT64:
+        raise ValueError("must lie between the years 1678 and 2261")
+    return t_ns
+
+
+TIME_SCHEMA = {"type": "string", "format": "date-time"}
+# A time that comes in: validated as RFC 3339, handed on as nanoseconds.
+Moment = Annotated[int, BeforeValidator(from_rfc3339), WithJsonSchema(TIME_SCHEMA)]
+# A time that goes out: already RFC 3339 text.
+Timestamp = Annotated[str, WithJsonSchema(TIME_SCHEMA)]
