@@ -75,7 +75,7 @@ class Job:
     run: Callable[[JobContext], Mapping[str, int]]
 
 
-def run_job(job: Job, context: JobContext, trigger: str) -> JobRun:
+def run_job(job: Job, context: JobContext, trigger: str, *, started: Callable[[JobRun], None] | None = None) -> JobRun:
     """Run a job once and record it: start, finish, outcome, counts and, where it failed, the message.
 
     The record is written in transactions of its own, before and after the work, so that a killed run stays visible as
@@ -89,6 +89,8 @@ def run_job(job: Job, context: JobContext, trigger: str) -> JobRun:
         What it may touch.
     trigger
         Who asked: "schedule", "api" or "cli".
+    started
+        Told the record as soon as it is committed, before the work begins.
 
     Returns
     -------
@@ -98,15 +100,17 @@ def run_job(job: Job, context: JobContext, trigger: str) -> JobRun:
         and ``total`` of the last checkpoint.
     """
     with context.storage.write() as unit:
-        run_id = unit.jobs.start(job.name, trigger, context.clock.now_ns()).run_id
+        begun = unit.jobs.start(job.name, trigger, context.clock.now_ns())
+    if started is not None:
+        started(begun)
     reached: list[tuple[int, int]] = []
     outcome, counts, error = _attempt(job, replace(context, progress=_remember(context.progress, reached)))
     if error is not None and reached:
         counts = {"done": reached[-1][0], "total": reached[-1][1]}
     with context.storage.write() as unit:
-        unit.jobs.finish(run_id, outcome, counts, context.clock.now_ns(), error)
+        unit.jobs.finish(begun.run_id, outcome, counts, context.clock.now_ns(), error)
     with context.storage.read() as unit:
-        return unit.jobs.get(run_id)
+        return unit.jobs.get(begun.run_id)
 
 
 def _remember(
