@@ -1,0 +1,203 @@
+"""Contact geometry of a wheelset on a track: from profiles and dimensions to the contact table."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from estimation.arrays import BoolArray, FloatArray, IntArray
+from estimation.contact import kernels
+from estimation.contact.profiles import TREAD_DATUM, Profile
+from estimation.contact.surface import Surface, rail_surface, wheel_surface
+from estimation.contact.table import ContactMethod, ContactTable
+from estimation.errors import ContactError
+
+FLANGE_BACK_DISTANCE = 1.360
+"""Usual distance between the flange backs of a wheelset for 1435 mm, m."""
+
+_REASONS = {
+    kernels.NO_OVERLAP: "a wheel is not above its rail",
+    kernels.FLANGE_TIP: "a wheel has climbed onto the tip of its flange",
+    kernels.OUTER_EDGE: "a wheel rests on its outer edge",
+    kernels.NO_ROLL: "no roll brings both wheels onto the rails",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class WheelsetOnTrack:
+    """A wheelset and the track under it, as far as contact geometry goes; SI.
+
+    Raises
+    ------
+    ContactError
+        A wheel where a rail should be, or a dimension that is not a positive number.
+    """
+
+    left_wheel: Profile
+    right_wheel: Profile
+    left_rail: Profile
+    right_rail: Profile
+    inclination: float  # tangent; 0 for rails given in track axes
+    gauge: float  # m, nominal, measured within 14 mm below the top of the rails
+    left_radius: float = 0.45  # m, at the tread datum
+    right_radius: float = 0.45
+    flange_back_distance: float = FLANGE_BACK_DISTANCE  # m
+
+    def __post_init__(self) -> None:
+        for field, kind in (("left_wheel", "wheel"), ("right_wheel", "wheel"), ("left_rail", "rail")):
+            if getattr(self, field).kind != kind:
+                raise ContactError(f"{getattr(self, field).name!r} is no {kind}", field=field)
+        if self.right_rail.kind != "rail":
+            raise ContactError(f"{self.right_rail.name!r} is no rail", field="right_rail")
+        for field in ("gauge", "left_radius", "right_radius", "flange_back_distance"):
+            value = getattr(self, field)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ContactError(f"{value!r} is not a positive length", field=field)
+        if not abs(self.inclination) < 1.0:
+            raise ContactError(f"{self.inclination!r} is no inclination (its tangent, as 1/20)", field="inclination")
+
+    @staticmethod
+    def symmetric(
+        wheel: Profile,
+        rail: Profile,
+        inclination: float,
+        gauge: float,
+        *,
+        radius: float = 0.45,
+        flange_back_distance: float = FLANGE_BACK_DISTANCE,
+    ) -> WheelsetOnTrack:
+        """Return the wheelset with the same wheel, rail and radius on both sides."""
+        return WheelsetOnTrack(
+            wheel, wheel, rail, rail, inclination, gauge, radius, radius, flange_back_distance=flange_back_distance
+        )
+
+
+def contact_table(
+    wheelset: WheelsetOnTrack,
+    lateral_displacement: npt.ArrayLike,
+    gauge_deviation: npt.ArrayLike = (0.0,),
+    *,
+    method: ContactMethod = ContactMethod.RIGID,
+    outside: Literal["raise", "hold"] = "raise",
+) -> ContactTable:
+    """Return the contact geometry at every lateral displacement and gauge deviation.
+
+    Parameters
+    ----------
+    wheelset
+        Profiles and dimensions.
+    lateral_displacement
+        (n,) m, strictly increasing: of the axle's middle relative to the track centre, positive to the left.
+    gauge_deviation
+        (g,) m, strictly increasing: actual minus nominal gauge.
+    method
+        ``RIGID``: the wheelset rolls about the axle's middle until both wheels touch. ``EN15302``: it does not roll,
+        and each wheel touches where its vertical gap is smallest (EN 15302:2021, as its reference results are made).
+    outside
+        What to do at displacements where no contact exists (a wheel on the tip of its flange, or off the rail):
+        ``raise``, or ``hold`` the values of the nearest displacement that has contact, marked in ``exists``.
+
+    Raises
+    ------
+    ContactError
+        A grid that is not finite and increasing; profiles that never touch; with ``outside="raise"`` any
+        displacement without contact.
+    """
+    displacement = _grid(lateral_displacement, "lateral_displacement")
+    deviation = _grid(gauge_deviation, "gauge_deviation")
+    setting = (method is ContactMethod.RIGID, *_plain_setting(wheelset))
+    values, outcomes = kernels.table(displacement, deviation, *setting)
+    exists = outcomes == kernels.FOUND
+    if not exists.all():
+        _check_outcomes(displacement, deviation, outcomes, outside)
+    crossed = kernels.jumps(displacement, deviation, values, outcomes, *setting)
+    return _filled(wheelset, method, displacement, deviation, _held(values, exists), exists, crossed)
+
+
+_PlainSurface = tuple[float, float, FloatArray, FloatArray]
+
+
+def _plain_setting(
+    wheelset: WheelsetOnTrack,
+) -> tuple[float, tuple[float, float], tuple[_PlainSurface, _PlainSurface], tuple[_PlainSurface, _PlainSurface]]:
+    """Return half the distance of the tread datums, the radii, wheels and rails as the compiled search takes them."""
+    wheels = (_plain(wheel_surface(wheelset.left_wheel)), _plain(wheel_surface(wheelset.right_wheel)))
+    left_rail = _plain(rail_surface(wheelset.left_rail, wheelset.inclination, wheelset.gauge))
+    right_rail = _plain(rail_surface(wheelset.right_rail, wheelset.inclination, wheelset.gauge))
+    half = wheelset.flange_back_distance / 2.0 + TREAD_DATUM
+    return half, (wheelset.left_radius, wheelset.right_radius), wheels, (left_rail, right_rail)
+
+
+def _plain(surface: Surface) -> _PlainSurface:
+    return surface.start, surface.step, surface.height, surface.slope
+
+
+def _grid(values: npt.ArrayLike, field: str) -> FloatArray:
+    grid = np.array(values, dtype=np.float64, ndmin=1)
+    if grid.ndim != 1 or len(grid) == 0 or not np.isfinite(grid).all():
+        raise ContactError("must be a list of finite numbers", field=field)
+    if (np.diff(grid) <= 0).any():
+        raise ContactError("must increase strictly", field=field)
+    return grid
+
+
+def _check_outcomes(displacement: FloatArray, deviation: FloatArray, outcomes: IntArray, outside: str) -> None:
+    """Raise unless every gauge has some contact and ``outside`` allows the rest."""
+    missing = outcomes != kernels.FOUND
+    if missing.all():
+        raise ContactError(f"the profiles never touch: {_REASONS[int(outcomes[len(displacement) // 2, 0])]}")
+    if outside == "hold" and not missing.all(axis=0).any():
+        return
+    order = np.argsort(np.abs(displacement), kind="stable")
+    row, column = next((int(i), int(j)) for i in order for j in np.flatnonzero(missing[i]))
+    raise ContactError(
+        f"no contact at lateral displacement {displacement[row] * 1e3:+.3f} mm, gauge deviation "
+        f"{deviation[column] * 1e3:+.3f} mm: {_REASONS[int(outcomes[row, column])]}",
+        field="lateral_displacement",
+    )
+
+
+def _held(values: FloatArray, exists: BoolArray) -> FloatArray:
+    """Return ``values`` (k, n, g) with every gap filled by the nearest row of its column that exists."""
+    if exists.all():
+        return values
+    held = values.copy()
+    for column in range(exists.shape[1]):
+        rows = np.flatnonzero(exists[:, column])
+        wanted = np.arange(exists.shape[0])
+        nearest = rows[np.abs(wanted[:, np.newaxis] - rows[np.newaxis, :]).argmin(axis=1)]
+        held[:, :, column] = values[:, nearest, column]
+    return held
+
+
+def _filled(
+    wheelset: WheelsetOnTrack,
+    method: ContactMethod,
+    displacement: FloatArray,
+    deviation: FloatArray,
+    values: FloatArray,
+    exists: BoolArray,
+    crossed: BoolArray,
+) -> ContactTable:
+    roll, left, right, rail_left, rail_right = values
+    shape = left.shape
+    return ContactTable(
+        method=method,
+        lateral_displacement=displacement,
+        gauge_deviation=deviation,
+        roll=roll,
+        rolling_radius_left=wheelset.left_radius + wheelset.left_wheel.height(left.ravel()).reshape(shape),
+        rolling_radius_right=wheelset.right_radius + wheelset.right_wheel.height(right.ravel()).reshape(shape),
+        contact_angle_left=-np.arctan(wheelset.left_wheel.gradient(left.ravel())).reshape(shape),
+        contact_angle_right=-np.arctan(wheelset.right_wheel.gradient(right.ravel())).reshape(shape),
+        contact_position_left=left,
+        contact_position_right=right,
+        rail_position_left=rail_left,
+        rail_position_right=rail_right,
+        exists=exists,
+        jump=np.pad(crossed, ((0, 1), (0, 0))) | np.pad(crossed, ((1, 0), (0, 0))),
+    )

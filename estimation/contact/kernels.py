@@ -1,0 +1,234 @@
+"""Compiled search for the contact point of one wheel on its rail, and for the roll at which both wheels touch.
+
+Seen from one wheel: lateral is positive to its field side, ``shift`` moves the wheel to its field side relative to the
+rail, ``roll`` lifts it. A wheel point at lateral distance p from the middle of the axle and distance d below the axis
+lies, after the roll, at lateral shift + p cos(roll) + d sin(roll) and depth d cos(roll) - p sin(roll).
+The gap is the depth of the rail minus that of the wheel; contact is where the gap is smallest.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+STRIDE = 10  # the first scan looks at every tenth point of the wheel's grid
+RIVAL_MARGIN = 2e-5  # m, scan minima within this of the best are refined
+ROLL_TOLERANCE = 1e-11  # m, difference of the two gaps
+SLOPE_TOLERANCE = 1e-10  # of the gap, where it is smallest
+POSITION_TOLERANCE = 1e-10  # m, of the contact
+ROLL_LIMIT = 0.1  # rad
+OUTSIDE = 1.0e3  # m, gap where there is no rail
+JUMP_DISTANCE = 4e-4  # m, a contact has jumped that moves this far ...
+JUMP_INTERVAL = 4e-6  # m, ... while the wheelset moves no farther than this
+
+FOUND, NO_OVERLAP, FLANGE_TIP, OUTER_EDGE, NO_ROLL = 0, 1, 2, 3, 4
+"""Outcome of a search: why there is no contact point."""
+
+
+@njit(cache=True, inline="always")
+def _cubic(height, slope, step, position):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202 - compiled
+    """Return height and slope at ``position`` (in grid steps) of the cubic through heights and slopes."""
+    i = min(max(int(position), 0), len(height) - 2)
+    t = position - i
+    rise = height[i + 1] - height[i]
+    a = slope[i] * step - rise
+    b = rise - slope[i + 1] * step
+    value = height[i] + t * rise + t * (1.0 - t) * (a * (1.0 - t) + b * t)
+    derivative = rise + (1.0 - 2.0 * t) * (a * (1.0 - t) + b * t) + t * (1.0 - t) * (b - a)
+    return value, derivative / step
+
+
+@njit(cache=True, inline="always")
+def _gap_at(y, shift, cosine, sine, half, radius, wheel, rail):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return the gap at wheel coordinate ``y``, its slope along the wheel, the rail's position and slope there."""
+    z, dz = _cubic(wheel[2], wheel[3], wheel[1], (y - wheel[0]) / wheel[1])
+    across, below = half + y, radius + z
+    position = shift + across * cosine + below * sine
+    depth, rail_slope = _cubic(rail[2], rail[3], rail[1], (position - rail[0]) / rail[1])
+    gap = depth - (below * cosine - across * sine)
+    return gap, rail_slope * (cosine + dz * sine) - (dz * cosine - sine), position, rail_slope
+
+
+@njit(cache=True)
+def _refine(low, high, shift, cosine, sine, half, radius, wheel, rail):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return where between low and high the gap's slope crosses zero upwards (regula falsi, Illinois)."""
+    slope_low = _gap_at(low, shift, cosine, sine, half, radius, wheel, rail)[1]
+    slope_high = _gap_at(high, shift, cosine, sine, half, radius, wheel, rail)[1]
+    if slope_low >= 0.0:
+        return low
+    if slope_high <= 0.0:
+        return high
+    side = 0
+    for _ in range(60):
+        y = (low * slope_high - high * slope_low) / (slope_high - slope_low)
+        slope = _gap_at(y, shift, cosine, sine, half, radius, wheel, rail)[1]
+        if abs(slope) < SLOPE_TOLERANCE or high - low < POSITION_TOLERANCE:
+            return y
+        if slope < 0.0:
+            low, slope_low = y, slope
+            slope_high *= 0.5 if side == -1 else 1.0
+            side = -1
+        else:
+            high, slope_high = y, slope
+            slope_low *= 0.5 if side == 1 else 1.0
+            side = 1
+    return 0.5 * (low + high)
+
+
+@njit(cache=True)
+def _scan(gaps, shift, cosine, sine, half, radius, wheel, rail):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Fill ``gaps`` at every STRIDE-th wheel point; return the smallest and the first and last index over the rail."""
+    rail_length = len(rail[2]) - 1
+    best, first, last = OUTSIDE, -1, -1
+    for k in range(len(gaps)):
+        i = k * STRIDE
+        across, below = half + wheel[0] + i * wheel[1], radius + wheel[2][i]
+        position = (shift + across * cosine + below * sine - rail[0]) / rail[1]
+        if position < 0.0 or position > rail_length:
+            gaps[k] = OUTSIDE
+            continue
+        j = min(int(position), rail_length - 1)
+        depth = rail[2][j] + (position - j) * (rail[2][j + 1] - rail[2][j])
+        gaps[k] = depth - (below * cosine - across * sine)
+        first = k if first < 0 else first
+        last = k
+        best = min(best, gaps[k])
+    return best, first, last
+
+
+@njit(cache=True)
+def nearest(shift, roll, half, radius, wheel, rail):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Return gap, wheel coordinate, rail position, d gap / d roll and outcome of the smallest gap of one wheel."""
+    cosine, sine = math.cos(roll), math.sin(roll)
+    gaps = np.empty((len(wheel[2]) - 1) // STRIDE + 1)
+    best, first, last = _scan(gaps, shift, cosine, sine, half, radius, wheel, rail)
+    if last - first < 2:  # noqa: PLR2004 - a minimum needs two neighbours
+        return OUTSIDE, math.nan, math.nan, 0.0, NO_OVERLAP
+    smallest, found, at_edge, span = OUTSIDE, math.nan, 0, STRIDE * wheel[1]
+    for k in range(first, last + 1):
+        if gaps[k] > best + RIVAL_MARGIN:
+            continue
+        if (k > first and gaps[k] > gaps[k - 1]) or (k < last and gaps[k] > gaps[k + 1]):
+            continue
+        low, high = wheel[0] + max(k - 1, first) * span, wheel[0] + min(k + 1, last) * span
+        y = _refine(low, high, shift, cosine, sine, half, radius, wheel, rail)
+        gap = _gap_at(y, shift, cosine, sine, half, radius, wheel, rail)[0]
+        if gap < smallest:
+            smallest, found = gap, y
+            at_edge = -1 if (k == first and y == low) else (1 if (k == last and y == high) else 0)
+    _, _, position, rail_slope = _gap_at(found, shift, cosine, sine, half, radius, wheel, rail)
+    z = _cubic(wheel[2], wheel[3], wheel[1], (found - wheel[0]) / wheel[1])[0]
+    across = (half + found) * cosine + (radius + z) * sine
+    below = (radius + z) * cosine - (half + found) * sine
+    outcome = FOUND if at_edge == 0 else (FLANGE_TIP if at_edge < 0 else OUTER_EDGE)
+    return smallest, found, position, rail_slope * below + across, outcome
+
+
+@njit(cache=True)
+def touching_roll(start, left_shift, right_shift, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Return the roll at which both gaps are equal, both contacts, and the outcome: safeguarded Newton-Raphson.
+
+    Contacts are (wheel coordinate, rail position) of the left and right wheel.
+    """
+    roll, low, high = start, -ROLL_LIMIT, ROLL_LIMIT
+    left = nearest(left_shift, roll, half, radii[0], wheels[0], rails[0])
+    right = nearest(right_shift, -roll, half, radii[1], wheels[1], rails[1])
+    for _ in range(80):
+        if left[4] == NO_OVERLAP or right[4] == NO_OVERLAP:
+            break
+        difference = left[0] - right[0]
+        if abs(difference) < ROLL_TOLERANCE or high - low < 1e-14:  # noqa: PLR2004 - rad
+            outcome = left[4] if left[4] != FOUND else right[4]
+            return roll, left[1], right[1], left[2], right[2], outcome
+        if difference < 0.0:
+            low = roll
+        else:
+            high = roll
+        rate = left[3] + right[3]
+        step = difference / rate if rate > 0.0 else math.inf
+        roll = roll - step if low < roll - step < high else 0.5 * (low + high)
+        left = nearest(left_shift, roll, half, radii[0], wheels[0], rails[0])
+        right = nearest(right_shift, -roll, half, radii[1], wheels[1], rails[1])
+    return math.nan, math.nan, math.nan, math.nan, math.nan, NO_ROLL
+
+
+@njit(cache=True)
+def contact(displacement, deviation, start, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Return roll, wheel coordinates, rail positions (left, right each) and outcome of one position of the wheelset.
+
+    ``start`` is the roll to begin the search with; without ``rigid`` there is no roll and each side is on its own.
+    """
+    left_shift, right_shift = displacement - 0.5 * deviation, -displacement - 0.5 * deviation
+    if rigid:
+        return touching_roll(start, left_shift, right_shift, half, radii, wheels, rails)
+    left = nearest(left_shift, 0.0, half, radii[0], wheels[0], rails[0])
+    right = nearest(right_shift, 0.0, half, radii[1], wheels[1], rails[1])
+    return 0.0, left[1], right[1], left[2], right[2], left[4] if left[4] != FOUND else right[4]
+
+
+@njit(cache=True)
+def table(displacement, deviation, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Return (5, n, g) roll, wheel coordinates and rail positions, and outcomes (n, g).
+
+    Each search starts from its neighbour's roll, from the centre outwards.
+    """
+    n, g = len(displacement), len(deviation)
+    values, outcomes = np.full((5, n, g), np.nan), np.zeros((n, g), np.int64)
+    centre = int(np.argmin(np.abs(displacement)))
+    for j in range(g):
+        for direction in (1, -1):
+            i = centre if direction == 1 else centre - 1
+            roll = 0.0 if direction == 1 else values[0, centre, j]
+            while 0 <= i < n:
+                start = roll if math.isfinite(roll) else 0.0
+                found = contact(displacement[i], deviation[j], start, rigid, half, radii, wheels, rails)
+                values[0, i, j], outcomes[i, j] = found[0], found[5]
+                values[1, i, j], values[2, i, j] = found[1], found[2]
+                values[3, i, j], values[4, i, j] = found[3], found[4]
+                roll = found[0]
+                i += direction
+    return values, outcomes
+
+
+@njit(cache=True)
+def _moved(first, second):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return how far the contact that moved most, moved."""
+    left = max(abs(first[1] - second[1]), abs(first[3] - second[3]))
+    right = max(abs(first[2] - second[2]), abs(first[4] - second[4]))
+    return max(left, right)
+
+
+@njit(cache=True)
+def _is_jump(low, high, first, second, deviation, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return whether a contact jumps between two displacements: halve, keep the half that moves more."""
+    while _moved(first, second) > JUMP_DISTANCE:
+        if high - low < JUMP_INTERVAL:
+            return True
+        middle = 0.5 * (low + high)
+        between = contact(middle, deviation, first[0], rigid, half, radii, wheels, rails)
+        if between[5] != FOUND:
+            return False
+        if _moved(first, between) > _moved(between, second):
+            high, second = middle, between
+        else:
+            low, first = middle, between
+    return False
+
+
+@njit(cache=True)
+def jumps(displacement, deviation, values, outcomes, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Return (n - 1, g): whether a contact jumps between a displacement and the next."""
+    n, g = outcomes.shape
+    crossed = np.zeros((max(n - 1, 0), g), np.bool_)
+    for j in range(g):
+        for i in range(n - 1):
+            if outcomes[i, j] != FOUND or outcomes[i + 1, j] != FOUND:
+                continue
+            v, w = values[:, i, j], values[:, i + 1, j]
+            first = (v[0], v[1], v[2], v[3], v[4], FOUND)
+            second = (w[0], w[1], w[2], w[3], w[4], FOUND)
+            low, high = displacement[i], displacement[i + 1]
+            crossed[i, j] = _is_jump(low, high, first, second, deviation[j], rigid, half, radii, wheels, rails)
+    return crossed

@@ -1,0 +1,106 @@
+"""Profiles made ready for the contact search: heights and slopes on a fine uniform grid, rails placed in the track."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from estimation.arrays import FloatArray, frozen_array
+from estimation.contact.profiles import Profile
+from estimation.errors import ContactError
+
+GRID_STEP = 2e-5
+"""Distance between grid points, m."""
+
+GAUGE_DEPTH = 0.014
+"""Depth below the top of the rail down to which the gauge is measured, m (EN 13848-1)."""
+
+_STEEPEST = math.tan(math.radians(82.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """A height over a lateral axis on a uniform grid; between grid points the cubic through heights and slopes."""
+
+    start: float  # m
+    step: float  # m
+    height: FloatArray  # (n,) m, down
+    slope: FloatArray  # (n,)
+
+    def __post_init__(self) -> None:
+        n = len(self.height)
+        object.__setattr__(self, "height", frozen_array(self.height, (n,), name="height"))
+        object.__setattr__(self, "slope", frozen_array(self.slope, (n,), name="slope"))
+
+
+def wheel_surface(wheel: Profile) -> Surface:
+    """Return the part of a wheel that can touch: from the tip of the flange to the outer end.
+
+    The lateral axis is the profile's own. The inner side of the flange is left out.
+    """
+    tip = int(np.argmax(wheel.z))
+    end = _run(wheel.slope, tip, 1)
+    return _gridded(wheel.y[tip : end + 1], wheel.z[tip : end + 1], wheel.slope[tip : end + 1])
+
+
+def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
+    """Return a rail placed in the track: lateral distance from the track centre, height below the top of the rail.
+
+    Parameters
+    ----------
+    rail
+        Uninclined, or in track axes if ``inclination`` is 0.
+    inclination
+        Tangent of the angle by which the rail leans towards the track centre.
+    gauge
+        Distance between the rails, m: the smallest within 14 mm below their tops.
+
+    Raises
+    ------
+    ContactError
+        The rail does not reach 14 mm below its top on the gauge side.
+    """
+    angle = math.atan(inclination)
+    y = rail.y * math.cos(angle) + rail.z * math.sin(angle)
+    z = rail.z * math.cos(angle) - rail.y * math.sin(angle)
+    forward = math.cos(angle) + rail.slope * math.sin(angle)
+    rise = rail.slope * math.cos(angle) - math.sin(angle)
+    slope = np.divide(rise, forward, out=np.full_like(rise, np.inf), where=forward > 1.0 / _STEEPEST)
+    top = int(np.argmin(z))
+    edge = _gauge_edge(rail.name, y[: top + 1], z[: top + 1] - z[top])
+    first, last = _run(slope, top, -1), _run(slope, top, 1)
+    keep = slice(first, last + 1)
+    return _gridded(y[keep] - edge + gauge / 2.0, z[keep] - z[top], slope[keep])
+
+
+def _gauge_edge(name: str, y: FloatArray, depth: FloatArray) -> float:
+    """Return the smallest y within `GAUGE_DEPTH` below the top; the last point of the arrays is the top."""
+    below = np.flatnonzero(depth > GAUGE_DEPTH)
+    if len(below) == 0:
+        raise ContactError(
+            f"rail {name!r} ends {depth.max() * 1e3:.2f} mm below its top on the gauge side; the gauge is measured "
+            f"{GAUGE_DEPTH * 1e3:.0f} mm below",
+            field="rail",
+        )
+    last = int(below[-1])
+    share = (GAUGE_DEPTH - depth[last]) / (depth[last + 1] - depth[last])
+    crossing = y[last] + share * (y[last + 1] - y[last])
+    return float(min(crossing, y[last + 1 :].min()))
+
+
+def _run(slope: FloatArray, start: int, direction: int) -> int:
+    """Return the last index from ``start`` in ``direction`` (+1, -1) up to which the surface is not too steep."""
+    gentle = np.abs(slope) < _STEEPEST
+    ahead = gentle[start::direction]
+    blocked = np.flatnonzero(~ahead)
+    length = int(blocked[0]) if len(blocked) else len(ahead)
+    return start + direction * (max(length, 1) - 1)
+
+
+def _gridded(y: FloatArray, z: FloatArray, slope: FloatArray) -> Surface:
+    curve = CubicHermiteSpline(y, z, slope)
+    grid = y[0] + GRID_STEP * np.arange(int((y[-1] - y[0]) / GRID_STEP) + 1)
+    return Surface(float(y[0]), GRID_STEP, curve(grid), curve(grid, nu=1))
