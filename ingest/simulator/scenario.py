@@ -1,0 +1,161 @@
+"""A scenario: what a simulated fleet is and does. Values only; ``scenario_file`` reads them from TOML."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from estimation.errors import ScenarioError
+from estimation.vehicle import VehicleParameters
+from ingest.simulator.sensors import SensorNode
+from ingest.simulator.track import TrackRecipe
+
+DAY_NS = 86_400_000_000_000
+SECOND_NS = 1_000_000_000
+
+
+class FaultKind(StrEnum):
+    """How a sensor node fails."""
+
+    DEAD = "dead"  # its signals say "not available", its self-test fails, an emergency is sent
+    SILENT = "silent"  # no frame of the node any more
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A sensor node that fails in campaign ``from_campaign`` (counted from 1) and stays so."""
+
+    kind: FaultKind
+    from_campaign: int
+
+
+@dataclass(frozen=True, slots=True)
+class WheelsetPlan:
+    """A wheelset, how fast it wears, and when it goes to the lathe.
+
+    Wear is depth below the design profile in the middle of the running band, in metres. ``rate_left`` and
+    ``rate_right`` are per metre run; ``initial_wear`` is there at ``initial_mileage``.
+    """
+
+    serial: str
+    wheel_profile: str
+    nominal_radius: float  # m
+    rate_left: float
+    rate_right: float
+    wear_centre: float  # m, from the tread datum, positive to the field side
+    wear_width: float  # m
+    initial_wear: float  # m
+    initial_mileage: float  # m, since new, when the vehicle's odometer stands at 0
+    reprofilings: tuple[float, ...]  # m, vehicle odometer
+    diameter_difference: float  # m, left minus right, at the lathe
+    fault: Fault | None
+
+
+@dataclass(frozen=True, slots=True)
+class VehiclePlan:
+    """A vehicle and its wheelsets, front to rear."""
+
+    code: str
+    vehicle_class: str
+    max_speed: float  # m/s
+    axle_offsets: tuple[float, ...]  # m behind the position reference
+    wheelsets: tuple[WheelsetPlan, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SectionPlan:
+    """The track section that all campaigns run on: by recipe, or from a recorded file."""
+
+    code: str
+    number: int
+    name: str
+    rail_profile: str
+    inclination: float
+    nominal_gauge: float  # m
+    recipe: TrackRecipe | None
+    file: Path | None
+    survey_alignment_std: float  # m: error of the alignment that is on file, as the registry tells it
+    survey_gauge_std: float  # m
+    latitude: float  # deg, of the section's start
+    longitude: float
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedRange:
+    """Speed wanders smoothly between two values, m/s."""
+
+    lowest: float
+    highest: float
+    period: float  # s, of the slowest wave
+
+
+@dataclass(frozen=True, slots=True)
+class Sessions:
+    """When and how long the fleet is recorded: campaigns, between which the odometer jumps."""
+
+    start_ns: int  # vehicle clock, of the first campaign
+    campaigns: int
+    duration: float  # s each
+    distance_between: float  # m
+    first_odometer: float  # m
+    distance_per_day: float  # m
+
+
+@dataclass(frozen=True, slots=True)
+class BusPlan:
+    """How far the bus is from perfect."""
+
+    lost_share: float  # of all frames
+    burst_per_hour: float  # gaps in everything, per hour
+    burst: float  # s each
+    jitter: float  # s, standard deviation of a frame's time stamp
+    recorder_offset: float  # s, recorder's clock minus vehicle clock
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A simulated fleet, its track, its sensors, and its campaigns."""
+
+    name: str
+    description: str
+    seed: int
+    fleet_code: str
+    fleet_name: str
+    parameters: VehicleParameters
+    section: SectionPlan
+    sensors: SensorNode
+    speed: SpeedRange
+    sessions: Sessions
+    bus: BusPlan
+    vehicles: tuple[VehiclePlan, ...]
+
+    def vehicle(self, code: str) -> VehiclePlan:
+        """Return a vehicle by its code.
+
+        Raises
+        ------
+        ScenarioError
+            There is none.
+        """
+        for plan in self.vehicles:
+            if plan.code == code:
+                return plan
+        known = ", ".join(plan.code for plan in self.vehicles)
+        raise ScenarioError(f"no vehicle {code!r} in scenario {self.name!r}; there are {known}", field="vehicle")
+
+    def odometer(self, campaign: int) -> float:
+        """Return the vehicles' odometer, m, at the start of ``campaign`` (from 0)."""
+        return self.sessions.first_odometer + campaign * self.sessions.distance_between
+
+    def start_ns(self, vehicle: VehiclePlan, campaign: int) -> int:
+        """Return the vehicle time at which ``campaign`` (from 0) of ``vehicle`` starts: whole seconds, vehicles apart."""
+        days = campaign * self.sessions.distance_between / self.sessions.distance_per_day
+        order = self.vehicles.index(vehicle)
+        seconds = round(days * DAY_NS / SECOND_NS) + round(order * (self.sessions.duration + 60.0))
+        return self.sessions.start_ns + seconds * SECOND_NS
+
+    def at_odometer_ns(self, odometer: float) -> int:
+        """Return the vehicle time, ns, at which the vehicles reach ``odometer``, m."""
+        days = (odometer - self.sessions.first_odometer) / self.sessions.distance_per_day
+        return self.sessions.start_ns + round(days * DAY_NS / SECOND_NS) * SECOND_NS

@@ -1,0 +1,148 @@
+"""What a sensor node makes of the true motion: noise, offset, drift, clipping, anti-alias filter, sampling.
+
+The node samples at 1 kHz, clips at its range, filters with a linear-phase low-pass whose delay it takes out of its
+time stamps (so sample k belongs to the instant of its SYNC), and decimates. Quantisation to int16 happens in the
+codec, by the scale of the signal catalogue.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.signal
+
+from estimation.arrays import BoolArray, FloatArray, frozen_array
+from estimation.errors import ParameterError
+from estimation.types import ACCELERATIONS
+from ingest.simulator.motion import STEP, WheelsetMotion
+
+FULL_RATE_HZ = round(1.0 / STEP)
+_PASS = 0.36  # end of the flat band, as a share of the output rate
+_STOP = 0.64  # what lies above folds back onto the flat band's outside only
+_RIPPLE_DB = 70.0
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One signal of a sensor node, in its own SI unit u (m/s2 or rad/s2).
+
+    ``offset`` is the standard deviation of a constant drawn per sensor, ``drift`` that of a random walk after one
+    second, ``limit`` the largest magnitude the transducer gives.
+    """
+
+    noise_density: float = 0.0  # u per root hertz, one-sided
+    offset: float = 0.0  # u
+    drift: float = 0.0  # u per root second
+    limit: float = np.inf  # u
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNode:
+    """The four channels of a node, in the order of ``ACCELERATIONS``, its rate, and whether it filters."""
+
+    lateral: Channel
+    yaw: Channel
+    roll: Channel
+    mass_lateral: Channel
+    rate_hz: int = 250
+    anti_alias: bool = True
+
+    def __post_init__(self) -> None:
+        if self.rate_hz <= 0 or FULL_RATE_HZ % self.rate_hz:
+            raise ParameterError(f"{self.rate_hz} Hz does not divide {FULL_RATE_HZ} Hz", field="rate_hz")
+
+    @property
+    def channels(self) -> tuple[Channel, Channel, Channel, Channel]:
+        """The channels in the order of ``ACCELERATIONS``."""
+        return self.lateral, self.yaw, self.roll, self.mass_lateral
+
+    @property
+    def stride(self) -> int:
+        """Samples of the motion per sample of the node."""
+        return FULL_RATE_HZ // self.rate_hz
+
+
+def ideal_node(rate_hz: int = FULL_RATE_HZ) -> SensorNode:
+    """Return a node without noise, offset, drift, limit or filter: it gives the true instantaneous values."""
+    return SensorNode(Channel(), Channel(), Channel(), Channel(), rate_hz=rate_hz, anti_alias=False)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorRecord:
+    """What a node measured: every ``1 / rate_hz`` s from the start of the motion."""
+
+    t: FloatArray  # (n,) s from the start of the motion
+    values: FloatArray  # (n, 4) in the order of ACCELERATIONS
+    clipped: BoolArray  # (n, 4) the transducer was at its limit since the sample before
+
+    def __post_init__(self) -> None:
+        n = len(self.t)
+        object.__setattr__(self, "t", frozen_array(self.t, (n,), name="t"))
+        object.__setattr__(self, "values", frozen_array(self.values, (n, 4), name="values"))
+        object.__setattr__(self, "clipped", frozen_array(self.clipped, (n, 4), np.bool_, name="clipped"))
+
+
+def measure(motion: WheelsetMotion, node: SensorNode, rng: np.random.Generator, offsets: FloatArray) -> SensorRecord:
+    """Return what ``node`` gives of ``motion``; ``offsets`` (4,) are the constants drawn for this sensor."""
+    n, stride = len(motion), node.stride
+    size = -(-n // stride)
+    values, clipped = np.empty((size, 4)), np.zeros((size, 4), dtype=np.bool_)
+    taps = _low_pass(stride) if node.anti_alias and stride > 1 else None
+    for place, (name, channel) in enumerate(zip(ACCELERATIONS, node.channels, strict=True)):
+        raw = _transduce(np.asarray(getattr(motion, name)), channel, float(offsets[place]), rng)
+        if np.isfinite(channel.limit):
+            over = np.abs(raw) > channel.limit
+            if over.any():
+                clipped[:, place] = _since_last(over, stride)
+                raw = np.clip(raw, -channel.limit, channel.limit)
+        values[:, place] = raw[::stride] if taps is None else _decimate(raw, taps, stride)
+    return SensorRecord(STEP * stride * np.arange(size, dtype=np.float64), values, clipped)
+
+
+def draw_offsets(node: SensorNode, rng: np.random.Generator) -> FloatArray:
+    """Return the constant offsets (4,) of one sensor."""
+    return np.array([channel.offset * rng.standard_normal() for channel in node.channels])
+
+
+def _transduce(true: FloatArray, channel: Channel, offset: float, rng: np.random.Generator) -> FloatArray:
+    raw = true + offset
+    if channel.noise_density > 0.0:
+        raw += channel.noise_density * np.sqrt(0.5 / STEP) * rng.standard_normal(len(true))
+    if channel.drift > 0.0:
+        raw += _random_walk(len(true), channel.drift, rng)
+    return np.asarray(raw)
+
+
+def _random_walk(n: int, per_root_second: float, rng: np.random.Generator) -> FloatArray:
+    """Return a random walk (n,) that starts at 0, in steps of some 0.1 s, linear between."""
+    every = 100
+    count = n // every + 2
+    nodes = np.concatenate([[0.0], np.cumsum(rng.standard_normal(count - 1))]) * per_root_second * np.sqrt(every * STEP)
+    return np.asarray(np.interp(np.arange(n), every * np.arange(count), nodes))
+
+
+def _low_pass(stride: int) -> FloatArray:
+    """Return the taps, odd in number and symmetric: flat to 0.36 of the output rate, 70 dB down from 0.64."""
+    width = 2.0 * (_STOP - _PASS) / stride  # of the input's Nyquist frequency
+    count, beta = scipy.signal.kaiserord(_RIPPLE_DB, width)
+    taps = scipy.signal.firwin(count | 1, (_PASS + _STOP) / stride, window=("kaiser", beta))
+    return np.asarray(taps, dtype=np.float64)
+
+
+def _decimate(raw: FloatArray, taps: FloatArray, stride: int) -> FloatArray:
+    """Return every ``stride``-th sample of the filtered signal, its delay taken out; the ends are held."""
+    half = len(taps) // 2
+    padded = np.concatenate([np.full(half, raw[0]), raw, np.full(half, raw[-1])])
+    lead = (-2 * half) % stride
+    polyphase = scipy.signal.upfirdn(taps, np.concatenate([np.zeros(lead), padded]), up=1, down=stride)
+    first = (2 * half + lead) // stride
+    return np.asarray(polyphase[first : first + -(-len(raw) // stride)])
+
+
+def _since_last(flags: BoolArray, stride: int) -> BoolArray:
+    """Return for every ``stride``-th sample whether a flag was set in the ``stride`` samples that end there."""
+    size = -(-len(flags) // stride)
+    padded = np.zeros(size * stride, dtype=np.bool_)
+    padded[stride - 1 : stride - 1 + len(flags)] = flags[: size * stride - stride + 1]
+    return np.asarray(padded.reshape(size, stride).any(axis=1))
