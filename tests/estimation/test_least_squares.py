@@ -44,10 +44,7 @@ def test_any_split_equals_the_recursion(seed: int, forgetting: float, cuts: list
     for x, y, omega in zip(features[20:], measured[20:], known[20:], strict=True):
         state = recursive.update(state, x, y, omega, forgetting)
     bounds = [0, *sorted(cuts), len(measured)]
-    parts = [
-        _one_cell(features[a:b], (measured - known)[a:b], forgetting)
-        for a, b in pairwise(bounds)
-    ]
+    parts = [_one_cell(features[a:b], (measured - known)[a:b], forgetting) for a, b in pairwise(bounds)]
     if left_first:
         whole = parts[0]
         for part in parts[1:]:

@@ -1,0 +1,139 @@
+"""Bin tables: right against the truth and an oracle, and the same for any split and order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from smooth_wheelset import SmoothTable, ideal, run
+
+from estimation import bins
+from estimation.arrays import same_values
+from estimation.errors import ParameterError
+from estimation.least_squares import solve
+from estimation.motion import Motion
+from estimation.regressors import regression
+from estimation.vehicle import VehicleParameters
+
+PARAMETERS = bins.BinParameters()
+
+
+def _slice(motion: Motion, part: slice) -> Motion:
+    values = {name: getattr(motion, name) for name in Motion.__slots__}
+    return Motion(**{k: v[part] if isinstance(v, np.ndarray) else v for k, v in values.items()})
+
+
+def test_the_equations_hold_on_the_true_geometry() -> None:
+    """Regressors times the true S, D, A, R give the targets, sample by sample."""
+    m = run(60)
+    eq = regression(ideal(m), VehicleParameters())
+    S, R = m.rolling_radius_left + m.rolling_radius_right, m.rolling_radius_left - m.rolling_radius_right
+    A, D = m.contact_angle_left + m.contact_angle_right, m.contact_angle_left - m.contact_angle_right
+    lateral = eq.lateral_targets[:, 0] - S * eq.lateral[:, 0] - D * eq.lateral[:, 1]
+    # the yaw equation carries S through the small spin term only, taken at S = 2 r0
+    yaw = eq.yaw_targets[:, 0] - A * eq.yaw[:, 0] - R * eq.yaw[:, 1]
+    assert np.abs(lateral).max() < 1e-6 * np.abs(eq.lateral_targets[:, 0]).max()
+    assert np.abs(yaw).max() < 1e-4 * np.abs(eq.yaw_targets[:, 0]).max()
+
+
+def test_sensitivities_are_derivatives_by_the_logarithm_of_the_parameter() -> None:
+    motion = ideal(run(20))
+    p = VehicleParameters()
+    base = regression(motion, p)
+    h = 1e-6
+    for column, name in ((4, "load"), (5, "lateral_stiffness"), (6, "lateral_damping"), (3, "wheelset_mass")):
+        moved = regression(motion, replace(p, **{name: getattr(p, name) * (1 + h)}))
+        change = (moved.lateral_targets[:, 0] - base.lateral_targets[:, 0]) / h
+        np.testing.assert_allclose(change, base.lateral_targets[:, column], rtol=1e-3, atol=1e-2)
+    moved = regression(motion, replace(p, yaw_stiffness=p.yaw_stiffness * (1 + h)))
+    change = (moved.yaw_targets[:, 0] - base.yaw_targets[:, 0]) / h
+    np.testing.assert_allclose(change, base.yaw_targets[:, 2], rtol=1e-3, atol=1e-2)
+
+
+def test_a_bin_equals_least_squares_on_its_samples() -> None:
+    motion = ideal(run(60))
+    table = bins.tabulate(motion, PARAMETERS)
+    eq = regression(motion, PARAMETERS.vehicle)
+    b = int(np.searchsorted(table.edges, 0.6e-3)) - 1
+    inside = (motion.displacement >= table.edges[b]) & (motion.displacement < table.edges[b + 1])
+    u = (motion.displacement[inside] - 0.5 * (table.edges[b] + table.edges[b + 1])) / PARAMETERS.width
+    a, c = eq.yaw[inside].T
+    X = np.column_stack([a, c, c * u, c * u**2])
+    expected, *_ = np.linalg.lstsq(X / np.linalg.norm(X, axis=0), eq.yaw_targets[inside, 0], rcond=None)
+    theta = solve(table.yaw.sum(axis=0), table.weight.sum(axis=0), 4, 5).theta[b, :, 0]
+    np.testing.assert_allclose(theta, expected / np.linalg.norm(X, axis=0), rtol=1e-6)
+    assert table.weight.sum(axis=0)[b] == inside.sum()
+
+
+@settings(max_examples=15, deadline=None)
+@given(cuts=st.lists(st.integers(0, 60_000), max_size=6), order=st.randoms(use_true_random=False))
+def test_any_split_in_any_order_gives_the_same_table(cuts: list[int], order: object) -> None:
+    motion = ideal(run(60))
+    whole = bins.tabulate(motion, PARAMETERS)
+    bounds = [0, *sorted(cuts), 60_000]
+    parts = [bins.tabulate(_slice(motion, slice(a, b)), PARAMETERS) for a, b in pairwise(bounds)]
+    order.shuffle(parts)  # type: ignore[attr-defined]
+    merged = bins.merge_all(parts, PARAMETERS)
+    assert merged.samples == whole.samples
+    np.testing.assert_array_equal(merged.weight, whole.weight)
+    np.testing.assert_allclose(merged.lateral, whole.lateral, rtol=1e-9, atol=1e-9 * np.abs(whole.lateral).max())
+    np.testing.assert_allclose(merged.yaw, whole.yaw, rtol=1e-9, atol=1e-9 * np.abs(whole.yaw).max())
+
+
+def test_the_same_order_gives_the_same_bits() -> None:
+    motion = ideal(run(60))
+    parts = [bins.tabulate(_slice(motion, slice(k, k + 20_000)), PARAMETERS) for k in (0, 20_000, 40_000)]
+    assert same_values(bins.merge_all(parts, PARAMETERS), bins.merge_all(parts, PARAMETERS))
+
+
+def test_forgetting_halves_what_is_a_half_life_old() -> None:
+    table = bins.tabulate(ideal(run(20)), PARAMETERS)
+    merged = bins.merge_with_mileage([(0.0, table), (5_000.0, table), (10_000.0, table)], 5_000.0, PARAMETERS)
+    np.testing.assert_allclose(merged.weight, 1.75 * table.weight)
+    assert bins.merge_with_mileage([], 5_000.0, PARAMETERS).samples == 0
+
+
+def test_samples_outside_the_bins_or_not_valid_are_left_out() -> None:
+    motion = ideal(run(20))
+    values = {name: getattr(motion, name) for name in Motion.__slots__}
+    x = motion.displacement.copy()
+    x[:100], x[100:200], x[200] = 0.5, -0.5, np.nan
+    valid = motion.valid.copy()
+    valid[300:400] = False
+    table = bins.tabulate(Motion(**{**values, "displacement": x, "valid": valid}), PARAMETERS)
+    assert table.samples == len(motion) - 301
+
+
+def test_tables_of_other_parameters_do_not_merge() -> None:
+    first = bins.init(PARAMETERS)
+    with pytest.raises(ValueError, match="do not merge"):
+        bins.merge(first, bins.init(replace(PARAMETERS, width=0.5e-3)))
+
+
+@pytest.mark.parametrize("change", [{"width": 0.0}, {"width": 1.0}, {"groups": 3}])
+def test_impossible_parameters_are_refused(change: dict[str, float]) -> None:
+    with pytest.raises(ParameterError):
+        replace(PARAMETERS, **change)
+
+
+def test_all_four_combinations_are_found_from_ideal_signals() -> None:
+    """The claim of science: locally linear bins find what constant bins cannot (the contact angle sum)."""
+    table = bins.tabulate(ideal(run(200)), PARAMETERS)
+    truth = SmoothTable()
+    x = 0.5 * (table.edges[1:] + table.edges[:-1])
+    n = table.weight.sum(axis=0)
+    good = n > 2000
+    lateral = solve(table.lateral.sum(axis=0), n, 4, 7).theta[good]
+    yaw = solve(table.yaw.sum(axis=0), n, 4, 5).theta[good]
+    x = x[good]
+    assert good.sum() > 15
+    S, D = lateral[:, 0, 0], lateral[:, 2, 0]
+    A, R = yaw[:, 0, 0], yaw[:, 1, 0]
+    assert np.abs(S - truth.left(x) - truth.right(x)).max() < 2e-6
+    assert np.abs(R - truth.left(x) + truth.right(x)).max() < 2e-6
+    assert np.abs(D - truth.angle_left(x) + truth.angle_right(x)).max() < 1e-3
+    assert np.abs(A - truth.angle_left(x) - truth.angle_right(x)).max() < 4e-3

@@ -1,0 +1,105 @@
+"""Band-limited motion: exact where it must be, near the truth with real sensors, honest about gaps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from smooth_wheelset import alignment, mems_windows, run, track
+
+from estimation import signals
+from estimation.errors import ParameterError
+from estimation.motion import Motion
+
+PARAMETERS = signals.SignalParameters()
+
+
+def _fast(x: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    return signals._without_slow_part(x[None, :], distance, PARAMETERS.longest_wavelength)[0]
+
+
+def test_the_motion_is_that_of_the_wheelset_without_its_slow_part() -> None:
+    m = run(60, swing=3.0)
+    (window,) = mems_windows(m, seed=0, density=0.0)
+    found = signals.motion(window, alignment(track(1)), PARAMETERS)
+    assert isinstance(found, Motion)
+    distance = m.distance[::4] - m.distance[0]
+    keep = found.valid
+    for name, truth, tolerance in (
+        ("displacement", m.relative_displacement, 0.04e-3),
+        ("yaw", m.yaw, 4e-6),
+        ("yaw_rate", m.yaw_rate, 3e-5),
+    ):
+        error = (getattr(found, name) - _fast(truth[::4], distance))[keep]
+        assert np.sqrt((error**2).mean()) < tolerance, name
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), n=st.integers(3000, 15_000), speed=st.floats(8.0, 30.0))
+def test_the_projection_is_idempotent_and_takes_out_what_is_slow(seed: int, n: int, speed: float) -> None:
+    rng = np.random.default_rng(seed)
+    distance = np.cumsum(np.full(n, speed * 4e-3)) - speed * 4e-3
+    noise = rng.standard_normal(n)
+    once = _fast(noise, distance)
+    np.testing.assert_allclose(_fast(once, distance), once, atol=1e-6)
+    t = np.linspace(-1, 1, n)
+    slow = 40.0 + 300 * t - 200 * t**2 + 5 * np.cos(np.pi * distance / distance[-1])
+    assert np.abs(_fast(slow, distance)).max() < 1e-4
+
+
+def test_offset_and_constant_drift_of_a_sensor_change_nothing() -> None:
+    (window,) = mems_windows(run(60), seed=0, density=0.0)
+    tilted = replace(
+        window, lateral_acceleration=window.lateral_acceleration + 0.4, yaw_acceleration=window.yaw_acceleration - 3.0
+    )
+    a = signals.motion(window, alignment(track(1)), PARAMETERS)
+    b = signals.motion(tilted, alignment(track(1)), PARAMETERS)
+    assert isinstance(a, Motion)
+    assert isinstance(b, Motion)
+    np.testing.assert_allclose(a.displacement[a.valid], b.displacement[b.valid], atol=1e-9)
+    np.testing.assert_allclose(a.yaw[a.valid], b.yaw[b.valid], atol=1e-9)
+
+
+def test_short_gaps_are_bridged_but_not_used_and_long_ones_split() -> None:
+    (window,) = mems_windows(run(60), seed=0)
+    valid = window.valid.copy()
+    valid[1000:1003] = False
+    valid[7000:7100] = False
+    valid[14_000:] = False
+    acceleration = np.where(valid, window.lateral_acceleration, np.nan)
+    gappy = replace(window, lateral_acceleration=acceleration, valid=valid)
+    found = signals.motion(gappy, alignment(track(1)), PARAMETERS)
+    whole = signals.motion(window, alignment(track(1)), PARAMETERS)
+    assert isinstance(found, Motion)
+    assert isinstance(whole, Motion)
+    trim = 250
+    assert not found.valid[1000:1003].any()
+    assert found.valid[trim:1000].all()
+    assert found.valid[1003 : 7000 - trim].all()
+    assert not found.valid[7000 - trim : 7100 + trim].any()
+    assert np.isfinite(found.displacement[found.valid]).all()
+    both = found.valid & whole.valid
+    assert np.sqrt(((found.displacement - whole.displacement)[both] ** 2).mean()) < 0.25e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"speed": np.full(15_000, 2.0)}, "above the least speed"),
+        ({"distance": np.full(15_000, -50.0)}, "known part of the section"),
+        ({"valid": np.arange(15_000) % 2000 > 300}, "no uninterrupted stretch"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_its_reason(change: dict[str, np.ndarray], reason: str) -> None:
+    (window,) = mems_windows(run(60), seed=0)
+    found = signals.motion(replace(window, **change), alignment(track(1)), PARAMETERS)
+    assert isinstance(found, signals.Refusal)
+    assert reason in found.reason
+
+
+def test_impossible_parameters_are_refused() -> None:
+    with pytest.raises(ParameterError, match="longest_wavelength"):
+        signals.SignalParameters(longest_wavelength=-1.0)
