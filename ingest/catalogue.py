@@ -160,7 +160,7 @@ def _parse(path: Path) -> Any:  # noqa: ANN401 - cantools is untyped
         raise CatalogueError(error.strerror or str(error), file=path) from error
     except UnicodeDecodeError as error:
         raise CatalogueError("is no text file", file=path) from error
-    except (cantools.database.Error, ValueError, KeyError) as error:
+    except (cantools.database.errors.Error, ValueError, KeyError) as error:
         raise CatalogueError(f"is no DBC file: {error}", file=path) from error
 
 

@@ -66,7 +66,7 @@ class MessageValues:
         """Return (n, m) values in the units of the catalogue; NaN where not valid."""
         scale = np.array([signal.scale for signal in self.plan.signals])
         offset = np.array([signal.offset for signal in self.plan.signals])
-        return scaled(self.raw, *raw_limits(self.plan, with_clipped=False), scale, offset)  # type: ignore[no-any-return]
+        return scaled(self.raw, *raw_limits(self.plan, with_clipped=False), scale, offset)
 
     def valid(self) -> BoolArray:
         """Return (n, m): inside the limits, and neither "not available" nor clipped."""
@@ -117,7 +117,7 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
         span = slice(int(starts[arbitration_id]), int(starts[arbitration_id + 1]))
         if span.stop > span.start:
             messages[arbitration_id] = MessageValues(plan, index[span], unpack(plan, words[span]))
-    valid, invalid, clipped = _count_values(messages)
+    invalid, clipped = _count_values(messages)
     error, remote, extended = _count_strange(batch.arbitration_id, len(batch) - wrong - unknown - int(starts[-1]))
     counts = FrameCounts(
         frames=len(batch),
@@ -143,8 +143,8 @@ def _count_strange(arbitration_id: npt.NDArray[np.uint32], count: int) -> tuple[
     return errors, remotes, count - errors - remotes
 
 
-def _count_values(messages: Mapping[int, MessageValues]) -> tuple[int, int, int]:
-    """Return how many values are valid, invalid, clipped."""
+def _count_values(messages: Mapping[int, MessageValues]) -> tuple[int, int]:
+    """Return how many values are invalid, and how many clipped."""
     total = valid = within = 0
     for values in messages.values():
         inside = count_within(values.raw, *raw_limits(values.plan, with_clipped=False))
@@ -154,7 +154,7 @@ def _count_values(messages: Mapping[int, MessageValues]) -> tuple[int, int, int]
             within += inside
         else:
             within += count_within(values.raw, *raw_limits(values.plan, with_clipped=True))
-    return valid, total - within, within - valid
+    return total - within, within - valid
 
 
 def unpack(plan: MessagePlan, words: npt.NDArray[np.uint64]) -> RawArray:

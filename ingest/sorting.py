@@ -13,7 +13,7 @@ from estimation.arrays import FloatArray, IntArray
 STANDARD_IDENTIFIERS = 0x800
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True)
 def count_by_identifier(
     arbitration_id: npt.NDArray[np.uint32], dlc: npt.NDArray[np.uint8], lengths: npt.NDArray[np.int16]
 ) -> tuple[IntArray, int, int]:
@@ -51,7 +51,7 @@ def count_by_identifier(
     return counts, wrong, unknown
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True)
 def gather_by_identifier(
     arbitration_id: npt.NDArray[np.uint32],
     dlc: npt.NDArray[np.uint8],
@@ -76,7 +76,7 @@ def gather_by_identifier(
     return index, gathered
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True)
 def scaled(
     raw: npt.NDArray[np.signedinteger[Any]], low: IntArray, high: IntArray, scale: FloatArray, offset: FloatArray
 ) -> FloatArray:
@@ -90,7 +90,7 @@ def scaled(
     return values
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True)
 def count_within(raw: npt.NDArray[np.signedinteger[Any]], low: IntArray, high: IntArray) -> int:
     """Count the raw values (n, m) inside ``low..high`` (each (m,))."""
     n, m = raw.shape
