@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.arrays import BoolArray, FloatArray
-from estimation.contact.conicity import equivalent_conicity
+from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.jackknife import jackknife_std, with_interval
 from estimation.types import Estimate
 
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
+MOST_EXCESS = 0.2  # of the variance of the displacement that its error may make up
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,10 +30,12 @@ class CurveParameters:
 class CurveReplicates:
     """An estimated curve rL - rR over bin centres, with what its uncertainty needs."""
 
-    displacement: FloatArray  # (b,) m, bin centres
-    difference: FloatArray  # (1 + g, b) m: from all data, then with each group left out
-    sensitivity: FloatArray  # (b, k) m per standard deviation of an uncertain parameter
+    edges: FloatArray  # (b + 1,) m
+    difference: FloatArray  # (1 + g, b, 3) m: value, slope, curvature over u; from all data, then each group left out
+    sensitivity: FloatArray  # (b, k, 3) m: the same per standard deviation of each uncertain parameter
     usable: BoolArray  # (b,)
+    samples: FloatArray  # (b,)
+    displacement_noise: float  # m, std of the error of the displacement
     count: float  # windows
     band_limited: bool
 
@@ -58,35 +61,25 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
         reason = f"{groups} blocks of data" if groups < FEWEST_GROUPS else "too few bins around the centre"
         unknown = Estimate.unknown(reason, curve.count)
         return CurveEstimates(amplitude, (unknown,) * len(amplitude), parameters.headline, unknown, unknown, unknown)
-    x = curve.displacement[run]
-    replicates = curve.difference[:, run]
-    shifted = replicates[0] + curve.sensitivity[run].T
-    values = _conicities(x, np.vstack([replicates, shifted]), amplitude)
+    rows = _rows(curve, run)
+    values = np.stack([equivalent_conicity(x, difference, amplitude) for x, difference in rows])
     conicity = tuple(
         _estimate(values[:, k], groups, curve.count, f"amplitude {1e3 * a:g} mm is not covered")
         for k, a in enumerate(amplitude)
     )
     headline, headline_amplitude = _headline(amplitude, conicity, parameters)
-    low, high = (
-        values[:, int(np.argmin(np.abs(amplitude - a)))]
-        for a in (parameters.nonlinearity_low, parameters.nonlinearity_high)
-    )
-    per_mm = 1e3 * (parameters.nonlinearity_high - parameters.nonlinearity_low)
-    nonlinearity = _estimate(
-        (high - low) / per_mm,
-        groups,
-        curve.count,
-        f"amplitude {1e3 * parameters.nonlinearity_high:g} mm is not covered",
-    )
-    return CurveEstimates(
-        amplitude, conicity, headline_amplitude, headline, nonlinearity, _zero_crossing(x, curve, run, groups)
-    )
+    ends = (parameters.nonlinearity_low, parameters.nonlinearity_high)
+    low, high = (values[:, int(np.argmin(np.abs(amplitude - a)))] for a in ends)
+    per_mm = (high - low) / (1e3 * (ends[1] - ends[0]))
+    nonlinearity = _estimate(per_mm, groups, curve.count, f"amplitude {1e3 * ends[1]:g} mm is not covered")
+    crossing = _zero_crossing(rows, curve, groups)
+    return CurveEstimates(amplitude, conicity, headline_amplitude, headline, nonlinearity, crossing)
 
 
 def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:
     """Return the unbroken run of usable bins that holds the bin nearest to zero displacement."""
-    usable = curve.usable & np.isfinite(curve.difference).all(axis=0)
-    centre = int(np.argmin(np.abs(curve.displacement)))
+    usable = curve.usable & np.isfinite(curve.difference).all(axis=(0, 2))
+    centre = int(np.argmin(np.abs(curve.edges[:-1] + curve.edges[1:])))
     if not usable[centre]:
         return None
     left = centre - int(np.argmin(np.append(usable[centre::-1], False)))
@@ -96,13 +89,57 @@ def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:
     return run if run.sum() >= FEWEST_NODES else None
 
 
-def _conicities(x: FloatArray, differences: FloatArray, amplitude: FloatArray) -> FloatArray:
-    """Equivalent conicity (rows, a) of every replicate; NaN where an amplitude is not covered."""
-    return np.stack([equivalent_conicity(x, row, amplitude) for row in differences])
+_Row = tuple[FloatArray, FloatArray]  # displacement (k,), rolling radius difference (k,)
+
+
+def _rows(curve: CurveReplicates, run: BoolArray) -> list[_Row]:
+    """Return the curve from all data, with each group left out, then shifted by each systematic uncertainty.
+
+    The error of the displacement (std e) flattens the curve twice over: a large measured displacement is too large on
+    average (by the factor 1/(1 - e^2/var)), and kinks are rounded. Both are taken back to first order; what was taken
+    back stands for what remains unknown. So does the difference between bins that bend and straight lines between their
+    centres.
+    """
+    observed = 0.5 * (curve.edges[:-1] + curve.edges[1:])
+    variance = np.average(observed**2, weights=curve.samples)
+    excess = min(curve.displacement_noise**2 / variance, MOST_EXCESS)
+    low, high = curve.edges[:-1][run], curve.edges[1:][run]
+    at = _nodes(low, high)
+    x = (1 - excess) * at
+    values = [_evaluate(shape[run]) for shape in curve.difference]
+    shifted = [values[0] + _evaluate(curve.sensitivity[run, k]) for k in range(curve.sensitivity.shape[1])]
+    sharpened = [(x, 2 * row - _rounded(x, row, curve.displacement_noise)) for row in (*values, *shifted)]
+    coarse = np.interp(at, 0.5 * (low + high), curve.difference[0, run, 0])
+    first = sharpened[0][1]
+    return [*sharpened, (at, first), (x, values[0]), (x, first + coarse - values[0])]
+
+
+def _nodes(low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return edges and centres of adjoining bins, ascending: (2 b + 1,)."""
+    return np.append(np.column_stack([low, 0.5 * (low + high)]).ravel(), high[-1])
+
+
+def _evaluate(shape: FloatArray) -> FloatArray:
+    """Return the locally quadratic curve (b, 3) at the nodes; at an edge between two bins the mean of both."""
+    value, slope, curvature = shape.T
+    at_low, at_high = value - slope / 2 + curvature / 4, value + slope / 2 + curvature / 4
+    edge = at_low.copy()
+    edge[1:] = 0.5 * (at_low[1:] + at_high[:-1])
+    return np.append(np.column_stack([edge, value]).ravel(), at_high[-1])
+
+
+def _rounded(x: FloatArray, difference: FloatArray, std: float) -> FloatArray:
+    """Return the curve averaged over a normal displacement error (three-point Gauss-Hermite); straight beyond its ends."""
+    step = np.sqrt(3.0) * std
+    line_low = (difference[1] - difference[0]) / (x[1] - x[0])
+    line_high = (difference[-1] - difference[-2]) / (x[-1] - x[-2])
+    before = np.interp(x - step, x, difference) + line_low * np.minimum(x - step - x[0], 0.0)
+    after = np.interp(x + step, x, difference) + line_high * np.maximum(x + step - x[-1], 0.0)
+    return np.asarray(before / 6 + 2 * difference / 3 + after / 6)
 
 
 def _estimate(values: FloatArray, groups: int, count: float, reason: str) -> Estimate:
-    """One number from its replicates: row 0, then the groups, then one row a shifted parameter."""
+    """One number from its rows: all data, then each group left out, then one row a systematic uncertainty."""
     if not np.isfinite(values).all():
         return Estimate.unknown(reason, count)
     jackknife = float(jackknife_std(values[: groups + 1]))
@@ -120,20 +157,8 @@ def _headline(
     return Estimate.unknown("no amplitude is covered", conicity[0].count), parameters.headline
 
 
-def _zero_crossing(x: FloatArray, curve: CurveReplicates, run: BoolArray, groups: int) -> Estimate:
+def _zero_crossing(rows: list[_Row], curve: CurveReplicates, groups: int) -> Estimate:
     if curve.band_limited:
         return Estimate.unknown("band-limited signals carry no offset", curve.count)
-    replicates = curve.difference[:, run]
-    shifted = replicates[0] + curve.sensitivity[run].T
-    values = np.array([_crossing(x, row) for row in np.vstack([replicates, shifted])])
+    values = np.array([zero_crossing(x, difference) for x, difference in rows])
     return _estimate(values, groups, curve.count, "rL - rR has no zero in the bins covered")
-
-
-def _crossing(x: FloatArray, difference: FloatArray) -> float:
-    """Displacement nearest to zero where the piecewise linear ``difference`` rises through zero; NaN without one."""
-    rising = np.flatnonzero((difference[:-1] <= 0) & (difference[1:] > 0))
-    if len(rising) == 0:
-        return float("nan")
-    share = -difference[rising] / (difference[rising + 1] - difference[rising])
-    crossings = x[rising] + share * (x[rising + 1] - x[rising])
-    return float(crossings[np.argmin(np.abs(crossings))])

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import optimize
 
 from estimation import least_squares
 from estimation.arrays import BoolArray, FloatArray
@@ -20,6 +21,7 @@ from estimation.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS
 from estimation.types import BinStatus, BinTable, BinValues, WheelsetGeometry
 
 FEWEST_GROUPS = 4
+FEWEST_BINS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +94,16 @@ def estimate(table: BinTable, bins: BinParameters, parameters: GeometryParameter
     D = _combination(replicates.lateral[:, :, 2], unc.lateral(), few, jump, parameters.prior_angle, parameters)
     A = _combination(replicates.yaw[:, :, 0], unc.yaw(), few, jump, parameters.prior_angle, parameters)
     R = _combination(replicates.yaw[:, :, 1], unc.yaw(), few, jump, parameters.prior_radius, parameters)
-    centre = 0.5 * (table.edges[:-1] + table.edges[1:])
+    shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 5, 3): R across each bin, by target
+    noise = _displacement_noise(replicates, samples, few | jump, bins)
     curve = curve_estimates(
         CurveReplicates(
-            displacement=centre,
-            difference=replicates.yaw[:, :, 1, 0],
-            sensitivity=replicates.yaw[0, :, 1, 1:] * unc.yaw(),
+            edges=table.edges,
+            difference=shape[:, :, 0, :],
+            sensitivity=shape[0, :, 1:, :] * unc.yaw()[:, None],
             usable=~few,
+            samples=samples,
+            displacement_noise=noise,
             count=float(table.windows),
             band_limited=bins.band_limited,
         ),
@@ -156,6 +161,19 @@ def _jumps(replicates: _Replicates, few: BoolArray, parameters: GeometryParamete
     typical = np.nanmedian(replicates.residual[~few]) if (~few).any() else 0.0
     limit = max(parameters.jump_residual * float(typical), parameters.jump_residual_floor)
     return np.asarray((rise > parameters.jump_step) | (replicates.residual > limit))
+
+
+def _displacement_noise(replicates: _Replicates, samples: FloatArray, out: BoolArray, bins: BinParameters) -> float:
+    """Return the std of the error of y - d, m: what of the residuals grows with the slope of rL - rR."""
+    slope = replicates.yaw[0, :, 2, 0] / bins.width
+    use = ~out & np.isfinite(slope) & np.isfinite(replicates.residual)
+    if use.sum() < FEWEST_BINS:
+        return 0.0
+    weight = np.sqrt(samples[use])
+    design = np.column_stack([np.ones(int(use.sum())), slope[use] ** 2]) * weight[:, None]
+    scale = np.linalg.norm(design, axis=0)
+    (_, share), _ = optimize.nnls(design / scale, replicates.residual[use] ** 2 * weight)
+    return float(np.sqrt(share / scale[1]))
 
 
 def _combination(
