@@ -1,1 +1,38 @@
-"""SQLAlchemy tables, one file a subject."""
+"""Tables, one file a subject."""
+
+from fleet_db.models.alerts import AlertEventRow, AlertRow
+from fleet_db.models.base import Base
+from fleet_db.models.bin_tables import WheelsetBinRow, WindowBinTableRow
+from fleet_db.models.chunks import ChunkRow
+from fleet_db.models.fleets import FleetRow
+from fleet_db.models.geometries import GeometryRow
+from fleet_db.models.idempotency import IdempotencyRow
+from fleet_db.models.jobs import JobRunRow
+from fleet_db.models.mountings import MountingRow
+from fleet_db.models.tracks import TrackAlignmentRow, TrackSectionRow
+from fleet_db.models.trends import TrendRow
+from fleet_db.models.vehicles import VehicleRow
+from fleet_db.models.wheelsets import ReprofilingRow, WheelsetChangeRow, WheelsetRow
+from fleet_db.models.windows import WindowRow
+
+__all__ = [
+    "AlertEventRow",
+    "AlertRow",
+    "Base",
+    "ChunkRow",
+    "FleetRow",
+    "GeometryRow",
+    "IdempotencyRow",
+    "JobRunRow",
+    "MountingRow",
+    "ReprofilingRow",
+    "TrackAlignmentRow",
+    "TrackSectionRow",
+    "TrendRow",
+    "VehicleRow",
+    "WheelsetBinRow",
+    "WheelsetChangeRow",
+    "WheelsetRow",
+    "WindowBinTableRow",
+    "WindowRow",
+]

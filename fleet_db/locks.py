@@ -1,0 +1,124 @@
+"""Locks between processes: one writer on SQLite, one scheduler on either database, ordered commits on PostgreSQL."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import IntEnum
+from pathlib import Path
+
+from sqlalchemy import Connection, Engine, text
+
+from estimation.errors import AlreadyRunningError, StorageError
+
+POLL_S = 0.002
+NAME_LENGTH = 60  # PostgreSQL keeps 63 bytes of an application name
+NAMESPACE = 0x7472_6561  # "trea": ours among the advisory locks of a database
+
+
+class Subject(IntEnum):
+    """What an advisory lock guards."""
+
+    SCHEDULER = 1
+    REGISTRY = 2
+    ALERTS = 3
+    GEOMETRIES = 4
+    TRACKS = 5
+    MIGRATION = 6
+
+
+def serialise(connection: Connection, subject: Subject) -> None:
+    """Let no other transaction into ``subject`` until this one has ended.
+
+    On PostgreSQL a transaction-level advisory lock, released after the commit is visible: numbers drawn under it are
+    in commit order. On SQLite a writing transaction is alone anyway.
+    """
+    if connection.dialect.name == "postgresql":
+        connection.execute(
+            text("SELECT pg_advisory_xact_lock(:namespace, :subject)"),
+            {"namespace": NAMESPACE, "subject": int(subject)},
+        )
+
+
+@contextmanager
+def single_writer(path: Path, timeout_s: float) -> Iterator[None]:
+    """Hold the lock file ``path``: the writing transactions of all threads and processes, one after the other.
+
+    Raises
+    ------
+    StorageError
+        Another writer held it for longer than ``timeout_s``.
+    """
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        until = time.monotonic() + timeout_s
+        while not _locked(handle):
+            if time.monotonic() > until:
+                raise StorageError(f"another writer has held the database for {timeout_s:g} s ({path.name})")
+            time.sleep(POLL_S)
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def file_scheduler_lock(path: Path, holder: str) -> Iterator[None]:
+    """Hold the lock file ``path``, with ``holder`` written inside; the system lets it go when the process dies.
+
+    Raises
+    ------
+    AlreadyRunningError
+        Somebody holds it; names who.
+    """
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        if not _locked(handle):
+            raise AlreadyRunningError(os.pread(handle, 1024, 0).decode(errors="replace").strip() or "not yet named")
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, holder.encode(), 0)
+        yield
+        os.ftruncate(handle, 0)
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def postgresql_scheduler_lock(engine: Engine, holder: str) -> Iterator[None]:
+    """Hold a session-level advisory lock on a connection of its own, which carries ``holder`` as its name.
+
+    Raises
+    ------
+    AlreadyRunningError
+        Another session holds it; names who.
+    """
+    names = {"namespace": NAMESPACE, "subject": int(Subject.SCHEDULER)}
+    connection = engine.connect().execution_options(isolation_level="AUTOCOMMIT")
+    try:
+        name = holder.encode()[:NAME_LENGTH].decode(errors="ignore")
+        connection.execute(text("SELECT set_config('application_name', :name, false)"), {"name": name})
+        if not connection.scalar(text("SELECT pg_try_advisory_lock(:namespace, :subject)"), names):
+            raise AlreadyRunningError(connection.scalar(text(HOLDER_SQL), names) or "just ended")
+        yield
+    finally:
+        connection.invalidate()  # the session ends with the lock, and its name never gets back into the pool
+        connection.close()
+
+
+HOLDER_SQL = """
+SELECT activity.application_name
+FROM pg_locks AS locks JOIN pg_stat_activity AS activity USING (pid)
+WHERE locks.locktype = 'advisory' AND locks.granted AND locks.objsubid = 2
+  AND locks.classid = CAST(:namespace AS bigint) AND locks.objid = CAST(:subject AS bigint)
+  AND locks.database = (SELECT oid FROM pg_database WHERE datname = current_database())
+"""
+
+
+def _locked(handle: int) -> bool:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True

@@ -1,0 +1,74 @@
+"""Alerts and the feed of what happened to them."""
+
+from __future__ import annotations
+
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
+from sqlalchemy.orm import Mapped, mapped_column
+
+from estimation.alerts import AlertEventKind, AlertKind, Condition, Severity
+from fleet_db.models.base import Base, Count, Json, Name, Nanoseconds, Real, Serial, one_of
+
+OPEN = text("closed_ns IS NULL")
+
+
+class AlertRow(Base):
+    """One alert. The partial unique index is what keeps a second open one of its kind out."""
+
+    __tablename__ = "alerts"
+    __table_args__ = (
+        one_of("kind", AlertKind),
+        one_of("severity", Severity),
+        one_of("condition", Condition),
+        CheckConstraint("version > 0", name="version_positive"),
+        CheckConstraint("occurrence_count > 0", name="occurrences_counted"),
+        Index(
+            "uq_alerts_one_open",
+            "fleet",
+            "wheelset",
+            "kind",
+            unique=True,
+            sqlite_where=OPEN,
+            postgresql_where=OPEN,
+        ),
+        Index(None, "wheelset"),
+        {"sqlite_autoincrement": True},
+    )
+
+    alert_id: Mapped[Serial]
+    fleet: Mapped[str] = mapped_column(ForeignKey("fleets.code"))
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"))
+    kind: Mapped[str] = mapped_column(String(32))
+    severity: Mapped[str] = mapped_column(String(16))
+    condition: Mapped[str] = mapped_column(String(16))
+    opened_ns: Mapped[Nanoseconds]
+    last_seen_ns: Mapped[Nanoseconds]
+    occurrence_count: Mapped[Count]
+    probability: Mapped[Real | None]
+    evidence: Mapped[Json]
+    action: Mapped[Name]
+    raise_limit: Mapped[Real | None]
+    clear_limit: Mapped[Real | None]
+    cleared_ns: Mapped[Nanoseconds | None]
+    closed_ns: Mapped[Nanoseconds | None]
+    close_reason: Mapped[Name | None]
+    acknowledged_by: Mapped[Name | None]
+    acknowledged_ns: Mapped[Nanoseconds | None]
+    shelved_until_ns: Mapped[Nanoseconds | None]
+    shelved_reason: Mapped[Name | None]
+    external_refs: Mapped[Json]
+    version: Mapped[int]
+
+
+class AlertEventRow(Base):
+    """One line of the feed, with the alert as it was right after. ``sequence`` grows in commit order."""
+
+    __tablename__ = "alert_events"
+    __table_args__ = (one_of("kind", AlertEventKind), {"sqlite_autoincrement": True})
+
+    sequence: Mapped[Serial]
+    alert_id: Mapped[Count] = mapped_column(ForeignKey("alerts.alert_id"), index=True)
+    kind: Mapped[str] = mapped_column(String(16))
+    alert: Mapped[Json]
+    recorded_ns: Mapped[Nanoseconds]
+    actor: Mapped[Name]
+    note: Mapped[Name]

@@ -1,0 +1,51 @@
+"""Geometry estimates: append-only, with provenance."""
+
+from __future__ import annotations
+
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String
+from sqlalchemy.orm import Mapped, mapped_column
+
+from estimation.types import Status
+from fleet_db.models.base import Base, Count, Digest, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
+
+
+class GeometryRow(Base):
+    """One estimate; never changed. ``packed`` holds the whole value, bit for bit; the columns beside it are for SQL.
+
+    ``baseline_interval`` is null for the current geometry of a baseline.
+    """
+
+    __tablename__ = "geometry_estimates"
+    __table_args__ = (
+        one_of("status", Status),
+        CheckConstraint("baseline >= 0", name="baseline_counted"),
+        Index(None, "wheelset", "baseline", "baseline_interval", "recorded_ns"),
+        {"sqlite_autoincrement": True},
+    )
+
+    geometry_id: Mapped[Serial]
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"))
+    baseline: Mapped[int]
+    baseline_interval: Mapped[int | None]
+    mileage_km: Mapped[Real | None]
+    from_ns: Mapped[Nanoseconds]
+    to_ns: Mapped[Nanoseconds]
+    input_digest: Mapped[Digest]
+    track_versions: Mapped[Json]
+    parameters: Mapped[Json]
+    code_version: Mapped[Name]
+    recorded_ns: Mapped[Nanoseconds]
+    status: Mapped[str] = mapped_column(String(16))
+    reason: Mapped[Name]
+    windows: Mapped[Count]
+    parameter_key: Mapped[str] = mapped_column(String(128))
+    headline_amplitude_m: Mapped[Real | None]
+    equivalent_conicity: Mapped[Real | None]
+    equivalent_conicity_std: Mapped[Real | None]
+    equivalent_conicity_low: Mapped[Real | None]
+    equivalent_conicity_high: Mapped[Real | None]
+    nonlinearity_per_mm: Mapped[Real | None]
+    nonlinearity_std_per_mm: Mapped[Real | None]
+    zero_crossing_m: Mapped[Real | None]
+    zero_crossing_std_m: Mapped[Real | None]
+    packed: Mapped[Packed]

@@ -1,0 +1,41 @@
+"""Trends: append-only."""
+
+from __future__ import annotations
+
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String
+from sqlalchemy.orm import Mapped, mapped_column
+
+from estimation.types import Status
+from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Packed, Real, Serial, one_of
+
+
+class TrendRow(Base):
+    """One trend as refreshed once; never changed. ``packed`` holds the whole value with its points."""
+
+    __tablename__ = "trends"
+    __table_args__ = (
+        one_of("status", Status),
+        CheckConstraint("baseline >= 0", name="baseline_counted"),
+        Index(None, "wheelset", "recorded_ns"),
+        {"sqlite_autoincrement": True},
+    )
+
+    trend_id: Mapped[Serial]
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"))
+    baseline: Mapped[int]
+    quantity: Mapped[str] = mapped_column(String(64))
+    input_digest: Mapped[Digest]
+    code_version: Mapped[Name]
+    recorded_ns: Mapped[Nanoseconds]
+    status: Mapped[str] = mapped_column(String(16))
+    reason: Mapped[Name]
+    points: Mapped[Count]
+    current: Mapped[Real | None]
+    current_std: Mapped[Real | None]
+    limit_value: Mapped[Real | None]
+    slope_per_1000_km: Mapped[Real | None]
+    slope_std_per_1000_km: Mapped[Real | None]
+    distance_to_limit_p50_km: Mapped[Real | None]
+    date_of_limit_p50_ns: Mapped[Nanoseconds | None]
+    probability_over_limit: Mapped[Real | None]
+    packed: Mapped[Packed]

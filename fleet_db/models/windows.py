@@ -1,0 +1,44 @@
+"""Windows: their quality, their state, and where their samples are."""
+
+from __future__ import annotations
+
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
+from sqlalchemy.orm import Mapped, mapped_column
+
+from estimation.ports import WindowState
+from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Real, one_of
+
+PENDING = text("state = 'pending'")
+
+
+class WindowRow(Base):
+    """One window. A quality number that is not known is null; the samples are in the file of ``content_digest``."""
+
+    __tablename__ = "windows"
+    __table_args__ = (
+        one_of("state", WindowState),
+        CheckConstraint("length_ns > 0", name="length_positive"),
+        Index("ix_windows_pending", "wheelset", "start_ns", sqlite_where=PENDING, postgresql_where=PENDING),
+    )
+
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
+    start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    length_ns: Mapped[Nanoseconds]
+    vehicle: Mapped[str] = mapped_column(ForeignKey("vehicles.code"))
+    axle: Mapped[int]
+    track_section: Mapped[str | None] = mapped_column(ForeignKey("track_sections.code"))
+    mileage_km: Mapped[Real]
+    coverage: Mapped[Real | None]
+    longest_gap_s: Mapped[Real | None]
+    gaps: Mapped[Count]
+    clipped: Mapped[Real | None]
+    invalid: Mapped[Real | None]
+    speed_min_m_s: Mapped[Real | None]
+    speed_max_m_s: Mapped[Real | None]
+    position_quality: Mapped[Real | None]
+    sensor_fault: Mapped[bool]
+    state: Mapped[str] = mapped_column(String(16))
+    reason: Mapped[Name]
+    content_digest: Mapped[Digest]
+    sample_bytes: Mapped[Count]
+    recorded_ns: Mapped[Nanoseconds]

@@ -1,0 +1,82 @@
+"""Raw recordings, addressed by their content: on the disk before anybody is told that they are stored."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from estimation.errors import InputError, ParameterError
+from fleet_db.atomic_files import sync_directory, write_atomically
+
+
+@dataclass(frozen=True, slots=True)
+class RawStore:
+    """Recordings under one directory."""
+
+    directory: Path
+
+    def path(self, digest: str, suffix: str) -> Path:
+        """Return where the recording of this digest is.
+
+        Raises
+        ------
+        ParameterError
+            ``digest`` is no sha256 in hexadecimal, or ``suffix`` no plain ending.
+        """
+        if len(digest) != hashlib.sha256().digest_size * 2 or set(digest) - set("0123456789abcdef"):
+            raise ParameterError(f"{digest!r} is no sha256", field="digest")
+        if not (suffix.startswith(".") and suffix[1:].isalnum()):
+            raise ParameterError(f"{suffix!r} is no plain file ending", field="suffix")
+        return self.directory / digest[:2] / f"{digest}{suffix}"
+
+    def put_bytes(self, data: bytes, suffix: str) -> str:
+        """Store ``data`` durably; return its digest. The same bytes again change nothing."""
+        digest = hashlib.sha256(data).hexdigest()
+        path = self.path(digest, suffix)
+        if not _whole(path, len(data)):
+            write_atomically(path, data, durable=True)
+        return digest
+
+    def put_file(self, source: Path) -> str:
+        """Store the file ``source`` durably without holding it in memory; return its digest.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read; names it.
+        """
+        self.directory.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=".incoming-", dir=self.directory)
+        copy = Path(name)
+        try:
+            with os.fdopen(handle, "w+b") as target:
+                try:
+                    with source.open("rb") as stream:
+                        shutil.copyfileobj(stream, target, 1 << 20)
+                except OSError as error:
+                    raise InputError(f"cannot be read ({error.strerror})", file=source) from error
+                target.flush()
+                os.fsync(target.fileno())
+                target.seek(0)
+                digest = hashlib.file_digest(target, "sha256").hexdigest()
+                size = target.seek(0, os.SEEK_END)
+            self._move(copy, self.path(digest, source.suffix.lower()), size)
+        finally:
+            copy.unlink(missing_ok=True)
+        return digest
+
+    def _move(self, copy: Path, path: Path, size: int) -> None:
+        if _whole(path, size):
+            return
+        path.parent.mkdir(parents=True, exist_ok=True)
+        copy.replace(path)
+        sync_directory(path.parent)
+        sync_directory(self.directory)
+
+
+def _whole(path: Path, size: int) -> bool:
+    return path.is_file() and path.stat().st_size == size

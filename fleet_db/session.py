@@ -1,0 +1,97 @@
+"""Engines from a URL: SQLite as one careful writer, PostgreSQL through psycopg 3.
+
+SQLite: the driver's own transaction handling is off, every transaction begins explicitly, and a transaction that will
+write begins IMMEDIATE, so that two writers wait for each other instead of failing half-way.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy
+from sqlalchemy import URL, Connection, Engine, event
+from sqlalchemy.exc import ArgumentError
+from sqlalchemy.pool import ConnectionPoolEntry
+
+from estimation.errors import ParameterError
+
+BUSY_TIMEOUT_MS = 30_000
+BEGIN_OPTION = "sqlite_begin"
+IMMEDIATE = {BEGIN_OPTION: "BEGIN IMMEDIATE"}
+POSTGRESQL = ("postgresql", "postgresql+psycopg")
+SQLITE = ("sqlite", "sqlite+pysqlite")
+
+to_json = partial(json.dumps, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+
+
+def database_engine(url: str) -> Engine:
+    """Return an engine; nothing is connected yet.
+
+    Parameters
+    ----------
+    url
+        ``sqlite:////absolute/path/treadwatch.sqlite3`` or ``postgresql://user@host/database``.
+
+    Raises
+    ------
+    ParameterError
+        Another database, no valid URL, a relative path or ``:memory:``.
+    """
+    try:
+        parsed = sqlalchemy.make_url(url)
+    except ArgumentError as error:
+        raise ParameterError("is no database URL", field="database_url") from error
+    if parsed.drivername in SQLITE:
+        return _sqlite_engine(parsed)
+    if parsed.drivername in POSTGRESQL:
+        return _postgresql_engine(parsed)
+    raise ParameterError(f"names {parsed.drivername!r}; known are sqlite and postgresql", field="database_url")
+
+
+def sqlite_file(engine: Engine) -> Path | None:
+    """Return the database file of an SQLite engine, None on PostgreSQL."""
+    return Path(str(engine.url.database)) if engine.dialect.name == "sqlite" else None
+
+
+def _sqlite_engine(url: URL) -> Engine:
+    name = url.database or ""
+    if not Path(name).is_absolute():
+        raise ParameterError(
+            f"names the SQLite file {name or ':memory:'!r}; an absolute path is needed (sqlite:////...)",
+            field="database_url",
+        )
+    engine = sqlalchemy.create_engine(
+        url.set(drivername="sqlite+pysqlite", query={}),
+        connect_args={"timeout": BUSY_TIMEOUT_MS / 1000},
+        json_serializer=to_json,
+    )
+    event.listen(engine, "connect", _prepare_sqlite)
+    event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _prepare_sqlite(connection: Any, _entry: ConnectionPoolEntry) -> None:  # noqa: ANN401 - the driver's own type
+    connection.isolation_level = None
+    cursor = connection.cursor()
+    cursor.execute(f"PRAGMA busy_timeout = {BUSY_TIMEOUT_MS}")
+    cursor.execute("PRAGMA journal_mode = WAL")
+    cursor.execute("PRAGMA synchronous = FULL")
+    cursor.execute("PRAGMA foreign_keys = ON")
+    cursor.close()
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    connection.exec_driver_sql(connection.get_execution_options().get(BEGIN_OPTION, "BEGIN"))
+
+
+def _postgresql_engine(url: URL) -> Engine:
+    return sqlalchemy.create_engine(
+        url.set(drivername="postgresql+psycopg"),
+        pool_pre_ping=True,
+        pool_size=10,
+        connect_args={"connect_timeout": 10},
+        json_serializer=to_json,
+    )

@@ -1,0 +1,193 @@
+"""Alerts and their feed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from sqlalchemy import Connection, Select, insert, select, update
+
+from estimation.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, Condition, Severity
+from estimation.errors import ConflictError, NotFoundError
+from fleet_db.locks import Subject, serialise
+from fleet_db.models import AlertEventRow, AlertRow
+from fleet_db.rows import table_of
+from fleet_db.session import to_json
+
+ALERTS, EVENTS = table_of(AlertRow), table_of(AlertEventRow)
+
+
+@dataclass(frozen=True, slots=True)
+class AlertStore:
+    """Implements ``estimation.ports.Alerts``.
+
+    In a transaction that writes, whoever reads an alert first holds the lock of the alerts until the end: what was
+    read is still true when it is saved, and events are numbered in the order in which they become visible.
+    """
+
+    connection: Connection
+    writing: bool
+
+    def open(self, wheelset: str, kind: AlertKind) -> Alert | None:
+        """Return the open alert of a kind, if there is one."""
+        found = self._alerts(_open().where(ALERTS.c.wheelset == wheelset, ALERTS.c.kind == kind.value))
+        return found[0] if found else None
+
+    def all_open(self, wheelset: str | None = None) -> Sequence[Alert]:
+        """Return open alerts by number, of one wheelset or of all."""
+        statement = _open() if wheelset is None else _open().where(ALERTS.c.wheelset == wheelset)
+        return self._alerts(statement.order_by(ALERTS.c.alert_id))
+
+    def get(self, alert_id: int) -> Alert:
+        """Return one alert.
+
+        Raises
+        ------
+        NotFoundError
+            There is none of that number.
+        """
+        found = self._alerts(select(ALERTS).where(ALERTS.c.alert_id == alert_id))
+        if not found:
+            raise NotFoundError("alert", str(alert_id))
+        return found[0]
+
+    def page(
+        self,
+        *,
+        fleet: str | None,
+        wheelset: str | None,
+        kind: AlertKind | None,
+        condition: Condition | None,
+        open_only: bool,
+        after_id: int | None,
+        limit: int,
+    ) -> Sequence[Alert]:
+        """Return at most ``limit`` alerts with a number behind ``after_id`` that match every filter given."""
+        statement = _open() if open_only else select(ALERTS)
+        wanted = {"fleet": fleet, "wheelset": wheelset, "kind": kind, "condition": condition}
+        for name, value in wanted.items():
+            if value is not None:
+                statement = statement.where(ALERTS.c[name] == str(value))
+        if after_id is not None:
+            statement = statement.where(ALERTS.c.alert_id > after_id)
+        return self._alerts(statement.order_by(ALERTS.c.alert_id).limit(limit))
+
+    def feed(self, after_sequence: int, limit: int) -> Sequence[AlertEvent]:
+        """Return at most ``limit`` events behind ``after_sequence``, in commit order; none ever appears before it."""
+        return self._events(select(EVENTS).where(EVENTS.c.sequence > after_sequence).limit(limit))
+
+    def events(self, alert_id: int) -> Sequence[AlertEvent]:
+        """Return what happened to one alert, oldest first."""
+        return self._events(select(EVENTS).where(EVENTS.c.alert_id == alert_id))
+
+    def save(
+        self,
+        alert: Alert,
+        events: Sequence[AlertEventKind],
+        recorded_ns: int,
+        actor: str = "treadwatch",
+        note: str = "",
+    ) -> Alert:
+        """Store an alert with its events and return it as stored.
+
+        A new alert (``alert_id`` 0) gets its number and version 1. A known one must carry the version that it was
+        read with, and gets the next; one that is as stored already, without events, is left alone.
+
+        Raises
+        ------
+        NotFoundError
+            There is no alert of that number.
+        ConflictError
+            It was changed since it was read, or another of its kind is open.
+        """
+        serialise(self.connection, Subject.ALERTS)
+        self._only_open(alert)
+        alert = replace(alert, evidence=json.loads(to_json(dict(alert.evidence))))
+        saved = self._insert(alert) if alert.alert_id == 0 else self._update(alert, changed=bool(events))
+        rows = [
+            {
+                "alert_id": saved.alert_id,
+                "kind": kind.value,
+                "alert": _fields(saved),
+                "recorded_ns": recorded_ns,
+                "actor": actor,
+                "note": note,
+            }
+            for kind in events
+        ]
+        for row in rows:
+            self.connection.execute(insert(EVENTS).values(**row))
+        return saved
+
+    def _insert(self, alert: Alert) -> Alert:
+        values = _fields(replace(alert, version=1))
+        del values["alert_id"]
+        statement = insert(ALERTS).values(**values).returning(ALERTS.c.alert_id)
+        return replace(alert, alert_id=self.connection.execute(statement).scalar_one(), version=1)
+
+    def _update(self, alert: Alert, *, changed: bool) -> Alert:
+        stored = self.get(alert.alert_id)
+        if stored.version != alert.version:
+            raise ConflictError(
+                f"alert {alert.alert_id} is at version {stored.version}, not {alert.version}",
+                kind="alert",
+                key=str(alert.alert_id),
+            )
+        if stored == alert and not changed:
+            return stored
+        saved = replace(alert, version=alert.version + 1)
+        self.connection.execute(update(ALERTS).where(ALERTS.c.alert_id == alert.alert_id).values(**_fields(saved)))
+        return saved
+
+    def _only_open(self, alert: Alert) -> None:
+        if alert.closed_ns is not None:
+            return
+        statement = select(ALERTS.c.alert_id).where(
+            ALERTS.c.closed_ns.is_(None),
+            ALERTS.c.fleet == alert.fleet,
+            ALERTS.c.wheelset == alert.wheelset,
+            ALERTS.c.kind == alert.kind.value,
+            ALERTS.c.alert_id != alert.alert_id,
+        )
+        other = self.connection.scalar(statement)
+        if other is not None:
+            raise ConflictError(
+                f"alert {other} of kind {alert.kind.value} is already open for wheelset {alert.wheelset!r}",
+                kind="alert",
+                key=str(other),
+            )
+
+    def _alerts(self, statement: Select[Any]) -> Sequence[Alert]:
+        if self.writing:
+            serialise(self.connection, Subject.ALERTS)
+        return [_alert(row) for row in self.connection.execute(statement).mappings()]
+
+    def _events(self, statement: Select[Any]) -> Sequence[AlertEvent]:
+        rows = self.connection.execute(statement.order_by(EVENTS.c.sequence))
+        return [
+            AlertEvent(row.sequence, AlertEventKind(row.kind), _alert(row.alert), row.recorded_ns, row.actor, row.note)
+            for row in rows
+        ]
+
+
+def _open() -> Select[Any]:
+    return select(ALERTS).where(ALERTS.c.closed_ns.is_(None))
+
+
+def _fields(alert: Alert) -> dict[str, Any]:
+    enumerations = {name: getattr(alert, name).value for name in ("kind", "severity", "condition")}
+    return asdict(alert) | enumerations | {"external_refs": list(alert.external_refs)}
+
+
+def _alert(fields: Any) -> Alert:  # noqa: ANN401 - a row or the JSON of an event, both with the fields of an alert
+    return Alert(
+        **{
+            **fields,
+            "kind": AlertKind(fields["kind"]),
+            "severity": Severity(fields["severity"]),
+            "condition": Condition(fields["condition"]),
+            "external_refs": tuple(fields["external_refs"]),
+        }
+    )

@@ -1,0 +1,81 @@
+"""One packed bin table per window."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, and_, select
+
+from estimation.errors import ConflictError, NotFoundError
+from estimation.ports import WindowRecord
+from estimation.types import BinTable
+from fleet_db.changes import Changes
+from fleet_db.models import WindowBinTableRow, WindowRow
+from fleet_db.packed.bin_table import pack_bin_table, unpack_bin_table
+from fleet_db.rows import table_of, upsert
+from fleet_db.stores.windows import to_window_record
+
+WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
+BATCH = 500  # rows fetched at once
+
+
+@dataclass(frozen=True, slots=True)
+class BinTableStore:
+    """Implements ``estimation.ports.BinTables``."""
+
+    connection: Connection
+    changes: Changes
+
+    def put(self, wheelset: str, start_ns: int, table: BinTable, track_version: int | None, window_digest: str) -> None:
+        """Store the bin table of a window, in the place of an earlier one; the same again changes nothing.
+
+        Raises
+        ------
+        NotFoundError
+            There is no such window.
+        ConflictError
+            The window holds other content now than ``window_digest``.
+        """
+        now = self.connection.scalar(
+            select(WINDOWS.c.content_digest).where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
+        )
+        key = f"{wheelset}@{start_ns}"
+        if now is None:
+            raise NotFoundError("window", key)
+        if now != window_digest:
+            raise ConflictError(f"window {key} was replaced while it was estimated", kind="window", key=key)
+        values = {
+            "wheelset": wheelset,
+            "start_ns": start_ns,
+            "track_version": track_version,
+            "window_digest": window_digest,
+            "parameter_key": table.parameter_key,
+            "samples": int(table.samples),
+            "packed": pack_bin_table(table),
+        }
+        if upsert(self.connection, TABLES, values):
+            self.changes.note(wheelset)
+
+    def stream(
+        self, wheelset: str, from_ns: int, to_ns: int | None
+    ) -> Iterator[tuple[WindowRecord, BinTable, int | None]]:
+        """Yield windows that start in ``[from_ns, to_ns)`` with their bin table and track version, oldest first.
+
+        Raises
+        ------
+        StorageError
+            A table is damaged; names the window.
+        """
+        same = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
+        statement = (
+            select(WINDOWS, TABLES.c.track_version, TABLES.c.packed)
+            .join_from(WINDOWS, TABLES, same)
+            .where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns >= from_ns)
+            .order_by(WINDOWS.c.start_ns)
+        )
+        if to_ns is not None:
+            statement = statement.where(WINDOWS.c.start_ns < to_ns)
+        for row in self.connection.execute(statement.execution_options(yield_per=BATCH)):
+            where = f"bin table of window {wheelset}@{row.start_ns}"
+            yield to_window_record(row), unpack_bin_table(row.packed, where=where), row.track_version

@@ -1,0 +1,70 @@
+"""Receipts of recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+from sqlalchemy import Connection, Row, select, update
+
+from estimation.errors import NotFoundError
+from estimation.ports import ChunkRecord
+from fleet_db.models import ChunkRow
+from fleet_db.rows import insert_new, table_of
+
+CHUNKS = table_of(ChunkRow)
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkStore:
+    """Implements ``estimation.ports.Chunks``."""
+
+    connection: Connection
+
+    def get(self, digest: str) -> ChunkRecord | None:
+        """Return the receipt of the recording with this digest."""
+        row = self.connection.execute(select(CHUNKS).where(CHUNKS.c.digest == digest)).first()
+        return None if row is None else _record(row)
+
+    def put(self, record: ChunkRecord) -> bool:
+        """Store a receipt; False, and nothing changed, if there is one of that digest."""
+        return insert_new(self.connection, CHUNKS, _values(record))
+
+    def update(self, record: ChunkRecord) -> None:
+        """Replace the receipt of ``record.digest``.
+
+        Raises
+        ------
+        NotFoundError
+            There is none.
+        """
+        result = self.connection.execute(
+            update(CHUNKS).where(CHUNKS.c.digest == record.digest).values(**_values(record))
+        )
+        if result.rowcount == 0:
+            raise NotFoundError("chunk", record.digest)
+
+    def overlapping(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[ChunkRecord]:
+        """Return decoded recordings with frames in ``[from_ns, to_ns)``, by their first frame."""
+        statement = (
+            select(CHUNKS)
+            .where(CHUNKS.c.vehicle == vehicle, CHUNKS.c.first_ns < to_ns, CHUNKS.c.last_ns >= from_ns)
+            .where(CHUNKS.c.state == "decoded")
+            .order_by(CHUNKS.c.first_ns, CHUNKS.c.digest)
+        )
+        return [_record(row) for row in self.connection.execute(statement)]
+
+    def with_state(self, state: str, limit: int = 100) -> Sequence[ChunkRecord]:
+        """Return receipts in ``state``, oldest first."""
+        statement = (
+            select(CHUNKS).where(CHUNKS.c.state == state).order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest).limit(limit)
+        )
+        return [_record(row) for row in self.connection.execute(statement)]
+
+
+def _values(record: ChunkRecord) -> dict[str, object]:
+    return asdict(record) | {"counts": dict(record.counts)}
+
+
+def _record(row: Row[tuple[object, ...]]) -> ChunkRecord:
+    return ChunkRecord(**row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor

@@ -1,0 +1,166 @@
+"""Geometry estimates, append-only."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, Row, and_, func, insert, select, update
+
+from estimation.ports import GeometryRecord
+from fleet_db.changes import CHANGES, Changes
+from fleet_db.locks import Subject, serialise
+from fleet_db.models import GeometryRow
+from fleet_db.packed.geometry import pack_geometry, unpack_geometry
+from fleet_db.rows import nan_if_null, null_if_nan, table_of
+from fleet_db.session import to_json
+from fleet_db.stores.wheelset_bins import replace_bins
+
+GEOMETRIES = table_of(GeometryRow)
+NEWEST_FIRST = (GEOMETRIES.c.recorded_ns.desc(), GEOMETRIES.c.geometry_id.desc())
+
+
+@dataclass(frozen=True, slots=True)
+class GeometryStore:
+    """Implements ``estimation.ports.Geometries``."""
+
+    connection: Connection
+    changes: Changes
+
+    def put(self, record: GeometryRecord) -> bool:
+        """Append an estimate; False if the newest of its key has the same inputs, parameters and code version.
+
+        A current geometry also says that its wheelset is no longer stale, whether it was appended or not. Records of
+        one key are in the order of their recorded time: a clock that went back does not put a new one before an old.
+        """
+        serialise(self.connection, Subject.GEOMETRIES)
+        if record.interval is None:
+            self._not_stale(record.wheelset)
+        newest = self.connection.execute(
+            select(GEOMETRIES).where(_key(record)).order_by(*NEWEST_FIRST).limit(1)
+        ).first()
+        values = _values(record)
+        if newest is not None:
+            if all(getattr(newest, name) == values[name] for name in ("input_digest", "parameters", "code_version")):
+                return False
+            values["recorded_ns"] = max(record.recorded_ns, newest.recorded_ns)
+        statement = insert(GEOMETRIES).values(**values).returning(GEOMETRIES.c.geometry_id)
+        geometry_id = self.connection.execute(statement).scalar_one()
+        if record.interval is None and self._newest_baseline(record.wheelset) == record.baseline:
+            replace_bins(self.connection, record.wheelset, geometry_id, record.geometry)
+        return True
+
+    def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:
+        """Return the current geometry of the newest baseline, as it was recorded at ``as_of_ns``."""
+        statement = (
+            select(GEOMETRIES)
+            .where(GEOMETRIES.c.wheelset == wheelset, GEOMETRIES.c.baseline_interval.is_(None), _until(as_of_ns))
+            .order_by(GEOMETRIES.c.baseline.desc(), *NEWEST_FIRST)
+            .limit(1)
+        )
+        row = self.connection.execute(statement).first()
+        return None if row is None else _record(row)
+
+    def intervals(
+        self, wheelset: str, baseline: int | None = None, as_of_ns: int | None = None
+    ) -> Sequence[GeometryRecord]:
+        """Return the newest geometry of each mileage interval, of one baseline or of all, in the order of mileage."""
+        key = (GEOMETRIES.c.baseline, GEOMETRIES.c.baseline_interval)
+        place = func.row_number().over(partition_by=key, order_by=NEWEST_FIRST).label("place")
+        wanted = (
+            select(GEOMETRIES.c.geometry_id, place)
+            .where(GEOMETRIES.c.wheelset == wheelset, GEOMETRIES.c.baseline_interval.is_not(None), _until(as_of_ns))
+            .subquery()
+        )
+        statement = (
+            select(GEOMETRIES)
+            .join(wanted, wanted.c.geometry_id == GEOMETRIES.c.geometry_id)
+            .where(wanted.c.place == 1)
+            .order_by(*key)
+        )
+        if baseline is not None:
+            statement = statement.where(GEOMETRIES.c.baseline == baseline)
+        return [_record(row) for row in self.connection.execute(statement)]
+
+    def stale(self, limit: int) -> Sequence[str]:
+        """Return serials whose windows, bin tables, mountings or reprofilings changed since their current geometry."""
+        self.changes.flush()
+        statement = select(CHANGES.c.wheelset).where(CHANGES.c.change > CHANGES.c.geometry_change)
+        return list(self.connection.scalars(statement.order_by(CHANGES.c.wheelset).limit(limit)))
+
+    def _not_stale(self, wheelset: str) -> None:
+        self.changes.flush()
+        self.connection.execute(
+            update(CHANGES).where(CHANGES.c.wheelset == wheelset).values(geometry_change=CHANGES.c.change)
+        )
+
+    def _newest_baseline(self, wheelset: str) -> int | None:
+        newest: int | None = self.connection.scalar(
+            select(func.max(GEOMETRIES.c.baseline)).where(
+                GEOMETRIES.c.wheelset == wheelset, GEOMETRIES.c.baseline_interval.is_(None)
+            )
+        )
+        return newest
+
+
+def _key(record: GeometryRecord) -> ColumnElement[bool]:
+    interval = GEOMETRIES.c.baseline_interval
+    return and_(
+        GEOMETRIES.c.wheelset == record.wheelset,
+        GEOMETRIES.c.baseline == record.baseline,
+        interval.is_(None) if record.interval is None else interval == record.interval,
+    )
+
+
+def _until(as_of_ns: int | None) -> ColumnElement[bool]:
+    return GEOMETRIES.c.recorded_ns <= (2**63 - 1 if as_of_ns is None else as_of_ns)
+
+
+def _values(record: GeometryRecord) -> dict[str, Any]:
+    geometry = record.geometry
+    return {
+        "wheelset": record.wheelset,
+        "baseline": record.baseline,
+        "baseline_interval": record.interval,
+        "mileage_km": null_if_nan(record.mileage_km),
+        "from_ns": record.from_ns,
+        "to_ns": record.to_ns,
+        "input_digest": record.input_digest,
+        "track_versions": dict(record.track_versions),
+        "parameters": json.loads(to_json(dict(record.parameters))),
+        "code_version": record.code_version,
+        "recorded_ns": record.recorded_ns,
+        "status": str(geometry.status),
+        "reason": geometry.reason,
+        "windows": geometry.windows,
+        "parameter_key": geometry.parameter_key,
+        "headline_amplitude_m": null_if_nan(geometry.headline_amplitude),
+        "equivalent_conicity": null_if_nan(geometry.equivalent_conicity.value),
+        "equivalent_conicity_std": null_if_nan(geometry.equivalent_conicity.std),
+        "equivalent_conicity_low": null_if_nan(geometry.equivalent_conicity.low),
+        "equivalent_conicity_high": null_if_nan(geometry.equivalent_conicity.high),
+        "nonlinearity_per_mm": null_if_nan(geometry.nonlinearity.value),
+        "nonlinearity_std_per_mm": null_if_nan(geometry.nonlinearity.std),
+        "zero_crossing_m": null_if_nan(geometry.zero_crossing.value),
+        "zero_crossing_std_m": null_if_nan(geometry.zero_crossing.std),
+        "packed": pack_geometry(geometry),
+    }
+
+
+def _record(row: Row[Any]) -> GeometryRecord:
+    return GeometryRecord(
+        wheelset=row.wheelset,
+        baseline=row.baseline,
+        interval=row.baseline_interval,
+        mileage_km=nan_if_null(row.mileage_km),
+        from_ns=row.from_ns,
+        to_ns=row.to_ns,
+        geometry=unpack_geometry(row.packed, where=f"geometry estimate {row.geometry_id}"),
+        input_digest=row.input_digest,
+        track_versions=row.track_versions,
+        parameters=row.parameters,
+        code_version=row.code_version,
+        recorded_ns=row.recorded_ns,
+    )

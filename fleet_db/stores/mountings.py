@@ -1,0 +1,79 @@
+"""Mountings: looked up by time, kept apart from each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from sqlalchemy import Connection, Row, and_, or_, select
+
+from estimation.errors import ConflictError, ParameterError
+from estimation.ports import Mounting
+from fleet_db.models import MountingRow
+from fleet_db.rows import table_of, upsert
+
+MOUNTINGS = table_of(MountingRow)
+
+
+def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
+    """Return the mounting at an axle that covers ``at_ns``."""
+    statement = select(MOUNTINGS).where(
+        MOUNTINGS.c.vehicle == vehicle,
+        MOUNTINGS.c.axle == axle,
+        MOUNTINGS.c.from_ns <= at_ns,
+        or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > at_ns),
+    )
+    row = connection.execute(statement).first()
+    return None if row is None else to_mounting(row)
+
+
+def mountings_of(connection: Connection, wheelset: str) -> Sequence[Mounting]:
+    """Return every mounting of a wheelset, oldest first."""
+    statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset == wheelset).order_by(MOUNTINGS.c.from_ns)
+    return [to_mounting(row) for row in connection.execute(statement)]
+
+
+def add_mounting(connection: Connection, record: Mounting, axles: int) -> bool:
+    """Store a mounting on a vehicle of so many axles; return whether anything changed.
+
+    Raises
+    ------
+    ParameterError
+        The vehicle has no such axle, or the mounting ends before it starts.
+    ConflictError
+        It overlaps another of the same wheelset or of the same axle.
+    """
+    if not 1 <= record.axle <= axles:
+        raise ParameterError(f"vehicle {record.vehicle!r} has axles 1 to {axles}, not {record.axle}", field="axle")
+    if record.to_ns is not None and record.to_ns <= record.from_ns:
+        raise ParameterError(f"ends at {record.to_ns}, not after its start at {record.from_ns}", field="to_ns")
+    other = _overlapping(connection, record)
+    if other is not None:
+        raise ConflictError(
+            f"wheelset {record.wheelset!r} at axle {record.axle} of {record.vehicle!r} from {record.from_ns}: "
+            f"overlaps wheelset {other.wheelset!r} at axle {other.axle} of {other.vehicle!r} from {other.from_ns}",
+            kind="mounting",
+            key=record.wheelset,
+        )
+    return upsert(connection, MOUNTINGS, asdict(record))
+
+
+def _overlapping(connection: Connection, record: Mounting) -> Mounting | None:
+    table = MOUNTINGS.c
+    same_key = and_(table.wheelset == record.wheelset, table.from_ns == record.from_ns)
+    same_axle = and_(table.vehicle == record.vehicle, table.axle == record.axle)
+    statement = select(MOUNTINGS).where(
+        ~same_key,
+        or_(table.wheelset == record.wheelset, same_axle),
+        or_(table.to_ns.is_(None), table.to_ns > record.from_ns),
+    )
+    if record.to_ns is not None:
+        statement = statement.where(table.from_ns < record.to_ns)
+    row = connection.execute(statement.order_by(table.from_ns)).first()
+    return None if row is None else to_mounting(row)
+
+
+def to_mounting(row: Row[Any]) -> Mounting:
+    """Return the value of a row."""
+    return Mounting(**row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor

@@ -1,0 +1,198 @@
+"""Fleets, vehicles, wheelsets: one store over the files of the registry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from sqlalchemy import Connection, Row, Select, select
+
+from estimation.errors import NotFoundError
+from estimation.ports import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from fleet_db.changes import Changes
+from fleet_db.locks import Subject, serialise
+from fleet_db.models import FleetRow, ReprofilingRow, VehicleRow, WheelsetRow
+from fleet_db.rows import table_of, upsert
+from fleet_db.stores.mountings import MOUNTINGS, add_mounting, mounting_at, mountings_of, to_mounting
+
+FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
+REPROFILINGS = table_of(ReprofilingRow)
+
+
+@dataclass(frozen=True, slots=True)
+class RegistryStore:
+    """Implements ``estimation.ports.Registry``."""
+
+    connection: Connection
+    changes: Changes
+
+    def fleets(self) -> Sequence[FleetRecord]:
+        """Return all fleets by code."""
+        return [FleetRecord(*row) for row in self.connection.execute(select(FLEETS).order_by(FLEETS.c.code))]
+
+    def vehicles(self, fleet: str | None = None) -> Sequence[VehicleRecord]:
+        """Return vehicles by code, of one fleet or of all."""
+        return self._vehicles(_in_fleet(select(VEHICLES), VEHICLES.c.fleet, fleet))
+
+    def vehicle(self, code: str) -> VehicleRecord:
+        """Return one vehicle.
+
+        Raises
+        ------
+        NotFoundError
+            There is none of that code.
+        """
+        found = self._vehicles(select(VEHICLES).where(VEHICLES.c.code == code))
+        if not found:
+            raise NotFoundError("vehicle", code)
+        return found[0]
+
+    def vehicles_page(self, fleet: str | None, after: str | None, limit: int) -> Sequence[VehicleRecord]:
+        """Return at most ``limit`` vehicles with a code behind ``after``."""
+        statement = _in_fleet(select(VEHICLES), VEHICLES.c.fleet, fleet)
+        if after is not None:
+            statement = statement.where(VEHICLES.c.code > after)
+        return self._vehicles(statement.limit(limit))
+
+    def wheelsets(self, fleet: str | None = None) -> Sequence[WheelsetRecord]:
+        """Return wheelsets by serial, of one fleet or of all."""
+        return self._wheelsets(_in_fleet(select(WHEELSETS), WHEELSETS.c.fleet, fleet))
+
+    def wheelset(self, serial: str) -> WheelsetRecord:
+        """Return one wheelset, with the mounting that lasts and its reprofilings.
+
+        Raises
+        ------
+        NotFoundError
+            There is none of that serial.
+        """
+        found = self._wheelsets(select(WHEELSETS).where(WHEELSETS.c.serial == serial))
+        if not found:
+            raise NotFoundError("wheelset", serial)
+        return found[0]
+
+    def wheelsets_page(
+        self, fleet: str | None, vehicle: str | None, after: str | None, limit: int
+    ) -> Sequence[WheelsetRecord]:
+        """Return at most ``limit`` wheelsets with a serial behind ``after``; ``vehicle``: those mounted on it now."""
+        statement = _in_fleet(select(WHEELSETS), WHEELSETS.c.fleet, fleet)
+        if vehicle is not None:
+            mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.to_ns.is_(None))
+            statement = statement.where(WHEELSETS.c.serial.in_(mounted))
+        if after is not None:
+            statement = statement.where(WHEELSETS.c.serial > after)
+        return self._wheelsets(statement.limit(limit))
+
+    def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
+        """Return which wheelset ran at an axle at a time of the vehicle's clock."""
+        return mounting_at(self.connection, vehicle, axle, at_ns)
+
+    def mountings(self, wheelset: str) -> Sequence[Mounting]:
+        """Return every mounting of a wheelset, oldest first."""
+        return mountings_of(self.connection, wheelset)
+
+    def add_fleet(self, record: FleetRecord) -> None:
+        """Add a fleet or change its name."""
+        serialise(self.connection, Subject.REGISTRY)
+        upsert(self.connection, FLEETS, asdict(record))
+
+    def add_vehicle(self, record: VehicleRecord) -> None:
+        """Add a vehicle or change it.
+
+        Raises
+        ------
+        NotFoundError
+            Its fleet is unknown.
+        """
+        serialise(self.connection, Subject.REGISTRY)
+        self._known_fleet(record.fleet)
+        upsert(self.connection, VEHICLES, asdict(record) | {"axle_offsets_m": list(record.axle_offsets_m)})
+
+    def add_wheelset(self, record: WheelsetRecord) -> None:
+        """Add a wheelset or change it; the mounting and the reprofilings that it carries are added too.
+
+        Raises
+        ------
+        NotFoundError
+            Its fleet, or the vehicle of its mounting, is unknown.
+        ConflictError
+            Its mounting overlaps another.
+        """
+        serialise(self.connection, Subject.REGISTRY)
+        self._known_fleet(record.fleet)
+        values = {name: getattr(record, name) for name in ("serial", "fleet", "wheel_profile", "nominal_radius_m")}
+        if upsert(self.connection, WHEELSETS, values):
+            self.changes.note(record.serial)
+        if record.mounting is not None:
+            self.add_mounting(record.mounting)
+        for reprofiling in record.reprofilings:
+            self.add_reprofiling(reprofiling)
+
+    def add_mounting(self, record: Mounting) -> None:
+        """Add a mounting, or change the one of the same wheelset and start (to end it, for one).
+
+        Raises
+        ------
+        NotFoundError
+            The wheelset or the vehicle is unknown.
+        ParameterError
+            The vehicle has no such axle, or the mounting ends before it starts.
+        ConflictError
+            The wheelset or the axle is in another mounting at that time.
+        """
+        serialise(self.connection, Subject.REGISTRY)
+        self._known_wheelset(record.wheelset)
+        if add_mounting(self.connection, record, self.vehicle(record.vehicle).axles):
+            self.changes.note(record.wheelset)
+
+    def add_reprofiling(self, record: Reprofiling) -> None:
+        """Add a visit to the lathe, or change the one of the same wheelset and time.
+
+        Raises
+        ------
+        NotFoundError
+            The wheelset is unknown.
+        """
+        serialise(self.connection, Subject.REGISTRY)
+        self._known_wheelset(record.wheelset)
+        if upsert(self.connection, REPROFILINGS, asdict(record)):
+            self.changes.note(record.wheelset)
+
+    def _vehicles(self, statement: Select[Any]) -> Sequence[VehicleRecord]:
+        rows = self.connection.execute(statement.order_by(VEHICLES.c.code)).mappings()
+        return [VehicleRecord(**(dict(row) | {"axle_offsets_m": tuple(row["axle_offsets_m"])})) for row in rows]
+
+    def _wheelsets(self, statement: Select[Any]) -> Sequence[WheelsetRecord]:
+        rows = self.connection.execute(statement.order_by(WHEELSETS.c.serial)).all()
+        serials = [row.serial for row in rows]
+        mounted = self._mounted(serials)
+        turned = self._reprofilings(serials)
+        return [_wheelset(row, mounted.get(row.serial), turned.get(row.serial, ())) for row in rows]
+
+    def _mounted(self, serials: Sequence[str]) -> dict[str, Mounting]:
+        statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset.in_(serials), MOUNTINGS.c.to_ns.is_(None))
+        return {row.wheelset: to_mounting(row) for row in self.connection.execute(statement)}
+
+    def _reprofilings(self, serials: Sequence[str]) -> dict[str, tuple[Reprofiling, ...]]:
+        statement = select(REPROFILINGS).where(REPROFILINGS.c.wheelset.in_(serials)).order_by(REPROFILINGS.c.at_ns)
+        found: dict[str, tuple[Reprofiling, ...]] = {}
+        for row in self.connection.execute(statement):
+            found[row.wheelset] = (*found.get(row.wheelset, ()), Reprofiling(*row))
+        return found
+
+    def _known_fleet(self, code: str) -> None:
+        if self.connection.scalar(select(FLEETS.c.code).where(FLEETS.c.code == code)) is None:
+            raise NotFoundError("fleet", code)
+
+    def _known_wheelset(self, serial: str) -> None:
+        if self.connection.scalar(select(WHEELSETS.c.serial).where(WHEELSETS.c.serial == serial)) is None:
+            raise NotFoundError("wheelset", serial)
+
+
+def _in_fleet(statement: Select[Any], column: Any, fleet: str | None) -> Select[Any]:  # noqa: ANN401 - any column
+    return statement if fleet is None else statement.where(column == fleet)
+
+
+def _wheelset(row: Row[Any], mounting: Mounting | None, reprofilings: tuple[Reprofiling, ...]) -> WheelsetRecord:
+    return WheelsetRecord(row.serial, row.fleet, row.wheel_profile, row.nominal_radius_m, mounting, reprofilings)

@@ -1,0 +1,78 @@
+"""Trends, append-only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, insert, select
+
+from estimation.ports import TrendRecord
+from fleet_db.locks import Subject, serialise
+from fleet_db.models import TrendRow
+from fleet_db.packed.trend import pack_trend, unpack_trend
+from fleet_db.rows import null_if_nan, table_of
+
+TRENDS = table_of(TrendRow)
+NEWEST_FIRST = (TRENDS.c.recorded_ns.desc(), TRENDS.c.trend_id.desc())
+
+
+@dataclass(frozen=True, slots=True)
+class TrendStore:
+    """Implements ``estimation.ports.Trends``."""
+
+    connection: Connection
+
+    def put(self, record: TrendRecord) -> bool:
+        """Append a trend; False if the newest of its wheelset, baseline and quantity has the same inputs and code."""
+        serialise(self.connection, Subject.GEOMETRIES)
+        newest = self.connection.execute(
+            select(TRENDS.c.input_digest, TRENDS.c.code_version, TRENDS.c.recorded_ns)
+            .where(TRENDS.c.wheelset == record.wheelset, TRENDS.c.baseline == record.baseline)
+            .where(TRENDS.c.quantity == record.trend.quantity)
+            .order_by(*NEWEST_FIRST)
+            .limit(1)
+        ).first()
+        values = _values(record)
+        if newest is not None:
+            if (newest.input_digest, newest.code_version) == (record.input_digest, record.code_version):
+                return False
+            values["recorded_ns"] = max(record.recorded_ns, newest.recorded_ns)
+        self.connection.execute(insert(TRENDS).values(**values))
+        return True
+
+    def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None:
+        """Return the newest trend of the newest baseline, as it was recorded at ``as_of_ns``."""
+        statement = select(TRENDS).where(TRENDS.c.wheelset == wheelset)
+        if as_of_ns is not None:
+            statement = statement.where(TRENDS.c.recorded_ns <= as_of_ns)
+        row = self.connection.execute(statement.order_by(TRENDS.c.baseline.desc(), *NEWEST_FIRST).limit(1)).first()
+        if row is None:
+            return None
+        trend = unpack_trend(row.packed, where=f"trend {row.trend_id}")
+        return TrendRecord(row.wheelset, row.baseline, trend, row.input_digest, row.code_version, row.recorded_ns)
+
+
+def _values(record: TrendRecord) -> dict[str, Any]:
+    trend = record.trend
+    date = null_if_nan(trend.date_of_limit_ns.p50)
+    return {
+        "wheelset": record.wheelset,
+        "baseline": record.baseline,
+        "quantity": trend.quantity,
+        "input_digest": record.input_digest,
+        "code_version": record.code_version,
+        "recorded_ns": record.recorded_ns,
+        "status": str(trend.status),
+        "reason": trend.reason,
+        "points": len(trend.value),
+        "current": null_if_nan(trend.current.value),
+        "current_std": null_if_nan(trend.current.std),
+        "limit_value": null_if_nan(trend.limit),
+        "slope_per_1000_km": null_if_nan(trend.slope_per_1000_km.value),
+        "slope_std_per_1000_km": null_if_nan(trend.slope_per_1000_km.std),
+        "distance_to_limit_p50_km": null_if_nan(trend.distance_to_limit_km.p50),
+        "date_of_limit_p50_ns": int(date) if date is not None and abs(date) < 2**63 else None,
+        "probability_over_limit": null_if_nan(trend.probability_over_limit),
+        "packed": pack_trend(trend),
+    }

@@ -1,0 +1,211 @@
+"""Windows and their state; their samples are in files."""
+
+from __future__ import annotations
+
+import builtins
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, Row, Select, and_, delete, func, select, update
+
+from estimation.errors import NotFoundError
+from estimation.ports import WindowRecord, WindowState
+from estimation.types import Window, WindowQuality
+from fleet_db.changes import Changes
+from fleet_db.models import WheelsetRow, WindowBinTableRow, WindowRow
+from fleet_db.rows import insert_new, key_is, nan_if_null, null_if_nan, table_of
+from fleet_db.telemetry import WindowFiles, window_digest
+
+WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
+REALS = (
+    "coverage",
+    "longest_gap_s",
+    "clipped",
+    "invalid",
+    "speed_min_m_s",
+    "speed_max_m_s",
+    "position_quality",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class WindowStore:
+    """Implements ``estimation.ports.Windows``."""
+
+    connection: Connection
+    changes: Changes
+    files: WindowFiles
+
+    def put(self, window: Window, mileage_km: float, recorded_ns: int) -> bool:
+        """Store a window as pending; return whether anything changed.
+
+        The same content again changes nothing (a lost sample file is made again). Other content replaces the window,
+        which is pending again, and removes its bin table. Another mileage alone keeps state and bin table.
+
+        Raises
+        ------
+        NotFoundError
+            The wheelset is unknown.
+        """
+        digest = window_digest(window)
+        found = self._stored(window.wheelset, window.start_ns)
+        if found.content_digest == digest:
+            if not self.files.has(digest, found.sample_bytes):
+                self.files.save(window, digest)
+            return self._set_mileage(window, found.mileage_km, mileage_km)
+        values = _values(window, mileage_km) | {
+            "content_digest": digest,
+            "sample_bytes": self.files.save(window, digest),
+            "recorded_ns": recorded_ns,
+        }
+        if found.content_digest is None:
+            # somebody else may have stored it since it was looked up
+            return insert_new(self.connection, WINDOWS, values) or self.put(window, mileage_km, recorded_ns)
+        self.connection.execute(update(WINDOWS).where(key_is(WINDOWS, values)).values(**values))
+        self._remove_table(window.wheelset, window.start_ns)
+        return True
+
+    def pending(self, limit: int) -> Sequence[WindowRecord]:
+        """Return windows that wait to be estimated, by wheelset and start."""
+        statement = select(WINDOWS).where(WINDOWS.c.state == WindowState.PENDING.value)
+        return self._records(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns).limit(limit))
+
+    def load(self, wheelset: str, start_ns: int) -> Window:
+        """Return a window with its samples.
+
+        Raises
+        ------
+        NotFoundError
+            There is no such window.
+        StorageError
+            Its file is missing or damaged; names the file.
+        """
+        digest = self.connection.scalar(
+            select(WINDOWS.c.content_digest).where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
+        )
+        if digest is None:
+            raise NotFoundError("window", f"{wheelset}@{start_ns}")
+        return self.files.load(digest)
+
+    def mark(self, wheelset: str, start_ns: int, state: WindowState, reason: str) -> None:
+        """Say where a window stands; one that is refused loses its bin table.
+
+        Raises
+        ------
+        NotFoundError
+            There is no such window.
+        """
+        where = and_(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
+        before = self.connection.execute(select(WINDOWS.c.state, WINDOWS.c.reason).where(where)).first()
+        if before is None:
+            raise NotFoundError("window", f"{wheelset}@{start_ns}")
+        if before == (state.value, reason):
+            return
+        self.connection.execute(update(WINDOWS).where(where).values(state=state.value, reason=reason))
+        if before.state != state.value:
+            self.changes.note(wheelset)
+        if state is WindowState.REFUSED:
+            self._remove_table(wheelset, start_ns)
+
+    def list(self, wheelset: str, from_ns: int | None = None, to_ns: int | None = None) -> Sequence[WindowRecord]:
+        """Return windows of a wheelset that start in ``[from_ns, to_ns)``, oldest first."""
+        statement = select(WINDOWS).where(WINDOWS.c.wheelset == wheelset)
+        if from_ns is not None:
+            statement = statement.where(WINDOWS.c.start_ns >= from_ns)
+        if to_ns is not None:
+            statement = statement.where(WINDOWS.c.start_ns < to_ns)
+        return self._records(statement.order_by(WINDOWS.c.start_ns))
+
+    def latest(self, wheelset: str) -> WindowRecord | None:
+        """Return the window of a wheelset that starts last."""
+        statement = select(WINDOWS).where(WINDOWS.c.wheelset == wheelset).order_by(WINDOWS.c.start_ns.desc()).limit(1)
+        found = self._records(statement)
+        return found[0] if found else None
+
+    def page(self, wheelset: str, after_start_ns: int | None, limit: int) -> Sequence[WindowRecord]:
+        """Return at most ``limit`` windows of a wheelset that start after ``after_start_ns``, oldest first."""
+        statement = select(WINDOWS).where(WINDOWS.c.wheelset == wheelset)
+        if after_start_ns is not None:
+            statement = statement.where(WINDOWS.c.start_ns > after_start_ns)
+        return self._records(statement.order_by(WINDOWS.c.start_ns).limit(limit))
+
+    def counts(self) -> Mapping[str, int]:
+        """Return how many windows are in each state."""
+        statement = select(WINDOWS.c.state, func.count()).group_by(WINDOWS.c.state)
+        found = {row[0]: int(row[1]) for row in self.connection.execute(statement)}
+        return {state.value: found.get(state.value, 0) for state in WindowState}
+
+    def _stored(self, wheelset: str, start_ns: int) -> Row[Any, Any, Any]:
+        same = and_(WINDOWS.c.wheelset == WHEELSETS.c.serial, WINDOWS.c.start_ns == start_ns)
+        row: Row[Any, Any, Any] | None = self.connection.execute(
+            select(WINDOWS.c.content_digest, WINDOWS.c.sample_bytes, WINDOWS.c.mileage_km)
+            .select_from(WHEELSETS.outerjoin(WINDOWS, same))
+            .where(WHEELSETS.c.serial == wheelset)
+        ).first()
+        if row is None:
+            raise NotFoundError("wheelset", wheelset)
+        return row
+
+    def _set_mileage(self, window: Window, before_km: float, mileage_km: float) -> bool:
+        if before_km == mileage_km:
+            return False
+        where = and_(WINDOWS.c.wheelset == window.wheelset, WINDOWS.c.start_ns == window.start_ns)
+        self.connection.execute(update(WINDOWS).where(where).values(mileage_km=mileage_km))
+        self.changes.note(window.wheelset)
+        return True
+
+    def _remove_table(self, wheelset: str, start_ns: int) -> None:
+        result = self.connection.execute(
+            delete(TABLES).where(TABLES.c.wheelset == wheelset, TABLES.c.start_ns == start_ns)
+        )
+        if result.rowcount:
+            self.changes.note(wheelset)
+
+    def _records(self, statement: Select[Any]) -> builtins.list[WindowRecord]:
+        return [to_window_record(row) for row in self.connection.execute(statement)]
+
+
+def to_window_record(row: Row[Any]) -> WindowRecord:
+    """Return the value of a row of windows."""
+    return WindowRecord(
+        wheelset=row.wheelset,
+        start_ns=row.start_ns,
+        length_ns=row.length_ns,
+        vehicle=row.vehicle,
+        axle=row.axle,
+        track_section=row.track_section,
+        mileage_km=row.mileage_km,
+        quality=WindowQuality(
+            coverage=nan_if_null(row.coverage),
+            longest_gap_s=nan_if_null(row.longest_gap_s),
+            gaps=row.gaps,
+            clipped=nan_if_null(row.clipped),
+            invalid=nan_if_null(row.invalid),
+            speed_min_m_s=nan_if_null(row.speed_min_m_s),
+            speed_max_m_s=nan_if_null(row.speed_max_m_s),
+            position_quality=nan_if_null(row.position_quality),
+            sensor_fault=row.sensor_fault,
+        ),
+        state=WindowState(row.state),
+        reason=row.reason,
+        content_digest=row.content_digest,
+        recorded_ns=row.recorded_ns,
+    )
+
+
+def _values(window: Window, mileage_km: float) -> dict[str, object]:
+    return {
+        "wheelset": window.wheelset,
+        "start_ns": window.start_ns,
+        "length_ns": window.length_ns,
+        "vehicle": window.vehicle,
+        "axle": window.axle,
+        "track_section": window.track_section,
+        "mileage_km": mileage_km,
+        **{name: null_if_nan(getattr(window.quality, name)) for name in REALS},
+        "gaps": window.quality.gaps,
+        "sensor_fault": window.quality.sensor_fault,
+        "state": WindowState.PENDING.value,
+        "reason": "",
+    }

@@ -1,0 +1,162 @@
+"""Samples of windows as files beside the database, addressed by their content.
+
+A channel of accelerations that is whole counts of its resolution is stored as int16, any other bit for bit as float64.
+Speed and distance are smooth: their bit patterns are stored as differences, which loses nothing and packs well.
+A window file can be made again from the raw recordings, so it is renamed into place but not forced to the disk.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimation.arrays import BoolArray, FloatArray
+from estimation.errors import StorageError
+from estimation.types import ACCELERATIONS, Window, WindowQuality
+from fleet_db.atomic_files import write_atomically
+from fleet_db.packed.numbers import number_from_json, number_to_json, real_from_json
+from fleet_db.packing import Array, pack, unpack
+
+KIND = "window"
+VERSION = 1
+MISSING = np.int16(-32768)
+SMOOTH = ("speed", "distance")
+QUALITY_COUNTS = ("gaps", "sensor_fault")
+
+
+@dataclass(frozen=True, slots=True)
+class WindowFiles:
+    """Window files under one directory."""
+
+    directory: Path
+
+    def path(self, digest: str) -> Path:
+        """Return where the window of this content is."""
+        return self.directory / digest[:2] / f"{digest}.window"
+
+    def has(self, digest: str, size: int) -> bool:
+        """Whether the file is there with the size it was written with."""
+        try:
+            return self.path(digest).stat().st_size == size
+        except FileNotFoundError:
+            return False
+
+    def save(self, window: Window, digest: str) -> int:
+        """Write the file of ``window``, whose content digest is ``digest``; return its size in bytes."""
+        blob = pack_window(window)
+        if not self.has(digest, len(blob)):
+            write_atomically(self.path(digest), blob, durable=False)
+        return len(blob)
+
+    def load(self, digest: str) -> Window:
+        """Return the window, bit for bit.
+
+        Raises
+        ------
+        StorageError
+            The file is missing, damaged, or holds other content than its name says; names the file.
+        """
+        path = self.path(digest)
+        try:
+            blob = path.read_bytes()
+        except FileNotFoundError as error:
+            raise StorageError(f"{path}: the samples of a window are missing") from error
+        window = unpack_window(blob, where=str(path))
+        if window_digest(window) != digest:
+            raise StorageError(f"{path}: holds other content than its name says")
+        return window
+
+
+def window_digest(window: Window) -> str:
+    """Return the sha256 over every field of ``window``, independent of how it is stored."""
+    digest = hashlib.sha256(json.dumps(_scalars(window), sort_keys=True, separators=(",", ":")).encode())
+    for name in (*ACCELERATIONS, *SMOOTH):
+        digest.update(getattr(window, name).astype("<f8", copy=False).tobytes())
+    digest.update(window.valid.tobytes())
+    return digest.hexdigest()
+
+
+def pack_window(window: Window) -> bytes:
+    """Return ``window`` as one blob."""
+    channels = {
+        name: _counts(getattr(window, name), step) for name, step in zip(ACCELERATIONS, window.resolution, strict=True)
+    }
+    smooth = {name: np.diff(getattr(window, name).view(np.int64), prepend=np.int64(0)) for name in SMOOTH}
+    valid = {"valid": np.packbits(window.valid)}
+    return pack(KIND, VERSION, _scalars(window), {**channels, **smooth, **valid})
+
+
+def unpack_window(blob: bytes, *, where: str) -> Window:
+    """Return the window, bit for bit.
+
+    Raises
+    ------
+    StorageError
+        The blob is damaged; ``where`` names it.
+    """
+    packed = unpack(blob, KIND, where=where)
+    scalars, arrays = packed.scalars, packed.arrays
+    steps: Any = tuple(real_from_json(step) for step in scalars["resolution"])
+    values: dict[str, Any] = {
+        name: _from_counts(arrays[name], step) for name, step in zip(ACCELERATIONS, steps, strict=True)
+    }
+    values |= {name: np.cumsum(arrays[name]).view(np.float64) for name in SMOOTH}
+    valid: BoolArray = np.unpackbits(arrays["valid"], count=len(values["speed"])).astype(bool)
+    for array in (*values.values(), valid):
+        array.flags.writeable = False
+    return Window(
+        **{name: scalars[name] for name in ("wheelset", "vehicle", "axle", "start_ns", "length_ns", "track_section")},
+        sample_interval_s=real_from_json(scalars["sample_interval_s"]),
+        odometer_m=real_from_json(scalars["odometer_m"]),
+        **values,
+        valid=valid,
+        resolution=steps,
+        quality=_quality(scalars["quality"]),
+    )
+
+
+def _counts(values: FloatArray, step: float) -> Array:
+    """Return whole counts where they give back the same bits, else the values as they are."""
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        counts = np.rint(values / step)
+        inside = np.abs(counts) < -int(MISSING)
+        packed = np.where(inside, counts, MISSING).astype(np.int16)
+    same = _from_counts(packed, step).tobytes() == values.tobytes()
+    return packed if same else values
+
+
+def _from_counts(packed: Array, step: float) -> FloatArray:
+    if packed.dtype != np.int16:
+        return packed
+    return np.where(packed == MISSING, np.nan, packed * np.float64(step))
+
+
+def _scalars(window: Window) -> dict[str, Any]:
+    quality = asdict(window.quality)
+    return {
+        "wheelset": window.wheelset,
+        "vehicle": window.vehicle,
+        "axle": int(window.axle),
+        "start_ns": int(window.start_ns),
+        "length_ns": int(window.length_ns),
+        "track_section": window.track_section,
+        "sample_interval_s": number_to_json(window.sample_interval_s),
+        "odometer_m": number_to_json(window.odometer_m),
+        "resolution": [number_to_json(step) for step in window.resolution],
+        "quality": {
+            name: value if name in QUALITY_COUNTS else number_to_json(float(value)) for name, value in quality.items()
+        },
+    }
+
+
+def _quality(fields: Mapping[str, Any]) -> WindowQuality:
+    numbers: dict[str, Any] = {
+        name: value if name in QUALITY_COUNTS else number_from_json(value) for name, value in fields.items()
+    }
+    return WindowQuality(**numbers)
