@@ -4,10 +4,26 @@ from __future__ import annotations
 
 import hashlib
 import time
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from importlib.metadata import version
 from importlib.resources import files
 from importlib.resources.abc import Traversable
+
+from estimation.jobs.catalogue import JOBS
+from fastapi import FastAPI
+
+from api.app import build_app
+from api.job_runner import JobRunner
+from api.services import Services
+from api.settings import Settings
+from estimation.jobs.job import JobContext
+from estimation.rules import RuleBook, load_rules
+from estimation.settings import EstimationSettings
+from fleet_db.migrate import check_head
+from fleet_db.raw import RawStore
+from fleet_db.session import database_engine
+from fleet_db.storage import SqlStorage
 
 
 class SystemClock:
@@ -38,3 +54,59 @@ def code_version() -> str:
     for name, text in _sources(files("estimation")):
         digest.update(name.encode() + b"\0" + text + b"\0")
     return f"{version('treadwatch')}+{digest.hexdigest()[:12]}"
+
+
+def open_store(settings: Settings) -> SqlStorage:
+    """Return the store of this deployment.
+
+    Raises
+    ------
+    MigrationError
+        The database is at another migration; says what to run.
+    ParameterError
+        The database URL names none that can be used.
+    StorageError
+        The database cannot be reached.
+    """
+    storage = SqlStorage(database_engine(settings.url), settings.data_dir)
+    try:
+        check_head(storage.engine)
+    except Exception:
+        storage.close()
+        raise
+    return storage
+
+
+def raw_store(settings: Settings) -> RawStore:
+    """Return where raw recordings are kept."""
+    return RawStore(settings.raw_dir)
+
+
+def job_context(
+    settings: Settings, storage: SqlStorage, progress: Callable[[int, int], None] | None = None
+) -> JobContext:
+    """Return what the jobs of this deployment may touch.
+
+    Raises
+    ------
+    InputError
+        The rules file is wrong; names the file and the field.
+    """
+    rules = RuleBook() if settings.rules_file is None else load_rules(settings.rules_file)
+    return JobContext(storage, SystemClock(), code_version(), progress=progress, settings=(EstimationSettings(), rules))
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """Return the REST application of this deployment; refuses where :func:`open_store` or :func:`job_context` do."""
+    storage = open_store(settings)
+    context = job_context(settings, storage)
+    return build_app(
+        Services(
+            storage=storage,
+            clock=context.clock,
+            jobs={job.name: job for job in JOBS},
+            runner=JobRunner(context),
+            check=partial(check_head, storage.engine),
+            one_reader=settings.url.startswith("sqlite"),
+        )
+    )

@@ -109,6 +109,7 @@ LIMIT_UNITS: dict[AlertKind, str] = {
     AlertKind.LIMIT_FORECAST: "km",
     AlertKind.WHEEL_ASYMMETRY: "mm",
     AlertKind.NO_DATA: "days",
+    AlertKind.SENSOR_FAULT: "1",
 }
 
 

@@ -1,0 +1,161 @@
+"""Answers: JSON or CSV with a strong ETag, pages with a link to the next, preconditions."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from http import HTTPMethod, HTTPStatus
+from typing import Annotated, TypeVar
+from urllib.parse import quote, urlencode
+
+from fastapi import Header, Query, Request, Response
+from pydantic import BaseModel
+
+from api import cursors
+from api.contract import CSV, JSON
+from api.problems import ProblemError
+from api.schemas.common import Page
+
+RecordT = TypeVar("RecordT")
+ItemT = TypeVar("ItemT", bound=BaseModel)
+
+Limit = Annotated[int, Query(ge=1, le=1000, description="How many items at most.")]
+Cursor = Annotated[str | None, Query(description="`next_cursor` of the page before, with the same filter.")]
+IfMatch = Annotated[str | None, Header(alias="If-Match", description="ETag of the resource as it was read; required.")]
+IfNoneMatch = Annotated[
+    str | None, Header(alias="If-None-Match", description="ETag that the client holds; 304 when it is still right.")
+]
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        alias="Idempotency-Key",
+        min_length=1,
+        max_length=255,
+        description="A repeat with the same key changes nothing and gets the same answer.",
+    ),
+]
+DEFAULT_LIMIT = 100
+_GUARDED = ("=", "+", "-", "@", "\t", "\r")
+
+
+def payload_of(body: BaseModel) -> bytes:
+    """Return the JSON text of a representation."""
+    return body.model_dump_json(by_alias=True).encode()
+
+
+def entity_tag(payload: bytes) -> str:
+    """Return the strong ETag of these bytes."""
+    return f'"{hashlib.blake2b(payload, digest_size=16).hexdigest()}"'
+
+
+def _listed(header: str) -> list[str]:
+    return [tag.strip() for tag in header.split(",")]
+
+
+def _unchanged(request: Request, tag: str) -> bool:
+    header = request.headers.get("if-none-match")
+    if request.method != HTTPMethod.GET or header is None:
+        return False
+    return header.strip() == "*" or tag in [held.removeprefix("W/") for held in _listed(header)]
+
+
+def answer_bytes(
+    request: Request, payload: bytes, *, media_type: str = JSON, status: int = 200, headers: Mapping[str, str] = {}
+) -> Response:
+    """Return ``payload`` with its ETag, or 304 where the client holds it already."""
+    tag = entity_tag(payload)
+    told = {"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept", **headers}
+    if status == HTTPStatus.OK and _unchanged(request, tag):
+        return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=told)
+    return Response(payload, status, headers=told, media_type=media_type)
+
+
+def answer(request: Request, body: BaseModel, *, status: int = 200, headers: Mapping[str, str] = {}) -> Response:
+    """Return a representation as JSON with its ETag."""
+    return answer_bytes(request, payload_of(body), status=status, headers=headers)
+
+
+def _cell(value: object) -> object:
+    """Return what is written for a value; an apostrophe guards text that a spreadsheet would run as a formula."""
+    if isinstance(value, float):
+        return repr(value)
+    if isinstance(value, str) and value.startswith(_GUARDED):
+        return f"'{value}"
+    return "" if value is None else value
+
+
+def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
+    """Return a table as CSV (RFC 4180); unknown values are empty, numbers are written to their last digit."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\r\n")
+    writer.writerow(header)
+    writer.writerows([_cell(value) for value in row] for row in rows)
+    return text.getvalue().encode()
+
+
+def answer_table(
+    request: Request, body: BaseModel, media_type: str, table: tuple[Sequence[str], Iterable[Sequence[object]]]
+) -> Response:
+    """Return a representation as JSON, or its table as CSV, as the client asked."""
+    if media_type == CSV:
+        return answer_bytes(request, csv_text(*table), media_type=f"{CSV}; charset=utf-8; header=present")
+    return answer(request, body)
+
+
+def next_path(request: Request, name: str, cursor: str) -> str:
+    """Return the path of the next page: this request with another cursor."""
+    kept = [(key, value) for key, value in request.query_params.multi_items() if key != name]
+    return f"{quote(request.scope['path'])}?{urlencode([*kept, (name, cursor)])}"
+
+
+def answer_page(
+    request: Request,
+    filters: Mapping[str, object],
+    limit: int,
+    rows: Sequence[RecordT],
+    key: Callable[[RecordT], cursors.Key],
+    represent: Callable[[RecordT], ItemT],
+) -> Response:
+    """Return one page of a list.
+
+    Parameters
+    ----------
+    rows
+        Up to ``limit + 1`` records behind the cursor; the one too many says that there is a next page.
+    key
+        What orders the list, of a record.
+    """
+    shown = rows[:limit]
+    cursor = path = None
+    headers = {}
+    if len(rows) > limit:
+        cursor = cursors.encode(operation(request), filters, key(shown[-1]))
+        path = next_path(request, "cursor", cursor)
+        headers["Link"] = f'<{path}>; rel="next"'
+    return answer(
+        request,
+        Page[BaseModel](items=[represent(row) for row in shown], next_cursor=cursor, next=path),
+        headers=headers,
+    )
+
+
+def operation(request: Request) -> str:
+    """Return the name of the operation that answers this request."""
+    return str(request.scope["route"].name)
+
+
+def require_match(header: str | None, current: BaseModel) -> None:
+    """Refuse a change to something that the client has not seen as it is now.
+
+    Raises
+    ------
+    ProblemError
+        428 without ``If-Match``; 412 where it names another state.
+    """
+    if header is None:
+        raise ProblemError(428, "precondition-required", "send the ETag of the resource as If-Match")
+    tag = entity_tag(payload_of(current))
+    if header.strip() != "*" and tag not in _listed(header):
+        raise ProblemError(412, "precondition-failed", "read the resource again and decide anew", headers={"ETag": tag})

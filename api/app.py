@@ -1,0 +1,78 @@
+"""The REST application: routes, problems, surroundings; built from services, never at import."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib.metadata import version
+from typing import Any
+
+import anyio.to_thread
+from fastapi import Depends, FastAPI
+from fastapi.routing import APIRoute
+from prometheus_client import CollectorRegistry
+
+from api import contract, docs_page, problems
+from api.metrics import RequestMeasures, StoredMeasures
+from api.middleware import Surroundings
+from api.openapi_document import document
+from api.routes import alert_actions, alerts, fleets, geometry, health, jobs, tracks, vehicles, wheelsets
+from api.services import Services
+
+RESOURCES = (fleets, vehicles, wheelsets, geometry, alerts, alert_actions, jobs, tracks)
+# Multi-row reads of SQLite slow each other down in threads: one that reads, and one that may wait to write.
+EMBEDDED_THREADS = 2
+
+
+def describe() -> FastAPI:
+    """Return the app as far as its OpenAPI document needs it: without services."""
+
+    def name_operation(route: APIRoute) -> str:
+        return route.name
+
+    app = FastAPI(
+        title="treadwatch",
+        version=version("treadwatch"),
+        docs_url=None,
+        redoc_url=None,
+        openapi_url="/openapi.json",
+        generate_unique_id_function=name_operation,
+        lifespan=_lifespan,
+    )
+    for module in RESOURCES:
+        app.include_router(
+            module.router,
+            dependencies=[Depends(contract.media_type)],
+            responses=problems.described(406, 422, 500, 503),
+        )
+    app.include_router(health.router)
+    app.include_router(docs_page.router)
+    problems.install(app)
+
+    def openapi() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            app.openapi_schema = document(app)
+        return app.openapi_schema
+
+    app.openapi = openapi  # type: ignore[method-assign]  # the way FastAPI offers to extend its document
+    return app
+
+
+def build_app(services: Services) -> FastAPI:
+    """Return the app that answers with these services."""
+    app = describe()
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(StoredMeasures(services.storage, services.jobs))
+    app.state.services = services
+    app.state.registry = registry
+    app.add_middleware(Surroundings, measures=RequestMeasures(registry))
+    return app
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    services: Services = app.state.services
+    if services.one_reader:
+        anyio.to_thread.current_default_thread_limiter().total_tokens = EMBEDDED_THREADS
+    yield
+    await anyio.to_thread.run_sync(services.runner.close)

@@ -1,0 +1,28 @@
+"""``treadwatch db``: bring the database to this version, or check that it is there."""
+
+from __future__ import annotations
+
+import typer
+
+from api.settings import load_settings
+from fleet_db.migrate import check_head, head, upgrade
+from fleet_db.session import database_engine
+
+db = typer.Typer(no_args_is_help=True, help="Upgrade or check the database.")
+
+
+@db.command("upgrade")
+def upgrade_database() -> None:
+    """Create the database if there is none, and run every migration that it lacks."""
+    typer.echo(f"the database is at migration {upgrade(load_settings().url)}")
+
+
+@db.command("check")
+def check_database() -> None:
+    """Say whether the database answers and is at the migration that this version needs."""
+    engine = database_engine(load_settings().url)
+    try:
+        check_head(engine)
+    finally:
+        engine.dispose()
+    typer.echo(f"the database is at migration {head()}, as this version needs")

@@ -1,0 +1,54 @@
+"""POSTs that are repeated: the first answer is given again, and nothing is done twice."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from http import HTTPStatus
+
+import orjson
+from fastapi import Request, Response
+from pydantic import BaseModel
+
+from api.answers import answer_bytes, payload_of
+from api.problems import ProblemError
+from estimation.ports import UnitOfWork
+
+
+@dataclass(frozen=True, slots=True)
+class Once:
+    """One POST with its key; without a key every request is a new one."""
+
+    key: str | None
+    request_digest: str
+
+    def earlier(self, request: Request, unit: UnitOfWork) -> Response | None:
+        """Return the answer that was already given under this key.
+
+        Raises
+        ------
+        ProblemError
+            422: the key was used for another request.
+        """
+        known = None if self.key is None else unit.idempotency.get(self.key)
+        if known is None:
+            return None
+        digest, status, body = known
+        if digest != self.request_digest:
+            detail = "this Idempotency-Key was used for another request; use a new one"
+            raise ProblemError(422, "idempotency-key-reused", detail)
+        headers = {"Idempotency-Replayed": "true"}
+        if status == HTTPStatus.ACCEPTED:
+            headers["Location"] = orjson.loads(body)["links"]["self"]
+        return answer_bytes(request, body.encode(), status=status, headers=headers)
+
+    def remember(self, unit: UnitOfWork, status: int, body: BaseModel, now_ns: int) -> None:
+        """Keep the answer, in the transaction of the change itself."""
+        if self.key is not None:
+            unit.idempotency.put(self.key, self.request_digest, status, payload_of(body).decode(), now_ns)
+
+
+def once(request: Request, key: str | None, body: BaseModel | None = None) -> Once:
+    """Return this POST's identity: its key, and a digest of what it asks for."""
+    told = [request.method, request.scope["path"], None if body is None else body.model_dump(mode="json")]
+    return Once(key, hashlib.sha256(orjson.dumps(told)).hexdigest())

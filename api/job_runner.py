@@ -1,0 +1,55 @@
+"""Jobs that are run now, in the background of the process that was asked."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import replace
+
+from estimation.errors import ConflictError
+from estimation.jobs.job import Job, JobContext, run_job
+from estimation.ports import JobRun
+
+
+class JobRunner:
+    """Runs one job at a time, in a thread of its own; built by the factory, closed with the app."""
+
+    def __init__(self, context: JobContext) -> None:
+        self._stopping = threading.Event()
+        self._context = replace(context, stopping=self._stopping.is_set)
+        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="job")
+        self._starting = threading.Lock()
+        self._running: Future[JobRun] | None = None
+
+    def start(self, job: Job) -> JobRun:
+        """Start a run of ``job`` and return its record as soon as it is committed.
+
+        Raises
+        ------
+        ConflictError
+            A run of this job is under way, here or elsewhere, or another job runs here.
+        StorageError
+            The run could not be recorded.
+        """
+        with self._starting:
+            self._refuse_second(job)
+            begun: Future[JobRun] = Future()
+            self._running = self._executor.submit(run_job, job, self._context, "api", started=begun.set_result)
+            wait([begun, self._running], return_when=FIRST_COMPLETED)
+            return begun.result() if begun.done() else self._running.result()
+
+    def _refuse_second(self, job: Job) -> None:
+        if self._running is not None and not self._running.done():
+            raise ConflictError("a job that was started here is still running", kind="job", key=job.name)
+        with self._context.storage.read() as unit:
+            latest = unit.jobs.page(job.name, None, 1)
+        for run in latest:
+            if run.outcome == "running":
+                raise ConflictError(
+                    f"job {job.name} is running (run {run.run_id})", kind="job-run", key=str(run.run_id)
+                )
+
+    def close(self) -> None:
+        """Ask the running job to stop at its next checkpoint and wait for it."""
+        self._stopping.set()
+        self._executor.shutdown(wait=True, cancel_futures=True)

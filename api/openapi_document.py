@@ -1,0 +1,51 @@
+"""The OpenAPI document: what FastAPI derives from the routes, with our problems in it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from pydantic.json_schema import models_json_schema
+
+from api.problems import Problem
+
+DESCRIPTION = """
+Fleet health monitoring of wheel-rail wear: contact geometry, equivalent conicity, trends and alerts per wheelset.
+
+Start at [the wheelsets](/v1/wheelsets), take a serial, and follow `links`: bin table (`geometry`), `trend`, `alerts`.
+
+Numbers carry their unit in their name (`_mm`, `_km`, `_m_s`; `_1` for pure numbers) and come with their uncertainty.
+Times are RFC 3339 in UTC; ranges are half-open.
+"""
+
+
+def document(app: FastAPI) -> dict[str, Any]:
+    """Return the document of this app."""
+    found = get_openapi(
+        title=app.title,
+        version=app.version,
+        openapi_version="3.1.0",
+        description=DESCRIPTION.strip(),
+        routes=app.routes,
+        tags=app.openapi_tags,
+        license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
+    )
+    template = "#/components/schemas/{model}"
+    _, definitions = models_json_schema([(Problem, "serialization")], ref_template=template)
+    schemas = found.setdefault("components", {}).setdefault("schemas", {})
+    schemas.update(definitions["$defs"])
+    for unused in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(unused, None)
+    found["components"]["schemas"] = dict(sorted(schemas.items()))
+    for path in found["paths"].values():
+        for operation in path.values():
+            _describe_unchanged(operation)
+    return found
+
+
+def _describe_unchanged(operation: dict[str, Any]) -> None:
+    """Say of an operation that knows ``If-None-Match`` that it may answer 304."""
+    if any(entry["name"] == "If-None-Match" for entry in operation.get("parameters", ())):
+        operation["responses"]["304"] = {"description": "The client holds it as it is."}
+    operation["responses"] = dict(sorted(operation["responses"].items()))

@@ -1,0 +1,39 @@
+"""Path and query parameters that several resources share."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import Path, Query
+
+from api.problems import ProblemError, ProblemItem
+from api.times import Moment
+
+_CODE = r"^[^\x00-\x1f\x7f]{1,64}$"
+_INT64_MAX = 2**63 - 1
+
+Code = Annotated[str, Path(pattern=_CODE, examples=["demo"])]
+Serial = Annotated[str, Path(pattern=_CODE, description="Serial of the wheelset.", examples=["WS-0001"])]
+Number = Annotated[int, Path(ge=1, le=_INT64_MAX, examples=[1])]
+FleetFilter = Annotated[str | None, Query(pattern=_CODE, description="Only of this fleet.")]
+VehicleFilter = Annotated[str | None, Query(pattern=_CODE, description="Only what runs under this vehicle now.")]
+WheelsetFilter = Annotated[str | None, Query(pattern=_CODE, description="Only of this wheelset.")]
+AsOf = Annotated[
+    Moment | None,
+    Query(description="What was believed at this recorded time; reproducible.", examples=["2026-01-31T12:00:00Z"]),
+]
+MeasuredFrom = Annotated[Moment | None, Query(alias="from", description="Measured at or after this time.")]
+MeasuredTo = Annotated[Moment | None, Query(alias="to", description="Measured before this time.")]
+
+
+def not_in_the_future(as_of_ns: int | None, now_ns: int) -> None:
+    """Refuse to say what will be believed.
+
+    Raises
+    ------
+    ProblemError
+        422.
+    """
+    if as_of_ns is not None and as_of_ns > now_ns:
+        item = ProblemItem(part="query", pointer="#/as_of", detail="lies in the future")
+        raise ProblemError(422, "invalid-request", "as_of lies in the future", [item])

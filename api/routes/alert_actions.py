@@ -1,0 +1,102 @@
+"""What people and maintenance systems do to alerts: acknowledge, shelve, link to work of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from http import HTTPStatus
+
+from fastapi import APIRouter, Request, Response
+
+from api.answers import IdempotencyKey, IfMatch, answer, require_match
+from api.idempotency import once
+from api.parameters import Number
+from api.problems import described
+from api.schemas import alerts
+from api.schemas.common import Request as Body
+from api.services import Joined, Services
+from estimation.alert_transitions import acknowledge, link, shelve
+from estimation.alerts import Alert, Transition
+
+router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
+_REFUSALS = described(404, 409, 412, 413, 415, 428)
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What is to be done to an alert: by whom, why, and the transition."""
+
+    actor: str
+    note: str
+    apply: Callable[[Alert], Transition | None]
+
+
+def _change(
+    request: Request,
+    joined: Services,
+    alert_id: int,
+    headers: tuple[str | None, str | None],
+    body: Body,
+    change: Change,
+) -> Response:
+    """Apply a change under If-Match and Idempotency-Key, in one transaction."""
+    if_match, idempotency_key = headers
+    post = once(request, idempotency_key, body)
+    now_ns = joined.clock.now_ns()
+    with joined.storage.write() as unit:
+        earlier = post.earlier(request, unit)
+        if earlier is not None:
+            return earlier
+        current = unit.alerts.get(alert_id)
+        require_match(if_match, alerts.alert(current, now_ns))
+        transition = change.apply(current)
+        if transition is not None:
+            after = replace(transition.alert, version=current.version)
+            current = unit.alerts.save(after, transition.events, now_ns, change.actor, change.note)
+        told = alerts.alert(current, now_ns)
+        post.remember(unit, HTTPStatus.OK, told, now_ns)
+    return answer(request, told)
+
+
+@router.post("/{alert_id}/acknowledge", response_model=alerts.Alert, responses=_REFUSALS)
+def acknowledge_alert(
+    request: Request,
+    joined: Joined,
+    alert_id: Number,
+    body: alerts.Acknowledgement,
+    if_match: IfMatch = None,
+    idempotency_key: IdempotencyKey = None,
+) -> Response:
+    """Say that somebody has seen the alert; it ends by itself when the alert clears or becomes more severe."""
+    now_ns = joined.clock.now_ns()
+    change = Change(body.by, body.note, lambda alert: acknowledge(alert, body.by, now_ns))
+    return _change(request, joined, alert_id, (if_match, idempotency_key), body, change)
+
+
+@router.post("/{alert_id}/shelve", response_model=alerts.Alert, responses=_REFUSALS)
+def shelve_alert(
+    request: Request,
+    joined: Joined,
+    alert_id: Number,
+    body: alerts.Shelving,
+    if_match: IfMatch = None,
+    idempotency_key: IdempotencyKey = None,
+) -> Response:
+    """Put the alert out of sight until a time; it comes back by itself."""
+    now_ns = joined.clock.now_ns()
+    change = Change(body.by, body.reason, lambda alert: shelve(alert, body.until, body.reason, now_ns))
+    return _change(request, joined, alert_id, (if_match, idempotency_key), body, change)
+
+
+@router.post("/{alert_id}/external-refs", response_model=alerts.Alert, responses=_REFUSALS)
+def add_external_ref(
+    request: Request,
+    joined: Joined,
+    alert_id: Number,
+    body: alerts.ExternalReference,
+    if_match: IfMatch = None,
+    idempotency_key: IdempotencyKey = None,
+) -> Response:
+    """Write back the identity that a maintenance system gave to its work on the alert."""
+    change = Change(body.by, body.ref, lambda alert: link(alert, body.ref))
+    return _change(request, joined, alert_id, (if_match, idempotency_key), body, change)

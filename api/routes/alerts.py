@@ -1,0 +1,92 @@
+"""Alerts and their feed."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+
+from api import cursors
+from api.answers import (
+    DEFAULT_LIMIT,
+    Cursor,
+    IfNoneMatch,
+    Limit,
+    answer,
+    answer_page,
+    next_path,
+    operation,
+)
+from api.parameters import FleetFilter, Number, WheelsetFilter
+from api.problems import described
+from api.schemas import alerts
+from api.schemas.common import Page
+from api.services import Joined
+from estimation.alerts import AlertKind, Condition
+
+router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
+Kind = Annotated[AlertKind | None, Query(description="Only of this kind.")]
+InCondition = Annotated[Condition | None, Query(description="Only in this condition.")]
+OpenOnly = Annotated[bool, Query(alias="open", description="Only alerts that are not closed.")]
+After = Annotated[str | None, Query(description="`next_cursor` of the last poll; left out, from the beginning.")]
+
+
+@router.get("", response_model=Page[alerts.Alert], responses=described(400))
+def list_alerts(
+    request: Request,
+    joined: Joined,
+    fleet: FleetFilter = None,
+    wheelset: WheelsetFilter = None,
+    kind: Kind = None,
+    condition: InCondition = None,
+    open_only: OpenOnly = False,  # noqa: FBT002 - a query parameter
+    cursor: Cursor = None,
+    limit: Limit = DEFAULT_LIMIT,
+) -> Response:
+    """List the alerts, oldest first."""
+    filters = {"fleet": fleet, "wheelset": wheelset, "kind": kind, "condition": condition, "open": open_only}
+    after = cursors.decode_number(operation(request), filters, cursor)
+    with joined.storage.read() as unit:
+        rows = unit.alerts.page(
+            fleet=fleet,
+            wheelset=wheelset,
+            kind=kind,
+            condition=condition,
+            open_only=open_only,
+            after_id=after,
+            limit=limit + 1,
+        )
+    now_ns = joined.clock.now_ns()
+    return answer_page(
+        request, filters, limit, rows, lambda record: record.alert_id, lambda record: alerts.alert(record, now_ns)
+    )
+
+
+@router.get("/feed", response_model=alerts.Feed, responses=described(400))
+def poll_alert_feed(request: Request, joined: Joined, after: After = None, limit: Limit = DEFAULT_LIMIT) -> Response:
+    """Return what happened to alerts, in commit order; keep `next_cursor` and poll with it, nothing is missed."""
+    name = operation(request)
+    position = cursors.decode_number(name, {}, after) or 0
+    with joined.storage.read() as unit:
+        found = unit.alerts.feed(position, limit)
+    cursor = cursors.encode(name, {}, found[-1].sequence if found else position)
+    path = next_path(request, "after", cursor)
+    body = alerts.Feed(items=[alerts.event(record) for record in found], next_cursor=cursor, next=path)
+    return answer(request, body, headers={"Link": f'<{path}>; rel="next"'})
+
+
+@router.get("/{alert_id}", response_model=alerts.Alert, responses=described(404))
+def get_alert(request: Request, joined: Joined, alert_id: Number, _held: IfNoneMatch = None) -> Response:
+    """Return one alert with its evidence; its ETag is what changes to it ask for."""
+    with joined.storage.read() as unit:
+        found = unit.alerts.get(alert_id)
+    return answer(request, alerts.alert(found, joined.clock.now_ns()))
+
+
+@router.get("/{alert_id}/events", response_model=alerts.Events, responses=described(404))
+def list_alert_events(request: Request, joined: Joined, alert_id: Number) -> Response:
+    """List everything that happened to one alert, oldest first."""
+    with joined.storage.read() as unit:
+        unit.alerts.get(alert_id)
+        found = unit.alerts.events(alert_id)
+    return answer(request, alerts.Events(items=[alerts.event(record) for record in found]))

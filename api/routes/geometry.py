@@ -1,0 +1,82 @@
+"""What is estimated of a wheelset: its bin table and its trend; and the windows behind them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+
+from api import cursors
+from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer_page, answer_table, operation
+from api.contract import CSV, Accepted
+from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_future
+from api.problems import described
+from api.schemas import geometry, trend, windows
+from api.schemas.common import Page
+from api.services import Joined
+from estimation.errors import NotFoundError
+
+router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
+_TABLE: dict[int | str, dict[str, Any]] = {200: {"content": {CSV: {"schema": {"type": "string"}}}}}
+
+
+@router.get("/{serial}/geometry", response_model=geometry.Geometry, responses={**described(404), **_TABLE})
+def get_geometry(
+    request: Request,
+    joined: Joined,
+    accepted: Accepted,
+    serial: Serial,
+    as_of: AsOf = None,
+    _held: IfNoneMatch = None,
+) -> Response:
+    """Return the wheelset's bin table and the conicity that follows; as `text/csv`, the bin table alone."""
+    not_in_the_future(as_of, joined.clock.now_ns())
+    with joined.storage.read() as unit:
+        unit.registry.wheelset(serial)
+        found = unit.geometries.current(serial, as_of)
+    if found is None:
+        raise NotFoundError("geometry yet of wheelset", serial)
+    body = geometry.geometry(found)
+    return answer_table(request, body, accepted, geometry.table(body))
+
+
+@router.get("/{serial}/trend", response_model=trend.Trend, responses={**described(404), **_TABLE})
+def get_trend(
+    request: Request,
+    joined: Joined,
+    accepted: Accepted,
+    serial: Serial,
+    as_of: AsOf = None,
+    _held: IfNoneMatch = None,
+) -> Response:
+    """Return the wheelset's trend since its last reprofiling; as `text/csv`, its points alone."""
+    not_in_the_future(as_of, joined.clock.now_ns())
+    with joined.storage.read() as unit:
+        unit.registry.wheelset(serial)
+        found = unit.trends.latest(serial, as_of)
+    if found is None:
+        raise NotFoundError("trend yet of wheelset", serial)
+    body = trend.trend(found)
+    return answer_table(request, body, accepted, trend.table(body))
+
+
+@router.get("/{serial}/windows", response_model=Page[windows.Window], responses=described(400, 404))
+def list_windows(
+    request: Request,
+    joined: Joined,
+    serial: Serial,
+    measured_from: MeasuredFrom = None,
+    measured_to: MeasuredTo = None,
+    cursor: Cursor = None,
+    limit: Limit = DEFAULT_LIMIT,
+) -> Response:
+    """List the wheelset's windows that begin in `[from, to)`, oldest first, with their quality and state."""
+    filters = {"wheelset": serial, "from": measured_from, "to": measured_to}
+    after = cursors.decode_number(operation(request), filters, cursor)
+    if after is None and measured_from is not None:
+        after = measured_from - 1
+    with joined.storage.read() as unit:
+        unit.registry.wheelset(serial)
+        found = unit.windows.page(serial, after, limit + 1)
+    rows = [record for record in found if measured_to is None or record.start_ns < measured_to]
+    return answer_page(request, filters, limit, rows, lambda record: record.start_ns, windows.window)

@@ -1,0 +1,52 @@
+"""Track sections."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+
+from api import cursors
+from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer, answer_page, operation
+from api.parameters import Code
+from api.problems import described
+from api.schemas import tracks
+from api.schemas.common import Page
+from api.services import Joined
+from estimation.errors import NotFoundError
+
+router = APIRouter(prefix="/v1/track-sections", tags=["track sections"])
+Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]
+
+
+@router.get("", response_model=Page[tracks.TrackSection], responses=described(400))
+def list_track_sections(
+    request: Request, joined: Joined, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
+) -> Response:
+    """List the track sections, by code."""
+    after = cursors.decode_text(operation(request), {}, cursor)
+    with joined.storage.read() as unit:
+        found = sorted(unit.tracks.sections(), key=lambda record: record.code)
+    rows = [record for record in found if after is None or record.code > after]
+    return answer_page(request, {}, limit, rows[: limit + 1], lambda record: record.code, tracks.section)
+
+
+@router.get("/{code}", response_model=tracks.TrackSection, responses=described(404))
+def get_track_section(request: Request, joined: Joined, code: Code, _held: IfNoneMatch = None) -> Response:
+    """Return one track section."""
+    with joined.storage.read() as unit:
+        found = unit.tracks.section(code)
+    return answer(request, tracks.section(found))
+
+
+@router.get("/{code}/alignment", response_model=tracks.Alignment, responses=described(404))
+def get_alignment(
+    request: Request, joined: Joined, code: Code, version: Version = None, _held: IfNoneMatch = None
+) -> Response:
+    """Return what is known of the section's alignment and gauge."""
+    with joined.storage.read() as unit:
+        unit.tracks.section(code)
+        found = unit.tracks.alignment(code, version)
+    if found is None:
+        raise NotFoundError("alignment of track section", code if version is None else f"{code} version {version}")
+    return answer(request, tracks.alignment(found))

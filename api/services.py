@@ -1,0 +1,47 @@
+"""What the routes work with: one value a process, joined by the factory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, cast
+
+from fastapi import Depends, Request
+
+from api.job_runner import JobRunner
+from estimation.errors import NotFoundError
+from estimation.jobs.job import Job
+from estimation.ports import Clock, Storage
+
+
+@dataclass(frozen=True, slots=True)
+class Services:
+    """Storage, time and jobs; ``check`` raises where the database is away or at another migration."""
+
+    storage: Storage
+    clock: Clock
+    jobs: Mapping[str, Job]
+    runner: JobRunner
+    check: Callable[[], None]
+    one_reader: bool  # an embedded database, whose reads slow each other down in threads
+
+    def job(self, name: str) -> Job:
+        """Return the job of this name.
+
+        Raises
+        ------
+        NotFoundError
+            There is none.
+        """
+        try:
+            return self.jobs[name]
+        except KeyError:
+            raise NotFoundError("job", name) from None
+
+
+async def services_of(request: Request) -> Services:
+    """Return what the factory joined."""
+    return cast("Services", request.app.state.services)
+
+
+Joined = Annotated[Services, Depends(services_of)]
