@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from estimation.errors import StoppedError, TreadwatchError
+from estimation.errors import ConflictError, StoppedError, TreadwatchError
 from estimation.ports import Clock, JobRun, Storage
 
 _log = logging.getLogger(__name__)
@@ -107,8 +107,11 @@ def run_job(job: Job, context: JobContext, trigger: str, *, started: Callable[[J
     outcome, counts, error = _attempt(job, replace(context, progress=_remember(context.progress, reached)))
     if error is not None and reached:
         counts = {"done": reached[-1][0], "total": reached[-1][1]}
-    with context.storage.write() as unit:
-        unit.jobs.finish(begun.run_id, outcome, counts, context.clock.now_ns(), error)
+    try:
+        with context.storage.write() as unit:
+            unit.jobs.finish(begun.run_id, outcome, counts, context.clock.now_ns(), error)
+    except ConflictError as conflict:  # a scheduler that started meanwhile has given this run up
+        _log.warning("job %s: %s", job.name, conflict)
     with context.storage.read() as unit:
         return unit.jobs.get(begun.run_id)
 

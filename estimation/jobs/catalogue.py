@@ -1,0 +1,44 @@
+"""All jobs, in the order in which one hands its results to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from estimation.errors import NotFoundError
+from estimation.jobs import estimate_windows, evaluate_alerts, refresh_geometry, refresh_trends
+from estimation.jobs.job import Job, JobContext, run_job
+from estimation.ports import JobRun
+
+ALL_JOBS: tuple[Job, ...] = (
+    estimate_windows.JOB,
+    refresh_geometry.JOB,
+    refresh_trends.JOB,
+    evaluate_alerts.JOB,
+)
+
+
+def job_named(name: str) -> Job:
+    """Return the job of a name.
+
+    Raises
+    ------
+    NotFoundError
+        There is none.
+    """
+    for job in ALL_JOBS:
+        if job.name == name:
+            return job
+    raise NotFoundError("job", name)
+
+
+def run_all(context: JobContext, trigger: str, jobs: Sequence[Job] = ALL_JOBS) -> list[JobRun]:
+    """Run the jobs one after the other and return their records.
+
+    A failed job does not keep the later ones from their work: each works on what is stored.
+    """
+    runs = []
+    for job in jobs:
+        runs.append(run_job(job, context, trigger))
+        if context.stopping is not None and context.stopping():
+            break
+    return runs

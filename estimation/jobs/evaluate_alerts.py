@@ -1,0 +1,92 @@
+"""Job: evaluate the alert rules of every wheelset and record what changes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+from estimation.alert_transitions import close, transition
+from estimation.alerts import Alert, AlertEventKind, Transition
+from estimation.jobs.job import Job, JobContext
+from estimation.ports import UnitOfWork, WheelsetRecord, WindowRecord
+from estimation.rules.book import RuleBook
+from estimation.rules.evaluation import WheelsetFacts, findings, overtaken
+
+FIRST_LOOK_NS = 3_600_000_000_000
+
+
+def run(context: JobContext) -> Mapping[str, int]:
+    """Evaluate alerts; each wheelset is one transaction, and the same data again change nothing."""
+    with context.storage.read() as unit:
+        serials = [wheelset.serial for wheelset in unit.registry.wheelsets()]
+    counts: Counter[str] = Counter(dict.fromkeys(("wheelsets", *(kind.value for kind in AlertEventKind)), 0))
+    for done, serial in enumerate(serials):
+        context.checkpoint(done, len(serials))
+        with context.storage.write() as unit:
+            counts.update(kind.value for kind in _evaluate(unit, serial, context))
+        counts["wheelsets"] += 1
+    return dict(counts)
+
+
+def _evaluate(unit: UnitOfWork, serial: str, context: JobContext) -> list[AlertEventKind]:
+    book, now_ns = context.setting(RuleBook), context.clock.now_ns()
+    facts = _facts(unit, unit.registry.wheelset(serial), book)
+    events: list[AlertEventKind] = []
+    ended = overtaken(facts, book)
+    for alert, reason, at_ns in ended:
+        events += _save(unit, close(alert, reason, at_ns), now_ns, reason)
+    gone = {alert.alert_id for alert, _, _ in ended}
+    still_open = {alert.kind: alert for alert in facts.open_alerts if alert.alert_id not in gone}
+    for finding in findings(facts, book, now_ns):
+        change = transition(
+            still_open.get(finding.kind),
+            finding,
+            now_ns,
+            fleet=facts.wheelset.fleet,
+            delays=book.delays_of(finding.kind),
+        )
+        if change is not None:
+            events += _save(unit, change, now_ns, "")
+    return events
+
+
+def _save(unit: UnitOfWork, change: Transition, now_ns: int, note: str) -> Sequence[AlertEventKind]:
+    unit.alerts.save(change.alert, change.events, now_ns, note=note)
+    return change.events
+
+
+def _facts(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> WheelsetFacts:
+    mounting = wheelset.mounting
+    alerts: Sequence[Alert] = unit.alerts.all_open(wheelset.serial)
+    if mounting is None:
+        return WheelsetFacts(wheelset, None, None, None, (), alerts)
+    return WheelsetFacts(
+        wheelset=wheelset,
+        vehicle=unit.registry.vehicle(mounting.vehicle),
+        geometry=unit.geometries.current(wheelset.serial),
+        trend=unit.trends.latest(wheelset.serial),
+        windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, book.sensor_fault.latest_windows),
+        open_alerts=alerts,
+    )
+
+
+def _latest_windows(unit: UnitOfWork, serial: str, since_ns: int, wanted: int) -> Sequence[WindowRecord]:
+    """Return at least the latest ``wanted`` windows since a time, looking back further until there are as many."""
+    newest = unit.windows.latest(serial)
+    if newest is None or newest.start_ns < since_ns:
+        return ()
+    look_back = FIRST_LOOK_NS
+    while True:
+        from_ns = max(since_ns, newest.start_ns - look_back)
+        found = unit.windows.list(serial, from_ns)
+        if len(found) >= wanted or from_ns == since_ns:
+            return found[-wanted:]
+        look_back *= 8
+
+
+JOB = Job(
+    name="evaluate_alerts",
+    description="Evaluate the alert rules and record what they raise, update, clear and close",
+    every_s=60.0,
+    run=run,
+)

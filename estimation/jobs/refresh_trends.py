@@ -1,0 +1,71 @@
+"""Job: refresh the trend of every wheelset whose interval geometries or limit have changed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+
+from estimation.jobs.job import Job, JobContext
+from estimation.ports import GeometryRecord, TrendRecord, UnitOfWork, WheelsetRecord
+from estimation.rules.book import RuleBook
+from estimation.rules.evaluation import speed_class
+from estimation.trend import TrendParameters, refresh
+from estimation.trend_points import conicity_points
+
+
+def run(context: JobContext) -> Mapping[str, int]:
+    """Refresh trends; each wheelset is committed on its own, and one without news is left alone."""
+    with context.storage.read() as unit:
+        wheelsets = unit.registry.wheelsets()
+    counts = dict.fromkeys(("wheelsets", "refreshed", "unchanged", "without_limit"), 0)
+    for done, wheelset in enumerate(wheelsets):
+        context.checkpoint(done, len(wheelsets))
+        counts["wheelsets"] += 1
+        counts[_refresh(context, wheelset)] += 1
+    return counts
+
+
+def _refresh(context: JobContext, wheelset: WheelsetRecord) -> str:
+    params, baseline = context.setting(TrendParameters), len(wheelset.reprofilings)
+    with context.storage.read() as unit:
+        limit = _limit(unit, wheelset, context.setting(RuleBook))
+        records = unit.geometries.intervals(wheelset.serial, baseline)
+        latest = unit.trends.latest(wheelset.serial)
+    if limit is None:
+        return "without_limit"
+    digest = _digest(records, limit, params)
+    if latest is not None and (latest.baseline, latest.input_digest, latest.code_version) == (
+        baseline,
+        digest,
+        context.code_version,
+    ):
+        return "unchanged"
+    chosen = conicity_points(records)
+    trend = refresh(chosen.points, limit, params, quantity=chosen.quantity, note=chosen.note)
+    record = TrendRecord(wheelset.serial, baseline, trend, digest, context.code_version, context.clock.now_ns())
+    with context.storage.write() as unit:
+        return "refreshed" if unit.trends.put(record) else "unchanged"
+
+
+def _limit(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> float | None:
+    """Return the conicity limit in the vehicle it runs in, or ran in last."""
+    mounting = wheelset.mounting or max(unit.registry.mountings(wheelset.serial), key=lambda m: m.from_ns, default=None)
+    if mounting is None:
+        return None
+    return book.conicity_limit.limit_for(*speed_class(unit.registry.vehicle(mounting.vehicle)))
+
+
+def _digest(records: Sequence[GeometryRecord], limit: float, params: TrendParameters) -> str:
+    inputs = [[r.interval, r.input_digest, r.mileage_km, r.code_version] for r in records]
+    text = json.dumps([inputs, limit, asdict(params)], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+JOB = Job(
+    name="refresh_trends",
+    description="Refresh the wear trend of every wheelset with new geometry",
+    every_s=60.0,
+    run=run,
+)
