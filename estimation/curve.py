@@ -13,6 +13,7 @@ from estimation.types import Estimate
 
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
+SCALE_UNCERTAINTY = 0.005  # of the displacement, from integration and projection
 MOST_EXCESS = 0.2  # of the variance of the displacement that its error may make up
 
 
@@ -95,10 +96,10 @@ _Row = tuple[FloatArray, FloatArray]  # displacement (k,), rolling radius differ
 def _rows(curve: CurveReplicates, run: BoolArray) -> list[_Row]:
     """Return the curve from all data, with each group left out, then shifted by each systematic uncertainty.
 
-    The error of the displacement (std e) flattens the curve twice over: a large measured displacement is too large on
-    average (by the factor 1/(1 - e^2/var)), and kinks are rounded. Both are taken back to first order; what was taken
-    back stands for what remains unknown. So does the difference between bins that bend and straight lines between their
-    centres.
+    The error of the displacement (std e) flattens the curve: a large measured displacement is too large on average,
+    by the factor 1/(1 - e^2/var). That is taken back; as much as was taken back stands for what remains unknown. So
+    do a scale error, the rounding of kinks by e, and the difference between bins that bend and straight lines
+    between their centres.
     """
     observed = 0.5 * (curve.edges[:-1] + curve.edges[1:])
     variance = np.average(observed**2, weights=curve.samples)
@@ -108,10 +109,10 @@ def _rows(curve: CurveReplicates, run: BoolArray) -> list[_Row]:
     x = (1 - excess) * at
     values = [_evaluate(shape[run]) for shape in curve.difference]
     shifted = [values[0] + _evaluate(curve.sensitivity[run, k]) for k in range(curve.sensitivity.shape[1])]
-    sharpened = [(x, 2 * row - _rounded(x, row, curve.displacement_noise)) for row in (*values, *shifted)]
     coarse = np.interp(at, 0.5 * (low + high), curve.difference[0, run, 0])
-    first = sharpened[0][1]
-    return [*sharpened, (at, first), (x, values[0]), (x, first + coarse - values[0])]
+    rounded = _rounded(x, values[0], curve.displacement_noise)
+    stretched = ((1 + SCALE_UNCERTAINTY) * x, values[0])
+    return [*((x, row) for row in (*values, *shifted)), (at, values[0]), stretched, (x, rounded), (x, coarse)]
 
 
 def _nodes(low: FloatArray, high: FloatArray) -> FloatArray:
@@ -129,7 +130,7 @@ def _evaluate(shape: FloatArray) -> FloatArray:
 
 
 def _rounded(x: FloatArray, difference: FloatArray, std: float) -> FloatArray:
-    """Return the curve averaged over a normal displacement error (three-point Gauss-Hermite); straight beyond its ends."""
+    """Return the curve averaged over a normal error of x (three-point Gauss-Hermite); straight beyond its ends."""
     step = np.sqrt(3.0) * std
     line_low = (difference[1] - difference[0]) / (x[1] - x[0])
     line_high = (difference[-1] - difference[-2]) / (x[-1] - x[-2])

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import optimize
 
 from estimation import least_squares
 from estimation.arrays import BoolArray, FloatArray
@@ -95,7 +94,7 @@ def estimate(table: BinTable, bins: BinParameters, parameters: GeometryParameter
     A = _combination(replicates.yaw[:, :, 0], unc.yaw(), few, jump, parameters.prior_angle, parameters)
     R = _combination(replicates.yaw[:, :, 1], unc.yaw(), few, jump, parameters.prior_radius, parameters)
     shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 5, 3): R across each bin, by target
-    noise = _displacement_noise(replicates, samples, few | jump, bins)
+    noise = _displacement_noise(replicates, few | jump, bins)
     curve = curve_estimates(
         CurveReplicates(
             edges=table.edges,
@@ -163,17 +162,18 @@ def _jumps(replicates: _Replicates, few: BoolArray, parameters: GeometryParamete
     return np.asarray((rise > parameters.jump_step) | (replicates.residual > limit))
 
 
-def _displacement_noise(replicates: _Replicates, samples: FloatArray, out: BoolArray, bins: BinParameters) -> float:
-    """Return the std of the error of y - d, m: what of the residuals grows with the slope of rL - rR."""
-    slope = replicates.yaw[0, :, 2, 0] / bins.width
+def _displacement_noise(replicates: _Replicates, out: BoolArray, bins: BinParameters) -> float:
+    """Return the std of the error of y - d, m, from residual over slope in the bins where that is least.
+
+    Least, because curvature and jumps near by add to the residual; over the root of two, because rL - rR has lost its
+    slow part like y - d, and has an error of the same size.
+    """
+    slope = np.abs(replicates.yaw[0, :, 2, 0]) / bins.width
     use = ~out & np.isfinite(slope) & np.isfinite(replicates.residual)
     if use.sum() < FEWEST_BINS:
         return 0.0
-    weight = np.sqrt(samples[use])
-    design = np.column_stack([np.ones(int(use.sum())), slope[use] ** 2]) * weight[:, None]
-    scale = np.linalg.norm(design, axis=0)
-    (_, share), _ = optimize.nnls(design / scale, replicates.residual[use] ** 2 * weight)
-    return float(np.sqrt(share / scale[1]))
+    steep = use & (slope >= np.median(slope[use]))
+    return float(np.quantile(replicates.residual[steep] / slope[steep], 0.25) / np.sqrt(2.0))
 
 
 def _combination(
