@@ -34,8 +34,8 @@ class Fault:
 class WheelsetPlan:
     """A wheelset, how fast it wears, and when it goes to the lathe.
 
-    Wear is depth below the design profile in the middle of the running band, in metres. ``rate_left`` and
-    ``rate_right`` are per metre run; ``initial_wear`` is there at ``initial_mileage``.
+    Wear is the depth of the hollow in the tread, in metres, as ``estimation.contact.wear`` means it; ``rate_left``
+    and ``rate_right`` are per metre run, ``initial_wear`` is there when the vehicle's odometer stands at 0.
     """
 
     serial: str
@@ -44,7 +44,8 @@ class WheelsetPlan:
     rate_left: float
     rate_right: float
     wear_centre: float  # m, from the tread datum, positive to the field side
-    wear_width: float  # m
+    wear_half_width: float  # m
+    flange_share: float  # flange wear as a share of the tread's
     initial_wear: float  # m
     initial_mileage: float  # m, since new, when the vehicle's odometer stands at 0
     reprofilings: tuple[float, ...]  # m, vehicle odometer
@@ -149,7 +150,7 @@ class Scenario:
         return self.sessions.first_odometer + campaign * self.sessions.distance_between
 
     def start_ns(self, vehicle: VehiclePlan, campaign: int) -> int:
-        """Return the vehicle time at which ``campaign`` (from 0) of ``vehicle`` starts: whole seconds, vehicles apart."""
+        """Return the vehicle time at which ``campaign`` (from 0) starts: whole seconds, one vehicle after another."""
         days = campaign * self.sessions.distance_between / self.sessions.distance_per_day
         order = self.vehicles.index(vehicle)
         seconds = round(days * DAY_NS / SECOND_NS) + round(order * (self.sessions.duration + 60.0))

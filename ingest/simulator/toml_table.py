@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -106,7 +107,7 @@ class TomlTable:
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise self.fail(f"{value!r} in the list is not a number", key)
             self._within(key, value, low, math.inf)
-        if any(later <= earlier for earlier, later in zip(values, values[1:], strict=False)):
+        if any(later <= earlier for earlier, later in pairwise(values)):
             raise self.fail("the list must increase", key)
         return tuple(float(value) for value in values)
 

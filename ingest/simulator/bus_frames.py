@@ -1,0 +1,168 @@
+"""The complete bus of one vehicle over one run, as frames: what its nodes would have sent, and what got lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from estimation.arrays import BoolArray, IntArray
+from estimation.errors import ScenarioError
+from estimation.types import ACCELERATIONS, FrameBatch
+from ingest import catalogue as kinds
+from ingest.canopen import sync_counter, time_of_day
+from ingest.catalogue import Catalogue, MessagePlan
+from ingest.codec import encode
+from ingest.frames import concatenate, sort_by_time, take
+from ingest.simulator.campaign import BUS, VehicleRun, failed, seed_of
+from ingest.simulator.motion import STEP
+from ingest.simulator.scenario import FaultKind, Scenario, SectionPlan
+from ingest.simulator.sensors import SensorRecord
+
+SLOT_NS = 230_000
+"""Time on a 500 kbit/s bus of a frame with 8 bytes, stuffing included."""
+
+HARDWARE_ERROR = 0x5000  # CiA 301: device hardware
+ERROR_REGISTER = 0x81  # generic, manufacturer specific
+OPERATIONAL = 5
+_STATUS_BITS = ("lateral_clipped", "yaw_clipped", "roll_clipped", "mass_lateral_clipped")
+_METRES_PER_DEGREE = 111_320.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Ticks:
+    """SYNC instants of a run on the vehicle clock, and how the bus and the recorder delay what they cause."""
+
+    t_ns: IntArray  # (n,)
+    interval_ns: int
+    late_ns: IntArray  # (n,) recorder's offset and jitter at each SYNC
+    slot_ns: int
+    slots: Mapping[int, int]  # by arbitration id
+
+    def every(self, cycle_ns: int) -> IntArray:
+        """Return the numbers of the ticks at whole multiples of ``cycle_ns`` on the vehicle clock."""
+        return np.flatnonzero(self.t_ns % max(cycle_ns, self.interval_ns) == 0)
+
+    def stamps(self, plan: MessagePlan, at: IntArray) -> IntArray:
+        """Return the time stamps of the frames of ``plan`` sent after the SYNCs ``at``."""
+        return self.t_ns[at] + self.late_ns[at] + self.slot_ns * (1 + self.slots[plan.arbitration_id])
+
+
+def vehicle_frames(
+    catalogue: Catalogue, scenario: Scenario, run: VehicleRun, records: Sequence[SensorRecord | None]
+) -> FrameBatch:
+    """Return all frames of the vehicle's bus over ``run``, in time order; ``records`` by axle, None where none is.
+
+    Raises
+    ------
+    ScenarioError
+        The sensors' rate is not the one of the catalogue.
+    """
+    interval_ns = catalogue.sample_interval_ns
+    if scenario.sensors.rate_hz * interval_ns != 1_000_000_000:  # noqa: PLR2004 - ns in a second
+        raise ScenarioError(
+            f"the bus samples every {interval_ns / 1e6:g} ms, not at {scenario.sensors.rate_hz} Hz",
+            field="sensors.rate_hz",
+        )
+    rng = np.random.default_rng(seed_of(scenario, BUS, scenario.vehicles.index(run.vehicle), run.campaign))
+    ticks = _ticks(catalogue, scenario, run, rng)
+    batches = [*_master(catalogue, ticks), *_vehicle_node(catalogue, scenario.section, run, ticks)]
+    for axle, record in enumerate(records):
+        batches += _wheelset_node(catalogue, run, axle, record, ticks)
+    whole = sort_by_time(concatenate(batches, channel="can0"))
+    keep = _kept(scenario, whole, rng)
+    return whole if keep.all() else take(whole, keep)
+
+
+def _ticks(catalogue: Catalogue, scenario: Scenario, run: VehicleRun, rng: np.random.Generator) -> _Ticks:
+    interval_ns = catalogue.sample_interval_ns
+    count = (len(run.speed) - 1) // scenario.sensors.stride + 1
+    first = -(-run.start_ns // interval_ns)
+    jitter = np.zeros(count)
+    if scenario.bus.jitter > 0.0:
+        jitter = np.clip(scenario.bus.jitter * rng.standard_normal(count), 0.0, 0.2e-9 * interval_ns)
+    nodes = (*range(1, len(run.vehicle.wheelsets) + 1), kinds.VEHICLE_NODE, None)
+    sent = sorted(plan.arbitration_id for plan in catalogue.messages.values() if plan.node in nodes)
+    return _Ticks(
+        t_ns=interval_ns * (first + np.arange(count, dtype=np.int64)),
+        interval_ns=interval_ns,
+        late_ns=np.rint(1e9 * (scenario.bus.recorder_offset + jitter)).astype(np.int64),
+        slot_ns=min(SLOT_NS, int(0.75 * interval_ns / (len(sent) + 1))),
+        slots={identifier: slot for slot, identifier in enumerate(sent)},
+    )
+
+
+def _master(catalogue: Catalogue, ticks: _Ticks) -> Iterator[FrameBatch]:
+    sync, time = catalogue.find(kinds.SYNC), catalogue.find(kinds.TIME)
+    every = np.arange(len(ticks.t_ns))
+    yield encode(sync, ticks.stamps(sync, every), {"counter": sync_counter(ticks.t_ns // ticks.interval_ns)})
+    at = ticks.every(time.cycle_ns)
+    milliseconds, days = time_of_day(ticks.t_ns[at])
+    yield encode(time, ticks.stamps(time, at), {"milliseconds": milliseconds, "days": days})
+
+
+def _vehicle_node(catalogue: Catalogue, section: SectionPlan, run: VehicleRun, ticks: _Ticks) -> Iterator[FrameBatch]:
+    stride = round(1e-9 * ticks.interval_ns / STEP)
+    north = run.distance / _METRES_PER_DEGREE * np.sqrt(0.5)
+    east = north / np.cos(np.deg2rad(section.latitude))
+    signals: dict[str, dict[str, npt.NDArray[np.float64] | float]] = {
+        kinds.MOTION: {"speed": run.speed, "odometer": run.odometer + run.distance - run.distance[0]},
+        kinds.PLACE: {"latitude": section.latitude + north, "longitude": section.longitude + east},
+        kinds.POSITION: {
+            "track_section": float(section.number),
+            "distance": run.distance,
+            "position_quality": 1.0,
+        },
+        kinds.HEARTBEAT: {"state": float(OPERATIONAL)},
+    }
+    for kind, values in signals.items():
+        plan = catalogue.find(kind, kinds.VEHICLE_NODE)
+        at = ticks.every(plan.cycle_ns)
+        given = {name: value if isinstance(value, float) else value[at * stride] for name, value in values.items()}
+        yield encode(plan, ticks.stamps(plan, at), given)
+
+
+def _wheelset_node(
+    catalogue: Catalogue, run: VehicleRun, axle: int, record: SensorRecord | None, ticks: _Ticks
+) -> Iterator[FrameBatch]:
+    wheelset, node = run.vehicle.wheelsets[axle], axle + 1
+    dead = failed(wheelset, run.campaign)
+    if dead and wheelset.fault is not None and wheelset.fault.kind is FaultKind.SILENT:
+        return
+    every = np.arange(len(ticks.t_ns))
+    plan = catalogue.find(kinds.ACCELERATION, node)
+    values = {name: np.nan if dead or record is None else record.values[:, i] for i, name in enumerate(ACCELERATIONS)}
+    yield encode(plan, ticks.stamps(plan, every), values)
+    plan = catalogue.find(kinds.STATUS, node)
+    at = ticks.every(plan.cycle_ns)
+    status: dict[str, npt.ArrayLike] = {"sample_counter": at + 1, "self_test_failed": float(dead)}
+    if record is not None and not dead:
+        status |= {name: _within_cycle(record.clipped[:, i], at) for i, name in enumerate(_STATUS_BITS)}
+        status["temperature"] = 12.0 + 6.0 * np.sin(2.0 * np.pi * at / max(len(every), 1))
+    yield encode(plan, ticks.stamps(plan, at), status)
+    plan = catalogue.find(kinds.HEARTBEAT, node)
+    yield encode(plan, ticks.stamps(plan, at), {"state": float(OPERATIONAL)})
+    if dead:
+        plan = catalogue.find(kinds.EMERGENCY, node)
+        error = {"error_code": float(HARDWARE_ERROR), "error_register": float(ERROR_REGISTER)}
+        yield encode(plan, ticks.stamps(plan, every[:1]), error)
+
+
+def _within_cycle(flags: BoolArray, at: IntArray) -> npt.NDArray[np.float64]:
+    """Return for each tick of ``at`` whether a flag was set since the one before it."""
+    seen = np.concatenate([[0], np.cumsum(flags)])
+    between = np.diff(seen[np.concatenate([[0], at + 1])])
+    return np.asarray(between > 0, dtype=np.float64)
+
+
+def _kept(scenario: Scenario, batch: FrameBatch, rng: np.random.Generator) -> BoolArray:
+    bus, keep = scenario.bus, np.ones(len(batch), dtype=np.bool_)
+    if bus.lost_share > 0.0:
+        keep &= rng.random(len(batch)) >= bus.lost_share
+    first, last = int(batch.t_ns[0]), int(batch.t_ns[-1])
+    for _ in range(rng.poisson(bus.burst_per_hour * 1e-9 * (last - first) / 3600.0)):
+        start = rng.uniform(first, last)
+        keep &= (batch.t_ns < start) | (batch.t_ns >= start + 1e9 * bus.burst)
+    return keep

@@ -1,0 +1,136 @@
+"""One vehicle over one recorded run: its speed, its place on the track, and what each wheelset's node measures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.arrays import FloatArray, frozen_array
+from estimation.contact.table import ContactTable
+from estimation.errors import ScenarioError
+from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset, travelled
+from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
+from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
+from ingest.simulator.track import TrackTruth, make_track, read_track
+from ingest.simulator.wear import gauge_grid, wear_at, worn_contact
+
+_TRACK, _SPEED, _SENSOR, _OFFSETS, BUS, SURVEY = range(6)
+"""First word of the key of each random stream, so that no two share one."""
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleRun:
+    """The course of one vehicle over one campaign, every ``STEP`` s; reference is the vehicle's position antenna."""
+
+    vehicle: VehiclePlan
+    campaign: int  # from 0
+    start_ns: int  # vehicle clock
+    odometer: float  # m, at the start
+    speed: FloatArray  # (n,) m/s
+    distance: FloatArray  # (n,) m along the section, of the reference
+
+    def __post_init__(self) -> None:
+        n = len(self.speed)
+        for name in ("speed", "distance"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+
+
+def scenario_track(scenario: Scenario) -> TrackTruth:
+    """Return the true track of the scenario's section.
+
+    Raises
+    ------
+    ScenarioError
+        The recorded file cannot be read.
+    """
+    section = scenario.section
+    if section.file is not None:
+        return read_track(section.file)
+    assert section.recipe is not None
+    return make_track(section.recipe, seed_of(scenario, _TRACK))
+
+
+def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, campaign: int) -> VehicleRun:
+    """Return where and how fast ``vehicle`` runs in ``campaign`` (from 0).
+
+    Raises
+    ------
+    ScenarioError
+        The track is too short for the run.
+    """
+    rng = np.random.default_rng(seed_of(scenario, _SPEED, scenario.vehicles.index(vehicle), campaign))
+    speed = _speed(scenario, rng)
+    run = float(travelled(speed, 0.0)[-1])
+    first = float(track.s[0]) + vehicle.axle_offsets[-1] + 1.0
+    room = float(track.s[-1]) - 1.0 - first - run
+    if room < 0.0:
+        raise ScenarioError(
+            f"campaign {campaign + 1} of {vehicle.code} needs {run:.0f} m, the section has {track.length:.0f} m",
+            field="sessions.minutes_each",
+        )
+    return VehicleRun(
+        vehicle=vehicle,
+        campaign=campaign,
+        start_ns=scenario.start_ns(vehicle, campaign),
+        odometer=scenario.odometer(campaign),
+        speed=speed,
+        distance=travelled(speed, first + room * float(rng.uniform())),
+    )
+
+
+def wheelset_motion(
+    scenario: Scenario, track: TrackTruth, run: VehicleRun, axle: int, table: ContactTable | None = None
+) -> WheelsetMotion:
+    """Return the true motion of the wheelset at ``axle`` (from 0) over ``run``.
+
+    ``table`` is its contact geometry where that is at hand already; made here otherwise.
+
+    Raises
+    ------
+    ScenarioError
+        The wheelset leaves the range of its contact geometry: the scenario lets it derail.
+    """
+    plan = run.vehicle.wheelsets[axle]
+    if table is None:
+        table = worn_contact(plan, wear_at(plan, run.odometer), scenario.section, gauge_grid(track))
+    start = float(run.distance[0]) - run.vehicle.axle_offsets[axle]
+    motion = simulate_wheelset(scenario.parameters, table, track, run.speed, start)
+    if motion.outside:
+        raise ScenarioError(
+            f"{plan.serial} derails in campaign {run.campaign + 1}: {motion.outside} samples lie beyond "
+            f"{1e3 * table.lateral_displacement[-1]:.1f} mm",
+            field=f"vehicles.{run.vehicle.code}",
+        )
+    return motion
+
+
+def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> SensorRecord:
+    """Return what the node of the wheelset at ``axle`` (from 0) measures of ``motion``."""
+    order = scenario.vehicles.index(run.vehicle)
+    offsets = draw_offsets(scenario.sensors, np.random.default_rng(seed_of(scenario, _OFFSETS, order, axle)))
+    rng = np.random.default_rng(seed_of(scenario, _SENSOR, order, axle, run.campaign))
+    return measure(motion, scenario.sensors, rng, offsets)
+
+
+def failed(plan: WheelsetPlan, campaign: int) -> bool:
+    """Whether the node of the wheelset has failed in ``campaign`` (from 0)."""
+    return plan.fault is not None and campaign + 1 >= plan.fault.from_campaign
+
+
+def seed_of(scenario: Scenario, *key: int) -> np.random.SeedSequence:
+    """Return the seed of one random stream: the same for the same scenario seed and key, whatever ran before."""
+    return np.random.SeedSequence(scenario.seed, spawn_key=key)
+
+
+def _speed(scenario: Scenario, rng: np.random.Generator) -> FloatArray:
+    """Return a speed (n,) that wanders within the scenario's range: three slow waves, squeezed smoothly into it."""
+    plan, n = scenario.speed, round(scenario.sessions.duration / STEP) + 1
+    t = STEP * np.arange(n)
+    wave = np.zeros(n)
+    for order in (1.0, 1.7, 2.9):
+        wave += (
+            rng.uniform(0.5, 1.0) / order * np.sin(2.0 * np.pi * order * t / plan.period + rng.uniform(0, 2 * np.pi))
+        )
+    middle, half = 0.5 * (plan.lowest + plan.highest), 0.5 * (plan.highest - plan.lowest)
+    return np.asarray(middle + half * np.tanh(wave))

@@ -1,0 +1,221 @@
+"""What goes beside the recordings: the operator's registry, the track as surveyed, and the truth.
+
+The registry is what an operator would know and write; the truth is for tests, benchmarks and reports alone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from estimation.alerts import JsonValue
+from estimation.arrays import FloatArray
+from ingest.simulator.campaign import failed
+from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
+from ingest.simulator.track import TrackTruth, write_track
+from ingest.simulator.wear import GeometryTruth, WearState, wear_at
+
+REGISTRY_FILE = "registry.json"
+TRUTH_FILE = "truth.json"
+REGISTRY_FORMAT = "treadwatch-registry-1"
+TRUTH_FORMAT = "treadwatch-truth-1"
+_CURVE_STRIDE = 2
+
+
+@dataclass(frozen=True, slots=True)
+class WheelsetTruth:
+    """What is true of one wheelset in one campaign."""
+
+    vehicle: str
+    axle: int  # from 1
+    campaign: int  # from 1
+    wear: WearState
+    geometry: GeometryTruth
+
+
+def iso_time(t_ns: int) -> str:
+    """Return a time in whole seconds as ISO 8601 in UTC."""
+    return datetime.fromtimestamp(t_ns // 1_000_000_000, tz=UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: TrackTruth) -> Path:
+    """Write the registry and the surveyed track into ``folder``; return the registry's path."""
+    section = scenario.section
+    track_file = f"{section.code.lower()}.csv"
+    write_track(folder / track_file, survey)
+    content: dict[str, JsonValue] = {
+        "format": REGISTRY_FORMAT,
+        "fleets": [{"code": scenario.fleet_code, "name": scenario.fleet_name}],
+        "vehicles": [_vehicle(scenario, plan) for plan in scenario.vehicles],
+        "wheelsets": [_wheelset(scenario, item) for plan in scenario.vehicles for item in plan.wheelsets],
+        "mountings": [
+            _mounting(scenario, plan, axle) for plan in scenario.vehicles for axle in range(len(plan.wheelsets))
+        ],
+        "reprofilings": [
+            _reprofiling(scenario, item, odometer)
+            for plan in scenario.vehicles
+            for item in plan.wheelsets
+            for odometer in item.reprofilings
+        ],
+        "track_sections": [
+            {
+                "code": section.code,
+                "number": section.number,
+                "name": section.name,
+                "rail_profile": section.rail_profile,
+                "rail_inclination": section.inclination,
+                "nominal_gauge_mm": 1e3 * section.nominal_gauge,
+                "length_m": track.length,
+                "alignment": {
+                    "file": track_file,
+                    "alignment_std_mm": 1e3 * section.survey_alignment_std,
+                    "gauge_deviation_std_mm": 1e3 * section.survey_gauge_std,
+                },
+            }
+        ],
+    }
+    return write_json(folder / REGISTRY_FILE, content)
+
+
+def write_truth(folder: Path, scenario: Scenario, truths: Sequence[WheelsetTruth]) -> Path:
+    """Write what is true of every wheelset and campaign into ``folder``; return the file's path."""
+    wheelsets: list[JsonValue] = []
+    for vehicle in scenario.vehicles:
+        for axle, plan in enumerate(vehicle.wheelsets, start=1):
+            mine = sorted(
+                (item for item in truths if item.vehicle == vehicle.code and item.axle == axle),
+                key=lambda item: item.campaign,
+            )
+            if mine:
+                campaigns: list[JsonValue] = [_campaign(scenario, vehicle, plan, item) for item in mine]
+                head: dict[str, JsonValue] = {"serial": plan.serial, "vehicle": vehicle.code, "axle": axle}
+                wheelsets.append(head | {"campaigns": campaigns})
+    content: dict[str, JsonValue] = {
+        "format": TRUTH_FORMAT,
+        "scenario": scenario.name,
+        "seed": scenario.seed,
+        "wheelsets": wheelsets,
+    }
+    return write_json(folder / TRUTH_FILE, content)
+
+
+def surveyed(scenario: Scenario, track: TrackTruth, seed: np.random.SeedSequence) -> TrackTruth:
+    """Return the track as a recording car would put it on file: the truth and white survey errors.
+
+    The errors are those of the survey's standard deviations, smoothed over some 2 m as a chord does.
+    """
+    rng = np.random.default_rng(seed)
+    section = scenario.section
+    return TrackTruth(
+        track.s,
+        track.alignment + _survey_error(len(track.s), section.survey_alignment_std, track.interval, rng),
+        track.gauge_deviation + _survey_error(len(track.s), section.survey_gauge_std, track.interval, rng),
+    )
+
+
+def write_json(path: Path, content: JsonValue) -> Path:
+    """Write a JSON file so that it is either there whole or not at all."""
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    os.replace(partial, path)  # noqa: PTH105 - Path.replace is the same call
+    return path
+
+
+def _survey_error(n: int, std: float, interval: float, rng: np.random.Generator) -> FloatArray:
+    white = rng.standard_normal(n)
+    if std == 0.0:
+        return np.zeros(n)
+    window = np.hanning(max(3, round(4.0 / interval)))
+    return np.asarray(std * np.convolve(white, window / np.sqrt((window**2).sum()), mode="same"))
+
+
+def _vehicle(scenario: Scenario, plan: VehiclePlan) -> JsonValue:
+    return {
+        "code": plan.code,
+        "fleet": scenario.fleet_code,
+        "vehicle_class": plan.vehicle_class,
+        "axles": len(plan.wheelsets),
+        "max_speed_km_h": round(3.6 * plan.max_speed, 6),
+        "axle_offsets_m": list(plan.axle_offsets),
+    }
+
+
+def _wheelset(scenario: Scenario, plan: WheelsetPlan) -> JsonValue:
+    return {
+        "serial": plan.serial,
+        "fleet": scenario.fleet_code,
+        "wheel_profile": plan.wheel_profile,
+        "nominal_radius_mm": round(1e3 * plan.nominal_radius, 6),
+    }
+
+
+def _mounting(scenario: Scenario, vehicle: VehiclePlan, axle: int) -> JsonValue:
+    plan = vehicle.wheelsets[axle]
+    odometer = scenario.sessions.first_odometer
+    return {
+        "wheelset": plan.serial,
+        "vehicle": vehicle.code,
+        "axle": axle + 1,
+        "from": iso_time(scenario.sessions.start_ns),
+        "to": None,
+        "vehicle_odometer_km": 1e-3 * odometer,
+        "wheelset_mileage_km": 1e-3 * (plan.initial_mileage + odometer),
+        "reversed": False,
+    }
+
+
+def _reprofiling(scenario: Scenario, plan: WheelsetPlan, odometer: float) -> JsonValue:
+    return {
+        "wheelset": plan.serial,
+        "at": iso_time(scenario.at_odometer_ns(odometer)),
+        "mileage_km": 1e-3 * (plan.initial_mileage + odometer),
+        "note": "turned to the design profile",
+    }
+
+
+def _campaign(scenario: Scenario, vehicle: VehiclePlan, plan: WheelsetPlan, item: WheelsetTruth) -> JsonValue:
+    geometry, wear = item.geometry, item.wear
+    curves: dict[str, JsonValue] = {
+        "lateral_displacement_mm": _millimetres(geometry.lateral_displacement[::_CURVE_STRIDE]),
+        "rolling_radius_sum_mm": _millimetres(geometry.rolling_radius_sum[::_CURVE_STRIDE]),
+        "rolling_radius_difference_mm": _millimetres(geometry.rolling_radius_difference[::_CURVE_STRIDE]),
+        "contact_angle_sum_rad": _numbers(geometry.contact_angle_sum[::_CURVE_STRIDE], 7),
+        "contact_angle_difference_rad": _numbers(geometry.contact_angle_difference[::_CURVE_STRIDE], 7),
+    }
+    facts: dict[str, JsonValue] = {
+        "campaign": item.campaign,
+        "start": iso_time(scenario.start_ns(vehicle, item.campaign - 1)),
+        "odometer_km": 1e-3 * scenario.odometer(item.campaign - 1),
+        "mileage_km": 1e-3 * wear.mileage,
+        "reprofilings": wear.reprofilings,
+        "sensor_failed": failed(plan, item.campaign - 1),
+        "wear_left_mm": 1e3 * wear.depth_left,
+        "wear_right_mm": 1e3 * wear.depth_right,
+        "amplitude_mm": _millimetres(geometry.amplitude),
+        "equivalent_conicity": _numbers(geometry.equivalent_conicity, 6),
+        "nonlinearity_parameter": _numbers(np.array([geometry.nonlinearity]), 6)[0],
+        "zero_crossing_mm": _millimetres(np.array([geometry.zero_crossing]))[0],
+    }
+    return facts | curves
+
+
+def _millimetres(values: FloatArray) -> list[JsonValue]:
+    return _numbers(1e3 * values, 6)
+
+
+def _numbers(values: FloatArray, decimals: int) -> list[JsonValue]:
+    """Return plain numbers, None where not finite."""
+    return [round(float(value), decimals) if np.isfinite(value) else None for value in values]
+
+
+def wheelset_truth(
+    plan: VehiclePlan, axle: int, campaign: int, odometer: float, geometry: GeometryTruth
+) -> WheelsetTruth:
+    """Return the truth of the wheelset at ``axle`` (from 0) in ``campaign`` (from 0)."""
+    return WheelsetTruth(plan.code, axle + 1, campaign + 1, wear_at(plan.wheelsets[axle], odometer), geometry)

@@ -1,0 +1,129 @@
+"""Wear that grows with mileage, and the contact geometry that goes with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.arrays import FloatArray, frozen_array
+from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.table import ContactTable
+from estimation.contact.wear import TreadWear, worn
+from ingest.simulator.scenario import SectionPlan, WheelsetPlan
+from ingest.simulator.track import TrackTruth
+
+DISPLACEMENT_LIMIT = 8e-3  # m
+DISPLACEMENT_STEP = 0.05e-3  # m
+GAUGE_STEP = 1e-3  # m
+AMPLITUDES = (0.5e-3, 1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3, 3.5e-3, 4e-3, 4.5e-3, 5e-3)  # m
+
+
+@dataclass(frozen=True, slots=True)
+class WearState:
+    """Wear of a wheelset at one moment; m."""
+
+    mileage: float  # since new
+    reprofilings: int  # so far
+    depth_left: float
+    depth_right: float
+
+
+def wear_at(plan: WheelsetPlan, odometer: float) -> WearState:
+    """Return the wear when the vehicle's odometer stands at ``odometer``, m; the lathe takes all of it away."""
+    done = [place for place in plan.reprofilings if place <= odometer]
+    since, before = (odometer - done[-1], 0.0) if done else (odometer, plan.initial_wear)
+    return WearState(
+        plan.initial_mileage + odometer, len(done), before + plan.rate_left * since, before + plan.rate_right * since
+    )
+
+
+def gauge_grid(track: TrackTruth) -> FloatArray:
+    """Return the gauge deviations (g,) that a contact table needs for ``track``: one where the gauge is constant."""
+    low, high = float(track.gauge_deviation.min()), float(track.gauge_deviation.max())
+    if high - low < 1e-9:  # noqa: PLR2004 - a nanometre is constant
+        return np.array([0.5 * (low + high)])
+    first, last = np.floor(low / GAUGE_STEP), np.ceil(high / GAUGE_STEP)
+    return np.asarray(GAUGE_STEP * np.arange(first, last + 1.0))
+
+
+def worn_contact(
+    plan: WheelsetPlan, wear: WearState, section: SectionPlan, gauge_deviation: FloatArray
+) -> ContactTable:
+    """Return the contact geometry of a worn wheelset on ``section``, rigid with roll, over +-8 mm.
+
+    Raises
+    ------
+    ContactError
+        The profiles never touch.
+    """
+    new, rail = wheel_profile(plan.wheel_profile), rail_profile(section.rail_profile)
+    half = round(DISPLACEMENT_LIMIT / DISPLACEMENT_STEP)
+    wheelset = WheelsetOnTrack(
+        left_wheel=_worn(new, plan, wear.depth_left),
+        right_wheel=_worn(new, plan, wear.depth_right),
+        left_rail=rail,
+        right_rail=rail,
+        inclination=section.inclination,
+        gauge=section.nominal_gauge,
+        left_radius=plan.nominal_radius + 0.25 * plan.diameter_difference,
+        right_radius=plan.nominal_radius - 0.25 * plan.diameter_difference,
+    )
+    displacement = DISPLACEMENT_STEP * np.arange(-half, half + 1)
+    return contact_table(wheelset, displacement, gauge_deviation, outside="hold")
+
+
+@dataclass(frozen=True, slots=True)
+class GeometryTruth:
+    """True contact geometry of a wheelset at nominal (or the section's constant) gauge."""
+
+    lateral_displacement: FloatArray  # (n,) m
+    rolling_radius_sum: FloatArray  # (n,) m
+    rolling_radius_difference: FloatArray  # (n,) m
+    contact_angle_sum: FloatArray  # (n,) rad
+    contact_angle_difference: FloatArray  # (n,) rad
+    amplitude: FloatArray  # (k,) m
+    equivalent_conicity: FloatArray  # (k,)
+    nonlinearity: float  # 1/mm
+    zero_crossing: float  # m
+
+    def __post_init__(self) -> None:
+        n, k = len(self.lateral_displacement), len(self.amplitude)
+        for name in _CURVES:
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+        for name in ("amplitude", "equivalent_conicity"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
+
+
+_CURVES = (
+    "lateral_displacement",
+    "rolling_radius_sum",
+    "rolling_radius_difference",
+    "contact_angle_sum",
+    "contact_angle_difference",
+)
+
+
+def truth_of(table: ContactTable) -> GeometryTruth:
+    """Return the true geometry in ``table``, at the gauge deviation nearest to 0."""
+    column = int(np.argmin(np.abs(table.gauge_deviation)))
+    x, R = table.lateral_displacement, table.rolling_radius_difference[:, column]
+    return GeometryTruth(
+        lateral_displacement=x,
+        rolling_radius_sum=table.rolling_radius_sum[:, column],
+        rolling_radius_difference=R,
+        contact_angle_sum=table.contact_angle_sum[:, column],
+        contact_angle_difference=table.contact_angle_difference[:, column],
+        amplitude=np.array(AMPLITUDES),
+        equivalent_conicity=equivalent_conicity(x, R, AMPLITUDES),
+        nonlinearity=nonlinearity_parameter(x, R),
+        zero_crossing=zero_crossing(x, R),
+    )
+
+
+def _worn(new: Profile, plan: WheelsetPlan, depth: float) -> Profile:
+    if depth == 0.0:
+        return new
+    return worn(new, TreadWear(depth, plan.wear_centre, plan.wear_half_width, plan.flange_share * depth))
