@@ -20,7 +20,8 @@ def write_atomically(path: Path, content: bytes, *, durable: bool) -> None:
         Whether file and directory are on the disk before this returns. Without it the file is whole for every
         reader at once, and after a loss of power it may be missing or empty.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.parent.is_dir():
+        path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=".writing-", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Table, and_, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Insert, Select, Table, Update, and_, bindparam, insert, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from fleet_db.models import Base
@@ -19,30 +20,38 @@ def table_of(row: type[Base]) -> Table:
     return table
 
 
-def key_is(table: Table, values: Mapping[str, Any]) -> ColumnElement[bool]:
-    """Return the condition that the primary key of ``table`` is the one in ``values``."""
-    return and_(*(column == values[column.name] for column in table.primary_key))
+@cache
+def key_given(table: Table) -> ColumnElement[bool]:
+    """Return the condition that the primary key of ``table`` is in the parameters ``key_<column>``."""
+    return and_(*(column == bindparam(f"key_{column.name}", type_=column.type) for column in table.primary_key))
+
+
+def key_of(table: Table, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parameters for ``key_given``."""
+    return {f"key_{column.name}": values[column.name] for column in table.primary_key}
 
 
 def upsert(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:
     """Make the row with the primary key of ``values`` hold ``values``; return whether anything changed."""
-    found = connection.execute(select(table).where(key_is(table, values))).mappings().first()
+    key = key_of(table, values)
+    found = connection.execute(_by_key(table), key).mappings().first()
     if found is None:
-        connection.execute(insert(table).values(**values))
+        connection.execute(_insert(table), values)
         return True
     if all(found[name] == value for name, value in values.items()):
         return False
-    connection.execute(update(table).where(key_is(table, values)).values(**values))
+    replace(connection, table, values)
     return True
+
+
+def replace(connection: Connection, table: Table, values: Mapping[str, Any]) -> None:
+    """Change the row with the primary key of ``values`` to hold ``values``."""
+    connection.execute(_update(table, tuple(values)), {**values, **key_of(table, values)})
 
 
 def insert_new(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:
     """Insert ``values`` unless the primary key is there already; return whether it was new."""
-    if connection.dialect.name == "postgresql":
-        result = connection.execute(postgresql.insert(table).values(**values).on_conflict_do_nothing())
-    else:
-        result = connection.execute(sqlite.insert(table).values(**values).on_conflict_do_nothing())
-    return result.rowcount > 0
+    return connection.execute(_insert_new(table, connection.dialect.name), values).rowcount > 0
 
 
 def null_if_nan(value: float | None) -> float | None:
@@ -53,3 +62,25 @@ def null_if_nan(value: float | None) -> float | None:
 def nan_if_null(value: float | None) -> float:
     """Return NaN for None."""
     return math.nan if value is None else value
+
+
+@cache
+def _by_key(table: Table) -> Select[Any]:
+    return select(table).where(key_given(table))
+
+
+@cache
+def _insert(table: Table) -> Insert:
+    return insert(table)
+
+
+@cache
+def _insert_new(table: Table, dialect: str) -> Insert:
+    if dialect == "postgresql":
+        return postgresql.insert(table).on_conflict_do_nothing()
+    return sqlite.insert(table).on_conflict_do_nothing()
+
+
+@cache
+def _update(table: Table, names: tuple[str, ...]) -> Update:
+    return update(table).where(key_given(table)).values({name: bindparam(name) for name in names})

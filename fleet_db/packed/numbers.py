@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import SupportsFloat, SupportsIndex
+from typing import Any
+
+import numpy as np
 
 from estimation.alerts import JsonValue
 from estimation.errors import StorageError
 from estimation.types import Estimate, Forecast, Status
 
 
-def number_to_json(value: SupportsFloat | None) -> JsonValue:
+def number_to_json(value: float | np.integer[Any] | None) -> JsonValue:
     """Return None and whole numbers as they are, and a float in hexadecimal, which loses no bit."""
     if value is None:
         return None
-    return int(value) if isinstance(value, SupportsIndex) else float(value).hex()
+    return int(value) if isinstance(value, int | np.integer) else float(value).hex()
 
 
 def number_from_json(value: JsonValue) -> float | None:

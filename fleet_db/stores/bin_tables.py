@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, and_, select
 
-from estimation.errors import ConflictError, NotFoundError
+from estimation.errors import ConflictError
 from estimation.ports import WindowRecord
 from estimation.types import BinTable
 from fleet_db.changes import Changes
 from fleet_db.models import WindowBinTableRow, WindowRow
 from fleet_db.packed.bin_table import pack_bin_table, unpack_bin_table
 from fleet_db.rows import table_of, upsert
-from fleet_db.stores.windows import to_window_record
+from fleet_db.stores.windows import content_digest, to_window_record
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 BATCH = 500  # rows fetched at once
@@ -37,13 +37,8 @@ class BinTableStore:
         ConflictError
             The window holds other content now than ``window_digest``.
         """
-        now = self.connection.scalar(
-            select(WINDOWS.c.content_digest).where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
-        )
-        key = f"{wheelset}@{start_ns}"
-        if now is None:
-            raise NotFoundError("window", key)
-        if now != window_digest:
+        if content_digest(self.connection, wheelset, start_ns) != window_digest:
+            key = f"{wheelset}@{start_ns}"
             raise ConflictError(f"window {key} was replaced while it was estimated", kind="window", key=key)
         values = {
             "wheelset": wheelset,

