@@ -19,6 +19,7 @@ GAUGE_DEPTH = 0.014
 """Depth below the top of the rail down to which the gauge is measured, m (EN 13848-1)."""
 
 _STEEPEST = math.tan(math.radians(82.0))
+_WALL = math.tan(math.radians(70.0))  # a gauge face at least this steep may be continued straight down
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +62,7 @@ def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
     Raises
     ------
     ContactError
-        The rail does not reach 14 mm below its top on the gauge side.
+        The rail ends on the gauge side less than 14 mm below its top, and not in a steep face.
     """
     angle = math.atan(inclination)
     y = rail.y * math.cos(angle) + rail.z * math.sin(angle)
@@ -70,15 +71,20 @@ def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
     rise = rail.slope * math.cos(angle) - math.sin(angle)
     slope = np.divide(rise, forward, out=np.full_like(rise, np.inf), where=forward > 1.0 / _STEEPEST)
     top = int(np.argmin(z))
-    edge = _gauge_edge(rail.name, y[: top + 1], z[: top + 1] - z[top])
+    edge = _gauge_edge(rail.name, y[: top + 1], z[: top + 1] - z[top], wall=bool(forward[0] * _WALL < abs(rise[0])))
     first, last = _run(slope, top, -1), _run(slope, top, 1)
     keep = slice(first, last + 1)
     return _gridded(y[keep] - edge + gauge / 2.0, z[keep] - z[top], slope[keep])
 
 
-def _gauge_edge(name: str, y: FloatArray, depth: FloatArray) -> float:
-    """Return the smallest y within `GAUGE_DEPTH` below the top; the last point of the arrays is the top."""
+def _gauge_edge(name: str, y: FloatArray, depth: FloatArray, *, wall: bool) -> float:
+    """Return the smallest y within `GAUGE_DEPTH` below the top; the last point of the arrays is the top.
+
+    ``wall`` says that the rail ends in a face so steep that its last point stands for what is below.
+    """
     below = np.flatnonzero(depth > GAUGE_DEPTH)
+    if len(below) == 0 and wall:
+        return float(y.min())
     if len(below) == 0:
         raise ContactError(
             f"rail {name!r} ends {depth.max() * 1e3:.2f} mm below its top on the gauge side; the gauge is measured "

@@ -1,0 +1,63 @@
+"""The contact geometry of one wheelset as a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from estimation.arrays import FloatArray
+from estimation.contact.table import ContactTable
+
+_LEFT, _RIGHT, _BOTH = "#1f5fa8", "#c4561a", "#222222"
+
+
+def save_contact_figure(
+    table: ContactTable, amplitude: FloatArray, conicity: FloatArray, title: str, out: Path
+) -> None:
+    """Write radii, contact angles, contact positions and equivalent conicity of the table's first gauge as PNG.
+
+    Parameters
+    ----------
+    table
+        Contact geometry; the column of its first gauge deviation is drawn.
+    amplitude, conicity
+        (k,) m and tan(gamma_e).
+    title
+        What it is.
+    out
+        File to write.
+    """
+    figure = Figure(figsize=(10.0, 7.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, 2)
+    y = table.lateral_displacement * 1e3
+    _curves(axes[0, 0], y, [("left - right", table.rolling_radius_difference[:, 0] * 1e3, _BOTH)])
+    axes[0, 0].set_ylabel("rolling radius difference, mm")
+    sides = (("left", _LEFT), ("right", _RIGHT))
+    angles = [(name, np.degrees(getattr(table, f"contact_angle_{name}")[:, 0]), colour) for name, colour in sides]
+    _curves(axes[0, 1], y, angles)
+    axes[0, 1].set_ylabel("contact angle, degrees")
+    places = [(name, getattr(table, f"contact_position_{name}")[:, 0] * 1e3, colour) for name, colour in sides]
+    _curves(axes[1, 0], y, places)
+    axes[1, 0].set_ylabel("contact on the wheel from its tread datum, mm")
+    for panel in (axes[0, 0], axes[0, 1], axes[1, 0]):
+        panel.set_xlabel("lateral displacement (left positive), mm")
+        panel.legend(frameon=False)
+    axes[1, 1].plot(amplitude * 1e3, conicity, color=_BOTH, marker="o", markersize=3)
+    axes[1, 1].set_xlabel("amplitude, mm")
+    axes[1, 1].set_ylabel("equivalent conicity tan γₑ")
+    axes[1, 1].set_ylim(bottom=0.0)
+    axes[1, 1].grid(visible=True, color="#dddddd")
+    figure.suptitle(title)
+    figure.savefig(out, format="png", dpi=110)
+
+
+def _curves(panel: Axes, y: FloatArray, curves: list[tuple[str, FloatArray, str]]) -> None:
+    for name, values, colour in curves:
+        panel.plot(y, values, label=name, color=colour, linewidth=1.4)
+    panel.grid(visible=True, color="#dddddd")
+    panel.margins(x=0.0)

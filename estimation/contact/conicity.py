@@ -1,0 +1,263 @@
+"""Equivalent conicity from the rolling radius difference, after EN 15302, and two cross-checks.
+
+The integration (EN 15302:2021 Annex B): with S(y) the integral of Delta r from its zero crossing, a free wheelset
+moves such that psi^2 = 2 (C - S(y)) / (e r0); its wavelength over the travel between the two points where S = C,
+put into Klingel's formula, gives tan(gamma_e) = pi^2 / I^2 with I = integral dy / sqrt(C - S(y)); e and r0 cancel.
+
+Rules for curves that a measurement gives:
+
+- The curve is straight between its points; points that are not finite are left out.
+- Of several upward zero crossings the one counts where the integral of Delta r is lowest, the deepest equilibrium;
+  on a stretch of zeros its middle.
+- Where S is not convex nothing changes; where it even falls, going outwards, its running maximum seen from the zero
+  crossing takes its place: the wheelset turns back where it first meets S = C. An amplitude that lies on a level
+  stretch of that maximum gets 0, because the wheelset would come to rest there.
+- An amplitude whose travel leaves the curve, and every amplitude of a curve without an upward crossing, gives NaN.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from estimation.arrays import FloatArray
+from estimation.errors import ParameterError
+
+_ANGLES = 240  # midpoints of the substitution y = middle + amplitude sin(angle)
+_HALVINGS = 60
+_MILLIMETRE = 1e-3
+
+
+def equivalent_conicity(
+    lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike, amplitudes: npt.ArrayLike
+) -> FloatArray:
+    """Return tan(gamma_e) at each amplitude by the integration of EN 15302.
+
+    Parameters
+    ----------
+    lateral_displacement
+        (n,) m, strictly increasing, positive to the left.
+    rolling_radius_difference
+        (n,) m, left minus right.
+    amplitudes
+        (k,) m, positive.
+
+    Returns
+    -------
+    (k,) tan(gamma_e); NaN where the curve does not cover the amplitude.
+
+    Raises
+    ------
+    ParameterError
+        Lengths that differ, displacements that do not increase, an amplitude that is not positive.
+    """
+    y, difference = _curve(lateral_displacement, rolling_radius_difference)
+    return np.asarray(_integrate(y, difference, _amplitudes(amplitudes)))
+
+
+def zero_crossing(lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike) -> float:
+    """Return the lateral displacement where the radii are equal (of several, the deepest equilibrium), m, or NaN.
+
+    Parameters and errors as `equivalent_conicity`.
+    """
+    y, difference = _curve(lateral_displacement, rolling_radius_difference)
+    return float(_equilibrium(y, difference)[0])
+
+
+def nonlinearity_parameter(lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike) -> float:
+    """Return NP = (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2, in 1/mm as EN 15302 gives it; NaN if not covered.
+
+    Parameters and errors as `equivalent_conicity`.
+    """
+    low, high = equivalent_conicity(lateral_displacement, rolling_radius_difference, (2e-3, 4e-3))
+    return float((high - low) / 2.0)
+
+
+def linear_regression_conicity(
+    lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike, amplitudes: npt.ArrayLike
+) -> FloatArray:
+    """Return half the slope of the regression line of Delta r over +- each amplitude around its zero crossing.
+
+    Parameters, errors and NaN as `equivalent_conicity`. With y measured from the crossing and the line through it:
+    tan(gamma_e) = sum(y Delta r) / (2 sum(y^2)), the sums as integrals.
+    """
+    y, difference = _curve(lateral_displacement, rolling_radius_difference)
+    centre = float(_equilibrium(y, difference)[0])
+    share = np.linspace(-1.0, 1.0, 2 * _ANGLES + 1)
+    result = []
+    for amplitude in _amplitudes(amplitudes):
+        offset = amplitude * share
+        values = np.interp(centre + offset, y, difference, left=np.nan, right=np.nan)
+        result.append(np.trapezoid(offset * values, offset) / np.trapezoid(2.0 * offset**2, offset))
+    return np.array(result)
+
+
+def harmonic_conicity(
+    lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike, amplitudes: npt.ArrayLike
+) -> FloatArray:
+    """Return the describing function of Delta r for a sine of each amplitude around its zero crossing, halved.
+
+    Parameters, errors and NaN as `equivalent_conicity`.
+    tan(gamma_e) = 1/(2 pi A) * integral over 0..2 pi of Delta r(y0 + A sin p) sin p dp.
+    """
+    y, difference = _curve(lateral_displacement, rolling_radius_difference)
+    centre = float(_equilibrium(y, difference)[0])
+    sine = np.sin((np.arange(4 * _ANGLES) + 0.5) * (2.0 * math.pi / (4 * _ANGLES)))
+    travel = centre + _amplitudes(amplitudes)[:, np.newaxis] * sine
+    values = np.interp(travel, y, difference, left=np.nan, right=np.nan)
+    return np.asarray((values * sine).mean(axis=1) / _amplitudes(amplitudes))
+
+
+def _curve(displacement: npt.ArrayLike, difference: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    y = np.asarray(displacement, dtype=np.float64)
+    values = np.asarray(difference, dtype=np.float64)
+    if y.ndim != 1 or y.shape != values.shape:
+        raise ParameterError(
+            f"shape {values.shape} does not match the displacements' {y.shape}", field="rolling_radius_difference"
+        )
+    usable = np.isfinite(y) & np.isfinite(values)
+    y, values = y[usable], values[usable]
+    if (np.diff(y) <= 0).any():
+        raise ParameterError("must increase strictly", field="lateral_displacement")
+    return y, values
+
+
+def _amplitudes(amplitudes: npt.ArrayLike) -> FloatArray:
+    wanted = np.array(amplitudes, dtype=np.float64, ndmin=1)
+    if not (np.isfinite(wanted) & (wanted > 0)).all():
+        raise ParameterError("must be positive lengths", field="amplitudes")
+    return wanted
+
+
+@njit(cache=True)
+def _equilibrium(y, difference):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202 - compiled
+    """Return the deepest upward zero crossing (NaN if none) and the integral of the difference from y[0] to it."""
+    crossing, depth, energy = math.nan, math.inf, 0.0
+    zero_from, zero_energy = math.nan, 0.0
+    for i in range(len(y) - 1):
+        a, b, width = difference[i], difference[i + 1], y[i + 1] - y[i]
+        if a < 0.0 <= b:
+            share = a / (a - b)
+            zero_from, zero_energy = y[i] + share * width, energy + 0.5 * a * share * width
+        if b > 0.0 >= a and not math.isnan(zero_from):
+            zero_to = y[i] if a == 0.0 else zero_from
+            if zero_energy < depth:
+                crossing, depth = 0.5 * (zero_from + zero_to), zero_energy
+            zero_from = math.nan
+        elif b < 0.0:
+            zero_from = math.nan
+        energy += 0.5 * (a + b) * width
+    return crossing, depth
+
+
+@njit(cache=True)
+def _potentials(y, difference, crossing):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return points with the crossing among them, Delta r, S there, and the running maximum of S outwards."""
+    k = np.searchsorted(y, crossing)
+    n = len(y) + 1
+    points, values, potential = np.empty(n), np.empty(n), np.zeros(n)
+    points[:k], points[k], points[k + 1 :] = y[:k], crossing, y[k:]
+    values[:k], values[k], values[k + 1 :] = difference[:k], 0.0, difference[k:]
+    for i in range(k + 1, n):
+        potential[i] = potential[i - 1] + 0.5 * (values[i] + values[i - 1]) * (points[i] - points[i - 1])
+    for i in range(k - 1, -1, -1):
+        potential[i] = potential[i + 1] - 0.5 * (values[i] + values[i + 1]) * (points[i + 1] - points[i])
+    return points, values, potential, k
+
+
+@njit(cache=True)
+def _potential_at(x, points, values, potential):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return S at x: quadratic between points."""
+    i = min(max(np.searchsorted(points, x, side="right") - 1, 0), len(points) - 2)
+    width = points[i + 1] - points[i]
+    if width <= 0.0:
+        return potential[i]
+    t = x - points[i]
+    return potential[i] + t * (values[i] + 0.5 * t * (values[i + 1] - values[i]) / width)
+
+
+@njit(cache=True)
+def _peaks(points, values, potential, k):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return, per point, the largest S between the crossing and it, peaks between points included."""
+    n = len(points)
+    highest = np.zeros(n)
+    for i in range(k + 1, n):
+        highest[i] = max(highest[i - 1], potential[i])
+        if values[i - 1] > 0.0 > values[i]:
+            share = values[i - 1] / (values[i - 1] - values[i])
+            top = potential[i - 1] + 0.5 * values[i - 1] * share * (points[i] - points[i - 1])
+            highest[i] = max(highest[i], top)
+    for i in range(k - 1, -1, -1):
+        highest[i] = max(highest[i + 1], potential[i])
+        if values[i] > 0.0 > values[i + 1]:
+            share = values[i] / (values[i] - values[i + 1])
+            top = potential[i] + 0.5 * values[i] * share * (points[i + 1] - points[i])
+            highest[i] = max(highest[i], top)
+    return highest
+
+
+@njit(cache=True)
+def _highest_at(x, points, values, potential, highest, k):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return the running maximum of S between the crossing and x."""
+    here = _potential_at(x, points, values, potential)
+    i = min(max(np.searchsorted(points, x, side="right") - 1, 0), len(points) - 2)
+    inner, outer = (i, i + 1) if x >= points[k] else (i + 1, i)
+    passed_peak = (values[inner] > 0.0 > values[outer]) if inner < outer else (values[inner] < 0.0 < values[outer])
+    if passed_peak:
+        share = values[inner] / (values[inner] - values[outer])
+        peak = points[inner] + share * (points[outer] - points[inner])
+        if abs(x - points[k]) > abs(peak - points[k]):
+            return highest[outer]
+    return max(here, highest[inner])
+
+
+@njit(cache=True)
+def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return tan(gamma_e) (k,) of a piecewise straight curve."""
+    result = np.full(len(amplitudes), np.nan)
+    crossing, _ = _equilibrium(y, difference)
+    if math.isnan(crossing):
+        return result
+    points, values, potential, k = _potentials(y, difference, crossing)
+    highest = _peaks(points, values, potential, k)
+    for m in range(len(amplitudes)):
+        a = amplitudes[m]
+        low, high = max(crossing, points[0] + 2.0 * a), min(points[-1], crossing + 2.0 * a)
+        if low > high:
+            continue
+        at_low = _highest_at(low, points, values, potential, highest, k)
+        at_low -= _highest_at(low - 2.0 * a, points, values, potential, highest, k)
+        at_high = _highest_at(high, points, values, potential, highest, k)
+        at_high -= _highest_at(high - 2.0 * a, points, values, potential, highest, k)
+        if at_low > 0.0 or at_high < 0.0:
+            continue
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            right = _highest_at(middle, points, values, potential, highest, k)
+            if right < _highest_at(middle - 2.0 * a, points, values, potential, highest, k):
+                low = middle
+            else:
+                high = middle
+        turn = 0.5 * (low + high)
+        energy = min(
+            _highest_at(turn, points, values, potential, highest, k),
+            _highest_at(turn - 2.0 * a, points, values, potential, highest, k),
+        )
+        result[m] = _from_travel(turn - a, a, energy, points, values, potential)
+    return result
+
+
+@njit(cache=True)
+def _from_travel(middle, amplitude, energy, points, values, potential):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return pi^2 / I^2 for the travel middle +- amplitude; 0 where the wheelset comes to rest on the way."""
+    total = 0.0
+    for j in range(_ANGLES):
+        angle = math.pi * ((j + 0.5) / _ANGLES - 0.5)
+        left = energy - _potential_at(middle + amplitude * math.sin(angle), points, values, potential)
+        if left <= 0.0:
+            return 0.0
+        total += amplitude * math.cos(angle) / math.sqrt(left)
+    return (_ANGLES / total) ** 2
