@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +10,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from estimation.arrays import FloatArray, frozen_array
-from estimation.errors import ParameterError, ScenarioError
+from estimation.errors import InputError, ParameterError, ScenarioError
 from ingest.simulator.spectra import synthesise
-
-COLUMNS = ("s_m", "alignment_mm", "gauge_deviation_mm")
-_MINIMUM_POINTS = 8
+from ingest.track_file import COLUMNS, FEWEST_POINTS, read_track_columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +27,8 @@ class TrackTruth:
         n = len(self.s)
         for name in ("s", "alignment", "gauge_deviation"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        if n < _MINIMUM_POINTS:
-            raise ParameterError(f"{n} points are no track, at least {_MINIMUM_POINTS} are needed", field="s")
+        if n < FEWEST_POINTS:
+            raise ParameterError(f"{n} points are no track, at least {FEWEST_POINTS} are needed", field="s")
         steps = np.diff(self.s)
         if not (steps[0] > 0.0 and np.allclose(steps, steps[0], rtol=1e-6, atol=0.0)):
             raise ParameterError("the distance grid is not uniform and increasing", field="s")
@@ -97,57 +94,23 @@ def read_track(path: Path, interval: float | None = None) -> TrackTruth:
     ScenarioError
         The file cannot be read, a column is missing, or a cell is not a finite number; names file, line and column.
     """
-    table = _read_columns(path)
+    try:
+        table = read_track_columns(path)
+    except InputError as error:
+        raise ScenarioError(error.reason, file=error.file, line=error.line, field=error.field) from error
     s = table[:, 0]
     spacing = float(np.median(np.diff(s))) if interval is None else interval
     grid = s[0] + spacing * np.arange(math.floor((s[-1] - s[0]) / spacing * (1 + 1e-12)) + 1)
-    if len(grid) < _MINIMUM_POINTS:
+    if len(grid) < FEWEST_POINTS:
         raise ScenarioError(f"{len(grid)} points are no track", file=path, field="s_m")
     if len(grid) == len(s) and np.allclose(grid, s, rtol=0.0, atol=1e-6 * spacing):
         values = table[:, 1:]
     else:
         values = CubicSpline(s, table[:, 1:])(grid)
-    return TrackTruth(grid, 1e-3 * values[:, 0], 1e-3 * values[:, 1])
+    return TrackTruth(grid, values[:, 0], values[:, 1])
 
 
 def write_track(path: Path, track: TrackTruth) -> None:
     """Write a track as CSV, as ``read_track`` reads it (mm with 6 decimals)."""
     table = np.column_stack([track.s, 1e3 * track.alignment, 1e3 * track.gauge_deviation])
     np.savetxt(path, table, fmt=("%.3f", "%.6f", "%.6f"), delimiter=",", header=",".join(COLUMNS), comments="")
-
-
-def _read_columns(path: Path) -> FloatArray:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"cannot be read: {error}", file=path) from error
-    lines = csv.reader(text.splitlines())
-    header = [name.strip() for name in next(lines, [])]
-    for name in COLUMNS:
-        if name not in header:
-            raise ScenarioError(f"no column {name!r}, expected {', '.join(COLUMNS)}", file=path, line=1, field=name)
-    places = [header.index(name) for name in COLUMNS]
-    rows: list[list[float]] = []
-    for cells in lines:
-        if not any(cell.strip() for cell in cells):
-            continue
-        rows.append(_row(path, lines.line_num, cells, places))
-        if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
-            raise ScenarioError("distance does not increase", file=path, line=lines.line_num, field="s_m")
-    if len(rows) < _MINIMUM_POINTS:
-        raise ScenarioError(f"{len(rows)} rows are no track, at least {_MINIMUM_POINTS} are needed", file=path)
-    return np.array(rows)
-
-
-def _row(path: Path, line: int, cells: list[str], places: list[int]) -> list[float]:
-    row = []
-    for name, place in zip(COLUMNS, places, strict=True):
-        cell = cells[place].strip() if place < len(cells) else ""
-        try:
-            value = float(cell)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise ScenarioError(f"{cell!r} is not a finite number", file=path, line=line, field=name)
-        row.append(value)
-    return row

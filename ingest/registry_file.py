@@ -1,0 +1,195 @@
+"""The operator's registry as a JSON file: what runs where, and the track it runs on. ``docs/registry.md`` describes it.
+
+The whole file is read and checked before the first record is written, and every write is an upsert: loading the same
+file again changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from estimation.errors import ConflictError, InputError, NotFoundError
+from estimation.ports import (
+    FleetRecord,
+    Mounting,
+    Reprofiling,
+    TrackSectionRecord,
+    UnitOfWork,
+    VehicleRecord,
+    WheelsetRecord,
+)
+from estimation.types import Status, TrackAlignment
+from ingest.json_fields import Fields, read_json
+from ingest.track_file import read_track_columns, uniform_distance
+
+FORMAT = "treadwatch-registry-1"
+MOST_AXLES = 8
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True)
+class RegistryContents:
+    """Everything a registry file holds, checked but not yet stored."""
+
+    fleets: tuple[FleetRecord, ...]
+    vehicles: tuple[VehicleRecord, ...]
+    wheelsets: tuple[WheelsetRecord, ...]
+    mountings: tuple[Mounting, ...]
+    reprofilings: tuple[Reprofiling, ...]
+    sections: tuple[TrackSectionRecord, ...]
+    alignments: tuple[TrackAlignment, ...]
+
+
+def load_registry(path: Path, unit_of_work: UnitOfWork) -> RegistryContents:
+    """Read a registry file and store it through the registry and the tracks of ``unit_of_work``; return what it held.
+
+    Raises
+    ------
+    InputError
+        The file or a track file cannot be read, a field is missing, unknown or impossible, or a record refers to
+        something that neither the file nor the store knows; nothing has been committed then.
+    """
+    contents = read_registry(path)
+    registry, tracks = unit_of_work.registry, unit_of_work.tracks
+    _store(path, "fleets", contents.fleets, registry.add_fleet)
+    _store(path, "vehicles", contents.vehicles, registry.add_vehicle)
+    _store(path, "wheelsets", contents.wheelsets, registry.add_wheelset)
+    _store(path, "mountings", contents.mountings, registry.add_mounting)
+    _store(path, "reprofilings", contents.reprofilings, registry.add_reprofiling)
+    _store(path, "track_sections", contents.sections, tracks.add_section)
+    _store(path, "track_sections", contents.alignments, tracks.add_alignment)
+    return contents
+
+
+def read_registry(path: Path) -> RegistryContents:
+    """Read and check a registry file and the track files it names; raises ``InputError`` as ``load_registry`` does."""
+    root = read_json(path)
+    if root.text("format") != FORMAT:
+        raise root.fail(f"must be {FORMAT!r}", "format")
+    sections, alignments = _sections(root, path)
+    contents = RegistryContents(
+        fleets=_each(root, "fleets", _fleet),
+        vehicles=_each(root, "vehicles", _vehicle),
+        wheelsets=_each(root, "wheelsets", _wheelset),
+        mountings=_each(root, "mountings", _mounting),
+        reprofilings=_each(root, "reprofilings", _reprofiling),
+        sections=sections,
+        alignments=alignments,
+    )
+    root.end()
+    return contents
+
+
+def _store(path: Path, what: str, records: Sequence[_T], add: Callable[[_T], object]) -> None:
+    for index, record in enumerate(records):
+        try:
+            add(record)
+        except (NotFoundError, ConflictError) as error:
+            raise InputError(str(error), file=path, field=f"{what}[{index}]") from error
+
+
+def _each(root: Fields, key: str, read: Callable[[Fields], _T]) -> tuple[_T, ...]:
+    records = []
+    for fields in root.objects(key):
+        records.append(read(fields))
+        fields.end()
+    return tuple(records)
+
+
+def _fleet(fields: Fields) -> FleetRecord:
+    return FleetRecord(fields.text("code"), fields.text("name"))
+
+
+def _vehicle(fields: Fields) -> VehicleRecord:
+    axles = fields.integer("axles", low=1, high=MOST_AXLES)
+    offsets = fields.numbers("axle_offsets_m")
+    if len(offsets) != axles:
+        raise fields.fail(f"{len(offsets)} offsets for {axles} axles", "axle_offsets_m")
+    return VehicleRecord(
+        code=fields.text("code"),
+        fleet=fields.text("fleet"),
+        vehicle_class=fields.text("vehicle_class"),
+        axles=axles,
+        max_speed_m_s=fields.number("max_speed_km_h", low=1.0, high=600.0) / 3.6,
+        axle_offsets_m=offsets,
+    )
+
+
+def _wheelset(fields: Fields) -> WheelsetRecord:
+    return WheelsetRecord(
+        serial=fields.text("serial"),
+        fleet=fields.text("fleet"),
+        wheel_profile=fields.text("wheel_profile"),
+        nominal_radius_m=1e-3 * fields.number("nominal_radius_mm", low=100.0, high=1000.0),
+        mounting=None,
+    )
+
+
+def _mounting(fields: Fields) -> Mounting:
+    mounting = Mounting(
+        wheelset=fields.text("wheelset"),
+        vehicle=fields.text("vehicle"),
+        axle=fields.integer("axle", low=1, high=MOST_AXLES),
+        from_ns=fields.moment_ns("from"),
+        to_ns=fields.optional_moment_ns("to"),
+        vehicle_odometer_km=fields.number("vehicle_odometer_km"),
+        wheelset_mileage_km=fields.number("wheelset_mileage_km"),
+        reversed=fields.flag("reversed", default=False),
+    )
+    if mounting.to_ns is not None and mounting.to_ns <= mounting.from_ns:
+        raise fields.fail("must be later than 'from'", "to")
+    return mounting
+
+
+def _reprofiling(fields: Fields) -> Reprofiling:
+    return Reprofiling(
+        wheelset=fields.text("wheelset"),
+        at_ns=fields.moment_ns("at"),
+        mileage_km=fields.number("mileage_km"),
+        note=fields.text("note", ""),
+    )
+
+
+def _sections(root: Fields, path: Path) -> tuple[tuple[TrackSectionRecord, ...], tuple[TrackAlignment, ...]]:
+    sections, alignments = [], []
+    for fields in root.objects("track_sections"):
+        section = TrackSectionRecord(
+            code=fields.text("code"),
+            number=fields.integer("number", low=1, high=65534),
+            name=fields.text("name"),
+            rail_profile=fields.text("rail_profile"),
+            rail_inclination=fields.number("rail_inclination", high=0.5),
+            nominal_gauge_m=1e-3 * fields.number("nominal_gauge_mm", low=500.0, high=2000.0),
+            length_m=fields.number("length_m", low=1.0),
+        )
+        known = fields.optional_object("alignment")
+        fields.end()
+        sections.append(section)
+        if known is not None:
+            alignments.append(_alignment(known, section.code, path.parent))
+            known.end()
+    return tuple(sections), tuple(alignments)
+
+
+def _alignment(fields: Fields, section: str, folder: Path) -> TrackAlignment:
+    file = folder / fields.text("file")
+    columns = read_track_columns(file)
+    if not uniform_distance(columns[:, 0]):
+        raise InputError("distances must be evenly spaced", file=file, field="s_m")
+    n = len(columns)
+    return TrackAlignment(
+        section=section,
+        version=0,
+        s=np.linspace(columns[0, 0], columns[-1, 0], n),
+        alignment=columns[:, 1],
+        alignment_std=np.full(n, 1e-3 * fields.number("alignment_std_mm")),
+        gauge_deviation=columns[:, 2],
+        gauge_deviation_std=np.full(n, 1e-3 * fields.number("gauge_deviation_std_mm")),
+        passes=np.zeros(n, dtype=np.int64),
+        status=Status.ESTIMATED,
+    )
