@@ -1,0 +1,1 @@
+"""The paper's figures again: the study, its pictures, its numbers."""
