@@ -1,0 +1,179 @@
+"""The vehicle's clock: which sampling instant a SYNC stands for.
+
+The recorder's clock is only trusted over a few seconds. TIME frames tell the vehicle time once a second in whole
+milliseconds; a SYNC carries its number modulo 240. The number nearest to the estimate from the TIME frames beside it,
+with that remainder, is the number of the SYNC: exact, and the same from any TIME frame near it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.arrays import BoolArray, IntArray, frozen_array
+from estimation.errors import LogFileError
+from estimation.types import FrameBatch
+from ingest.align.counts import AlignCounts
+from ingest.canopen import SYNC_ID, SYNC_PERIOD, TIME_ID, vehicle_time_ns
+from ingest.codec import Decoded
+
+TIME_REACH_NS = 3_000_000_000
+"""How far from a TIME frame a SYNC may be: two lost TIME frames are bridged."""
+
+TIME_TOLERANCE_NS = 100_000_000
+"""How far TIME frames may disagree with each other and with the SYNC counter; half a counter period is 480 ms."""
+
+CONTEXT_NS = 8_000_000_000
+"""How far around a window frames can matter: twice the reach of TIME, and the gaps that are interpolated."""
+
+SYNC_REACH = 5
+"""Cycles without SYNC that the recorder's clock may bridge."""
+
+EARLY = 4
+"""A frame may be stamped up to a quarter of a cycle before its SYNC: recorders jitter."""
+
+RATE_TOLERANCE = 0.25
+RATE_SYNCS = 50
+
+UNPLACED = -1
+
+
+@dataclass(frozen=True, slots=True)
+class SyncClock:
+    """The SYNCs of a stretch whose numbers are known, by the recorder's time."""
+
+    t_ns: IntArray  # (k,) recorder
+    tick: IntArray  # (k,) sampling intervals since the Unix epoch, vehicle
+    interval_ns: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, (len(self.t_ns),), np.int64, name="t_ns"))
+        object.__setattr__(self, "tick", frozen_array(self.tick, (len(self.t_ns),), np.int64, name="tick"))
+
+    def ticks(self, t_ns: IntArray) -> IntArray:
+        """Return the SYNC number that frames stamped ``t_ns`` (n,) belong to, or ``UNPLACED``.
+
+        A frame belongs to the SYNC of its cycle. Where that SYNC is lost, its instant follows from the one before,
+        over at most ``SYNC_REACH`` cycles.
+        """
+        if len(self.t_ns) == 0:
+            return np.full(len(t_ns), UNPLACED)
+        latest = t_ns + self.interval_ns // EARLY
+        at = np.searchsorted(self.t_ns, latest, side="right") - 1
+        cycles = (latest - self.t_ns[at]) // self.interval_ns
+        return np.where((at >= 0) & (cycles <= SYNC_REACH), self.tick[at] + cycles, UNPLACED)
+
+
+@dataclass(frozen=True, slots=True)
+class TimeFrames:
+    """The TIME frames of a stretch: the recorder's stamp and the vehicle time that each tells."""
+
+    t_ns: IntArray  # (k,) recorder, increasing
+    vehicle_ns: IntArray  # (k,)
+
+    def vehicle_range(self, first_ns: int, last_ns: int) -> tuple[int, int] | None:
+        """Return the first and last vehicle time of frames stamped ``first_ns`` to ``last_ns``; None without TIME."""
+        if len(self.t_ns) == 0:
+            return None
+        first = int(self.vehicle_ns[0] - (self.t_ns[0] - first_ns))
+        last = int(self.vehicle_ns[-1] + (last_ns - self.t_ns[-1]))
+        return min(first, last, int(self.vehicle_ns.min())), max(first, last, int(self.vehicle_ns.max()))
+
+    def at(self, first_ns: int, last_ns: int) -> tuple[int, int] | None:
+        """Return the vehicle times of stamps ``first_ns`` to ``last_ns`` by the TIME frame nearest to each.
+
+        None when no TIME frame is within reach of them.
+        """
+        low, high = np.searchsorted(self.t_ns, [first_ns - TIME_REACH_NS, last_ns + TIME_REACH_NS + 1])
+        if low == high:
+            return None
+        nearest = [low + int(np.argmin(np.abs(self.t_ns[low:high] - end))) for end in (first_ns, last_ns)]
+        ends = [
+            end + int(self.vehicle_ns[at] - self.t_ns[at]) for end, at in zip((first_ns, last_ns), nearest, strict=True)
+        ]
+        return min(ends), max(ends)
+
+    def offsets(self) -> tuple[int, int] | None:
+        """Return the smallest and largest vehicle time minus recorder time; None without TIME."""
+        if len(self.t_ns) == 0:
+            return None
+        offset = self.vehicle_ns - self.t_ns
+        return int(offset.min()), int(offset.max())
+
+
+def time_frames(decoded: Decoded, batch: FrameBatch) -> TimeFrames:
+    """Return the TIME frames of a time-ordered batch; those that tell an impossible time are left out."""
+    values = decoded.messages.get(TIME_ID)
+    if values is None:
+        return TimeFrames(np.empty(0, np.int64), np.empty(0, np.int64))
+    valid = values.valid().all(axis=1)
+    told = vehicle_time_ns(values.column("milliseconds"), values.column("days"))
+    return TimeFrames(batch.t_ns[values.index[valid]], told[valid])
+
+
+def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[SyncClock, AlignCounts]:
+    """Give the SYNCs of a time-ordered batch their numbers."""
+    syncs = decoded.messages.get(SYNC_ID)
+    times = time_frames(decoded, batch)
+    if syncs is None:
+        return SyncClock(np.empty(0, np.int64), np.empty(0, np.int64), interval_ns), AlignCounts(
+            time_frames=len(times.t_ns)
+        )
+    t_ns, counter, valid = batch.t_ns[syncs.index], syncs.column("counter"), syncs.valid()[:, 0]
+    told, agreed = _told(times, t_ns)
+    nearest = (told + interval_ns // 2) // interval_ns
+    half = SYNC_PERIOD // 2
+    tick = nearest + (counter - 1 - nearest + half) % SYNC_PERIOD - half
+    in_phase = np.abs(tick * interval_ns - told) <= TIME_TOLERANCE_NS
+    placed = valid & agreed & in_phase
+    steps = np.diff(tick[placed])
+    near = np.diff(t_ns[placed]) <= TIME_REACH_NS
+    counts = AlignCounts(
+        time_frames=len(times.t_ns),
+        clock_jumps=_jumps(times),
+        syncs=len(t_ns),
+        syncs_missing=int(np.clip(steps[near] - 1, 0, None).sum()),
+        syncs_unplaced=int(np.count_nonzero(~placed)),
+    )
+    return SyncClock(t_ns[placed], tick[placed], interval_ns), counts
+
+
+def _told(times: TimeFrames, t_ns: IntArray) -> tuple[IntArray, BoolArray]:
+    """Return the vehicle time at recorder times (n,), and where the TIME frames beside them tell one time."""
+    if len(times.t_ns) == 0:
+        return np.zeros(len(t_ns), np.int64), np.zeros(len(t_ns), np.bool_)
+    before = np.searchsorted(times.t_ns, t_ns, side="right") - 1
+    after = np.minimum(before + 1, len(times.t_ns) - 1)
+    has_before, has_after = before >= 0, before + 1 < len(times.t_ns)
+    since, until = t_ns - times.t_ns[before], times.t_ns[after] - t_ns
+    has_before &= since <= TIME_REACH_NS
+    has_after &= until <= TIME_REACH_NS
+    from_before, from_after = times.vehicle_ns[before] + since, times.vehicle_ns[after] - until
+    jump = has_before & has_after & (np.abs(from_before - from_after) > TIME_TOLERANCE_NS)
+    return np.where(has_before, from_before, from_after), (has_before | has_after) & ~jump
+
+
+def _jumps(times: TimeFrames) -> int:
+    recorder, vehicle = np.diff(times.t_ns), np.diff(times.vehicle_ns)
+    return int(np.count_nonzero((recorder <= TIME_REACH_NS) & (np.abs(recorder - vehicle) > TIME_TOLERANCE_NS)))
+
+
+def check_sync_rate(batch: FrameBatch, interval_ns: int) -> None:
+    """Check that the SYNCs of a time-ordered recording come every ``interval_ns``.
+
+    Raises
+    ------
+    LogFileError
+        They come at another rate: the recording does not belong to this catalogue.
+    """
+    syncs = np.flatnonzero((batch.arbitration_id == SYNC_ID) & (batch.dlc == 1))
+    t_ns, counter = batch.t_ns[syncs], batch.data[syncs, 0].astype(np.int64)
+    following = np.diff(counter) % SYNC_PERIOD == 1
+    if np.count_nonzero(following) < RATE_SYNCS:
+        return
+    found = float(np.median(np.diff(t_ns)[following]))
+    if abs(found / interval_ns - 1.0) > RATE_TOLERANCE:
+        raise LogFileError(
+            f"SYNC comes every {found / 1e6:.3f} ms, the catalogue says every {interval_ns / 1e6:.3f} ms"
+        )

@@ -1,0 +1,212 @@
+"""Windows of running time per wheelset, cut on an absolute grid of the vehicle's clock.
+
+A window is made when its node sent frames for at least :data:`LEAST_PRESENCE` of it and the vehicle moved: the edges of
+a recording give partial windows, a node that says nothing gives none (its silence is what is then seen), and a node
+that says "not available" gives a window without a valid sample whose quality tells so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.arrays import BoolArray, FloatArray, IntArray
+from estimation.errors import ParameterError
+from estimation.ports import Mounting, VehicleRecord
+from estimation.types import ACCELERATIONS, Window, WindowQuality
+from ingest.align.counts import AlignCounts
+from ingest.align.motion import NO_SECTION, GridMotion, VehicleMotion, vehicle_motion
+from ingest.align.samples import NodeSamples, node_samples
+from ingest.align.ticks import TickedValues
+from ingest.catalogue import ACCELERATION, Catalogue, resolution
+
+LEAST_PRESENCE = 0.2
+"""Share of a window that frames of its node must be there for."""
+
+MOVING_M_S = 0.5
+"""A window in which the vehicle never ran faster is no running time."""
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleSamples:
+    """Everything one vehicle said over some time, on its clock."""
+
+    vehicle: str
+    interval_ns: int
+    nodes: Mapping[int, NodeSamples]
+    motion: VehicleMotion
+    resolution: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class WindowCounts:
+    """What became of the windows that a recording touches."""
+
+    windows: int = 0
+    windows_too_short: int = 0
+    windows_standing: int = 0
+    windows_unmounted: int = 0  # no wheelset, or two, ran at the axle
+    windows_without_odometer: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class MountedWindow:
+    """A window and the mounting it belongs to."""
+
+    window: Window
+    mounting: Mounting
+
+
+@dataclass(frozen=True, slots=True)
+class Lookup:
+    """What the registry knows: who ran where, and what sections are called."""
+
+    vehicle: VehicleRecord
+    mounting_at: Callable[[int, int], Mounting | None]  # axle, time
+    section_code: Callable[[int], str | None]  # number on the bus
+
+
+def vehicle_samples(
+    vehicle: str, catalogue: Catalogue, messages: Mapping[int, TickedValues]
+) -> tuple[VehicleSamples, AlignCounts]:
+    """Return the samples of all wheelset nodes of a vehicle, and its motion."""
+    nodes: dict[int, NodeSamples] = {}
+    counts = AlignCounts()
+    for node in catalogue.wheelset_nodes:
+        found = node_samples(vehicle, node, catalogue, messages)
+        if found is not None:
+            nodes[node] = found[0]
+            counts += found[1]
+    steps = resolution(catalogue.find(ACCELERATION, catalogue.wheelset_nodes[0])).tolist()
+    motion = vehicle_motion(messages, catalogue.sample_interval_ns)
+    return VehicleSamples(vehicle, catalogue.sample_interval_ns, nodes, motion, tuple(steps)), counts
+
+
+def window_starts(first_ns: int, last_ns: int, length_ns: int) -> range:
+    """Return the starts of all windows that overlap ``[first_ns, last_ns]``."""
+    return range(first_ns // length_ns * length_ns, last_ns + 1, length_ns)
+
+
+def windows_of(
+    samples: VehicleSamples, starts: Iterable[int], length_ns: int, lookup: Lookup
+) -> Iterator[MountedWindow | WindowCounts]:
+    """Yield the windows that begin at ``starts``, and counts of those that are not made.
+
+    Raises
+    ------
+    ParameterError
+        The window length is no whole number of sampling intervals.
+    """
+    if length_ns % samples.interval_ns:
+        raise ParameterError(
+            f"{length_ns} ns is no whole number of sampling intervals of {samples.interval_ns} ns",
+            field="window length",
+        )
+    count = length_ns // samples.interval_ns
+    for start_ns in starts:
+        motion = None
+        for axle in range(1, lookup.vehicle.axles + 1):
+            node = samples.nodes.get(axle)
+            if node is None:
+                continue
+            span = slice(*np.searchsorted(node.block.t_ns, [start_ns, start_ns + length_ns]).tolist())
+            if span.stop - span.start < LEAST_PRESENCE * count:
+                yield WindowCounts(windows_too_short=span.stop > span.start)
+                continue
+            motion = motion or samples.motion.on_grid(start_ns // samples.interval_ns, count)
+            yield _window(samples, node, span, (start_ns, length_ns), motion, lookup)
+
+
+def _window(
+    samples: VehicleSamples,
+    node: NodeSamples,
+    span: slice,
+    extent: tuple[int, int],
+    motion: GridMotion,
+    lookup: Lookup,
+) -> MountedWindow | WindowCounts:
+    t_ns, axle = node.block.t_ns[span], node.block.node
+    mounting = lookup.mounting_at(axle, int(t_ns[0]))
+    if mounting is None or mounting != lookup.mounting_at(axle, int(t_ns[-1])):
+        return WindowCounts(windows_unmounted=1)
+    if not np.any(motion.speed > MOVING_M_S):
+        return WindowCounts(windows_standing=1)
+    if np.isnan(motion.odometer_m):
+        return WindowCounts(windows_without_odometer=1)
+    slot = (t_ns - extent[0]) // samples.interval_ns
+    good = node.block.valid[span].all(axis=1) & ~np.isnan(motion.speed[slot])
+    section, distance = _place(motion, slot[good], lookup, lookup.vehicle.axle_offsets_m[axle - 1])
+    if section is not None:
+        good &= ~np.isnan(distance[slot])
+    valid = np.zeros(len(motion.speed), dtype=np.bool_)
+    valid[slot[good]] = True
+    accelerations = np.full((4, len(valid)), np.nan)
+    accelerations[:, slot[good]] = node.block.values[span][good].T
+    accelerations.flags.writeable = False
+    window = Window(
+        wheelset=mounting.wheelset,
+        vehicle=samples.vehicle,
+        axle=axle,
+        start_ns=extent[0],
+        length_ns=extent[1],
+        sample_interval_s=samples.interval_ns * 1e-9,
+        **dict(zip(ACCELERATIONS, accelerations, strict=True)),
+        speed=motion.speed,
+        distance=distance,
+        valid=valid,
+        resolution=samples.resolution,
+        track_section=section,
+        odometer_m=motion.odometer_m,
+        quality=_quality(node, span, extent, motion, valid, slot),
+    )
+    return MountedWindow(window, mounting)
+
+
+def _place(motion: GridMotion, slot: IntArray, lookup: Lookup, offset: float) -> tuple[str | None, FloatArray]:
+    """Return the one section of the window and the distance of the wheelset along it (n,), NaN off the section.
+
+    The section is the one that most good samples lie on (the lower number of two), if the registry knows it. A
+    wheelset that has not yet reached the section of the reference point is off it.
+    """
+    nowhere = np.full(len(motion.distance), np.nan)
+    numbers, times = np.unique(motion.section[slot], return_counts=True)
+    times = times[numbers != NO_SECTION]
+    numbers = numbers[numbers != NO_SECTION]
+    if len(numbers) == 0:
+        return None, nowhere
+    number = int(numbers[np.argmax(times)])
+    code = lookup.section_code(number)
+    if code is None:
+        return None, nowhere
+    distance = motion.distance - motion.forward * offset
+    return code, np.where((motion.section == number) & (distance >= 0.0), distance, np.nan)
+
+
+def _quality(
+    node: NodeSamples, span: slice, extent: tuple[int, int], motion: GridMotion, valid: BoolArray, slot: IntArray
+) -> WindowQuality:
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], valid, [True]]).astype(np.int8)))
+    lengths = edges[1::2] - edges[::2]
+    first, last = np.searchsorted(node.fault_ns, [extent[0], extent[0] + extent[1]])
+    speed = motion.speed[~np.isnan(motion.speed)]
+    return WindowQuality(
+        coverage=float(valid.mean()),
+        longest_gap_s=float(lengths.max(initial=0) * (extent[1] // len(valid)) * 1e-9),
+        gaps=len(lengths),
+        clipped=float(node.clipped[span].mean()),
+        invalid=float(node.invalid[span].mean()),
+        speed_min_m_s=float(speed.min()),
+        speed_max_m_s=float(speed.max()),
+        position_quality=float(motion.position_quality[slot].mean()),
+        sensor_fault=bool(last > first),
+    )
+
+
+def add_counts(first: WindowCounts, second: WindowCounts) -> WindowCounts:
+    """Return the sums."""
+    return replace(
+        first,
+        **{name: getattr(first, name) + getattr(second, name) for name in WindowCounts.__slots__},
+    )

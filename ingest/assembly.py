@@ -1,0 +1,151 @@
+"""From the receipts of recordings to the windows that they touch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+
+from estimation.ports import ChunkRecord, UnitOfWork, VehicleRecord
+from ingest.align.ticks import Placed, unite
+from ingest.align.windows import (
+    Lookup,
+    MountedWindow,
+    VehicleSamples,
+    WindowCounts,
+    add_counts,
+    vehicle_samples,
+    window_starts,
+    windows_of,
+)
+from ingest.catalogue import Catalogue
+from ingest.chunks import (
+    DECODED,
+    RECORDER_FIRST,
+    RECORDER_LAST,
+    WAITING,
+    Recording,
+    Recordings,
+    decoded_beside,
+    needed_range,
+    stretches,
+    waiting_beside,
+)
+
+Span = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Assembly:
+    """Windows of a recording and everything that went into them."""
+
+    sources: frozenset[str]  # digests
+    receipts: tuple[ChunkRecord, ...]  # that change with it: its own first, then those that had waited for it
+    windows: tuple[MountedWindow, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Assembler:
+    """Assembles the windows that a recording touches from every recording that touches those windows."""
+
+    catalogue: Catalogue
+    recordings: Recordings
+    length_ns: int
+
+    def sources(self, unit: UnitOfWork, record: ChunkRecord, recording: Recording) -> Sequence[ChunkRecord]:
+        """Return the receipts of all recordings that the windows of this one depend on, its own first."""
+        beside = list(waiting_beside(unit, record.vehicle, recording))
+        span = recording.vehicle_ns
+        if span is None:
+            beside += decoded_beside(unit, record.vehicle, recording)
+            joined = [recording, *(self.recordings.load_neighbour(other) for other in beside)]
+            span = _span(recording, stretches(joined, self.catalogue))
+        if span is None:
+            return [record]
+        _, _, from_ns, to_ns = needed_range(*span, self.length_ns)
+        overlapping = unit.chunks.overlapping(record.vehicle, from_ns, to_ns)
+        found = {other.digest: other for other in (*beside, *overlapping) if other.digest != record.digest}
+        return [record, *found.values()]
+
+    def assemble(self, unit: UnitOfWork, record: ChunkRecord, recording: Recording) -> Assembly:
+        """Assemble the windows that a stored recording touches.
+
+        Raises
+        ------
+        NotFoundError
+            The registry does not know the vehicle.
+        StorageError
+            A recording that is needed cannot be read any more.
+        """
+        vehicle = unit.registry.vehicle(record.vehicle)
+        sources = self.sources(unit, record, recording)
+        loaded = {source.digest: self.recordings.load_neighbour(source) for source in sources[1:]}
+        loaded[record.digest] = recording
+        placed = stretches(loaded.values(), self.catalogue)
+        coming = [(source, loaded[source.digest]) for source in sources if source.state != DECODED]
+        spans = [_span(each, placed) for _, each in coming]
+        receipts = [_receipt_after(*each, span) for each, span in zip(coming, spans, strict=True)]
+        known = [span for span in spans if span is not None]
+        if not known:
+            return Assembly(frozenset(loaded), tuple(receipts), ())
+        samples, met = vehicle_samples(vehicle.code, self.catalogue, unite(placed))
+        windows, counts = self._windows(unit, vehicle, samples, known)
+        receipts[0] = _with_counts(receipts[0], {**_nonzero(asdict(met)), **asdict(counts)})
+        return Assembly(frozenset(loaded), tuple(receipts), windows)
+
+    def _windows(
+        self, unit: UnitOfWork, vehicle: VehicleRecord, samples: VehicleSamples, spans: Sequence[Span]
+    ) -> tuple[tuple[MountedWindow, ...], WindowCounts]:
+        first, last, _, _ = needed_range(min(s[0] for s in spans), max(s[1] for s in spans), self.length_ns)
+        starts = window_starts(first, last, self.length_ns)
+        windows, counts = [], WindowCounts()
+        for outcome in windows_of(samples, starts, self.length_ns, _lookup(unit, vehicle)):
+            if isinstance(outcome, MountedWindow):
+                windows.append(outcome)
+            else:
+                counts = add_counts(counts, outcome)
+        return tuple(windows), replace(counts, windows=len(windows))
+
+
+def _span(recording: Recording, placed: Iterable[Placed]) -> Span | None:
+    """Return where a recording lies on the vehicle's clock: by its own TIME frames, else by those beside it."""
+    if len(recording.batch) == 0:
+        return None
+    beside = (stretch.times.at(*recording.recorder_ns) for stretch in placed)
+    return recording.vehicle_ns or next((span for span in beside if span is not None), None)
+
+
+def _lookup(unit: UnitOfWork, vehicle: VehicleRecord) -> Lookup:
+    sections: dict[int, str | None] = {}
+
+    def section_code(number: int) -> str | None:
+        if number not in sections:
+            found = unit.tracks.section_by_number(number)
+            sections[number] = found.code if found is not None else None
+        return sections[number]
+
+    return Lookup(vehicle, lambda axle, at_ns: unit.registry.mounting_at(vehicle.code, axle, at_ns), section_code)
+
+
+def _receipt_after(record: ChunkRecord, recording: Recording, span: Span | None) -> ChunkRecord:
+    """Return the receipt of a recording that was just placed at ``span`` on the vehicle's clock, or not at all."""
+    first, last = recording.recorder_ns
+    counts = {
+        "frames": 0,
+        **_nonzero(asdict(recording.alone.frame_counts)),
+        **_nonzero(asdict(recording.alone.align_counts)),
+        RECORDER_FIRST: first,
+        RECORDER_LAST: last,
+    }
+    record = replace(record, frames=len(recording.batch), counts=counts)
+    if span is None and len(recording.batch):
+        return replace(record, reason=WAITING)
+    first_ns, last_ns = span or (None, None)
+    return replace(record, state=DECODED, reason="", first_ns=first_ns, last_ns=last_ns)
+
+
+def _with_counts(record: ChunkRecord, more: Mapping[str, int]) -> ChunkRecord:
+    return replace(record, counts={**record.counts, **more})
+
+
+def _nonzero(counts: Mapping[str, int]) -> dict[str, int]:
+    return {name: count for name, count in counts.items() if count}

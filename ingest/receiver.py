@@ -1,0 +1,204 @@
+"""The receiver: a recording comes in, its bytes are safe, and the windows that it touches are assembled anew.
+
+Order of events: bytes durable in the raw store, receipt committed, only then is anything said to be stored. Windows and
+the receipt's new state are committed together. Whatever happens in between, :meth:`Receiver.decode_stored` goes on
+from the receipts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from estimation.errors import ConflictError, LogFileError, NotFoundError, StorageError, TreadwatchError
+from estimation.ports import ChunkRecord, Clock, Storage, UnitOfWork
+from fleet_db.raw import RawStore
+from ingest.assembly import Assembler, Assembly
+from ingest.catalogue import Catalogue
+from ingest.chunks import DECODED, REJECTED, STORED, Recording, Recordings
+from ingest.logs.formats import suffix_of
+
+SECOND_NS = 1_000_000_000
+ATTEMPTS = 20
+READ_AHEAD = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkReceipt:
+    """What is told to whoever handed a recording in."""
+
+    record: ChunkRecord
+    known: bool  # the same bytes had been received before
+    windows_changed: int  # windows that are new or have other content now
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """A file on its way in: its bytes are durable, and read as far as they can be."""
+
+    path: Path
+    vehicle: str
+    digest: str
+    recording: Recording | LogFileError
+
+
+class Receiver:
+    """Takes recordings in.
+
+    Parameters
+    ----------
+    storage, raw
+        Where receipts and windows, and where raw bytes go.
+    catalogue
+        The frames of the vehicles' buses.
+    clock
+        Ours.
+    window_length_s
+        Length of a window; a whole number of sampling intervals.
+    """
+
+    def __init__(
+        self, storage: Storage, raw: RawStore, catalogue: Catalogue, clock: Clock, window_length_s: float = 60.0
+    ) -> None:
+        self._storage = storage
+        self._raw = raw
+        self._catalogue = catalogue
+        self._clock = clock
+        self._recordings = Recordings(raw, catalogue)
+        self._assembler = Assembler(catalogue, self._recordings, round(window_length_s * SECOND_NS))
+
+    def receive_file(self, path: Path, vehicle: str) -> ChunkReceipt:
+        """Take in one recording of a vehicle.
+
+        Raises
+        ------
+        LogFileError
+            The file is no log, truncated or corrupt. Its bytes are kept with a receipt that says so, unless its
+            suffix already says that it is no log.
+        NotFoundError
+            The registry does not know the vehicle. The recording is kept, and decoded once it does.
+        ConflictError
+            The same recording was received from another vehicle.
+        """
+        return self.accept(self._arrive(path, vehicle))
+
+    def receive_files(self, files: Iterable[tuple[Path, str]]) -> Iterator[tuple[Path, ChunkReceipt | Exception]]:
+        """Take in many recordings ``(path, vehicle)``; the next are read while one is stored.
+
+        Yields the receipt of each, or the error that :meth:`receive_file` would have raised: one bad file does not
+        stop the others.
+        """
+        with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as reader:
+            coming: list[tuple[Path, Future[Arrival]]] = []
+            remaining = iter(files)
+            while True:
+                while len(coming) < READ_AHEAD and (following := next(remaining, None)) is not None:
+                    coming.append((following[0], reader.submit(self._arrive, *following)))
+                if not coming:
+                    return
+                path, arrival = coming.pop(0)
+                try:
+                    yield path, self.accept(arrival.result())
+                except TreadwatchError as error:
+                    yield path, error
+
+    def accept(self, arrival: Arrival) -> ChunkReceipt:
+        """Commit the receipt of a file that has arrived, then decode it; raises as :meth:`receive_file`."""
+        record, known = self._receipt(arrival)
+        if record.state == REJECTED:
+            raise LogFileError(record.reason, file=arrival.path)
+        if record.state == DECODED:
+            return ChunkReceipt(record, known=True, windows_changed=0)
+        if isinstance(arrival.recording, LogFileError):
+            self._reject(record, arrival.recording)
+            raise LogFileError(arrival.recording.reason, file=arrival.path, line=arrival.recording.line)
+        self._recordings.keep(arrival.recording)
+        record, changed = self._decode(record)
+        return ChunkReceipt(record, known=known, windows_changed=changed)
+
+    def decode_stored(self) -> Iterator[tuple[ChunkRecord, Exception | None]]:
+        """Decode every recording that is stored and not decoded yet: after a crash, or a new entry of the registry."""
+        with self._storage.read() as unit:
+            stored = unit.chunks.with_state(STORED, limit=1_000_000)
+        for record in stored:
+            try:
+                yield self._decode(record)[0], None
+            except LogFileError as error:
+                self._reject(record, error)
+                yield record, error
+            except TreadwatchError as error:
+                yield record, error
+
+    def _arrive(self, path: Path, vehicle: str) -> Arrival:
+        suffix = suffix_of(path)
+        digest = self._raw.put_file(path)
+        try:
+            return Arrival(path, vehicle, digest, self._recordings.read(self._raw.path(digest, suffix), digest))
+        except LogFileError as error:
+            return Arrival(path, vehicle, digest, error)
+
+    def _receipt(self, arrival: Arrival) -> tuple[ChunkRecord, bool]:
+        """Return the committed receipt, and whether it had been there before."""
+        suffix = suffix_of(arrival.path)
+        now_ns = self._clock.now_ns()
+        record = ChunkRecord(
+            digest=arrival.digest,
+            vehicle=arrival.vehicle,
+            suffix=suffix,
+            size_bytes=self._raw.path(arrival.digest, suffix).stat().st_size,
+            state=STORED,
+            reason="",
+            first_ns=None,
+            last_ns=None,
+            frames=0,
+            counts={},
+            received_ns=now_ns,
+            recorded_ns=now_ns,
+        )
+        with self._storage.write() as unit:
+            if unit.chunks.put(record):
+                return record, False
+            found = unit.chunks.get(arrival.digest)
+        assert found is not None
+        if found.vehicle != arrival.vehicle:
+            raise ConflictError(
+                f"{arrival.path}: the same recording was received from vehicle {found.vehicle}",
+                kind="chunk",
+                key=arrival.digest,
+            )
+        return found, True
+
+    def _reject(self, record: ChunkRecord, error: LogFileError) -> None:
+        reason = error.reason if error.line is None else f"line {error.line}: {error.reason}"
+        with self._storage.write() as unit:
+            unit.chunks.update(replace(record, state=REJECTED, reason=reason))
+
+    def _decode(self, record: ChunkRecord) -> tuple[ChunkRecord, int]:
+        """Assemble the windows that a stored recording touches; return its new receipt and how many changed."""
+        recording = self._recordings.load(record)
+        for _ in range(ATTEMPTS):
+            try:
+                with self._storage.read() as unit:
+                    assembly = self._assembler.assemble(unit, record, recording)
+            except NotFoundError as error:
+                with self._storage.write() as unit:
+                    unit.chunks.update(replace(record, reason=str(error)))
+                raise
+            with self._storage.write() as unit:
+                again = self._assembler.sources(unit, record, recording)
+                if {source.digest for source in again} == assembly.sources:
+                    return assembly.receipts[0], self._commit(unit, assembly)
+            # another recording of the vehicle was committed meanwhile
+        raise StorageError(f"recording {record.digest}: its neighbours changed {ATTEMPTS} times while it was decoded")
+
+    def _commit(self, unit: UnitOfWork, assembly: Assembly) -> int:
+        changed = 0
+        for mounted in assembly.windows:
+            mounting = mounted.mounting
+            run_km = mounted.window.odometer_m / 1000.0 - mounting.vehicle_odometer_km
+            changed += unit.windows.put(mounted.window, mounting.wheelset_mileage_km + run_km, self._clock.now_ns())
+        for receipt in assembly.receipts:
+            unit.chunks.update(receipt)
+        return changed
