@@ -79,6 +79,20 @@ class WindowStore:
         statement = select(WINDOWS).where(WINDOWS.c.state == WindowState.PENDING.value)
         return self._records(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns).limit(limit))
 
+    def get(self, wheelset: str, start_ns: int) -> WindowRecord | None:
+        """Return one window's record."""
+        key = (WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
+        found = self._records(select(WINDOWS).where(*key))
+        return found[0] if found else None
+
+    def requeue(self, track_section: str, reason: str) -> int:
+        """Let the windows of a section that were refused for this reason wait again; return how many."""
+        refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason == reason)
+        found = self._records(select(WINDOWS).where(WINDOWS.c.track_section == track_section, *refused))
+        for record in found:
+            self.mark(record.wheelset, record.start_ns, WindowState.PENDING, "")
+        return len(found)
+
     def load(self, wheelset: str, start_ns: int) -> Window:
         """Return a window with its samples.
 
