@@ -22,7 +22,7 @@ from fleet_db.storage import SqlStorage
 
 @pytest.fixture(scope="session")
 def postgres_server_url() -> Iterator[str]:
-    """A server: the one of TREADWATCH_TEST_POSTGRES_URL (its user must be allowed to create databases), or our own."""
+    """Yield the server of TREADWATCH_TEST_POSTGRES_URL, whose user must be allowed to create databases, or our own."""
     given = os.environ.get("TREADWATCH_TEST_POSTGRES_URL")
     if given:
         yield given
@@ -33,7 +33,7 @@ def postgres_server_url() -> Iterator[str]:
 
 @pytest.fixture(scope="session")
 def migrated_postgres_url(postgres_server_url: str) -> Iterator[str]:
-    """A migrated database that others are copied from; nobody connects to it."""
+    """Yield a migrated database that others are copied from; nobody connects to it."""
     with new_database(postgres_server_url) as url:
         upgrade(url)
         yield url
@@ -41,14 +41,14 @@ def migrated_postgres_url(postgres_server_url: str) -> Iterator[str]:
 
 @pytest.fixture
 def empty_postgres_url(postgres_server_url: str) -> Iterator[str]:
-    """An empty database of the test's own."""
+    """Yield an empty database of the test's own."""
     with new_database(postgres_server_url) as url:
         yield url
 
 
 @pytest.fixture
 def postgres_url(postgres_server_url: str, migrated_postgres_url: str) -> Iterator[str]:
-    """A migrated database of the test's own."""
+    """Yield a migrated database of the test's own."""
     template = sqlalchemy.make_url(migrated_postgres_url).database
     with new_database(postgres_server_url, template) as url:
         yield url
@@ -56,7 +56,7 @@ def postgres_url(postgres_server_url: str, migrated_postgres_url: str) -> Iterat
 
 @pytest.fixture(scope="session")
 def migrated_sqlite_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A migrated file that others are copied from."""
+    """Return a migrated file that others are copied from."""
     file = tmp_path_factory.mktemp("migrated") / "treadwatch.sqlite3"
     upgrade(f"sqlite:///{file}")
     return file
@@ -64,7 +64,7 @@ def migrated_sqlite_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def sqlite_url(migrated_sqlite_file: Path, tmp_path: Path) -> str:
-    """A migrated file of the test's own."""
+    """Return a migrated file of the test's own."""
     file = tmp_path / "treadwatch.sqlite3"
     shutil.copyfile(migrated_sqlite_file, file)
     return f"sqlite:///{file}"
@@ -72,19 +72,19 @@ def sqlite_url(migrated_sqlite_file: Path, tmp_path: Path) -> str:
 
 @pytest.fixture
 def sqlite_storage(sqlite_url: str, tmp_path: Path) -> Iterator[SqlStorage]:
-    """An empty storage on SQLite."""
+    """Yield an empty storage on SQLite."""
     yield from opened(sqlite_url, tmp_path)
 
 
 @pytest.fixture
 def postgres_storage(postgres_url: str, tmp_path: Path) -> Iterator[SqlStorage]:
-    """An empty storage on PostgreSQL."""
+    """Yield an empty storage on PostgreSQL."""
     yield from opened(postgres_url, tmp_path)
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def storage(request: pytest.FixtureRequest) -> SqlStorage:
-    """An empty storage, once on each database."""
+    """Return an empty storage, once on each database."""
     name = "sqlite_storage" if request.param == "sqlite" else "postgres_storage"
     found: SqlStorage = request.getfixturevalue(name)
     return found
@@ -92,7 +92,7 @@ def storage(request: pytest.FixtureRequest) -> SqlStorage:
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def storage_url(request: pytest.FixtureRequest) -> str:
-    """The URL of a migrated database, once on each."""
+    """Return the URL of a migrated database, once on each."""
     found: str = request.getfixturevalue("sqlite_url" if request.param == "sqlite" else "postgres_url")
     return found
 

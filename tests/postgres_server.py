@@ -17,6 +17,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import psycopg
 
@@ -34,7 +35,7 @@ def running_server() -> Iterator[str]:
         data = home / "data"
         _initialise(programs, data, user)
         settings = [part for setting in FAST for part in ("-c", setting)]
-        command = [programs / "postgres", "-D", data, "-h", "", "-k", home, *settings]
+        command = [str(programs / "postgres"), "-D", str(data), "-h", "", "-k", str(home), *settings]
         with (home / "log").open("wb") as log, subprocess.Popen(command, stdout=log, stderr=log, **user) as server:
             try:
                 url = f"postgresql://postgres@/postgres?host={home}"
@@ -62,7 +63,7 @@ def _programs(home: Path) -> Path:
     return home / "wheel" / installed.relative_to(package.parent) / "bin"
 
 
-def _user(home: Path) -> Mapping[str, int]:
+def _user(home: Path) -> Mapping[str, Any]:
     """Return whom ``subprocess`` shall start the server as, and give ``home`` to that user."""
     if os.geteuid() != 0:
         return {}
@@ -71,8 +72,20 @@ def _user(home: Path) -> Mapping[str, int]:
     return {"user": nobody.pw_uid, "group": nobody.pw_gid}
 
 
-def _initialise(programs: Path, data: Path, user: Mapping[str, int]) -> None:
-    command = [programs / "initdb", "-D", data, "-U", "postgres", "-A", "trust", "-E", "UTF8", "--locale=C", "-N"]
+def _initialise(programs: Path, data: Path, user: Mapping[str, Any]) -> None:
+    command = [
+        str(programs / "initdb"),
+        "-D",
+        str(data),
+        "-U",
+        "postgres",
+        "-A",
+        "trust",
+        "-E",
+        "UTF8",
+        "--locale=C",
+        "-N",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=data.parent, **user)
     assert done.returncode == 0, done.stderr
 

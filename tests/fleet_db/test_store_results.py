@@ -1,0 +1,187 @@
+"""Geometries and trends are appended and reproducible; receipts, runs, keys: the same on both databases."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import stored_values as make
+
+from estimation.errors import ConflictError, NotFoundError, ParameterError
+from estimation.ports import GeometryRecord
+from estimation.types import COMBINATIONS, BinStatus
+from fleet_db.storage import SqlStorage
+
+
+def put(storage: SqlStorage, *records: GeometryRecord) -> list[bool]:
+    with storage.write() as unit:
+        return [unit.geometries.put(record) for record in records]
+
+
+def test_a_geometry_comes_back_bit_for_bit(fleet: SqlStorage) -> None:
+    record = make.geometry_record()
+    assert put(fleet, record) == [True]
+    with fleet.read() as unit:
+        assert make.same(unit.geometries.current("WS-1"), record)
+        assert unit.geometries.current("WS-2") is None
+        assert unit.geometries.intervals("WS-1") == []
+
+
+def test_the_same_inputs_are_not_appended_again(fleet: SqlStorage) -> None:
+    first = make.geometry_record()
+    later = replace(first, recorded_ns=200)
+    changes = [{"input_digest": "b" * 64}, {"parameters": {"forgetting": 0.6}}, {"code_version": "0.2.0"}]
+    assert put(fleet, first, later) == [True, False]
+    assert put(fleet, *[replace(later, **change) for change in changes]) == [True] * 3
+    assert put(fleet, first) == [True]  # what it was before is a change too
+
+
+def test_what_was_believed_then(fleet: SqlStorage) -> None:
+    old, new = make.geometry_record(1, 100), make.geometry_record(2, 200)
+    turned = make.geometry_record(3, 300, baseline=1)
+    late = make.geometry_record(4, 400)  # data of the first baseline that came late
+    put(fleet, old)
+    with fleet.read() as unit:
+        believed = unit.geometries.current("WS-1", 150)
+    put(fleet, new, turned, late)
+    with fleet.read() as unit:
+        at = unit.geometries.current
+        assert make.same(at("WS-1", 150), believed)
+        assert [at("WS-1", time) for time in (99,)] == [None]
+        for time, record in ((100, old), (199, old), (200, new), (300, turned), (400, turned), (None, turned)):
+            assert make.same(at("WS-1", time), record), time
+
+
+def test_intervals_give_the_newest_of_each(fleet: SqlStorage) -> None:
+    records = [
+        make.geometry_record(1, 100, interval=2),
+        make.geometry_record(2, 110, interval=1),
+        make.geometry_record(3, 120, interval=1),
+        make.geometry_record(4, 130, interval=0, baseline=1),
+        make.geometry_record(5, 140),
+    ]
+    assert put(fleet, *records) == [True] * 5
+    with fleet.read() as unit:
+        all_of_them = unit.geometries.intervals("WS-1")
+        assert make.same(tuple(all_of_them), (records[2], records[0], records[3]))
+        assert make.same(tuple(unit.geometries.intervals("WS-1", 0, 115)), (records[1], records[0]))
+        assert make.same(tuple(unit.geometries.intervals("WS-1", baseline=1)), (records[3],))
+
+
+def test_a_clock_that_went_back_does_not_hide_the_newest(fleet: SqlStorage) -> None:
+    put(fleet, make.geometry_record(1, 500), make.geometry_record(2, 400))
+    with fleet.read() as unit:
+        found = unit.geometries.current("WS-1")
+        assert found is not None
+        assert (found.input_digest, found.recorded_ns) == (make.geometry_record(2).input_digest, 500)
+
+
+def test_current_bins_are_plain_rows(fleet: SqlStorage) -> None:
+    put(fleet, make.geometry_record(1, 100), make.geometry_record(2, 200, baseline=1))
+    put(fleet, make.geometry_record(3, 300), make.geometry_record(4, 300, interval=4))  # neither is the current one
+    geometry = make.geometry(2)
+    with fleet.engine.connect() as connection:
+        rows = connection.exec_driver_sql("SELECT * FROM wheelset_bins ORDER BY bin").mappings().all()
+    assert len(rows) == len(geometry.samples)
+    for name in COMBINATIONS:
+        unit = "rad" if "angle" in name else "m"
+        values = getattr(geometry, name)
+        for row, value, std, status in zip(rows, values.value, values.std, values.status, strict=True):
+            assert row[f"{name}_status"] == status
+            known = status is BinStatus.ESTIMATED
+            assert row[f"{name}_{unit}"] == (value if known else None)
+            assert row[f"{name}_std_{unit}"] == (std if known else None)
+    np.testing.assert_array_equal([row["lateral_displacement_high_m"] for row in rows], geometry.bin_edges[1:])
+
+
+def test_the_headline_is_in_columns(fleet: SqlStorage) -> None:
+    record = make.geometry_record(6)
+    put(fleet, record)
+    query = "SELECT equivalent_conicity, equivalent_conicity_std, zero_crossing_m FROM geometry_estimates"
+    with fleet.engine.connect() as connection:
+        row = connection.exec_driver_sql(query).one()
+    conicity = record.geometry.equivalent_conicity
+    assert tuple(row) == (conicity.value, conicity.std, None)
+
+
+def test_nan_in_the_parameters_is_refused(fleet: SqlStorage) -> None:
+    with pytest.raises((ParameterError, ValueError)):
+        put(fleet, make.geometry_record(parameters={"forgetting": float("nan")}))
+
+
+def test_trends_are_appended_and_reproducible(fleet: SqlStorage) -> None:
+    old, new, turned = (make.trend_record(1, 100), make.trend_record(2, 200), make.trend_record(3, 300, baseline=1))
+    with fleet.write() as unit:
+        put_trend = unit.trends.put
+        assert [put_trend(one) for one in (old, replace(old, recorded_ns=150), new, turned)] == [
+            True,
+            False,
+            True,
+            True,
+        ]
+    with fleet.read() as unit:
+        assert unit.trends.latest("WS-1", 99) is None
+        assert make.same(unit.trends.latest("WS-1", 199), old)
+        assert make.same(unit.trends.latest("WS-1", 200), new)
+        assert make.same(unit.trends.latest("WS-1"), turned)
+
+
+def test_receipts(fleet: SqlStorage) -> None:
+    decoded = replace(
+        make.CHUNK, state="decoded", first_ns=1000, last_ns=2000, frames=7, counts={"unknown identifier": 3}
+    )
+    with fleet.write() as unit:
+        assert unit.chunks.put(make.CHUNK)
+        assert not unit.chunks.put(decoded)
+        assert unit.chunks.get(make.CHUNK.digest) == make.CHUNK
+        assert unit.chunks.with_state("stored") == [make.CHUNK]
+        unit.chunks.update(decoded)
+    with fleet.read() as unit:
+        chunks = unit.chunks
+        assert chunks.get(make.CHUNK.digest) == decoded
+        assert chunks.get("d" * 64) is None
+        assert chunks.overlapping("V-1", 2000, 2001) == [decoded]
+        assert chunks.overlapping("V-1", 2001, 3000) == chunks.overlapping("V-1", 0, 1000) == []
+        assert chunks.overlapping("V-2", 0, 9999) == chunks.with_state("stored") == []
+    with pytest.raises(NotFoundError), fleet.write() as unit:
+        unit.chunks.update(replace(decoded, digest="d" * 64))
+
+
+def test_the_database_knows_the_states_of_a_receipt(fleet: SqlStorage) -> None:
+    with pytest.raises(ConflictError), fleet.write() as unit:
+        unit.chunks.put(replace(make.CHUNK, state="lost"))
+    with pytest.raises(ConflictError), fleet.write() as unit:
+        unit.chunks.put(replace(make.CHUNK, first_ns=5))
+
+
+def test_runs(fleet: SqlStorage) -> None:
+    with fleet.write() as unit:
+        first = unit.jobs.start("estimate", "schedule", 10)
+        second = unit.jobs.start("trends", "api", 11)
+        third = unit.jobs.start("estimate", "cli", 12)
+        unit.jobs.finish(first.run_id, "succeeded", {"windows": 5}, 20)
+        assert unit.jobs.abandon_running(30) == 2
+    with fleet.read() as unit:
+        jobs = unit.jobs
+        done = replace(first, outcome="succeeded", counts={"windows": 5}, finished_ns=20)
+        assert jobs.get(first.run_id) == done
+        assert jobs.get(second.run_id).outcome == "abandoned"
+        assert [run.run_id for run in jobs.page(None, None, 2)] == [third.run_id, second.run_id]
+        assert jobs.page("estimate", third.run_id, 9) == [done]
+    with pytest.raises(ConflictError, match="has ended: abandoned"), fleet.write() as unit:
+        unit.jobs.finish(third.run_id, "succeeded", {}, 40)
+    with pytest.raises(NotFoundError), fleet.write() as unit:
+        unit.jobs.finish(999, "succeeded", {}, 40)
+    with pytest.raises(ConflictError), fleet.write() as unit:
+        unit.jobs.finish(unit.jobs.start("estimate", "cli", 50).run_id, "fine", {}, 51)
+
+
+def test_answers_by_key(fleet: SqlStorage) -> None:
+    with fleet.write() as unit:
+        assert unit.idempotency.get("k") is None
+        for recorded_ns in (1, 2):
+            unit.idempotency.put("k", "digest", 201, '{"a": 1}', recorded_ns)
+        assert unit.idempotency.get("k") == ("digest", 201, '{"a": 1}')
+        with pytest.raises(ConflictError, match="another answer"):
+            unit.idempotency.put("k", "other", 201, "{}", 3)

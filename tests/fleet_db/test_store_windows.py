@@ -1,0 +1,205 @@
+"""Windows, their bin tables, and which wheelsets they make stale: the same on both databases."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import stored_values as make
+
+from estimation.arrays import same_values
+from estimation.errors import ConflictError, NotFoundError, StorageError
+from estimation.ports import Reprofiling, WindowState
+from fleet_db.storage import SqlStorage
+from fleet_db.telemetry import WindowFiles, window_digest
+
+
+def put(storage: SqlStorage, *indices: int) -> None:
+    with storage.write() as unit:
+        for index in indices:
+            assert unit.windows.put(make.window(index), 10.0 + index, 50)
+
+
+def estimate(storage: SqlStorage, index: int, seed: int = 0) -> None:
+    window = make.window(index)
+    with storage.write() as unit:
+        digest = window_digest(window)
+        unit.tables.put("WS-1", window.start_ns, make.bin_table(seed), 3, digest)
+        unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED, "")
+
+
+def settle(storage: SqlStorage) -> None:
+    """Record a geometry of every stale wheelset."""
+    with storage.write() as unit:
+        for serial in unit.geometries.stale(100):
+            unit.geometries.put(make.geometry_record(wheelset=serial))
+
+
+def stale(storage: SqlStorage) -> list[str]:
+    with storage.read() as unit:
+        return list(unit.geometries.stale(100))
+
+
+def test_a_window_comes_back_with_its_record(fleet: SqlStorage) -> None:
+    put(fleet, 0)
+    window = make.window(0)
+    with fleet.read() as unit:
+        assert same_values(unit.windows.load("WS-1", window.start_ns), window)
+        (record,) = unit.windows.list("WS-1")
+        assert record.quality == window.quality
+        assert (record.state, record.reason, record.mileage_km) == (WindowState.PENDING, "", 10.0)
+        assert record.content_digest == window_digest(window)
+        assert record.recorded_ns == 50
+        assert unit.windows.latest("WS-1") == record
+        assert unit.windows.latest("WS-2") is None
+
+
+def test_the_same_content_changes_nothing(fleet: SqlStorage) -> None:
+    put(fleet, 0)
+    estimate(fleet, 0)
+    settle(fleet)
+    with fleet.write() as unit:
+        assert not unit.windows.put(make.window(0), 10.0, 99)
+    with fleet.read() as unit:
+        (record,) = unit.windows.list("WS-1")
+        assert (record.state, record.recorded_ns) == (WindowState.ESTIMATED, 50)
+        assert len(list(unit.tables.stream("WS-1", 0, None))) == 1
+    assert stale(fleet) == []
+
+
+def test_a_lost_sample_file_is_made_again(fleet: SqlStorage) -> None:
+    put(fleet, 0)
+    path = WindowFiles(fleet.data_dir / "windows").path(window_digest(make.window(0)))
+    path.write_bytes(b"")
+    with fleet.read() as unit, pytest.raises(StorageError, match=path.name):
+        unit.windows.load("WS-1", make.START)
+    with fleet.write() as unit:
+        assert not unit.windows.put(make.window(0), 10.0, 99)
+        assert same_values(unit.windows.load("WS-1", make.START), make.window(0))
+
+
+def test_other_content_is_pending_again_without_a_bin_table(fleet: SqlStorage) -> None:
+    put(fleet, 0)
+    estimate(fleet, 0)
+    settle(fleet)
+    other = make.window(0, seed=1)
+    with fleet.write() as unit:
+        assert unit.windows.put(other, 10.0, 99)
+    with fleet.read() as unit:
+        (record,) = unit.windows.pending(10)
+        assert (record.content_digest, record.recorded_ns) == (window_digest(other), 99)
+        assert list(unit.tables.stream("WS-1", 0, None)) == []
+        assert same_values(unit.windows.load("WS-1", make.START), other)
+    assert stale(fleet) == ["WS-1"]
+
+
+def test_another_mileage_keeps_the_bin_table(fleet: SqlStorage) -> None:
+    put(fleet, 0)
+    estimate(fleet, 0)
+    settle(fleet)
+    with fleet.write() as unit:
+        assert unit.windows.put(make.window(0), 11.5, 99)
+    with fleet.read() as unit:
+        ((record, _, _),) = unit.tables.stream("WS-1", 0, None)
+        assert (record.mileage_km, record.state) == (11.5, WindowState.ESTIMATED)
+    assert stale(fleet) == ["WS-1"]
+
+
+def test_unknown_quality_is_null_and_comes_back_as_nan(fleet: SqlStorage) -> None:
+    quality = replace(make.window().quality, speed_min_m_s=math.nan, speed_max_m_s=math.nan)
+    with fleet.write() as unit:
+        unit.windows.put(make.window(quality=quality), 1.0, 1)
+    with fleet.engine.connect() as connection:
+        assert connection.exec_driver_sql("SELECT speed_min_m_s FROM windows").scalar() is None
+    with fleet.read() as unit:
+        (record,) = unit.windows.list("WS-1")
+        assert math.isnan(record.quality.speed_min_m_s)
+        assert record.quality.coverage == quality.coverage
+
+
+def test_lists_and_pages_in_the_order_of_time(fleet: SqlStorage) -> None:
+    put(fleet, 3, 0, 2, 1)
+    starts = [make.START + index * make.LENGTH for index in range(4)]
+    with fleet.read() as unit:
+        windows = unit.windows
+        assert [one.start_ns for one in windows.list("WS-1")] == starts
+        assert [one.start_ns for one in windows.list("WS-1", starts[1], starts[3])] == starts[1:3]
+        assert [one.start_ns for one in windows.page("WS-1", None, 3)] == starts[:3]
+        assert [one.start_ns for one in windows.page("WS-1", starts[2], 3)] == starts[3:]
+        assert [one.start_ns for one in windows.pending(2)] == starts[:2]
+        assert windows.counts() == {"pending": 4, "estimated": 0, "refused": 0}
+    with fleet.write() as unit:
+        unit.windows.mark("WS-1", starts[0], WindowState.REFUSED, "too slow")
+    with fleet.read() as unit:
+        assert unit.windows.counts() == {"pending": 3, "estimated": 0, "refused": 1}
+        assert unit.windows.list("WS-1")[0].reason == "too slow"
+        assert [one.start_ns for one in unit.windows.pending(9)] == starts[1:]
+
+
+def test_bin_tables_stream_in_the_order_of_time(fleet: SqlStorage) -> None:
+    put(fleet, *range(4))
+    for index in (2, 0, 1):
+        estimate(fleet, index, seed=index)
+    with fleet.read() as unit:
+        found = list(unit.tables.stream("WS-1", make.START, make.START + 2 * make.LENGTH))
+        assert [record.start_ns for record, _, _ in found] == [make.START, make.START + make.LENGTH]
+        assert all(make.same(table, make.bin_table(seed)) for seed, (_, table, _) in enumerate(found))
+        assert {version for _, _, version in found} == {3}
+        assert len(list(unit.tables.stream("WS-1", 0, None))) == 3
+        assert list(unit.tables.stream("WS-2", 0, None)) == []
+
+
+def test_a_bin_table_of_replaced_content_is_refused(fleet: SqlStorage) -> None:
+    put(fleet, 0)
+    with pytest.raises(ConflictError, match="was replaced while it was estimated"), fleet.write() as unit:
+        unit.tables.put("WS-1", make.START, make.bin_table(), None, "0" * 64)
+
+
+def test_a_refused_window_loses_its_bin_table(fleet: SqlStorage) -> None:
+    put(fleet, 0)
+    estimate(fleet, 0)
+    settle(fleet)
+    with fleet.write() as unit:
+        unit.windows.mark("WS-1", make.START, WindowState.REFUSED, "sensor fault")
+        assert list(unit.tables.stream("WS-1", 0, None)) == []
+    assert stale(fleet) == ["WS-1"]
+
+
+def test_what_makes_a_wheelset_stale(fleet: SqlStorage) -> None:
+    settle(fleet)
+    put(fleet, 0)
+    assert stale(fleet) == []  # a pending window says nothing yet
+    estimate(fleet, 0)
+    assert stale(fleet) == ["WS-1"]
+    settle(fleet)
+    estimate(fleet, 0)  # the same again
+    assert stale(fleet) == []
+    estimate(fleet, 0, seed=5)
+    assert stale(fleet) == ["WS-1"]
+    settle(fleet)  # the record is the same as before, and yet it was looked at
+    assert stale(fleet) == []
+    with fleet.write() as unit:
+        unit.registry.add_reprofiling(Reprofiling("WS-2", 5, 1.0))
+        assert unit.geometries.stale(100) == ["WS-2"]  # inside the same transaction too
+    assert stale(fleet) == ["WS-2"]
+
+
+def test_stale_stops_at_its_limit(fleet: SqlStorage) -> None:
+    with fleet.read() as unit:
+        assert unit.geometries.stale(2) == ["WS-1", "WS-2"]
+
+
+def test_the_unknown_is_named(fleet: SqlStorage) -> None:
+    with pytest.raises(NotFoundError, match="no wheelset 'WS-9'"), fleet.write() as unit:
+        unit.windows.put(make.window(wheelset="WS-9"), 1.0, 1)
+    with pytest.raises(ConflictError), fleet.write() as unit:
+        unit.windows.put(make.window(track_section="S-9"), 1.0, 1)
+    with fleet.read() as unit, pytest.raises(NotFoundError, match="no window 'WS-1@5'"):
+        unit.windows.load("WS-1", 5)
+    with pytest.raises(NotFoundError, match="no window 'WS-1@5'"), fleet.write() as unit:
+        unit.windows.mark("WS-1", 5, WindowState.REFUSED, "")
+    with pytest.raises(NotFoundError, match="no window 'WS-1@5'"), fleet.write() as unit:
+        unit.tables.put("WS-1", 5, make.bin_table(), None, "")
+    with fleet.read() as unit:
+        assert unit.windows.counts() == {"pending": 0, "estimated": 0, "refused": 0}
