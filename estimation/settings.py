@@ -16,7 +16,7 @@ from estimation.vehicle import VehicleParameters
 class Gates:
     """When a window may be estimated at all."""
 
-    least_coverage: float = 0.5
+    least_coverage: float = 0.25
     most_clipped: float = 0.01
     least_position_quality: float = 0.1
 

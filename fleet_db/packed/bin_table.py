@@ -10,11 +10,10 @@ from fleet_db.packing import pack, unpack
 
 KIND = "bin_table"
 VERSION = 1
-GRAM = 15  # upper triangle of a 5 x 5 Gram matrix
 
 
 def pack_bin_table(table: BinTable) -> bytes:
-    """Return ``table`` as one blob. A cell is empty when every bit of its weight and Gram matrices is zero."""
+    """Return ``table`` as one blob. A cell is empty when every bit of its weight and moments is zero."""
     cells = np.concatenate([table.weight[:, :, None], table.lateral, table.yaw], axis=2)
     filled: BoolArray = np.any(cells.view(np.int64), axis=2)
     return pack(
@@ -25,6 +24,7 @@ def pack_bin_table(table: BinTable) -> bytes:
             "samples": int(table.samples),
             "windows": int(table.windows),
             "groups": len(table.weight),
+            "lateral": table.lateral.shape[2],
         },
         {"edges": table.edges, "filled": np.packbits(filled), "cells": np.ascontiguousarray(cells[filled].T)},
     )
@@ -42,8 +42,9 @@ def unpack_bin_table(blob: bytes, *, where: str) -> BinTable:
     edges, found = packed.arrays["edges"], packed.arrays["cells"]
     groups, bins = packed.scalars["groups"], len(edges) - 1
     filled = np.unpackbits(packed.arrays["filled"], count=groups * bins).astype(bool)
+    yaw_from = 1 + packed.scalars["lateral"]
     weight, lateral, yaw = (
-        _spread(rows, filled, groups, bins) for rows in (found[:1], found[1 : 1 + GRAM], found[1 + GRAM :])
+        _spread(rows, filled, groups, bins) for rows in (found[:1], found[1:yaw_from], found[yaw_from:])
     )
     return BinTable(
         parameter_key=packed.scalars["parameter_key"],

@@ -129,7 +129,7 @@ def test_a_table_of_other_parameters_is_refused() -> None:
     ("change", "reason"),
     [
         ({"sensor_fault": True}, "fault"),
-        ({"coverage": 0.2}, "20%"),
+        ({"coverage": 0.1}, "10%"),
         ({"clipped": 0.05}, "clipped"),
         ({"position_quality": 0.0}, "position"),
     ],
