@@ -21,6 +21,7 @@ from estimation.motion import Motion
 from estimation.types import ACCELERATIONS, TrackAlignment, Window
 
 NANOSECONDS = 1_000_000_000
+SPLINE_MARGIN = 20  # points of the stored alignment beyond the window, so that the spline's ends do not matter
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,7 @@ def motion(window: Window, track: TrackAlignment, parameters: SignalParameters) 
     stretches = _stretches(usable, window, parameters)
     if not stretches:
         return Refusal(f"no uninterrupted stretch of {parameters.shortest_stretch_s:g} s")
-    d = CubicSpline(track.s, track.alignment)(np.clip(window.distance, track.s[0], track.s[-1]))
+    d = _alignment_at(window.distance, track, usable)
     n = len(window.valid)
     signals = {item.name: np.full(n, np.nan) for item in fields(Motion) if item.name not in _NOT_SIGNALS}
     valid = np.zeros(n, dtype=np.bool_)
@@ -96,6 +97,15 @@ def _usable(window: Window, track: TrackAlignment, parameters: SignalParameters)
     return np.asarray(usable) if usable.any() else None
 
 
+def _alignment_at(distance: FloatArray, track: TrackAlignment, usable: BoolArray) -> FloatArray:
+    """Return d (n,) by a cubic spline through the stored alignment where the window runs; NaN off the section."""
+    seen = distance[usable]
+    first = max(int(np.searchsorted(track.s, seen.min())) - SPLINE_MARGIN, 0)
+    last = int(np.searchsorted(track.s, seen.max())) + SPLINE_MARGIN
+    part = slice(first, last)
+    return np.asarray(CubicSpline(track.s[part], track.alignment[part], extrapolate=False)(distance))
+
+
 def _stretches(usable: BoolArray, window: Window, parameters: SignalParameters) -> list[tuple[int, int]]:
     """Return the runs of usable samples with only short gaps in them, long enough to be worth it."""
     index = np.flatnonzero(usable)
@@ -117,12 +127,13 @@ def _integrate(
     accelerations = np.stack([_bridged(getattr(window, name)[part], known) for name in ACCELERATIONS])
     accelerations -= accelerations.mean(axis=1, keepdims=True)
     rates = _running_integral(accelerations, dt)
-    rates -= np.polynomial.polynomial.polyval(t, np.polynomial.polynomial.polyfit(t, rates.T, 1))
+    centred = t - t.mean()
+    rates -= rates.mean(axis=1, keepdims=True) + np.outer(rates @ centred / (centred @ centred), centred)
     displacements = _running_integral(rates, dt)
     y, ψ, φ, ym = displacements
     dy, dψ, dφ, dym = rates
     ddy, ddψ = accelerations[:2]
-    raw = np.stack([y - d[part], dy, ddy, ψ, dψ, ddψ, φ, dφ, ym - y, dym - dy])
+    raw = np.stack([y - _bridged(d[part], np.isfinite(d[part])), dy, ddy, ψ, dψ, ddψ, φ, dφ, ym - y, dym - dy])
     names = (
         "displacement",
         "lateral_velocity",
