@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
-from estimation.ports import ChunkRecord, UnitOfWork, VehicleRecord
+from estimation.ports import ChunkRecord, Mounting, UnitOfWork, VehicleRecord
 from ingest.align.ticks import Placed, unite
 from ingest.align.windows import (
     Lookup,
@@ -123,7 +123,18 @@ def _lookup(unit: UnitOfWork, vehicle: VehicleRecord) -> Lookup:
             sections[number] = found.code if found is not None else None
         return sections[number]
 
-    return Lookup(vehicle, lambda axle, at_ns: unit.registry.mounting_at(vehicle.code, axle, at_ns), section_code)
+    mountings: dict[int, Mounting] = {}
+
+    def mounting_at(axle: int, at_ns: int) -> Mounting | None:
+        last = mountings.get(axle)
+        if last is not None and last.from_ns <= at_ns and (last.to_ns is None or at_ns < last.to_ns):
+            return last
+        found = unit.registry.mounting_at(vehicle.code, axle, at_ns)
+        if found is not None:
+            mountings[axle] = found
+        return found
+
+    return Lookup(vehicle, mounting_at, section_code)
 
 
 def _receipt_after(record: ChunkRecord, recording: Recording, span: Span | None) -> ChunkRecord:

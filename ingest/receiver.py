@@ -118,18 +118,22 @@ class Receiver:
         record, changed = self._decode(record)
         return ChunkReceipt(record, known=known, windows_changed=changed)
 
-    def decode_stored(self) -> Iterator[tuple[ChunkRecord, Exception | None]]:
-        """Decode every recording that is stored and not decoded yet: after a crash, or a new entry of the registry."""
+    def decode_stored(self) -> Iterator[ChunkReceipt | Exception]:
+        """Decode every recording that is stored and not decoded yet: after a crash, or a new entry of the registry.
+
+        Yields the new receipt of each, or why it still cannot be decoded.
+        """
         with self._storage.read() as unit:
             stored = unit.chunks.with_state(STORED, limit=1_000_000)
         for record in stored:
             try:
-                yield self._decode(record)[0], None
+                decoded, changed = self._decode(record)
+                yield ChunkReceipt(decoded, known=False, windows_changed=changed)
             except LogFileError as error:
                 self._reject(record, error)
-                yield record, error
+                yield error
             except TreadwatchError as error:
-                yield record, error
+                yield error
 
     def _arrive(self, path: Path, vehicle: str) -> Arrival:
         suffix = suffix_of(path)
