@@ -28,6 +28,7 @@ from estimation.errors import ParameterError
 
 _ANGLES = 240  # midpoints of the substitution y = middle + amplitude sin(angle)
 _HALVINGS = 60
+_REST = 1e-9  # share by which S lies below its running maximum where a wheelset has come to rest before
 _MILLIMETRE = 1e-3
 
 
@@ -242,11 +243,12 @@ def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # no
             else:
                 high = middle
         turn = 0.5 * (low + high)
-        energy = min(
-            _highest_at(turn, points, values, potential, highest, k),
-            _highest_at(turn - 2.0 * a, points, values, potential, highest, k),
-        )
-        result[m] = _from_travel(turn - a, a, energy, points, values, potential)
+        energy = _highest_at(turn, points, values, potential, highest, k)
+        left_energy = _highest_at(turn - 2.0 * a, points, values, potential, highest, k)
+        rests = _potential_at(turn, points, values, potential) < energy * (1.0 - _REST)
+        rests |= _potential_at(turn - 2.0 * a, points, values, potential) < left_energy * (1.0 - _REST)
+        energy = min(energy, left_energy)
+        result[m] = 0.0 if rests else _from_travel(turn - a, a, energy, points, values, potential)
     return result
 
 

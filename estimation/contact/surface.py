@@ -18,6 +18,8 @@ GRID_STEP = 2e-5
 GAUGE_DEPTH = 0.014
 """Depth below the top of the rail down to which the gauge is measured, m (EN 13848-1)."""
 
+_TIP = 2e-3  # m, part of the flange that counts as its tip
+_LEAST_FLANGE = 15e-3  # m, a wheel profile flatter than this has no flange
 _STEEPEST = math.tan(math.radians(82.0))
 _WALL = math.tan(math.radians(70.0))  # a gauge face at least this steep may be continued straight down
 
@@ -38,13 +40,15 @@ class Surface:
 
 
 def wheel_surface(wheel: Profile) -> Surface:
-    """Return the part of a wheel that can touch: from the tip of the flange to the outer end.
+    """Return the part of a wheel that can touch: from the flange face, 2 mm above its tip, to the outer end.
 
-    The lateral axis is the profile's own. The inner side of the flange is left out.
+    The lateral axis is the profile's own. A wheel that touches with the tip or its inner side has derailed. Of a
+    wheel without a flange (a plain cone) everything can touch.
     """
-    tip = int(np.argmax(wheel.z))
-    end = _run(wheel.slope, tip, 1)
-    return _gridded(wheel.y[tip : end + 1], wheel.z[tip : end + 1], wheel.slope[tip : end + 1])
+    margin = _TIP if np.ptp(wheel.z) > _LEAST_FLANGE else 0.0
+    start = int(np.flatnonzero(wheel.z >= wheel.z.max() - margin)[-1])
+    keep = slice(start, _run(wheel.slope, start, 1) + 1)
+    return _gridded(wheel.y[keep], wheel.z[keep], wheel.slope[keep])
 
 
 def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:

@@ -1,6 +1,6 @@
 """From the axes of a file to those of a profile: z down, y to the field side, one height per lateral position.
 
-What a file leaves open is decided from the shape:
+What a file leaves open (SIMPACK leaves only the gauge side) is decided from the shape:
 
 - z is turned over if the point that must lie inside the profile (the crown of a rail, the tip of a flange) comes out
   in the first or last tenth (rails) or twentieth (wheels) of the points.
@@ -39,12 +39,11 @@ def oriented(points: FilePoints, kind: ProfileKind, name: str) -> Profile:
         The points are not in order along the profile, leave a gap of more than 10 mm, or a wheel does not reach from
         its flange to the tread datum.
     """
-    y, z = points.y, points.z
-    z = _upright(z, kind)
+    y, z = points.y, points.z if points.axes_known else _upright(points.z, kind)
     if y[-1] < y[0]:
         y, z = y[::-1], z[::-1]
     if kind == "wheel":
-        y, z = _from_datum(y, z)
+        y, z = (y, z) if points.axes_known else _from_datum(y, z)
     else:
         y, z = _gauge_side_negative(y, z - z.min())
     y, z = _single_valued(y, z, int(np.argmax(z) if kind == "wheel" else np.argmin(z)), points)

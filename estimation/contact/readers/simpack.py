@@ -80,7 +80,8 @@ def _transformed(points: FilePoints, keywords: dict[str, tuple[int, str]]) -> Fi
     order = slice(None, None, -1 if setting("inversion") == 1.0 else 1)
     scale = _TO_MILLIMETRES / lengths
     ordered = zip(lines[order], y[order] * scale, z[order] * scale, strict=True)
-    return points_of(points.file, [(int(line), float(a), float(b)) for line, a, b in ordered])
+    rows = [(int(line), float(a), float(b)) for line, a, b in ordered]
+    return points_of(points.file, rows, axes_known=True)
 
 
 def _far_enough(y: FloatArray, z: FloatArray, distance: float) -> list[int]:

@@ -1,0 +1,117 @@
+"""The contact command: its formats, its keys, its errors."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner, Result
+
+from api.commands.contact import contact
+from estimation.contact.profiles import wheel_profile
+
+KEYS = [
+    "lateral_displacement_mm",
+    "rolling_radius_difference_mm",
+    "rolling_radius_sum_mm",
+    "contact_angle_difference_rad",
+    "contact_angle_sum_rad",
+    "roll_rad",
+]
+
+
+def _run(*arguments: str) -> Result:
+    app = typer.Typer()
+    app.command("contact")(contact)
+    return CliRunner().invoke(app, list(arguments))
+
+
+def test_json_has_the_agreed_keys_and_the_reference_values() -> None:
+    result = _run("--wheel", "EN15302-A", "--rail", "EN15302-A", "--inclination", "0", "--gauge-mm", "1435.16")
+    assert result.exit_code == 0
+    document = json.loads(result.stdout, parse_constant=pytest.fail)
+    assert list(document) == [*KEYS, "equivalent_conicity", "nonlinearity_parameter"]
+    assert len({len(document[key]) for key in KEYS}) == 1
+    conicity = document["equivalent_conicity"]
+    found = dict(zip(conicity["amplitude_mm"], conicity["value"], strict=True))
+    assert found[3.0] == pytest.approx(0.188, abs=0.003)
+    assert document["nonlinearity_parameter"] == pytest.approx((0.216 - 0.155) / 2, abs=0.002)
+    assert set(document["roll_rad"]) == {0.0}
+
+
+def test_unequal_radii_shift_the_crossing_and_the_rigid_method_rolls() -> None:
+    result = _run(
+        "--method", "rigid", "--radius-left-mm", "460.5", "--radius-right-mm", "459.5", "--wheel-right", "S1002"
+    )
+    assert result.exit_code == 0, result.stderr
+    document = json.loads(result.stdout)
+    middle = len(document["lateral_displacement_mm"]) // 2
+    assert document["rolling_radius_difference_mm"][middle] > 0.5
+    assert document["roll_rad"][middle] != 0.0
+    assert document["rolling_radius_sum_mm"][middle] == pytest.approx(920.0, abs=2.0)
+
+
+def test_what_does_not_exist_is_null() -> None:
+    result = _run("--gauge-mm", "1432", "--flange-back-mm", "1366", "--method", "rigid")
+    assert result.exit_code == 0, result.stderr
+    document = json.loads(result.stdout)
+    assert document["equivalent_conicity"]["value"][-1] is None or document["roll_rad"][0] is not None
+    assert "NaN" not in result.stdout
+
+
+def test_csv(tmp_path: Path) -> None:
+    out = tmp_path / "contact.csv"
+    assert _run("--format", "csv", "--out", str(out)).exit_code == 0
+    rows = list(csv.DictReader(io.StringIO(out.read_text())))
+    assert list(rows[0]) == KEYS
+    assert len(rows) == 161
+    assert float(rows[100]["rolling_radius_difference_mm"]) == pytest.approx(0.913, abs=0.002)
+
+
+def test_png(tmp_path: Path) -> None:
+    out = tmp_path / "contact.png"
+    assert _run("--format", "png", "--out", str(out)).exit_code == 0
+    assert out.read_bytes().startswith(b"\x89PNG")
+    assert out.stat().st_size > 20_000
+
+
+def test_a_wheel_from_a_file_is_the_wheel(tmp_path: Path) -> None:
+    profile = wheel_profile("P8")
+    y = np.linspace(-69.0, 58.0, 2001)
+    file = tmp_path / "p8.csv"
+    file.write_text("".join(f"{a:.6f},{b:.6f}\n" for a, b in zip(y, profile.height(y * 1e-3) * 1e3, strict=True)))
+    from_file, by_name = (json.loads(_run("--wheel", wheel).stdout) for wheel in (str(file), "P8"))
+    difference = np.array(from_file[KEYS[1]]) - np.array(by_name[KEYS[1]])
+    assert np.sqrt(np.mean(difference**2)) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--wheel", "P9"], "known: P8"),
+        (["--rail", "nowhere/rail.ban"], "nowhere/rail.ban"),
+        (["--inclination", "steep"], "'steep' is no inclination"),
+        (["--inclination", "1:0"], "inclination"),
+        (["--gauge-mm", "1900"], "never touch"),
+        (["--gauge-mm", "-1"], "gauge"),
+        (["--flange-back-mm", "nan"], "flange_back_distance"),
+        (["--format", "png"], "--out"),
+        (["--out", "nowhere/x.json"], "nowhere/x.json"),
+    ],
+)
+def test_bad_input_is_one_clear_line_and_exit_code_2(arguments: list[str], words: str) -> None:
+    result = _run(*arguments)
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert result.stdout == ""
+
+
+def test_an_unknown_method_or_format_is_refused() -> None:
+    assert _run("--method", "guess").exit_code == 2
+    assert _run("--format", "xml").exit_code == 2
