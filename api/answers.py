@@ -11,7 +11,7 @@ from typing import Annotated, TypeVar
 from urllib.parse import quote, urlencode
 
 from fastapi import Header, Query, Request, Response
-from pydantic import BaseModel
+from pydantic import BaseModel, SerializeAsAny
 
 from api import cursors
 from api.contract import CSV, JSON
@@ -136,7 +136,7 @@ def answer_page(
         headers["Link"] = f'<{path}>; rel="next"'
     return answer(
         request,
-        Page[BaseModel](items=[represent(row) for row in shown], next_cursor=cursor, next=path),
+        Page[SerializeAsAny[BaseModel]](items=[represent(row) for row in shown], next_cursor=cursor, next=path),
         headers=headers,
     )
 

@@ -5,19 +5,20 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, partial
 from importlib.metadata import version
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 
-from estimation.jobs.catalogue import JOBS
 from fastapi import FastAPI
 
 from api.app import build_app
 from api.job_runner import JobRunner
 from api.services import Services
 from api.settings import Settings
-from estimation.jobs.job import JobContext
+from estimation.jobs.catalogue import ALL_JOBS
+from estimation.jobs.job import Job, JobContext
 from estimation.rules import RuleBook, load_rules
 from estimation.settings import EstimationSettings
 from fleet_db.migrate import check_head
@@ -96,6 +97,13 @@ def job_context(
     return JobContext(storage, SystemClock(), code_version(), progress=progress, settings=(EstimationSettings(), rules))
 
 
+def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:
+    """Return the jobs in the order in which one hands its results to the next, at the intervals of this deployment."""
+    if settings.jobs_every_s is None:
+        return ALL_JOBS
+    return tuple(replace(job, every_s=settings.jobs_every_s) for job in ALL_JOBS)
+
+
 def create_app(settings: Settings) -> FastAPI:
     """Return the REST application of this deployment; refuses where :func:`open_store` or :func:`job_context` do."""
     storage = open_store(settings)
@@ -104,7 +112,7 @@ def create_app(settings: Settings) -> FastAPI:
         Services(
             storage=storage,
             clock=context.clock,
-            jobs={job.name: job for job in JOBS},
+            jobs={job.name: job for job in scheduled_jobs(settings)},
             runner=JobRunner(context),
             check=partial(check_head, storage.engine),
             one_reader=settings.url.startswith("sqlite"),

@@ -10,6 +10,8 @@ from structlog.typing import Processor
 
 from api.settings import Settings
 
+CHATTY = ("apscheduler", "alembic.runtime", "uvicorn.access")  # what they tell at info is told by our own records
+
 
 def configure(settings: Settings) -> None:
     """Send every log of this process to standard error, in the form that the settings ask for."""
@@ -34,6 +36,8 @@ def configure(settings: Settings) -> None:
         )
     )
     logging.basicConfig(handlers=[handler], level=settings.log_level.upper(), force=True)
+    for name in CHATTY:
+        logging.getLogger(name).setLevel(logging.WARNING)
     structlog.configure(
         processors=[
             structlog.stdlib.filter_by_level,

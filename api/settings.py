@@ -32,8 +32,8 @@ class Settings(BaseSettings):
     window_length_s
         Length of a window of running time, in seconds. Windows are cut at multiples of it, so it must not be changed
         once data are stored.
-    estimate_every_s, trends_every_s, alerts_every_s
-        Periods of the scheduled jobs, in seconds.
+    jobs_every_s
+        Interval of all scheduled jobs, in seconds; left out, each job has its own.
     shutdown_timeout_s
         How long running requests and jobs may take to finish after SIGTERM, in seconds.
     """
@@ -50,12 +50,10 @@ class Settings(BaseSettings):
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     log_format: Literal["json", "text"] = "text"
     window_length_s: float = Field(default=30.0, gt=0.0, le=3600.0)
-    estimate_every_s: float = Field(default=30.0, gt=0.0)
-    trends_every_s: float = Field(default=60.0, gt=0.0)
-    alerts_every_s: float = Field(default=60.0, gt=0.0)
+    jobs_every_s: float | None = Field(default=None, gt=0.0)
     shutdown_timeout_s: int = Field(default=10, ge=1, le=600)
 
-    @field_validator("database_url", "rules_file", mode="before")
+    @field_validator("database_url", "rules_file", "jobs_every_s", mode="before")
     @classmethod
     def _empty_is_left_out(cls, value: object) -> object:
         """Read ``TREADWATCH_RULES_FILE=`` (as compose files leave it) as not set."""

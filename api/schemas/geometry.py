@@ -59,13 +59,13 @@ class Geometry(Representation):
     status: Status
     reason: str | None
     baseline: int = Field(description="Number of reprofilings before it.")
-    mileage_km: float = Field(description="Weighted mean mileage of its windows since the wheelset was new.")
+    mileage_km: float | None = Field(description="Weighted mean mileage of its windows since the wheelset was new.")
     measured_from: Timestamp
     measured_to: Timestamp
     recorded_at: Timestamp
     n_windows: int
     equivalent_conicity_1: Uncertain
-    equivalent_conicity_amplitude_mm: float
+    equivalent_conicity_amplitude_mm: float | None = Field(description="3 mm, or the largest amplitude covered.")
     conicity_by_amplitude: list[ConicityAtAmplitude]
     nonlinearity_parameter_per_mm: Uncertain
     zero_crossing_mm: Uncertain = Field(description="Lateral displacement at which both rolling radii are equal.")
@@ -92,13 +92,13 @@ def geometry(record: GeometryRecord) -> Geometry:
         status=found.status,
         reason=found.reason or None,
         baseline=record.baseline,
-        mileage_km=record.mileage_km,
+        mileage_km=finite(record.mileage_km),
         measured_from=to_rfc3339(record.from_ns),
         measured_to=to_rfc3339(record.to_ns),
         recorded_at=to_rfc3339(record.recorded_ns),
         n_windows=found.windows,
         equivalent_conicity_1=uncertain(found.equivalent_conicity),
-        equivalent_conicity_amplitude_mm=finite(found.headline_amplitude, MM) or 0.0,
+        equivalent_conicity_amplitude_mm=finite(found.headline_amplitude, MM),
         conicity_by_amplitude=[
             ConicityAtAmplitude(amplitude_mm=float(amplitude) * MM, equivalent_conicity_1=uncertain(conicity))
             for amplitude, conicity in zip(found.amplitude, found.conicity, strict=True)
