@@ -40,7 +40,7 @@ def finding(
     )
 
 
-def step(alert: Alert | None, now: Finding, *, now_ns: int = 10**18, delays: AlertDelays = DELAYS) -> Transition | None:
+def step(alert: Alert | None, now: Finding, *, now_ns: int = 1000, delays: AlertDelays = DELAYS) -> Transition | None:
     return transition(alert, now, now_ns, fleet="F", delays=delays)
 
 

@@ -1,0 +1,218 @@
+"""Geometries become trends become alerts, on both databases; what is repeated changes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, wear
+
+from estimation.alert_transitions import acknowledge
+from estimation.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, Condition
+from estimation.jobs import evaluate_alerts, refresh_trends
+from estimation.jobs.job import JobContext, run_job
+from estimation.ports import JobRun, Mounting, Reprofiling, Storage
+from estimation.rules import NoDataRule, RuleBook
+from estimation.types import Status
+
+RAISED, UPDATED, CLEARED, CLOSED = (
+    AlertEventKind.RAISED,
+    AlertEventKind.UPDATED,
+    AlertEventKind.CLEARED,
+    AlertEventKind.CLOSED,
+)
+
+
+def at_day(storage: Storage, day: float, *settings: object) -> JobContext:
+    return JobContext(storage, SetClock(START_NS + round(day * DAY_NS)), "test", settings=settings)
+
+
+def run_jobs(storage: Storage, day: float, *settings: object) -> tuple[JobRun, JobRun]:
+    context = at_day(storage, day, *settings)
+    runs = run_job(refresh_trends.JOB, context, "cli"), run_job(evaluate_alerts.JOB, context, "cli")
+    assert [run.outcome for run in runs] == ["succeeded", "succeeded"], runs
+    return runs
+
+
+def feed(storage: Storage) -> Sequence[AlertEvent]:
+    with storage.read() as unit:
+        return unit.alerts.feed(0, 1000)
+
+
+def told(storage: Storage) -> list[tuple[AlertEventKind, AlertKind]]:
+    return [(event.kind, event.alert.kind) for event in feed(storage)]
+
+
+def open_alert(storage: Storage, wheelset: str, kind: AlertKind) -> Alert:
+    with storage.read() as unit:
+        alert = unit.alerts.open(wheelset, kind)
+    assert alert is not None
+    return alert
+
+
+def test_geometries_become_trends_and_a_repeat_changes_nothing(storage: Storage) -> None:
+    register(storage, "W1", "W2")
+    wear(storage, "W1", 40)
+    first, _ = run_jobs(storage, 40.5)
+    assert first.counts == {"wheelsets": 2, "refreshed": 2, "unchanged": 0, "without_limit": 0}
+    with storage.read() as unit:
+        worn, unseen = unit.trends.latest("W1"), unit.trends.latest("W2")
+    assert worn is not None
+    assert unseen is not None
+    assert worn.trend.limit == 0.4
+    slope = worn.trend.slope_per_1000_km
+    assert slope.low is not None
+    assert slope.high is not None
+    assert slope.low < 0.003 < slope.high
+    assert unseen.trend.status is Status.UNESTIMATED
+    again, _ = run_jobs(storage, 40.6)
+    assert again.counts["unchanged"] == 2
+    with storage.write() as unit:
+        unit.geometries.put(geometry_record("W1", 41, 41, 0.27))
+    third, _ = run_jobs(storage, 41.5)
+    assert (third.counts["refreshed"], third.counts["unchanged"]) == (1, 1)
+
+
+def test_worn_wheels_raise_alerts_once(storage: Storage) -> None:
+    register(storage, "W1", "W2")
+    wear(storage, "W1", 100)  # 0.45 at the end, over 0.40
+    wear(storage, "W2", 72)  # 0.36, 13,000 km before it
+    for serial, day in (("W1", 100), ("W2", 72)):
+        run_windows(storage, serial, day - 0.5, 20)
+    run_jobs(storage, 73.0)
+    before = feed(storage)
+    assert {(e.alert.wheelset, e.alert.kind) for e in before} == {
+        ("W1", AlertKind.CONICITY_LIMIT),
+        ("W1", AlertKind.LIMIT_FORECAST),
+        ("W2", AlertKind.LIMIT_FORECAST),
+    }
+    assert {e.kind for e in before} == {RAISED}
+    alert = open_alert(storage, "W1", AlertKind.CONICITY_LIMIT)
+    assert alert.opened_ns == START_NS + 100 * DAY_NS
+    assert alert.raise_limit == 0.4
+    assert alert.probability is not None
+    assert alert.probability > 0.99
+    assert alert.evidence["windows"] == 8
+    _, again = run_jobs(storage, 74.0)
+    assert set(again.counts.values()) == {0, 2}  # two wheelsets looked at, nothing to tell
+    assert feed(storage) == before
+
+
+def test_a_dead_sensor_makes_wear_unknown_and_is_reported_itself(storage: Storage) -> None:
+    register(storage, "W1")
+    wear(storage, "W1", 100)
+    run_windows(storage, "W1", 99.5, 20)
+    run_jobs(storage, 100.5)
+    assert open_alert(storage, "W1", AlertKind.CONICITY_LIMIT).condition is Condition.ACTIVE
+    run_windows(storage, "W1", 101, 20, faulty=True)
+    run_jobs(storage, 101.5)
+    assert open_alert(storage, "W1", AlertKind.SENSOR_FAULT).condition is Condition.ACTIVE
+    for day in (102.0, 109.0, 140.0):
+        run_jobs(storage, day)
+        alert = open_alert(storage, "W1", AlertKind.CONICITY_LIMIT)
+        assert alert.condition is Condition.UNKNOWN
+        assert alert.evidence["unknown_because"]
+    assert open_alert(storage, "W1", AlertKind.NO_DATA).condition is Condition.ACTIVE
+    assert not {CLEARED, CLOSED} & {kind for kind, _ in told(storage)}
+    run_windows(storage, "W1", 141, 20)
+    with storage.write() as unit:
+        unit.geometries.put(geometry_record("W1", None, 141.1, 0.46, recorded_ns=99))
+    run_jobs(storage, 141.2)
+    assert open_alert(storage, "W1", AlertKind.CONICITY_LIMIT).condition is Condition.ACTIVE
+    assert (CLEARED, AlertKind.NO_DATA) in told(storage)
+
+
+def test_silence_is_found_once_and_told_once(storage: Storage) -> None:
+    register(storage, "W1")
+    run_windows(storage, "W1", 1, 20)
+    for day in (5.0, 8.5, 9.0, 20.0):
+        run_jobs(storage, day)
+    assert told(storage) == [(RAISED, AlertKind.NO_DATA)]
+    run_jobs(storage, 40.0)
+    assert told(storage)[1:] == [(UPDATED, AlertKind.NO_DATA)]  # critical by now
+    run_windows(storage, "W1", 41, 20)
+    run_jobs(storage, 41.5)
+    assert told(storage)[2:] == [(CLEARED, AlertKind.NO_DATA), (CLOSED, AlertKind.NO_DATA)]
+
+
+def test_reprofiling_closes_wear_alerts_and_begins_again(storage: Storage) -> None:
+    register(storage, "W1")
+    wear(storage, "W1", 100)
+    run_windows(storage, "W1", 99.5, 20)
+    run_jobs(storage, 100.5)
+    with storage.write() as unit:
+        unit.registry.add_reprofiling(Reprofiling("W1", START_NS + 101 * DAY_NS, 101_000.0))
+    run_jobs(storage, 101.5)
+    closed = [event.alert for event in feed(storage) if event.kind is CLOSED]
+    assert {alert.close_reason for alert in closed} == {"reprofiled"}
+    assert {alert.closed_ns for alert in closed} == {START_NS + 101 * DAY_NS}
+    with storage.read() as unit:
+        assert unit.alerts.all_open("W1") == []
+        latest = unit.trends.latest("W1")
+    assert latest is not None
+    assert (latest.baseline, latest.trend.status) == (1, Status.UNESTIMATED)
+    wear(storage, "W1", 5, baseline=1, first=102)
+    run_windows(storage, "W1", 105.5, 20)
+    run_jobs(storage, 106.5)
+    with storage.read() as unit:
+        assert unit.alerts.all_open("W1") == []
+        latest = unit.trends.latest("W1")
+    assert latest is not None
+    assert len(latest.trend.value) == 2
+
+
+def test_an_exchange_closes_and_the_wheelset_is_judged_anew_where_it_runs(storage: Storage) -> None:
+    register(storage, "W1")
+    wear(storage, "W1", 100)
+    run_windows(storage, "W1", 99.5, 20)
+    run_jobs(storage, 100.5)
+    left, back = START_NS + 101 * DAY_NS, START_NS + 103 * DAY_NS
+    with storage.write() as unit:
+        unit.registry.add_mounting(Mounting("W1", "V1", 1, START_NS, left, 0.0, 0.0))
+    run_jobs(storage, 102.0)
+    closed = [event.alert for event in feed(storage) if event.kind is CLOSED]
+    assert {alert.close_reason for alert in closed} == {"taken out of service"}
+    with storage.write() as unit:
+        unit.registry.add_mounting(Mounting("W1", "V1", 2, back, None, 101_000.0, 101_000.0))
+    run_jobs(storage, 103.5)
+    with storage.read() as unit:
+        assert unit.alerts.all_open("W1") == []  # nothing measured since it came back
+    run_windows(storage, "W1", 104, 20)
+    with storage.write() as unit:
+        unit.geometries.put(geometry_record("W1", None, 104.1, 0.46, recorded_ns=99))
+    run_jobs(storage, 104.5)
+    assert open_alert(storage, "W1", AlertKind.CONICITY_LIMIT).opened_ns == START_NS + round(104.1 * DAY_NS)
+
+
+def test_rules_come_from_the_settings_and_one_switched_off_closes_its_alerts(storage: Storage) -> None:
+    register(storage, "W1")
+    run_jobs(storage, 6.0, RuleBook(no_data=NoDataRule(days=5.0)))
+    assert told(storage) == [(RAISED, AlertKind.NO_DATA)]
+    run_jobs(storage, 6.5, RuleBook(no_data=NoDataRule(enabled=False)))
+    assert [e.alert.close_reason for e in feed(storage) if e.kind is CLOSED] == ["rule switched off"]
+    run_jobs(storage, 90.0, RuleBook(no_data=NoDataRule(enabled=False)))
+    assert len(feed(storage)) == 2
+
+
+def test_what_people_did_survives_the_next_evaluation(storage: Storage) -> None:
+    register(storage, "W1")
+    run_jobs(storage, 8.0)
+    with storage.write() as unit:
+        alert = unit.alerts.open("W1", AlertKind.NO_DATA)
+        assert alert is not None
+        change = acknowledge(alert, "ann", START_NS + 8 * DAY_NS)
+        unit.alerts.save(change.alert, change.events, START_NS + 8 * DAY_NS, actor="ann")
+    run_jobs(storage, 9.0)
+    assert open_alert(storage, "W1", AlertKind.NO_DATA).acknowledged_by == "ann"
+    assert [kind for kind, _ in told(storage)] == [RAISED, AlertEventKind.ACKNOWLEDGED]
+
+
+@pytest.mark.parametrize("order", [("W1", "W2"), ("W2", "W1")])
+def test_the_order_of_wheelsets_does_not_change_their_alerts(sqlite_storage: Storage, order: tuple[str, str]) -> None:
+    register(sqlite_storage, *order)
+    for serial in order:
+        wear(sqlite_storage, serial, 90)
+        run_windows(sqlite_storage, serial, 89.5, 20)
+    run_jobs(sqlite_storage, 90.5)
+    alerts = {serial: open_alert(sqlite_storage, serial, AlertKind.LIMIT_FORECAST) for serial in order}
+    assert alerts["W1"].evidence == alerts["W2"].evidence
