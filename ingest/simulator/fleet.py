@@ -98,10 +98,8 @@ def run_fleet(
         A file cannot be written.
     """
     chosen = [scenario.vehicle(code) for code in vehicles] if vehicles is not None else list(scenario.vehicles)
-    out.mkdir(parents=True, exist_ok=True)
     track = scenario_track(scenario)
-    survey = surveyed(scenario, track, seed_of(scenario, SURVEY))
-    registry = write_registry(out, scenario, track, survey)
+    registry = prepare(scenario, out)
     tasks = [(plan.code, campaign) for campaign in range(scenario.sessions.campaigns) for plan in chosen]
     count = workers if workers is not None else min(os.cpu_count() or 1, len(tasks))
     recordings = []
@@ -112,6 +110,13 @@ def run_fleet(
     recordings.sort(key=lambda item: (item.campaign, item.vehicle))
     truth = write_truth(out, scenario, [truth for item in recordings for truth in item.truths])
     return FleetReport(tuple(recordings), registry, truth)
+
+
+def prepare(scenario: Scenario, out: Path) -> Path:
+    """Write the registry of ``scenario`` and the track that is on file into ``out``; return the registry's path."""
+    out.mkdir(parents=True, exist_ok=True)
+    track = scenario_track(scenario)
+    return write_registry(out, scenario, track, surveyed(scenario, track, seed_of(scenario, SURVEY)))
 
 
 def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: VehiclePlan, campaign: int) -> Recording:
