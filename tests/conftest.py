@@ -15,15 +15,18 @@ import sqlalchemy
 from postgres_server import running_server
 from psycopg import sql
 
-from fleet_db.migrate import upgrade
+from fleet_db.migrate import head, upgrade
+from fleet_db.models import Base
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
+
+GIVEN = "TREADWATCH_TEST_POSTGRES_URL"
 
 
 @pytest.fixture(scope="session")
 def postgres_server_url() -> Iterator[str]:
     """Yield the server of TREADWATCH_TEST_POSTGRES_URL, whose user must be allowed to create databases, or our own."""
-    given = os.environ.get("TREADWATCH_TEST_POSTGRES_URL")
+    given = os.environ.get(GIVEN)
     if given:
         yield given
         return
@@ -33,7 +36,7 @@ def postgres_server_url() -> Iterator[str]:
 
 @pytest.fixture(scope="session")
 def migrated_postgres_url(postgres_server_url: str) -> Iterator[str]:
-    """Yield a migrated database that others are copied from; nobody connects to it."""
+    """Yield a migrated database for all tests of this process, one after the other."""
     with new_database(postgres_server_url) as url:
         upgrade(url)
         yield url
@@ -47,11 +50,13 @@ def empty_postgres_url(postgres_server_url: str) -> Iterator[str]:
 
 
 @pytest.fixture
-def postgres_url(postgres_server_url: str, migrated_postgres_url: str) -> Iterator[str]:
-    """Yield a migrated database of the test's own."""
-    template = sqlalchemy.make_url(migrated_postgres_url).database
-    with new_database(postgres_server_url, template) as url:
-        yield url
+def postgres_url(migrated_postgres_url: str) -> Iterator[str]:
+    """Yield a migrated database that is the test's own until it ends; then it is emptied, whoever is connected."""
+    yield migrated_postgres_url
+    with psycopg.connect(migrated_postgres_url, autocommit=True) as connection:
+        connection.execute(END_SESSIONS)
+        connection.execute(EMPTY)
+        connection.execute(sql.SQL("UPDATE alembic_version SET version_num = {}").format(head()))
 
 
 @pytest.fixture(scope="session")
@@ -104,18 +109,30 @@ def opened(url: str, directory: Path) -> Iterator[SqlStorage]:
     storage.close()
 
 
+END_SESSIONS = """
+SELECT pg_terminate_backend(pid) FROM pg_stat_activity
+WHERE datname = current_database() AND pid <> pg_backend_pid()
+"""
+# much faster than another database for each test
+TABLES = [table.name for table in Base.metadata.sorted_tables]
+EMPTY = sql.SQL("; ").join(
+    [
+        *(sql.SQL("DELETE FROM {}").format(sql.Identifier(name)) for name in reversed(TABLES)),
+        sql.SQL("SELECT setval(seqrelid, 1, false) FROM pg_sequence"),
+    ]
+)
+
+
 @contextmanager
-def new_database(server_url: str, template: str | None = None) -> Iterator[str]:
-    """Yield the URL of a new database, dropped at the end."""
+def new_database(server_url: str) -> Iterator[str]:
+    """Yield the URL of a new database; dropped at the end, unless the whole server goes anyway."""
     name = f"test_{uuid.uuid4().hex}"
     server = sqlalchemy.make_url(server_url).set(drivername="postgresql")
     address = server.render_as_string(hide_password=False)
-    create = sql.SQL("CREATE DATABASE {}").format(sql.Identifier(name))
-    if template is not None:
-        create += sql.SQL(" TEMPLATE {}").format(sql.Identifier(template))
     with psycopg.connect(address, autocommit=True) as connection:
-        connection.execute(create)
+        connection.execute(sql.SQL("CREATE DATABASE {}").format(sql.Identifier(name)))
         try:
             yield server.set(database=name).render_as_string(hide_password=False)
         finally:
-            connection.execute(sql.SQL("DROP DATABASE {} WITH (FORCE)").format(sql.Identifier(name)))
+            if GIVEN in os.environ:
+                connection.execute(sql.SQL("DROP DATABASE {} WITH (FORCE)").format(sql.Identifier(name)))

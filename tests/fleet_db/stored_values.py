@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import fields as dataclass_fields
 from dataclasses import is_dataclass, replace
@@ -47,7 +48,7 @@ ALERT = Alert(
 )  # fmt: skip
 
 
-def same(first: Any, second: Any) -> bool:
+def same(first: object, second: object) -> bool:
     """Whether two values hold the same bits, whatever is nested in them; NaN equals NaN, 0.0 is not -0.0."""
     if isinstance(first, np.ndarray):
         return first.dtype == second.dtype and first.shape == second.shape and first.tobytes() == second.tobytes()
@@ -58,7 +59,7 @@ def same(first: Any, second: Any) -> bool:
     if isinstance(first, tuple):
         return len(first) == len(second) and all(map(same, first, second))
     if isinstance(first, float) and isinstance(second, float):
-        return struct.pack("<d", first) == struct.pack("<d", second)
+        return struct.pack("<d", first) == struct.pack("<d", second) or (math.isnan(first) and math.isnan(second))
     return bool(first == second)
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 import stored_values as make
-import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from estimation.arrays import FloatArray
 from estimation.errors import StorageError
 from estimation.types import BinTable, Estimate, Forecast, Status
 from fleet_db.packed.alignment import pack_alignment, unpack_alignment
@@ -31,7 +33,7 @@ DTYPES = st.sampled_from([np.dtype("<f8"), np.dtype("<i8"), np.dtype("<i2"), np.
 
 
 @given(DTYPES.flatmap(lambda dtype: hnp.arrays(dtype, hnp.array_shapes(min_dims=1, max_dims=3, min_side=0))))
-def test_any_array_comes_back_with_the_same_bits(array):
+def test_any_array_comes_back_with_the_same_bits(array: FloatArray) -> None:
     found = unpack(pack("k", 3, {"a": [1, None, "x"]}, {"first": array, "second": array}), "k", where="here")
     assert found.version == 3
     assert found.scalars == {"a": [1, None, "x"]}
@@ -41,26 +43,34 @@ def test_any_array_comes_back_with_the_same_bits(array):
 
 
 @given(st.one_of(st.none(), st.integers(-(2**63), 2**63), ANY_FLOAT))
-def test_any_number_comes_back_exactly(number):
+def test_any_number_comes_back_exactly(number: float | None) -> None:
     found = number_from_json(number_to_json(number))
     assert type(found) is type(number)
     assert make.same(found, number)
 
 
 @given(*[st.one_of(st.none(), ANY_FLOAT)] * 4, ANY_FLOAT, st.sampled_from(Status), st.text())
-def test_any_estimate_comes_back_exactly(value, std, low, high, count, status, reason):
+def test_any_estimate_comes_back_exactly(
+    value: float | None,
+    std: float | None,
+    low: float | None,
+    high: float | None,
+    count: float,
+    status: Status,
+    reason: str,
+) -> None:
     estimate = Estimate(value, std, low, high, count, status, reason)
     assert make.same(estimate_from_json(estimate_to_json(estimate)), estimate)
 
 
 @given(*[st.one_of(st.none(), ANY_FLOAT, st.integers())] * 3)
-def test_any_forecast_comes_back_exactly(p10, p50, p90):
+def test_any_forecast_comes_back_exactly(p10: float | None, p50: float | None, p90: float | None) -> None:
     assert make.same(forecast_from_json(forecast_to_json(Forecast(p10, p50, p90))), Forecast(p10, p50, p90))
 
 
 @given(st.data(), st.integers(0, 6), st.integers(1, 12))
-def test_any_bin_table_comes_back_exactly(data, groups, bins):
-    def draw(*shape):
+def test_any_bin_table_comes_back_exactly(data: st.DataObject, groups: int, bins: int) -> None:
+    def draw(*shape: int) -> FloatArray:
         return data.draw(hnp.arrays(np.float64, shape, elements=ANY_FLOAT, fill=st.just(0.0)))
 
     table = BinTable(
@@ -69,7 +79,7 @@ def test_any_bin_table_comes_back_exactly(data, groups, bins):
     assert make.same(unpack_bin_table(pack_bin_table(table), where="here"), table)
 
 
-def test_only_filled_cells_take_space():
+def test_only_filled_cells_take_space() -> None:
     full = make.bin_table(1, 10, 33)
     weight, lateral, yaw = (np.zeros_like(array) for array in (full.weight, full.lateral, full.yaw))
     weight[3, 4], lateral[3, 4], yaw[3, 4] = 7.5, 1.5, 2.5
@@ -79,21 +89,21 @@ def test_only_filled_cells_take_space():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_geometry_trend_and_alignment_come_back_exactly(seed):
+def test_geometry_trend_and_alignment_come_back_exactly(seed: int) -> None:
     geometry, trend, alignment = make.geometry(seed), make.trend(seed), make.alignment(seed)
     assert make.same(unpack_geometry(pack_geometry(geometry), where="here"), geometry)
     assert make.same(unpack_trend(pack_trend(trend), where="here"), trend)
     assert make.same(unpack_alignment(pack_alignment(alignment), 0, where="here"), alignment)
 
 
-def test_a_date_keeps_its_last_nanosecond():
+def test_a_date_keeps_its_last_nanosecond() -> None:
     trend = unpack_trend(pack_trend(make.trend()), where="here")
     assert trend.date_of_limit_ns.p10 == make.START + 1
     assert float(make.START + 1) != make.START + 1  # a float64 would not have
 
 
 @given(st.data())
-def test_a_damaged_blob_is_noticed(data):
+def test_a_damaged_blob_is_noticed(data: st.DataObject) -> None:
     blob = pack_bin_table(make.bin_table())
     at = data.draw(st.integers(0, len(blob) - 1))
     flipped = blob[:at] + bytes([blob[at] ^ data.draw(st.integers(1, 255))]) + blob[at + 1 :]
@@ -106,17 +116,17 @@ def test_a_damaged_blob_is_noticed(data):
             assert make.same(found, make.bin_table())
 
 
-def test_a_blob_of_another_kind_is_refused():
+def test_a_blob_of_another_kind_is_refused() -> None:
     with pytest.raises(StorageError, match="holds 'bin_table', expected 'wear_trend'"):
         unpack_trend(pack_bin_table(make.bin_table()), where="here")
 
 
-def test_a_blob_that_would_unfold_without_end_is_refused():
-    bomb = b"TWPK\x01" + zstandard.ZstdCompressor(level=1).compress(bytes(2**30 + 1))
+def test_a_blob_that_would_unfold_without_end_is_refused() -> None:
+    bomb = b"TWPK\x01" + struct.pack("<IBQ", 0xFD2FB528, 0xE0, 2**40)
     with pytest.raises(StorageError, match="claims to unfold to"):
         unpack(bomb, "k", where="here")
 
 
-def test_nan_has_no_place_among_the_scalars():
+def test_nan_has_no_place_among_the_scalars() -> None:
     with pytest.raises(ValueError, match="JSON"):
         pack("k", 1, {"a": float("nan")}, {})

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -11,15 +13,15 @@ from fleet_db.raw import RawStore
 
 
 @pytest.fixture
-def raw(tmp_path):
+def raw(tmp_path: Path) -> RawStore:
     return RawStore(tmp_path / "raw")
 
 
-def files_in(raw):
+def files_in(raw: RawStore) -> list[str]:
     return sorted(path.relative_to(raw.directory).as_posix() for path in raw.directory.rglob("*") if path.is_file())
 
 
-def test_bytes_and_file_get_the_same_place(raw, tmp_path):
+def test_bytes_and_file_get_the_same_place(raw: RawStore, tmp_path: Path) -> None:
     content = b"frames" * 300_000
     source = tmp_path / "drive.BLF"
     source.write_bytes(content)
@@ -31,14 +33,14 @@ def test_bytes_and_file_get_the_same_place(raw, tmp_path):
     assert source.read_bytes() == content
 
 
-def test_the_same_again_changes_nothing(raw):
+def test_the_same_again_changes_nothing(raw: RawStore) -> None:
     path = raw.path(raw.put_bytes(b"once", ".asc"), ".asc")
     before = path.stat()
     raw.put_bytes(b"once", ".asc")
     assert (path.stat().st_ino, path.stat().st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
 
 
-def test_a_file_cut_by_a_loss_of_power_is_written_again(raw):
+def test_a_file_cut_by_a_loss_of_power_is_written_again(raw: RawStore) -> None:
     path = raw.path(raw.put_bytes(b"whole", ".log"), ".log")
     path.write_bytes(b"who")
     raw.put_bytes(b"whole", ".log")
@@ -46,7 +48,9 @@ def test_a_file_cut_by_a_loss_of_power_is_written_again(raw):
 
 
 @pytest.mark.parametrize("make_source", [lambda path: path / "nothing.blf", lambda path: path])
-def test_a_source_that_cannot_be_read_is_named_and_leaves_nothing(raw, tmp_path, make_source):
+def test_a_source_that_cannot_be_read_is_named_and_leaves_nothing(
+    raw: RawStore, tmp_path: Path, make_source: Callable[[Path], Path]
+) -> None:
     source = make_source(tmp_path)
     with pytest.raises(InputError, match="cannot be read") as caught:
         raw.put_file(source)
@@ -57,6 +61,6 @@ def test_a_source_that_cannot_be_read_is_named_and_leaves_nothing(raw, tmp_path,
 @pytest.mark.parametrize(
     ("digest", "suffix"), [("../../etc/passwd", ".blf"), ("A" * 64, ".blf"), ("a" * 64, "/x"), ("a" * 64, ".")]
 )
-def test_a_path_cannot_lead_elsewhere(raw, digest, suffix):
+def test_a_path_cannot_lead_elsewhere(raw: RawStore, digest: str, suffix: str) -> None:
     with pytest.raises(ParameterError):
         raw.path(digest, suffix)

@@ -25,7 +25,7 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
 @st.composite
-def windows(draw):
+def windows(draw: st.DrawFn) -> Window:
     n = draw(st.integers(0, 30))
     resolution = tuple(draw(st.floats(1e-9, 10.0)) for _ in range(4))
     valid = draw(hnp.arrays(np.bool_, n))
@@ -45,14 +45,14 @@ def windows(draw):
 
 
 @given(windows())
-def test_any_window_comes_back_with_the_same_bits(window):
+def test_any_window_comes_back_with_the_same_bits(window: Window) -> None:
     found = unpack_window(pack_window(window), where="here")
     assert same_values(found, window)
     assert make.same(found.quality, window.quality)
     assert window_digest(found) == window_digest(window)
 
 
-def test_whole_counts_take_two_bytes_a_sample():
+def test_whole_counts_take_two_bytes_a_sample() -> None:
     counted = make.window(samples=4000)
     uncounted = replace(counted, **{name: getattr(counted, name) * 1.000001 for name in ACCELERATIONS})
     assert len(pack_window(counted)) < 4 * 2 * 4000 + 2 * 8 * 4000
@@ -60,7 +60,7 @@ def test_whole_counts_take_two_bytes_a_sample():
     assert same_values(unpack_window(pack_window(uncounted), where="here"), uncounted)
 
 
-def test_the_lowest_and_highest_counts_are_kept_apart_from_the_missing_ones():
+def test_the_lowest_and_highest_counts_are_kept_apart_from_the_missing_ones() -> None:
     window = make.window()
     values = np.array(window.lateral_acceleration)
     values[:4] = np.array([-32768, -32767, 32767, 32768]) * window.resolution[0]
@@ -69,7 +69,7 @@ def test_the_lowest_and_highest_counts_are_kept_apart_from_the_missing_ones():
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(Window)])
-def test_every_field_is_in_the_digest(name):
+def test_every_field_is_in_the_digest(name: str) -> None:
     window = make.window()
     value = getattr(window, name)
     if isinstance(value, np.ndarray):
@@ -83,7 +83,7 @@ def test_every_field_is_in_the_digest(name):
     assert window_digest(replace(window, **{name: other})) != window_digest(window)
 
 
-def test_the_digest_is_the_same_in_another_process():
+def test_the_digest_is_the_same_in_another_process() -> None:
     here = Path(__file__).parent
     code = "import stored_values as make; from fleet_db.telemetry import window_digest as d; print(d(make.window(3)))"
     environment = os.environ | {"PYTHONPATH": f"{here}:{here.parent.parent}", "PYTHONHASHSEED": "7"}
@@ -92,11 +92,11 @@ def test_the_digest_is_the_same_in_another_process():
 
 
 @pytest.fixture
-def files(tmp_path):
+def files(tmp_path: Path) -> WindowFiles:
     return WindowFiles(tmp_path / "windows")
 
 
-def test_save_and_load(files):
+def test_save_and_load(files: WindowFiles) -> None:
     window = make.window()
     digest = window_digest(window)
     size = files.save(window, digest)
@@ -106,7 +106,7 @@ def test_save_and_load(files):
     assert [path.name for path in files.directory.rglob("*") if path.is_file()] == [f"{digest}.window"]
 
 
-def test_saving_again_leaves_the_file_alone(files):
+def test_saving_again_leaves_the_file_alone(files: WindowFiles) -> None:
     window = make.window()
     digest = window_digest(window)
     files.save(window, digest)
@@ -116,7 +116,7 @@ def test_saving_again_leaves_the_file_alone(files):
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "other", "gone", "no window"])
-def test_a_bad_file_is_named(files, damage):
+def test_a_bad_file_is_named(files: WindowFiles, damage: str) -> None:
     window = make.window()
     digest = window_digest(window)
     files.save(window, digest)

@@ -1,0 +1,179 @@
+"""Alerts and their feed: the same on both databases."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import sqlalchemy
+import stored_values as make
+from sqlalchemy.exc import IntegrityError
+
+from estimation.alerts import Alert, AlertEventKind, AlertKind, Condition, Severity
+from estimation.errors import ConflictError, NotFoundError, ParameterError
+from fleet_db.models import AlertRow
+from fleet_db.storage import SqlStorage
+
+RAISED, UPDATED, CLOSED = AlertEventKind.RAISED, AlertEventKind.UPDATED, AlertEventKind.CLOSED
+EVERYTHING: dict[str, Any] = {
+    "fleet": None,
+    "wheelset": None,
+    "kind": None,
+    "condition": None,
+    "open_only": False,
+    "after_id": None,
+    "limit": 100,
+}
+
+
+def save(storage: SqlStorage, alert: Alert, *events: AlertEventKind) -> Alert:
+    with storage.write() as unit:
+        return unit.alerts.save(alert, events, 50, "someone", "a note")
+
+
+def test_an_alert_comes_back_with_its_events(fleet: SqlStorage) -> None:
+    saved = save(fleet, make.ALERT, RAISED, UPDATED)
+    assert saved == replace(make.ALERT, alert_id=saved.alert_id, version=1)
+    assert saved.alert_id > 0
+    with fleet.read() as unit:
+        assert unit.alerts.get(saved.alert_id) == saved
+        assert unit.alerts.open("WS-1", AlertKind.CONICITY_LIMIT) == saved
+        assert unit.alerts.open("WS-1", AlertKind.NO_DATA) is None
+        first, second = unit.alerts.events(saved.alert_id)
+        assert (first.kind, second.kind) == (RAISED, UPDATED)
+        assert first.alert == second.alert == saved
+        assert (first.recorded_ns, first.actor, first.note) == (50, "someone", "a note")
+        assert list(unit.alerts.feed(0, 10)) == [first, second]
+        assert list(unit.alerts.feed(first.sequence, 10)) == [second]
+        assert list(unit.alerts.feed(0, 1)) == [first]
+
+
+def test_events_keep_the_alert_as_it_was(fleet: SqlStorage) -> None:
+    first = save(fleet, make.ALERT, RAISED)
+    second = save(fleet, replace(first, severity=Severity.CRITICAL, external_refs=("WO-1",)), UPDATED)
+    assert second.version == 2
+    with fleet.read() as unit:
+        assert [event.alert for event in unit.alerts.events(first.alert_id)] == [first, second]
+
+
+def test_nothing_new_changes_nothing(fleet: SqlStorage) -> None:
+    saved = save(fleet, make.ALERT, RAISED)
+    assert save(fleet, saved) == saved
+    assert save(fleet, replace(saved, last_seen_ns=99)) == replace(saved, last_seen_ns=99, version=2)
+    with fleet.read() as unit:
+        assert len(unit.alerts.feed(0, 10)) == 1
+
+
+def test_an_alert_changed_since_it_was_read_is_refused(fleet: SqlStorage) -> None:
+    saved = save(fleet, make.ALERT, RAISED)
+    save(fleet, replace(saved, acknowledged_by="A"), AlertEventKind.ACKNOWLEDGED)
+    with pytest.raises(ConflictError, match="is at version 2, not 1"):
+        save(fleet, replace(saved, acknowledged_by="B"), AlertEventKind.ACKNOWLEDGED)
+    with fleet.read() as unit:
+        assert unit.alerts.get(saved.alert_id).acknowledged_by == "A"
+        assert len(unit.alerts.feed(0, 10)) == 2
+
+
+def test_one_open_alert_of_a_kind(fleet: SqlStorage) -> None:
+    first = save(fleet, make.ALERT, RAISED)
+    with pytest.raises(ConflictError, match=f"alert {first.alert_id} of kind conicity_limit is already open"):
+        save(fleet, make.ALERT, RAISED)
+    save(fleet, replace(make.ALERT, kind=AlertKind.NO_DATA), RAISED)
+    save(fleet, replace(make.ALERT, wheelset="WS-2"), RAISED)
+    save(fleet, replace(first, closed_ns=60, close_reason="reprofiled"), CLOSED)
+    again = save(fleet, make.ALERT, RAISED)
+    with pytest.raises(ConflictError, match="already open"):
+        save(fleet, replace(first, version=2), UPDATED)  # reopening it would make two
+    with fleet.read() as unit:
+        assert unit.alerts.open("WS-1", AlertKind.CONICITY_LIMIT) == again
+        assert len(unit.alerts.all_open()) == 3
+        assert len(unit.alerts.all_open("WS-1")) == 2
+
+
+def test_one_open_alert_is_held_by_the_database_itself(fleet: SqlStorage) -> None:
+    saved = save(fleet, make.ALERT, RAISED)
+    with fleet.engine.connect() as connection, connection.begin():
+        row = dict(connection.execute(sqlalchemy.select(AlertRow.__table__)).mappings().one())
+    del row["alert_id"]
+    with pytest.raises(IntegrityError), fleet.engine.begin() as connection:
+        connection.execute(sqlalchemy.insert(AlertRow).values(**row))
+    save(fleet, replace(saved, closed_ns=60), CLOSED)
+    with fleet.engine.begin() as connection:
+        connection.execute(sqlalchemy.insert(AlertRow).values(**row))
+
+
+def test_pages_by_filter(fleet: SqlStorage) -> None:
+    first = save(fleet, make.ALERT, RAISED)
+    second = save(fleet, replace(make.ALERT, wheelset="WS-2", condition=Condition.UNKNOWN), RAISED)
+    third = save(fleet, replace(make.ALERT, kind=AlertKind.NO_DATA, closed_ns=70), CLOSED)
+    with fleet.read() as unit:
+
+        def page(**filters: object) -> list[Alert]:
+            return list(unit.alerts.page(**(EVERYTHING | filters)))
+
+        assert page() == [first, second, third]
+        assert page(limit=1) == [first]
+        assert page(after_id=first.alert_id, limit=1) == [second]
+        assert page(wheelset="WS-2") == page(condition=Condition.UNKNOWN) == [second]
+        assert page(kind=AlertKind.NO_DATA) == [third]
+        assert page(open_only=True) == [first, second]
+        assert page(fleet="F-2") == []
+
+
+def test_bad_alerts_leave_nothing(fleet: SqlStorage) -> None:
+    with pytest.raises(NotFoundError):
+        save(fleet, replace(make.ALERT, alert_id=77), RAISED)
+    with pytest.raises(ConflictError):
+        save(fleet, replace(make.ALERT, wheelset="WS-9"), RAISED)
+    with pytest.raises((ParameterError, ValueError)):
+        save(fleet, replace(make.ALERT, evidence={"value": float("nan")}), RAISED)
+    with fleet.read() as unit:
+        assert unit.alerts.feed(0, 10) == unit.alerts.page(**EVERYTHING) == []
+
+
+def test_a_reader_of_the_feed_misses_nothing(fleet: SqlStorage) -> None:
+    """Writers at once, each over several transactions; a reader that only asks for what is behind its cursor."""
+    kinds, rounds = list(AlertKind), 12
+    done = threading.Event()
+    seen: list[int] = []
+
+    def write(kind: AlertKind) -> None:
+        alert = save(fleet, replace(make.ALERT, kind=kind), RAISED)
+        for round_ in range(rounds):
+            alert = save(fleet, replace(alert, last_seen_ns=100 + round_), UPDATED, UPDATED)
+
+    def follow() -> None:
+        while True:
+            last = done.is_set()
+            with fleet.read() as unit:
+                seen.extend(event.sequence for event in unit.alerts.feed(seen[-1] if seen else 0, 7))
+                if last and not unit.alerts.feed(seen[-1], 1):
+                    return
+
+    with ThreadPoolExecutor(len(kinds) + 1) as pool:
+        reader = pool.submit(follow)
+        for writer in [pool.submit(write, kind) for kind in kinds]:
+            writer.result()
+        done.set()
+        reader.result()
+    with fleet.read() as unit:
+        everything = [event.sequence for event in unit.alerts.feed(0, 10_000)]
+    assert seen == everything
+    assert len(everything) == len(kinds) * (1 + 2 * rounds)
+
+
+def test_writers_who_read_first_lose_no_change(fleet: SqlStorage) -> None:
+    saved = save(fleet, make.ALERT, RAISED)
+
+    def see_again(_: int) -> None:
+        with fleet.write() as unit:
+            alert = unit.alerts.get(saved.alert_id)
+            unit.alerts.save(replace(alert, occurrence_count=alert.occurrence_count + 1), (), 60)
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(see_again, range(20)))
+    with fleet.read() as unit:
+        assert unit.alerts.get(saved.alert_id).occurrence_count == 21
