@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -116,9 +117,20 @@ def evaluate(segments: Sequence[Segment], y: FloatArray) -> tuple[FloatArray, Fl
 
 
 def sample(segments: Sequence[Segment], step: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return y, z and dz/dy (n,) along adjoining segments, every joint included, without vertical ends; mm."""
+    """Return y, z and dz/dy (n,) along adjoining segments, every joint included, without vertical ends; mm.
+
+    Printed coefficients leave steps of up to 8e-4 mm at joints. They are closed by raising or lowering the segments
+    away from y = 0: a step of 5e-5 mm, smeared over one sample, would move a contact on near-conformal arcs by 0.05 mm.
+    """
     y = np.unique(np.concatenate([segment.knots(step) for segment in segments]))
     y = y[np.concatenate([[True], np.diff(y) > _SAME_POINT])]
     height, slope = evaluate(segments, y)
+    for before, after in pairwise(segments):
+        joint = np.array([before.end])
+        rise = float(after.height(joint)[0] - before.height(joint)[0])
+        if before.end <= 0.0:
+            height[y <= before.end] += rise
+        else:
+            height[y > before.end] -= rise
     usable = np.abs(slope) < _VERTICAL
     return y[usable], height[usable], slope[usable]

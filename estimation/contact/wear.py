@@ -64,7 +64,7 @@ def wear_course(family: WearFamily, depth: float) -> TreadWear:
 
     The hollow lies where the pair's contact patches lie; the flange loses as much as the tread. On the pair's new
     rail at 1435 mm equivalent conicity at 3 mm (EN 15302) grows steadily with depth: P8 on 56E1 from 0.195 to 0.44
-    at 2.2 mm, S1002 on 60E1 from 0.174 to 0.42 at 1.3 mm; beyond these depths it goes on growing.
+    at 2.2 mm, S1002 on 60E1 from 0.174 to 0.42 at 1.3 mm; beyond, P8 grows on and S1002 levels off near 0.46.
 
     Raises
     ------

@@ -20,6 +20,10 @@ from estimation.contact.wheel_definitions import WHEEL_DEFINITIONS
 from estimation.errors import ContactError
 
 PAPER = WheelsetOnTrack.symmetric(wheel_profile("P8"), rail_profile("56E1"), 1 / 20, 1.435)
+SHIFTS = np.array([0.5, 1, 2, 3, 4, 5, 6]) * 1e-3
+EXACT_GAUGE_A = 1.4351645
+"""Gauge at which the origin of rail A lies 750.000 mm from the track centre; the standard rounds it to 1435.16."""
+
 LOPSIDED = WheelsetOnTrack(
     left_wheel=worn(wheel_profile("P8"), TreadWear(0.8e-3, 3e-3, 44e-3, 1e-3)),
     right_wheel=wheel_profile("EN15302-A"),
@@ -48,8 +52,11 @@ def test_reference_results_of_en_15302(
     wheelset = WheelsetOnTrack.symmetric(profile, rail_profile("EN15302-A"), 0.0, 1.43516, radius=0.46)
     table = contact_table(wheelset, y, method=ContactMethod.EN15302)
     difference = table.rolling_radius_difference[:, 0]
-    found = np.interp([0.5e-3, 1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3], y, difference) * 1e3
-    assert np.sqrt(np.mean((found - difference_mm) ** 2)) < 0.005
+    found = np.interp(SHIFTS, y, difference) * 1e3
+    assert np.sqrt(np.mean((found - difference_mm) ** 2)) < 0.0025
+    as_drawn = WheelsetOnTrack.symmetric(profile, rail_profile("EN15302-A"), 0.0, EXACT_GAUGE_A, radius=0.46)
+    exact = contact_table(as_drawn, SHIFTS, method=ContactMethod.EN15302).rolling_radius_difference[:, 0] * 1e3
+    assert np.sqrt(np.mean((exact - difference_mm) ** 2)) < 0.0005
     error = np.abs(equivalent_conicity(y, difference, np.arange(1, 7) * 1e-3) - tangent)
     assert error.max() < 0.003
     assert not table.roll.any()
