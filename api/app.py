@@ -76,3 +76,4 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         anyio.to_thread.current_default_thread_limiter().total_tokens = EMBEDDED_THREADS
     yield
     await anyio.to_thread.run_sync(services.runner.close)
+    services.close()

@@ -10,12 +10,8 @@ from functools import cache, partial
 from importlib.metadata import version
 from importlib.resources import files
 from importlib.resources.abc import Traversable
+from typing import TYPE_CHECKING
 
-from fastapi import FastAPI
-
-from api.app import build_app
-from api.job_runner import JobRunner
-from api.services import Services
 from api.settings import Settings
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
@@ -25,6 +21,9 @@ from fleet_db.migrate import check_head
 from fleet_db.raw import RawStore
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
+
+if TYPE_CHECKING:
+    from fastapi import FastAPI
 
 
 class SystemClock:
@@ -106,6 +105,11 @@ def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:
 
 def create_app(settings: Settings) -> FastAPI:
     """Return the REST application of this deployment; refuses where :func:`open_store` or :func:`job_context` do."""
+    # the receiver and the scheduler, which are joined here too, do not wait for the web framework
+    from api.app import build_app  # noqa: PLC0415 - the same
+    from api.job_runner import JobRunner  # noqa: PLC0415 - the same
+    from api.services import Services  # noqa: PLC0415 - the same
+
     storage = open_store(settings)
     context = job_context(settings, storage)
     return build_app(
@@ -115,6 +119,7 @@ def create_app(settings: Settings) -> FastAPI:
             jobs={job.name: job for job in scheduled_jobs(settings)},
             runner=JobRunner(context),
             check=partial(check_head, storage.engine),
+            close=storage.close,
             one_reader=settings.url.startswith("sqlite"),
         )
     )

@@ -16,13 +16,17 @@ from estimation.ports import Clock, Storage
 
 @dataclass(frozen=True, slots=True)
 class Services:
-    """Storage, time and jobs; ``check`` raises where the database is away or at another migration."""
+    """Storage, time and jobs.
+
+    ``check`` raises where the database is away or at another migration; ``close`` ends what the app was given.
+    """
 
     storage: Storage
     clock: Clock
     jobs: Mapping[str, Job]
     runner: JobRunner
     check: Callable[[], None]
+    close: Callable[[], None]
     one_reader: bool  # an embedded database, whose reads slow each other down in threads
 
     def job(self, name: str) -> Job:

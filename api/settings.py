@@ -49,7 +49,7 @@ class Settings(BaseSettings):
     port: int = Field(default=8000, ge=0, le=65535)
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     log_format: Literal["json", "text"] = "text"
-    window_length_s: float = Field(default=30.0, gt=0.0, le=3600.0)
+    window_length_s: float = Field(default=60.0, gt=0.0, le=3600.0)
     jobs_every_s: float | None = Field(default=None, gt=0.0)
     shutdown_timeout_s: int = Field(default=10, ge=1, le=600)
 

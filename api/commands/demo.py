@@ -1,0 +1,119 @@
+"""``treadwatch demo``: the main job, end to end, on the embedded default."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from api import logs
+from api.commands.estimate import run_in_order, summary
+from api.commands.ingest import receive_with_progress, recordings_of
+from api.commands.ingest import summary as reception_summary
+from api.commands.simulate import simulate_with_progress
+from api.demo.service import free_port, serving
+from api.demo.table import get, lines, table
+from api.factory import SystemClock, job_context, open_store, raw_store, scheduled_jobs
+from api.settings import Settings, load_settings
+from estimation.errors import StorageError
+from estimation.jobs.scheduler import stop_on_signals
+from fleet_db.migrate import upgrade
+from ingest.catalogue import default_catalogue
+from ingest.receiver import Receiver
+from ingest.registry_file import load_registry
+from ingest.simulator.scenario_file import load_scenario
+
+MARKER = "made-by-treadwatch-demo"
+
+
+def demo(
+    *,
+    once: Annotated[bool, typer.Option("--once", help="End after the table instead of serving on.")] = False,
+    scenario: Annotated[str, typer.Option(help="A built-in scenario by name, or a TOML file.")] = "demo",
+    folder: Annotated[Path, typer.Option(help="Where the demo keeps its files; made anew each time.")] = Path(
+        "treadwatch-data/demo"
+    ),
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the API; another if it is taken.")] = 8000,
+) -> None:
+    """Simulate a fleet on CAN, receive it, estimate it, and serve trends and alerts."""
+    began = time.monotonic()
+    console = Console()
+    _make_anew(folder)
+    recordings, data = folder / "recordings", folder / "data"
+    settings = load_settings(data_dir=data, port=free_port("127.0.0.1", port))
+    settings = settings.model_copy(update={"database_url": None, "host": "127.0.0.1", "log_level": "warning"})
+    logs.configure(settings)
+    plan = load_scenario(scenario)
+    console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)
+    report = simulate_with_progress(plan, recordings, console)
+    upgrade(settings.url)
+    _receive(settings, recordings, report.registry, console)
+    _estimate(settings, console)
+    with serving(settings) as url:
+        found = lines(url, report.truth)
+        console.print(table(found), soft_wrap=not console.is_terminal)
+        covered = [line.covers for line in found if line.covers is not None]
+        console.print(
+            f"{sum(covered)} of {len(covered)} intervals cover; {report.frames:,} CAN frames, "
+            f"{report.wheelset_seconds / 3600:.1f} wheelset-hours; table after {time.monotonic() - began:.0f} s",
+            highlight=False,
+        )
+        _say_where(url, console)
+        if not once:
+            console.print("serving; the jobs go on on their schedules; stop with Ctrl-C", highlight=False)
+            stopping = threading.Event()
+            stop_on_signals(stopping)
+            stopping.wait()
+
+
+def _make_anew(folder: Path) -> None:
+    """Empty the demo's own folder; never one that the demo did not make."""
+    if folder.exists():
+        if not (folder / MARKER).is_file() and any(folder.iterdir()):
+            raise StorageError(f"{folder} holds files that are not the demo's; choose another with --folder")
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True)
+    (folder / MARKER).touch()
+
+
+def _receive(settings: Settings, recordings: Path, registry: Path, console: Console) -> None:
+    with closing(open_store(settings)) as storage:
+        with storage.write() as unit:
+            load_registry(registry, unit)
+        receiver = Receiver(
+            storage, raw_store(settings), default_catalogue(), SystemClock(), window_length_s=settings.window_length_s
+        )
+        outcomes = list(receive_with_progress(receiver, recordings_of([recordings], None), console))
+    console.print(reception_summary(outcomes))
+    for _, outcome in outcomes:
+        if isinstance(outcome, Exception):
+            raise outcome
+
+
+def _estimate(settings: Settings, console: Console) -> None:
+    with closing(open_store(settings)) as storage:
+        runs = run_in_order(scheduled_jobs(settings), job_context(settings, storage), console)
+    console.print(summary(runs))
+    failed = [f"{run.job}: {run.error}" for run in runs if run.outcome != "succeeded"]
+    if failed:
+        raise StorageError("; ".join(failed))
+
+
+def _say_where(url: str, console: Console) -> None:
+    alerts = get(url, "/v1/alerts?open=true&limit=1")["items"]
+    serial = alerts[0]["wheelset"] if alerts else get(url, "/v1/wheelsets?limit=1")["items"][0]["serial"]
+    for path, what in (
+        ("/docs", "every endpoint, to try in a browser"),
+        (f"/v1/wheelsets/{serial}", "one wheelset, with links to all of it"),
+        (f"/v1/wheelsets/{serial}/geometry", "its bin table and conicity"),
+        (f"/v1/wheelsets/{serial}/trend", "its wear trend and forecast"),
+        ("/v1/alerts/feed", "what maintenance systems poll"),
+        ("/v1/jobs", "what the scheduled jobs did"),
+    ):
+        console.print(f"  {url}{path:<38} {what}", highlight=False, soft_wrap=True)

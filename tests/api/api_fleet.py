@@ -1,0 +1,208 @@
+"""A stored fleet for the API's tests: irregular, with unknown numbers where a mistake could publish them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimation.alerts import Alert, AlertEventKind, AlertKind, Condition, Severity
+from estimation.ports import (
+    FleetRecord,
+    GeometryRecord,
+    Mounting,
+    Reprofiling,
+    Storage,
+    TrackSectionRecord,
+    TrendRecord,
+    VehicleRecord,
+    WheelsetRecord,
+)
+from estimation.types import (
+    BinStatus,
+    BinValues,
+    Estimate,
+    Forecast,
+    Status,
+    TrackAlignment,
+    WearTrend,
+    WheelsetGeometry,
+    Window,
+    WindowQuality,
+)
+
+SECOND = 1_000_000_000
+DAY = 86_400 * SECOND
+START = 1_750_000_000 * SECOND
+RECORDED = START + 40 * DAY + 123_456_789
+WHEELSETS = [f"WS-{number:03d}" for number in range(25)]
+WINDOWS = 30
+LENGTH = 30 * SECOND
+NO_DATA_YET = "WS-024"
+
+
+def wheelset(number: int) -> WheelsetRecord:
+    """Return a wheelset; the first 12 are mounted, the first has been on the lathe twice."""
+    serial, fleet = WHEELSETS[number], "alpha" if number % 2 == 0 else "=beta"
+    mounting = None
+    if number < 12:
+        mounting = Mounting(serial, f"V-{number // 4}", number % 4 + 1, START + number, None, 100.5, 200.25, False)
+    turned = (Reprofiling(serial, START + 5 * DAY, 5000.5, "first"), Reprofiling(serial, START + 9 * DAY, 9000.0))
+    return WheelsetRecord(serial, fleet, "P8", 0.4375, mounting, turned if number == 0 else ())
+
+
+def window(index: int, serial: str = WHEELSETS[0]) -> Window:
+    """Return a short window."""
+    samples = 16
+    counts = np.arange(samples) - 5.0
+    return Window(
+        wheelset=serial,
+        vehicle="V-0",
+        axle=1,
+        start_ns=START - START % LENGTH + index * LENGTH,
+        length_ns=LENGTH,
+        sample_interval_s=0.004,
+        lateral_acceleration=counts * 0.01,
+        yaw_acceleration=counts * 0.02,
+        roll_acceleration=counts * 0.03,
+        mass_lateral_acceleration=counts * 0.04 + index * 0.04,
+        speed=np.full(samples, 17.5),
+        distance=np.linspace(10.0, 11.0, samples),
+        valid=np.ones(samples, bool),
+        resolution=(0.01, 0.02, 0.03, 0.04),
+        track_section="S-1",
+        odometer_m=1e6 + index * 500.0,
+        quality=WindowQuality(0.98, 0.1, 1, 0.0, 0.02, 17.0, 18.0, 0.9, sensor_fault=False),
+    )
+
+
+def estimate(value: float) -> Estimate:
+    """Return an estimate around a value."""
+    return Estimate(value, 0.01, value - 0.02, value + 0.025, 7.5, Status.ESTIMATED)
+
+
+def geometry(conicity: float = 0.1875) -> WheelsetGeometry:
+    """Return a geometry with a bin that a contact jump crosses and one without data."""
+    status = (BinStatus.TOO_FEW, BinStatus.ESTIMATED, BinStatus.CONTACT_JUMP, BinStatus.ESTIMATED)
+    known = np.array([False, True, False, True])
+
+    def values(scale: float) -> BinValues:
+        rows = np.array([1.0, -2.0, 3.0, 4.5]) * scale
+        return BinValues(np.where(known, rows, np.nan), np.where(known, np.abs(rows) / 100.0, np.nan), status)
+
+    return WheelsetGeometry(
+        bin_edges=np.array([-4.0, -2.0, 0.0, 2.0, 4.0]) * 1e-3,
+        samples=np.array([3.0, 5000.5, 4000.0, 6000.0]),
+        rolling_radius_sum=values(0.4),
+        rolling_radius_difference=values(1e-3),
+        contact_angle_sum=values(0.05),
+        contact_angle_difference=values(0.01),
+        amplitude=np.array([1.0, 2.0, 3.0]) * 1e-3,
+        conicity=(estimate(0.125), estimate(conicity), Estimate.unknown("not covered", 2.0)),
+        headline_amplitude=2e-3,
+        equivalent_conicity=estimate(conicity),
+        nonlinearity=Estimate.unknown("4 mm is not covered"),
+        zero_crossing=estimate(-0.25e-3),
+        windows=30,
+        parameter_key="p" * 16,
+        status=Status.ESTIMATED,
+    )
+
+
+def geometry_record(recorded_ns: int, conicity: float) -> GeometryRecord:
+    """Return the current geometry of the first wheelset as recorded then."""
+    return GeometryRecord(
+        wheelset=WHEELSETS[0],
+        baseline=2,
+        interval=None,
+        mileage_km=9500.5,
+        from_ns=START,
+        to_ns=START + 30 * LENGTH,
+        geometry=geometry(conicity),
+        input_digest=f"{recorded_ns:064x}",
+        track_versions={"S-1": 1},
+        parameters={"half_life_km": 10000.0},
+        code_version="0.1.0+test",
+        recorded_ns=recorded_ns,
+    )
+
+
+def trend_record(recorded_ns: int, last: float) -> TrendRecord:
+    """Return the trend of the first wheelset as recorded then; its limit lies beyond the horizon at p90."""
+    values = np.array([0.125, 0.15, last])
+    trend = WearTrend(
+        quantity="equivalent_conicity",
+        mileage_km=np.array([9000.0, 10000.0, 11000.5]),
+        measured_ns=np.array([START, START + DAY, START + 2 * DAY]),
+        value=values,
+        std=np.array([0.01, 0.011, np.nan]),
+        slope_per_1000_km=estimate(0.02),
+        slope_per_year=Estimate.unknown("dates too close"),
+        current=estimate(last),
+        limit=0.4,
+        distance_to_limit_km=Forecast(8000.0, 11000.0, None),
+        date_of_limit_ns=Forecast(float(START + 100 * DAY), float(START + 150 * DAY), None),
+        probability_over_limit=0.0,
+        status=Status.ESTIMATED,
+    )
+    return TrendRecord(WHEELSETS[0], 2, trend, f"{recorded_ns + 1:064x}", "0.1.0+test", recorded_ns)
+
+
+def alert(serial: str, kind: AlertKind = AlertKind.CONICITY_LIMIT, fleet: str = "alpha") -> Alert:
+    """Return an active alert, not yet stored."""
+    return Alert(
+        alert_id=0,
+        fleet=fleet,
+        wheelset=serial,
+        kind=kind,
+        severity=Severity.WARNING,
+        condition=Condition.ACTIVE,
+        opened_ns=START + DAY,
+        last_seen_ns=START + 2 * DAY,
+        occurrence_count=3,
+        probability=0.975,
+        evidence={"equivalent_conicity": {"value": 0.41, "std": 0.01}, "windows": [1, 2]},
+        action="reprofile",
+        raise_limit=0.4,
+        clear_limit=0.38,
+    )
+
+
+def raised(storage: Storage, serial: str, kind: AlertKind = AlertKind.CONICITY_LIMIT, fleet: str = "alpha") -> Alert:
+    """Store an alert and return it with its number."""
+    with storage.write() as unit:
+        open_one = unit.alerts.open(serial, kind)
+        if open_one is not None:
+            closed = replace(open_one, closed_ns=RECORDED, close_reason="test")
+            unit.alerts.save(closed, [AlertEventKind.CLOSED], RECORDED)
+        return unit.alerts.save(alert(serial, kind, fleet), [AlertEventKind.RAISED], RECORDED)
+
+
+def populate(storage: Storage) -> None:
+    """Store everything."""
+    with storage.write() as unit:
+        unit.registry.add_fleet(FleetRecord("alpha", "Alpha railway"))
+        unit.registry.add_fleet(FleetRecord("=beta", "=1+1"))
+        for number in range(3):
+            offsets = (0.0, 2.5, 17.0, 19.5)
+            unit.registry.add_vehicle(VehicleRecord(f"V-{number}", "alpha", "regional", 4, 44.5, offsets))
+        for number in range(len(WHEELSETS)):
+            unit.registry.add_wheelset(wheelset(number))
+        for number in (1, 2, 3):
+            section = TrackSectionRecord(f"S-{number}", number, "by the river", "56E1", 0.05, 1.435, 5000.0)
+            unit.tracks.add_section(section)
+        deviations = np.array([1.5, -2.0, 0.25, 0.0]) * 1e-3
+        std = np.full(4, 0.5e-3)
+        passes = np.array([0, 0, 1, 2])
+        status = Status.ESTIMATED
+        known = TrackAlignment("S-1", 0, np.arange(4) * 0.5, deviations, std, -deviations, std, passes, status)
+        unit.tracks.add_alignment(known)
+        for index in range(WINDOWS):
+            unit.windows.put(window(index), 9000.0 + index, RECORDED + index)
+        unit.geometries.put(geometry_record(RECORDED, 0.1875))
+        unit.geometries.put(geometry_record(RECORDED + DAY, 0.25))
+        unit.trends.put(trend_record(RECORDED, 0.1875))
+        unit.trends.put(trend_record(RECORDED + DAY, 0.25))
+    for serial in WHEELSETS[:10]:
+        raised(storage, serial, fleet="alpha" if int(serial[-1]) % 2 == 0 else "=beta")
+    raised(storage, WHEELSETS[0], AlertKind.NO_DATA)

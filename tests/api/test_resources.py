@@ -1,0 +1,224 @@
+"""What the resources say, in which units, and how they link."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import api_fleet
+import httpx
+import pytest
+
+from estimation.errors import ParameterError
+
+
+def get(client: httpx.Client, path: str, **params: Any) -> Any:
+    response = client.get(path, params=params or None)
+    assert response.status_code == 200, response.text
+    assert response.headers["content-type"] == "application/json"
+    return response.json()
+
+
+def test_a_wheelset_leads_to_its_bin_table_its_trend_and_its_alerts(client: httpx.Client) -> None:
+    first = get(client, "/v1/wheelsets")["items"][0]
+    wheelset = get(client, first["links"]["self"])
+    assert wheelset == first
+    assert wheelset["serial"] == "WS-000"
+    assert wheelset["nominal_radius_mm"] == 437.5
+    assert wheelset["mounting"]["vehicle"] == "V-0"
+    assert [one["mileage_km"] for one in wheelset["reprofilings"]] == [5000.5, 9000.0]
+    geometry = get(client, wheelset["links"]["geometry"])
+    trend = get(client, geometry["links"]["trend"])
+    alerts = get(client, trend["links"]["alerts"])
+    assert {alert["wheelset"] for alert in alerts["items"]} == {"WS-000"}
+    assert {alert["kind"] for alert in alerts["items"]} == {"conicity_limit", "no_data"}
+    assert get(client, alerts["items"][0]["links"]["geometry"]) == geometry
+
+
+def test_every_link_of_every_resource_can_be_followed(client: httpx.Client) -> None:
+    waiting, seen = ["/v1/fleets", "/v1/wheelsets?limit=2", "/v1/jobs", "/v1/track-sections", "/v1/alerts"], set()
+    while waiting:
+        path = waiting.pop()
+        if path in seen:
+            continue
+        seen.add(path)
+        response = client.get(path)
+        if path.endswith(("/geometry", "/trend", "/alignment")) and not path.startswith("/v1/wheelsets/WS-000"):
+            assert response.status_code in {200, 404}
+        else:
+            assert response.status_code == 200, path
+        waiting += [link for links in _links(response.json()) for link in links.values()]
+    assert len(seen) > 50
+
+
+def _links(value: Any) -> list[dict[str, str]]:
+    if isinstance(value, dict):
+        own = [value["links"]] if "links" in value else []
+        return own + [found for one in value.values() for found in _links(one)]
+    if isinstance(value, list):
+        return [found for one in value for found in _links(one)]
+    return []
+
+
+def test_a_bin_table_has_all_four_combinations_and_no_number_that_was_not_estimated(client: httpx.Client) -> None:
+    bins = get(client, "/v1/wheelsets/WS-000/geometry")["bins"]
+    assert bins["lower_mm"] == [-4.0, -2.0, 0.0, 2.0]
+    assert bins["upper_mm"] == [-2.0, 0.0, 2.0, 4.0]
+    assert bins["samples_1"] == [3.0, 5000.5, 4000.0, 6000.0]
+    status = ["too few samples", "estimated", "a contact jump crosses the bin", "estimated"]
+    expected = {
+        "rolling_radius_sum_mm": [None, -800.0, None, 1800.0],
+        "rolling_radius_difference_mm": [None, -2.0, None, 4.5],
+        "contact_angle_sum_rad": [None, -0.1, None, 0.225],
+        "contact_angle_difference_rad": [None, -0.02, None, 0.045],
+    }
+    for name, values in expected.items():
+        assert bins[name]["value"] == pytest.approx(values)
+        assert bins[name]["std"] == pytest.approx([value if value is None else abs(value) / 100 for value in values])
+        assert bins[name]["status"] == status
+
+
+def test_numbers_come_with_their_uncertainty_and_unknown_ones_with_their_reason(client: httpx.Client) -> None:
+    geometry = get(client, "/v1/wheelsets/WS-000/geometry")
+    assert geometry["equivalent_conicity_1"] == {
+        "value": 0.25,
+        "std": 0.01,
+        "interval_95": [0.23, 0.275],
+        "n_windows": 7.5,
+        "status": "estimated",
+        "reason": None,
+    }
+    assert geometry["equivalent_conicity_amplitude_mm"] == 2.0
+    assert geometry["nonlinearity_parameter_per_mm"] == {
+        "value": None,
+        "std": None,
+        "interval_95": None,
+        "n_windows": 0.0,
+        "status": "unestimated",
+        "reason": "4 mm is not covered",
+    }
+    assert geometry["zero_crossing_mm"]["value"] == -0.25
+    assert geometry["zero_crossing_mm"]["interval_95"] == pytest.approx([-20.25, 24.75])
+    by_amplitude = geometry["conicity_by_amplitude"]
+    assert [one["amplitude_mm"] for one in by_amplitude] == [1.0, 2.0, 3.0]
+    assert [one["equivalent_conicity_1"]["value"] for one in by_amplitude] == [0.125, 0.25, None]
+    assert geometry["provenance"]["code_version"] == "0.1.0+test"
+    assert geometry["provenance"]["track_versions"] == {"S-1": 1}
+
+
+def test_a_trend_has_its_points_its_slope_and_its_forecast(client: httpx.Client) -> None:
+    trend = get(client, "/v1/wheelsets/WS-000/trend")
+    assert trend["points"]["value_1"] == [0.125, 0.15, 0.25]
+    assert trend["points"]["std_1"] == [0.01, 0.011, None]
+    assert trend["points"]["measured_at"][0] == "2025-06-15T15:06:40Z"
+    assert trend["slope_1_per_1000_km"]["value"] == 0.02
+    assert trend["slope_1_per_year"]["reason"] == "dates too close"
+    assert trend["limit_1"] == 0.4
+    assert trend["distance_to_limit_km"]["p10"] == 8000.0
+    assert trend["distance_to_limit_km"]["p90"] is None
+    assert "horizon" in trend["distance_to_limit_km"]["reason"]
+    assert trend["date_of_limit"]["p10"] == "2025-09-23T15:06:40Z"
+
+
+@pytest.mark.parametrize("resource", ["geometry", "trend"])
+def test_as_of_gives_what_was_believed_then(client: httpx.Client, resource: str) -> None:
+    path = f"/v1/wheelsets/WS-000/{resource}"
+    latest = client.get(path)
+    link = latest.json()["links"]["as_recorded"]
+    assert client.get(link).content == latest.content
+    earlier = get(client, path, as_of="2025-07-25T15:06:40.123456789Z")
+    key = "equivalent_conicity_1" if resource == "geometry" else "current_1"
+    assert earlier[key]["value"] == 0.1875
+    assert client.get(path, params={"as_of": "2025-07-25T15:06:40.123456788Z"}).status_code == 404
+    assert client.get(path, params={"as_of": "2200-01-01T00:00:00Z"}).status_code == 422
+
+
+def test_windows_are_half_open_ranges_of_the_vehicles_clock(client: httpx.Client) -> None:
+    everything = get(client, "/v1/wheelsets/WS-000/windows")["items"]
+    assert len(everything) == api_fleet.WINDOWS
+    assert all(first["measured_to"] == second["measured_from"] for first, second in zip(everything, everything[1:]))
+    assert everything[3]["quality"]["invalid_1"] == 0.02
+    bounds = {"from": everything[3]["measured_from"], "to": everything[7]["measured_from"]}
+    assert get(client, "/v1/wheelsets/WS-000/windows", **bounds)["items"] == everything[3:7]
+    page = get(client, "/v1/wheelsets/WS-000/windows", **bounds, limit=3)
+    rest = get(client, page["next"])
+    assert page["items"] + rest["items"] == everything[3:7]
+    assert rest["next"] is None
+
+
+def test_a_track_section_has_its_alignment(client: httpx.Client) -> None:
+    section = get(client, "/v1/track-sections/S-1")
+    assert section["nominal_gauge_mm"] == 1435.0
+    alignment = get(client, section["links"]["alignment"])
+    assert alignment["alignment_mm"] == [1.5, -2.0, 0.25, 0.0]
+    assert alignment["position_m"] == [0.0, 0.5, 1.0, 1.5]
+    assert get(client, alignment["links"]["self"]) == alignment
+    assert client.get("/v1/track-sections/S-1/alignment?version=9").status_code == 404
+    assert client.get("/v1/track-sections/S-2/alignment").status_code == 404
+
+
+def test_mountings_and_vehicles_are_found_by_what_runs_where(client: httpx.Client) -> None:
+    mounted = get(client, "/v1/wheelsets", vehicle="V-1")["items"]
+    assert [one["serial"] for one in mounted] == ["WS-004", "WS-005", "WS-006", "WS-007"]
+    assert get(client, "/v1/vehicles/V-1")["axle_offsets_m"] == [0.0, 2.5, 17.0, 19.5]
+    assert get(client, "/v1/wheelsets/WS-004/mountings")["items"][0]["axle"] == 1
+    assert get(client, "/v1/wheelsets", fleet="=beta", limit=1000)["items"][0]["serial"] == "WS-001"
+    assert get(client, "/v1/fleets/%3Dbeta")["name"] == "=1+1"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/v1/wheelsets/WS-999",
+        "/v1/wheelsets/WS-999/geometry",
+        "/v1/wheelsets/WS-999/trend",
+        "/v1/wheelsets/WS-999/windows",
+        "/v1/wheelsets/WS-999/mountings",
+        "/v1/wheelsets/WS-999/reprofilings",
+        f"/v1/wheelsets/{api_fleet.NO_DATA_YET}/geometry",
+        f"/v1/wheelsets/{api_fleet.NO_DATA_YET}/trend",
+        "/v1/fleets/none",
+        "/v1/vehicles/none",
+        "/v1/alerts/999999",
+        "/v1/alerts/999999/events",
+        "/v1/jobs/none",
+        "/v1/jobs/none/runs",
+        "/v1/job-runs/999999",
+        "/v1/track-sections/none",
+        "/v1/nothing",
+    ],
+)
+def test_what_does_not_exist_is_a_problem_that_names_it(client: httpx.Client, path: str) -> None:
+    response = client.get(path)
+    assert response.status_code == 404
+    assert response.headers["content-type"] == "application/problem+json"
+    problem = response.json()
+    assert problem["type"] == "urn:treadwatch:problem:not-found"
+    assert problem["status"] == 404
+    assert problem["instance"] == path
+    if not path.endswith("nothing"):
+        assert path.split("/")[3] in problem["detail"]
+
+
+def test_health_readiness_and_measures(client: httpx.Client) -> None:
+    assert get(client, "/healthz") == {"status": "ok"}
+    assert get(client, "/readyz") == {"status": "ok"}
+    client.get("/v1/wheelsets/WS-000")
+    measures = client.get("/metrics")
+    assert measures.headers["content-type"].startswith("text/plain")
+    lines = dict(line.rsplit(" ", 1) for line in measures.text.splitlines() if not line.startswith("#"))
+    assert lines["treadwatch_database_up"] == "1.0"
+    assert lines['treadwatch_windows{state="pending"}'] == f"{api_fleet.WINDOWS}.0"
+    assert float(lines['treadwatch_alerts_open{fleet="alpha",kind="no_data",severity="warning"}']) >= 1
+    key = 'treadwatch_http_requests_total{method="GET",route="/v1/wheelsets/{serial}",status="200"}'
+    assert float(lines[key]) >= 1
+
+
+def test_an_error_of_the_storage_tells_nothing_of_the_machine() -> None:
+    from api.problems import from_error  # noqa: PLC0415 - only here
+    from estimation.errors import StorageError  # noqa: PLC0415 - the same
+
+    problem = from_error(StorageError("could not open /srv/secret/treadwatch.sqlite"))
+    assert (problem.status, problem.kind) == (503, "not-ready")
+    assert "/srv" not in problem.detail
+    assert from_error(ValueError("SELECT password")).detail == "the failure has been logged"
+    assert from_error(ParameterError("is wrong", field="until")).errors[0].pointer == "#/until"
