@@ -245,7 +245,12 @@ class BinTables(Protocol):
 
 
 class Geometries(Protocol):
-    """Geometry estimates, append-only; reads give what was believed at ``as_of_ns`` (recorded time)."""
+    """Geometry estimates, append-only; reads give what was believed at ``as_of_ns`` (recorded time).
+
+    ``change`` counts what happened to the inputs of a wheelset's geometry. Whoever reads inputs in one transaction
+    and stores in another takes it with the inputs and hands it to ``settle`` with the results, so that a change in
+    between is not lost; ``settle`` also ends the staleness of a wheelset of which nothing could be estimated.
+    """
 
     def put(self, record: GeometryRecord) -> bool: ...
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None: ...
@@ -253,6 +258,8 @@ class Geometries(Protocol):
         self, wheelset: str, baseline: int | None = None, as_of_ns: int | None = None
     ) -> Sequence[GeometryRecord]: ...
     def stale(self, limit: int) -> Sequence[str]: ...
+    def change(self, wheelset: str) -> int: ...
+    def settle(self, wheelset: str, change: int) -> None: ...
 
 
 class Trends(Protocol):
@@ -263,7 +270,11 @@ class Trends(Protocol):
 
 
 class Alerts(Protocol):
-    """Alerts and their feed; at most one open alert per (wheelset, kind), held by the database."""
+    """Alerts and their feed; at most one open alert per (wheelset, kind), held by the database.
+
+    ``save`` takes an alert with the version it was read with, stores the next version and returns it; an alert that
+    has another version by now is a ``ConflictError``.
+    """
 
     def open(self, wheelset: str, kind: AlertKind) -> Alert | None: ...
     def all_open(self, wheelset: str | None = None) -> Sequence[Alert]: ...

@@ -7,18 +7,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, and_, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Row, and_, exists, func, insert, or_, select, update
 
 from estimation.ports import GeometryRecord
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import GeometryRow
+from fleet_db.models import GeometryRow, WindowBinTableRow
 from fleet_db.packed.geometry import pack_geometry, unpack_geometry
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.session import to_json
 from fleet_db.stores.wheelset_bins import replace_bins
 
-GEOMETRIES = table_of(GeometryRow)
+GEOMETRIES, TABLES = table_of(GeometryRow), table_of(WindowBinTableRow)
 NEWEST_FIRST = (GEOMETRIES.c.recorded_ns.desc(), GEOMETRIES.c.geometry_id.desc())
 
 
@@ -85,10 +85,29 @@ class GeometryStore:
         return [_record(row) for row in self.connection.execute(statement)]
 
     def stale(self, limit: int) -> Sequence[str]:
-        """Return serials whose windows, bin tables, mountings or reprofilings changed since their current geometry."""
+        """Return serials whose windows, bin tables, mountings or reprofilings changed since their current geometry.
+
+        Only those that have a bin table or a geometry: of the others there is nothing to say.
+        """
         self.changes.flush()
-        statement = select(CHANGES.c.wheelset).where(CHANGES.c.change > CHANGES.c.geometry_change)
+        statement = select(CHANGES.c.wheelset).where(
+            CHANGES.c.change > CHANGES.c.geometry_change,
+            or_(
+                exists().where(TABLES.c.wheelset == CHANGES.c.wheelset),
+                exists().where(GEOMETRIES.c.wheelset == CHANGES.c.wheelset),
+            ),
+        )
         return list(self.connection.scalars(statement.order_by(CHANGES.c.wheelset).limit(limit)))
+
+    def change(self, wheelset: str) -> int:
+        """Return how often the inputs of this wheelset's geometry have changed."""
+        self.changes.flush()
+        return self.connection.scalar(select(CHANGES.c.change).where(CHANGES.c.wheelset == wheelset)) or 0
+
+    def settle(self, wheelset: str, change: int) -> None:
+        """Say that the geometry of a wheelset is what its inputs were at ``change``; stale is what changed later."""
+        self.changes.flush()
+        self.connection.execute(update(CHANGES).where(CHANGES.c.wheelset == wheelset).values(geometry_change=change))
 
     def _not_stale(self, wheelset: str) -> None:
         self.changes.flush()

@@ -167,7 +167,6 @@ def test_a_refused_window_loses_its_bin_table(fleet: SqlStorage) -> None:
 
 
 def test_what_makes_a_wheelset_stale(fleet: SqlStorage) -> None:
-    settle(fleet)
     put(fleet, 0)
     assert stale(fleet) == []  # a pending window says nothing yet
     estimate(fleet, 0)
@@ -180,14 +179,27 @@ def test_what_makes_a_wheelset_stale(fleet: SqlStorage) -> None:
     settle(fleet)  # the record is the same as before, and yet it was looked at
     assert stale(fleet) == []
     with fleet.write() as unit:
-        unit.registry.add_reprofiling(Reprofiling("WS-2", 5, 1.0))
-        assert unit.geometries.stale(100) == ["WS-2"]  # inside the same transaction too
-    assert stale(fleet) == ["WS-2"]
+        unit.registry.add_reprofiling(Reprofiling("WS-1", 5, 1.0))
+        unit.registry.add_reprofiling(Reprofiling("WS-2", 5, 1.0))  # of which nothing is known
+        assert unit.geometries.stale(100) == ["WS-1"]  # inside the same transaction too
+        assert unit.geometries.stale(0) == []
+    assert stale(fleet) == ["WS-1"]
 
 
-def test_stale_stops_at_its_limit(fleet: SqlStorage) -> None:
+def test_a_change_between_reading_and_storing_is_not_lost(fleet: SqlStorage) -> None:
+    put(fleet, 0, 1)
+    estimate(fleet, 0)
     with fleet.read() as unit:
-        assert unit.geometries.stale(2) == ["WS-1", "WS-2"]
+        change = unit.geometries.change("WS-1")
+    estimate(fleet, 1)
+    with fleet.write() as unit:
+        unit.geometries.put(make.geometry_record())
+        unit.geometries.settle("WS-1", change)
+    assert stale(fleet) == ["WS-1"]
+    with fleet.write() as unit:
+        unit.geometries.settle("WS-1", unit.geometries.change("WS-1"))
+        assert unit.geometries.change("WS-9") == 0
+    assert stale(fleet) == []
 
 
 def test_the_unknown_is_named(fleet: SqlStorage) -> None:
