@@ -34,6 +34,8 @@ EXTRA_SCATTER = 1.0  # half-Cauchy scale of tau, in median standard deviations
 BEND_NODES = np.array([0.01, 0.15, 0.4, 1.0])  # change of slope over the observed span, in slopes
 BEND_PRIOR = np.array([0.4, 0.2, 0.2, 0.2])
 WANDERING = 0.3  # of the bend's standard deviation
+SMALLEST_STD = 1e-3  # in median standard deviations: a better point cannot make the others count for nothing
+JITTER = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
 ROUNDS = 25
 
 
@@ -172,7 +174,9 @@ def _scale(x: FloatArray, value: FloatArray, std: FloatArray) -> _Scaled:
     # a hinge is zero after its knot, so level and slope keep their meaning at the last point
     hinges = np.maximum(0.0, at[None, :] - u[:, None])
     design = np.column_stack([np.ones(len(x)), u, _damped(u), hinges])
-    return _Scaled(u, (value - shift) / unit, (std / unit) ** 2, design, spacing, span, unit, shift)
+    return _Scaled(
+        u, (value - shift) / unit, np.maximum(std / unit, SMALLEST_STD) ** 2, design, spacing, span, unit, shift
+    )
 
 
 def _damped(u: FloatArray) -> FloatArray:
@@ -244,7 +248,7 @@ def _solve(points: _Scaled, share: FloatArray, scatter: FloatArray, bend: FloatA
     A = (gram[:, None] + np.eye(width) * ridge[None, :, None, :]).reshape(-1, width, width)
     b = np.repeat(moment, len(bend), axis=0)
     size = np.sqrt(np.diagonal(A, axis1=1, axis2=2))  # scaled to a unit diagonal before it is factored
-    L = np.linalg.cholesky(A / (size[:, :, None] * size[:, None, :]))
+    L = np.linalg.cholesky(A / (size[:, :, None] * size[:, None, :]) + JITTER * np.eye(width))
     inverse = np.linalg.inv(L)
     half = np.einsum("mij,mj->mi", inverse, b / size)
     beta = np.einsum("mji,mj->mi", inverse, half) / size

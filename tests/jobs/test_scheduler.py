@@ -148,7 +148,7 @@ def test_a_hundred_missed_runs_become_one_and_none_is_dropped_for_being_late(sql
     context = JobContext(sqlite_storage, SetClock(7), "test")
     scheduler = build_scheduler(context, [late], lambda _job: 3600.0)
     scheduler.start(paused=True)
-    scheduler.modify_job("late", next_run_time=datetime.now(UTC) - timedelta(hours=100))
+    scheduler.modify_job("late", next_run_time=datetime.now(UTC) - timedelta(hours=100, minutes=30))
     scheduler.resume()
     assert worked.wait(PATIENCE_S)
     scheduler.shutdown(wait=True)

@@ -175,3 +175,27 @@ def test_probability_within_a_distance_follows_the_published_quantiles() -> None
     assert probability_within(trend, 0.5 * (ahead.p10 + ahead.p50)) == pytest.approx(0.3)
     assert probability_within(refresh(worn(20), 0.15), 1.0) == pytest.approx(1.0, abs=1e-3)
     assert probability_within(refresh([], 0.15), 1.0) is None
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), n=st.integers(2, 30), spread=st.floats(-6, 3), worst=st.floats(-8, 1))
+def test_whatever_the_points_a_trend_is_finite_and_its_quantiles_are_in_order(
+    seed: int, n: int, spread: float, worst: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    mileage = np.round(np.sort(rng.uniform(0.0, 10.0 ** rng.uniform(0.5, 6.0), n)), int(rng.integers(-2, 4)))
+    values = 0.2 + 10.0**spread * rng.standard_normal(n)
+    stds = 10.0 ** rng.uniform(worst, 1.0, n)
+    trend = refresh(
+        [
+            TrendPoint(float(km), int(START_NS + km * 1e10), float(v), float(s))
+            for km, v, s in zip(mileage, values, stds, strict=True)
+        ],
+        0.4,
+    )
+    for estimate in (trend.slope_per_1000_km, trend.slope_per_year, trend.current):
+        numbers = (estimate.value, estimate.std, estimate.low, estimate.high)
+        assert estimate.status is Status.UNESTIMATED or all(x is not None and np.isfinite(x) for x in numbers)
+    ahead = trend.distance_to_limit_km
+    in_order = [np.inf if q is None else q for q in (ahead.p10, ahead.p50, ahead.p90)]
+    assert in_order == sorted(in_order)
