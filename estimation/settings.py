@@ -30,7 +30,7 @@ class EstimationSettings:
     geometry: GeometryParameters = field(default_factory=GeometryParameters)
     gates: Gates = field(default_factory=Gates)
     interval_km: float = 1_000.0  # a geometry for the trend per this distance
-    half_life_km: float = 10_000.0  # forgetting of the current geometry
+    half_life_km: float = 2_000.0  # forgetting of the current geometry
     batch: int = 64  # windows committed together
 
     @property

@@ -1,0 +1,37 @@
+"""Run the benchmarks and print one table: ``python -m bench [name ...]``."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from importlib import import_module
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
+
+from rich.console import Console
+from rich.table import Table
+
+from bench.report import BenchRow
+
+NAMES = ("contact", "estimation", "recursion", "decoding", "simulator", "trend")
+
+
+def main() -> int:
+    """Run what was asked for, or all; return 1 when a row falls short."""
+    wanted = sys.argv[1:] or NAMES
+    console = Console()
+    table = Table("what", "measured", "reach", "met", title="treadwatch bench", title_justify="left", show_lines=True)
+    short = 0
+    for name in wanted:
+        rows: Callable[[], Iterator[BenchRow]] = import_module(f"bench.{name}").rows
+        for row in rows():
+            console.print(f"{row.what}: {row.measured}", highlight=False, soft_wrap=True)
+            table.add_row(row.what, row.measured, row.reach, "yes" if row.met else "NO")
+            short += not row.met
+    console.print(table)
+    return 1 if short else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
