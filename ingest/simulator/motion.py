@@ -18,6 +18,7 @@ from ingest.simulator.stepping import (
     Constants,
     Grid,
     integrate,
+    sub_steps,
     time_derivative,
     uniform_spacing,
 )
@@ -156,15 +157,7 @@ def simulate_wheelset(
     """
     speed = np.ascontiguousarray(speed, dtype=np.float64)
     prepared = table if isinstance(table, PreparedTable) else PreparedTable.of(table)
-    if not (np.isfinite(speed).all() and len(speed) > 0 and speed.min() >= MINIMUM_SPEED):
-        raise ParameterError(f"speed must be at least {MINIMUM_SPEED} m/s throughout", field="speed")
-    distance = travelled(speed, start)
-    if start < track.s[0] or distance[-1] > track.s[-1]:
-        raise ParameterError(
-            f"the run, {start:.1f} to {distance[-1]:.1f} m, leaves the track, {track.s[0]:.1f} to {track.s[-1]:.1f} m",
-            field="start",
-        )
-    grid = Grid(prepared.x0, 1 / prepared.x_step, prepared.e0, 1 / prepared.e_step, float(track.s[0]), track.interval)
+    distance = _course(track, speed, start)
     coefficients = track.spline_coefficients()
     state = _start(coefficients, track, start, float(speed[0])) if initial is None else np.array(initial, np.float64)
     out = np.empty((len(OUTPUTS), len(speed)))
@@ -172,25 +165,34 @@ def simulate_wheelset(
         constants(parameters),
         prepared.nodes,
         coefficients,
-        grid,
+        Grid(prepared.x0, 1 / prepared.x_step, prepared.e0, 1 / prepared.e_step, float(track.s[0]), track.interval),
         speed,
         distance,
         STEP,
-        RATE_LIMIT,
-        creep_rate(parameters, 1.0),
+        sub_steps(speed, STEP, creep_rate(parameters, 1.0), RATE_LIMIT),
         state,
         out,
     )
     out.flags.writeable = False
     named = dict(zip(OUTPUTS, out, strict=True))
+    roll_acceleration = time_derivative(named["roll_rate"], STEP)
+    t = STEP * np.arange(len(speed), dtype=np.float64)
     return WheelsetMotion(
-        t=STEP * np.arange(len(speed), dtype=np.float64),
-        distance=distance,
-        speed=speed,
-        roll_acceleration=time_derivative(named["roll_rate"], STEP),
-        outside=int(outside),
-        **named,
+        t=t, distance=distance, speed=speed, roll_acceleration=roll_acceleration, outside=int(outside), **named
     )
+
+
+def _course(track: TrackTruth, speed: FloatArray, start: float) -> FloatArray:
+    """Return the distance at each sample, after checking that speed and track allow the run."""
+    if not (np.isfinite(speed).all() and len(speed) > 1 and speed.min() >= MINIMUM_SPEED):
+        raise ParameterError(f"two samples or more, each at least {MINIMUM_SPEED} m/s, are needed", field="speed")
+    distance = travelled(speed, start)
+    if start < track.s[0] or distance[-1] > track.s[-1]:
+        raise ParameterError(
+            f"the run, {start:.1f} to {distance[-1]:.1f} m, leaves the track, {track.s[0]:.1f} to {track.s[-1]:.1f} m",
+            field="start",
+        )
+    return distance
 
 
 def travelled(speed: FloatArray, start: float) -> FloatArray:

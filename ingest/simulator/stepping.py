@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from estimation.arrays import FloatArray
+from estimation.arrays import FloatArray, IntArray
 
 STATES = 6  # y, y', psi, psi', ym, ym'
 LOOKED_UP = 7  # rL, rR, dL, dR, phi, phi_x, phi_e
@@ -126,12 +126,18 @@ def derivatives(
 
     ``contact[7]`` is the roll rate. Return whether y - d lies inside the contact table.
     """
-    y, v, psi, psi_rate, ym, vm = state[0], state[1], state[2], state[3], state[4], state[5]
     track_at(coefficients, grid, s, track)
-    inside = look_up(table, grid, y - track[0], track[2], contact)
-    roll_rate = contact[5] * (v - speed * track[1]) + contact[6] * speed * track[3]
-    contact[7] = roll_rate
-    per_speed = 1.0 / speed
+    inside = look_up(table, grid, state[0] - track[0], track[2], contact)
+    contact[7] = contact[5] * (state[1] - speed * track[1]) + contact[6] * speed * track[3]
+    equations(c, speed, state, contact, rates)
+    return inside
+
+
+@_compiled
+def equations(c: Constants, speed: float, state: FloatArray, contact: FloatArray, rates: FloatArray) -> None:
+    """Write the time derivative of ``state`` (6,) by Eq. 1-5 into ``rates`` (6,), with ``contact`` (8,) known."""
+    y, v, psi, psi_rate, ym, vm = state[0], state[1], state[2], state[3], state[4], state[5]
+    roll, roll_rate, per_speed = contact[4], contact[7], 1.0 / speed
     S, R = contact[0] + contact[1], contact[0] - contact[1]
     A, D = contact[2] + contact[3], contact[2] - contact[3]
     slip = v + 0.5 * S * roll_rate - speed * psi
@@ -140,7 +146,7 @@ def derivatives(
         -(2.0 * c.f22 * per_speed) * slip
         - 2.0 * c.f11 * (1.0 - S / (2.0 * c.r0)) * psi
         - (2.0 * c.f23 * per_speed) * (psi_rate - speed * D / (2.0 * c.r0))
-        - c.load * (0.5 * D + contact[4])
+        - c.load * (0.5 * D + roll)
         + suspension
     )
     moment = (
@@ -156,7 +162,6 @@ def derivatives(
     )
     rates[0], rates[1], rates[2] = v, force / c.mass, psi_rate
     rates[3], rates[4], rates[5] = moment / c.inertia, vm, -suspension / c.suspended
-    return inside
 
 
 @_compiled
@@ -164,6 +169,35 @@ def advance(state: FloatArray, h: float, rates: FloatArray, out: FloatArray) -> 
     """Write ``state`` + ``h`` ``rates`` into ``out``, all (6,)."""
     for k in range(STATES):
         out[k] = state[k] + h * rates[k]
+
+
+@_compiled
+def runge_kutta(
+    c: Constants,
+    table: FloatArray,
+    coefficients: FloatArray,
+    grid: Grid,
+    speed: float,
+    slope: float,
+    s: float,
+    h: float,
+    state: FloatArray,
+    stages: FloatArray,
+    contact: FloatArray,
+    track: FloatArray,
+) -> None:
+    """Advance ``state`` by ``h`` s from distance ``s``; speed rises by ``slope``; ``stages[0]`` holds the rates now."""
+    k1, k2, k3, k4, trial = stages[0], stages[1], stages[2], stages[3], stages[4]
+    middle, after = speed + 0.5 * slope * h, speed + slope * h
+    s_middle, s_after = s + 0.25 * h * (speed + middle), s + 0.5 * h * (speed + after)
+    advance(state, 0.5 * h, k1, trial)
+    derivatives(c, table, coefficients, grid, middle, s_middle, trial, k2, contact, track)
+    advance(state, 0.5 * h, k2, trial)
+    derivatives(c, table, coefficients, grid, middle, s_middle, trial, k3, contact, track)
+    advance(state, h, k3, trial)
+    derivatives(c, table, coefficients, grid, after, s_after, trial, k4, contact, track)
+    for k in range(STATES):
+        state[k] += h / 6.0 * (k1[k] + 2.0 * k2[k] + 2.0 * k3[k] + k4[k])
 
 
 @_compiled
@@ -175,51 +209,52 @@ def integrate(
     speed: FloatArray,
     distance: FloatArray,
     step: float,
-    rate_limit: float,
-    creep_rate_at_1: float,
+    parts: IntArray,
     state: FloatArray,
     out: FloatArray,
 ) -> int:
     """Integrate over ``speed`` (n,) and ``distance`` (n,) every ``step`` s; fill ``out`` (17, n); change ``state``.
 
-    A step is divided until (creep rate x sub-step) <= ``rate_limit``. Return how many samples left the contact table.
+    Step i is divided into ``parts[i]`` sub-steps. Return how many samples left the contact table.
     """
-    n = len(speed)
-    k1, k2, k3, k4 = np.empty(STATES), np.empty(STATES), np.empty(STATES), np.empty(STATES)
-    trial = np.empty(STATES)
-    contact, track = np.empty(LOOKED_UP + 1), np.empty(4)
+    stages, contact, track = np.empty((5, STATES)), np.empty(LOOKED_UP + 1), np.empty(4)
     outside = 0
-    for i in range(n):
-        if not derivatives(c, table, coefficients, grid, speed[i], distance[i], state, k1, contact, track):
+    for i in range(len(speed)):
+        if not derivatives(c, table, coefficients, grid, speed[i], distance[i], state, stages[0], contact, track):
             outside += 1
-        for k in range(STATES):
-            out[k, i] = state[k]
-        out[6, i], out[7, i], out[8, i] = k1[1], k1[3], k1[5]
-        out[9, i], out[10, i], out[11, i], out[12, i] = contact[4], contact[7], track[0], track[2]
-        for k in range(4):
-            out[13 + k, i] = contact[k]
-        if i == n - 1:
+        write_sample(state, stages[0], contact, track, out, i)
+        if i == len(speed) - 1:
             break
-        slope = (speed[i + 1] - speed[i]) / step
-        slowest = min(speed[i], speed[i + 1])
-        parts = max(1, int(np.ceil(creep_rate_at_1 / slowest * step / rate_limit)))
-        h = step / parts
-        for part in range(parts):
+        slope, h = (speed[i + 1] - speed[i]) / step, step / parts[i]
+        for part in range(parts[i]):
             t = part * h
-            v0, vm, v1 = speed[i] + slope * t, speed[i] + slope * (t + 0.5 * h), speed[i] + slope * (t + h)
-            s0 = distance[i] + (speed[i] + 0.5 * slope * t) * t
-            sm, s1 = s0 + 0.25 * h * (v0 + vm), s0 + 0.5 * h * (v0 + v1)
+            v, s = speed[i] + slope * t, distance[i] + (speed[i] + 0.5 * slope * t) * t
             if part > 0:
-                derivatives(c, table, coefficients, grid, v0, s0, state, k1, contact, track)
-            advance(state, 0.5 * h, k1, trial)
-            derivatives(c, table, coefficients, grid, vm, sm, trial, k2, contact, track)
-            advance(state, 0.5 * h, k2, trial)
-            derivatives(c, table, coefficients, grid, vm, sm, trial, k3, contact, track)
-            advance(state, h, k3, trial)
-            derivatives(c, table, coefficients, grid, v1, s1, trial, k4, contact, track)
-            for k in range(STATES):
-                state[k] += h / 6.0 * (k1[k] + 2.0 * k2[k] + 2.0 * k3[k] + k4[k])
+                derivatives(c, table, coefficients, grid, v, s, state, stages[0], contact, track)
+            runge_kutta(c, table, coefficients, grid, v, slope, s, h, state, stages, contact, track)
     return outside
+
+
+@_compiled
+def write_sample(
+    state: FloatArray, rates: FloatArray, contact: FloatArray, track: FloatArray, out: FloatArray, i: int
+) -> None:
+    """Write sample ``i`` of every output into ``out`` (17, n), in the order of ``OUTPUTS``."""
+    for k in range(STATES):
+        out[k, i] = state[k]
+    out[6, i], out[7, i], out[8, i] = rates[1], rates[3], rates[5]
+    out[9, i], out[10, i], out[11, i], out[12, i] = contact[4], contact[7], track[0], track[2]
+    for k in range(4):
+        out[13 + k, i] = contact[k]
+
+
+def sub_steps(speed: FloatArray, step: float, rate_at_1: float, limit: float) -> IntArray:
+    """Return into how many parts (n - 1,) each step is divided, so that (creep rate x sub-step) <= ``limit``.
+
+    ``rate_at_1`` is the creep rate at 1 m/s; it falls with speed.
+    """
+    slowest = np.minimum(speed[1:], speed[:-1])
+    return np.maximum(1, np.ceil(rate_at_1 * step / (limit * slowest))).astype(np.int64)
 
 
 def time_derivative(values: FloatArray, step: float) -> FloatArray:
