@@ -12,12 +12,14 @@ from typing import Any
 import structlog
 from fastapi import Request
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.metrics import RequestMeasures
-from api.problems import ProblemError, from_error, problem_response
+from api.problems import from_error, problem_response
 
 MAX_BODY_BYTES = 1 << 20
+TOO_LARGE = 413
 _IDENTITY = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 _log = structlog.stdlib.get_logger("treadwatch.access")
 
@@ -59,7 +61,7 @@ class Surroundings:
             except Exception as error:
                 if "status" in seen:
                     raise
-                _log_failure(scope, error)
+                _log.error("request failed", path=scope["path"], exc_info=error)
                 await problem_response(Request(scope), from_error(error))(scope, receive, told)
             finally:
                 took = time.perf_counter() - began
@@ -74,11 +76,6 @@ class Surroundings:
                 )
 
 
-def _log_failure(scope: Scope, error: Exception) -> None:
-    if not isinstance(error, ProblemError):
-        _log.error("request failed", path=scope["path"], exc_info=error)
-
-
 def _bounded(scope: Scope, receive: Receive) -> Receive:
     """Return ``receive`` that refuses more than a body may have, whether it says so beforehand or not."""
     size = 0
@@ -89,7 +86,7 @@ def _bounded(scope: Scope, receive: Receive) -> Receive:
         message = await receive()
         size += len(message.get("body", b""))
         if size > MAX_BODY_BYTES or (announced.isdecimal() and int(announced) > MAX_BODY_BYTES):
-            raise ProblemError(413, "content-too-large", f"at most {MAX_BODY_BYTES} bytes")
+            raise HTTPException(TOO_LARGE, f"at most {MAX_BODY_BYTES} bytes")
         return message
 
     return bounded

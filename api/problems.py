@@ -16,6 +16,7 @@ from starlette.exceptions import HTTPException
 from estimation.errors import ConflictError, InputError, MigrationError, NotFoundError, StorageError
 
 PROBLEM_MEDIA_TYPE = "application/problem+json"
+_KIND_OF_STATUS = {404: "not-found", 413: "content-too-large"}
 _log = logging.getLogger(__name__)
 
 # Type URIs are names for programs to compare; they never change once published.
@@ -106,8 +107,9 @@ def _bad_input(error: InputError) -> ProblemError:
 
 
 def _plain(error: HTTPException) -> ProblemError:
-    kind = "not-found" if error.status_code == HTTPStatus.NOT_FOUND else ""
-    return ProblemError(error.status_code, kind, str(error.detail), headers=error.headers or {})
+    return ProblemError(
+        error.status_code, _KIND_OF_STATUS.get(error.status_code, ""), str(error.detail), headers=error.headers or {}
+    )
 
 
 def _unavailable(_error: StorageError) -> ProblemError:

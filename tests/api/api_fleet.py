@@ -46,7 +46,7 @@ def wheelset(number: int) -> WheelsetRecord:
     serial, fleet = WHEELSETS[number], "alpha" if number % 2 == 0 else "=beta"
     mounting = None
     if number < 12:
-        mounting = Mounting(serial, f"V-{number // 4}", number % 4 + 1, START + number, None, 100.5, 200.25, False)
+        mounting = Mounting(serial, f"V-{number // 4}", number % 4 + 1, START + number, None, 100.5, 200.25)
     turned = (Reprofiling(serial, START + 5 * DAY, 5000.5, "first"), Reprofiling(serial, START + 9 * DAY, 9000.0))
     return WheelsetRecord(serial, fleet, "P8", 0.4375, mounting, turned if number == 0 else ())
 
@@ -206,3 +206,7 @@ def populate(storage: Storage) -> None:
     for serial in WHEELSETS[:10]:
         raised(storage, serial, fleet="alpha" if int(serial[-1]) % 2 == 0 else "=beta")
     raised(storage, WHEELSETS[0], AlertKind.NO_DATA)
+    for number in range(7):
+        with storage.write() as unit:
+            run = unit.jobs.start("estimate_windows", "schedule", RECORDED + number)
+            unit.jobs.finish(run.run_id, "succeeded", {"estimated": number}, RECORDED + number + SECOND // 2)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import api_fleet
 import httpx
 import pytest
+from running_service import Service
 
 from estimation.errors import ParameterError
 
 
-def get(client: httpx.Client, path: str, **params: Any) -> Any:
+def get(client: httpx.Client, path: str, **params: str | int) -> Any:  # noqa: ANN401 - JSON
     response = client.get(path, params=params or None)
     assert response.status_code == 200, response.text
     assert response.headers["content-type"] == "application/json"
@@ -50,7 +52,7 @@ def test_every_link_of_every_resource_can_be_followed(client: httpx.Client) -> N
     assert len(seen) > 50
 
 
-def _links(value: Any) -> list[dict[str, str]]:
+def _links(value: object) -> list[dict[str, str]]:
     if isinstance(value, dict):
         own = [value["links"]] if "links" in value else []
         return own + [found for one in value.values() for found in _links(one)]
@@ -135,7 +137,7 @@ def test_as_of_gives_what_was_believed_then(client: httpx.Client, resource: str)
 def test_windows_are_half_open_ranges_of_the_vehicles_clock(client: httpx.Client) -> None:
     everything = get(client, "/v1/wheelsets/WS-000/windows")["items"]
     assert len(everything) == api_fleet.WINDOWS
-    assert all(first["measured_to"] == second["measured_from"] for first, second in zip(everything, everything[1:]))
+    assert all(first["measured_to"] == second["measured_from"] for first, second in pairwise(everything))
     assert everything[3]["quality"]["invalid_1"] == 0.02
     bounds = {"from": everything[3]["measured_from"], "to": everything[7]["measured_from"]}
     assert get(client, "/v1/wheelsets/WS-000/windows", **bounds)["items"] == everything[3:7]
@@ -199,7 +201,8 @@ def test_what_does_not_exist_is_a_problem_that_names_it(client: httpx.Client, pa
         assert path.split("/")[3] in problem["detail"]
 
 
-def test_health_readiness_and_measures(client: httpx.Client) -> None:
+def test_health_readiness_and_measures(service: Service) -> None:
+    client = service.client
     assert get(client, "/healthz") == {"status": "ok"}
     assert get(client, "/readyz") == {"status": "ok"}
     client.get("/v1/wheelsets/WS-000")
@@ -207,7 +210,10 @@ def test_health_readiness_and_measures(client: httpx.Client) -> None:
     assert measures.headers["content-type"].startswith("text/plain")
     lines = dict(line.rsplit(" ", 1) for line in measures.text.splitlines() if not line.startswith("#"))
     assert lines["treadwatch_database_up"] == "1.0"
-    assert lines['treadwatch_windows{state="pending"}'] == f"{api_fleet.WINDOWS}.0"
+    with service.storage.read() as unit:
+        counts = unit.windows.counts()
+    for state in ("pending", "estimated", "refused"):
+        assert float(lines[f'treadwatch_windows{{state="{state}"}}']) == counts.get(state, 0)
     assert float(lines['treadwatch_alerts_open{fleet="alpha",kind="no_data",severity="warning"}']) >= 1
     key = 'treadwatch_http_requests_total{method="GET",route="/v1/wheelsets/{serial}",status="200"}'
     assert float(lines[key]) >= 1
