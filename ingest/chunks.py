@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from estimation.errors import LogFileError, StorageError
 from estimation.ports import ChunkRecord, UnitOfWork
 from estimation.types import FrameBatch
@@ -14,7 +16,7 @@ from fleet_db.raw import RawStore
 from ingest.align.clock import CONTEXT_NS, TIME_REACH_NS, check_sync_rate
 from ingest.align.ticks import Placed, place
 from ingest.catalogue import Catalogue
-from ingest.frames import merge
+from ingest.frames import between, merge
 from ingest.logs import read_log
 
 STORED, DECODED, REJECTED = "stored", "decoded", "rejected"
@@ -27,6 +29,8 @@ RECORDER_FIRST, RECORDER_LAST = "recorder_first_ns", "recorder_last_ns"
 ALWAYS = (-(1 << 62), 1 << 62)
 OFFSET_STEP_NS = 500_000_000
 """Recordings whose recorders disagree by more are not merged frame by frame, only sample by sample."""
+
+IDENTIFIERS = 0x800
 
 CACHED_FRAMES = 3_000_000
 
@@ -159,10 +163,26 @@ def stretches(recordings: Iterable[Recording], catalogue: Catalogue) -> list[Pla
 
 
 def _touch(first: Recording, second: Recording) -> bool:
+    """Whether two recordings are of one stretch of one recorder's clock.
+
+    Next to each other they are, even when the vehicle's clock jumped between them: that is for the clock to find out.
+    On top of each other they are when the recorders agree on the vehicle's time, or recorded the same frames; else the
+    recorder's clock was set back between them.
+    """
     (a, b), (c, d) = first.recorder_ns, second.recorder_ns
     if a > d + TIME_REACH_NS or c > b + TIME_REACH_NS:
         return False
     offsets, others = first.alone.times.offsets(), second.alone.times.offsets()
-    if offsets is None or others is None:
+    if offsets is None or others is None or max(a, c) >= min(b, d):
         return True
-    return offsets[0] <= others[1] + OFFSET_STEP_NS and others[0] <= offsets[1] + OFFSET_STEP_NS
+    agree = offsets[0] <= others[1] + OFFSET_STEP_NS and others[0] <= offsets[1] + OFFSET_STEP_NS
+    return agree or _share_frames(first.batch, second.batch, max(a, c), min(b, d))
+
+
+def _share_frames(first: FrameBatch, second: FrameBatch, from_ns: int, to_ns: int) -> bool:
+    """Whether most frames that both have in ``[from_ns, to_ns]`` are the same ones."""
+    one, other = (
+        part.t_ns * IDENTIFIERS + part.arbitration_id.astype(np.int64)  # wraps around: a fingerprint
+        for part in (between(first, from_ns, to_ns + 1), between(second, from_ns, to_ns + 1))
+    )
+    return 2 * len(np.intersect1d(one, other)) >= min(len(one), len(other)) > 0

@@ -113,8 +113,10 @@ def _base(buffer: bytes, at: int, where: str, path: Path) -> tuple[int, int, int
         raise LogFileError(f"no object at byte {at} {where}: truncated or corrupt", file=path)
     base = np.frombuffer(buffer, dtype=blf.OBJECT_BASE, count=1, offset=at)[0]
     size = int(base["size"])
-    if size < SMALLEST_OBJECT or at + size > len(buffer):
+    if size < SMALLEST_OBJECT:
         raise LogFileError(f"object size {size} at byte {at + 8} {where} is impossible", file=path)
+    if at + size > len(buffer):
+        raise LogFileError(f"object of {size} bytes at byte {at} {where} is cut off", file=path)
     return int(base["header_size"]), int(base["header_version"]), size, int(base["type"])
 
 

@@ -1,0 +1,361 @@
+"""One suite over every log format, python-can as the oracle of BLF, and files that are broken on purpose."""
+
+from __future__ import annotations
+
+import importlib.util
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from estimation.arrays import same_values
+from estimation.errors import LogFileError
+from estimation.types import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from ingest.bus import messages_of
+from ingest.frames import empty_batch
+from ingest.logs import read_log, write_log
+from ingest.logs.library import read_with_library, write_with_library
+from ingest.logs.limits import ReadLimits
+
+needs_mf4 = pytest.mark.skipif(importlib.util.find_spec("asammdf") is None, reason="the extra 'mf4' is not installed")
+TEXT_FORMATS = [".asc", ".log"]
+FORMATS = [".blf", *TEXT_FORMATS, pytest.param(".mf4", marks=needs_mf4)]
+
+
+def some_frames(n: int = 500, channel: str = "can0", *, strange: bool = False) -> FrameBatch:
+    """Frames on whole microseconds, 7 ms into a second, lengths 0 to 8; ``strange`` ones carry flags too."""
+    rng = np.random.default_rng(5)
+    dlc = rng.integers(0, 9, n).astype(np.uint8)
+    data = rng.integers(0, 256, (n, 8)).astype(np.uint8)
+    identifier = rng.integers(0, 0x800, n).astype(np.uint32)
+    if strange:
+        identifier[3::10] = 0x1ABCDEF0 | EXTENDED_FLAG
+        identifier[5::10] |= np.uint32(REMOTE_FLAG)
+        data[5::10] = 0
+    data[np.arange(8) >= dlc[:, None]] = 0
+    t_ns = 1_750_000_000_007_000_000 + np.cumsum(rng.integers(1, 300, n)) * 1000
+    return FrameBatch(channel, t_ns, identifier, dlc, data)
+
+
+def assert_same(found: FrameBatch, expected: FrameBatch) -> None:
+    assert found.channel == expected.channel
+    for name in ("t_ns", "arbitration_id", "dlc", "data"):
+        assert np.array_equal(getattr(found, name), getattr(expected, name)), name
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("channel", ["can0", "can3"])
+def test_what_is_written_is_read(tmp_path: Path, suffix: str, channel: str) -> None:
+    batch = some_frames(channel=channel)
+    path = tmp_path / f"recording{suffix}"
+    write_log(path, batch)
+    assert_same(read_log(path), batch)
+    assert [item.name for item in tmp_path.iterdir()] == [path.name], "nothing unfinished is left"
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".asc"])
+def test_extended_and_remote_frames_survive(tmp_path: Path, suffix: str) -> None:
+    batch = some_frames(strange=True)
+    path = tmp_path / f"recording{suffix}"
+    write_log(path, batch)
+    assert_same(read_log(path), batch)
+
+
+def test_candump_keeps_all_but_the_length_of_remote_frames(tmp_path: Path) -> None:
+    batch = some_frames(strange=True)
+    path = tmp_path / "recording.log"
+    write_log(path, batch)
+    remote = (batch.arbitration_id & REMOTE_FLAG) != 0
+    dlc = np.where(remote, 0, batch.dlc)
+    assert_same(read_log(path), FrameBatch(batch.channel, batch.t_ns, batch.arbitration_id, dlc, batch.data))
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".log"])
+def test_a_recording_without_frames_is_a_recording(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"recording{suffix}"
+    write_log(path, empty_batch())
+    if suffix == ".blf":
+        assert len(read_log(path)) == 0
+    else:
+        with pytest.raises(LogFileError, match="is no candump log"):
+            read_log(path)
+
+
+def test_python_can_reads_what_our_writer_wrote(tmp_path: Path) -> None:
+    batch = some_frames(9000, strange=True)  # several containers
+    identifier = batch.arbitration_id.copy()
+    identifier[8::100] |= np.uint32(ERROR_FLAG)
+    batch = FrameBatch("can2", batch.t_ns, identifier, batch.dlc, batch.data)
+    path = tmp_path / "recording.blf"
+    write_log(path, batch)
+    theirs = read_with_library(path)
+    error = (identifier & ERROR_FLAG) != 0
+    bare = np.where(error, identifier & ~np.uint32(EXTENDED_FLAG | REMOTE_FLAG), identifier)
+    kept = np.where(error, theirs.arbitration_id & ~np.uint32(REMOTE_FLAG), theirs.arbitration_id)
+    assert_same(
+        FrameBatch(theirs.channel, theirs.t_ns, kept, theirs.dlc, theirs.data),
+        FrameBatch("can2", batch.t_ns, bare, batch.dlc, batch.data),
+    )
+    ours = read_log(path)
+    assert np.array_equal(ours.t_ns, batch.t_ns)
+    assert np.array_equal((ours.arbitration_id & ERROR_FLAG) != 0, error)
+
+
+@pytest.mark.parametrize("compression", [0, 1, 9])
+@pytest.mark.parametrize("container", [4096, 128 * 1024])
+def test_we_read_what_python_can_wrote(tmp_path: Path, compression: int, container: int) -> None:
+    batch = some_frames(5000, strange=True)
+    path = tmp_path / "recording.blf"
+    with can.BLFWriter(path, compression_level=compression, max_container_size=container) as writer:
+        for position, message in enumerate(messages_of(batch)):
+            message.channel = 0
+            writer.on_message_received(message)
+            if position == 1000:
+                writer.log_event("a marker between frames", message.timestamp)
+    ours, theirs = read_log(path), read_with_library(path)
+    assert np.array_equal(ours.arbitration_id, batch.arbitration_id)
+    assert np.array_equal(ours.data, batch.data)
+    assert np.abs(ours.t_ns - batch.t_ns).max() < 1000  # python-can's floats
+    assert np.abs(ours.t_ns - theirs.t_ns).max() < 1000
+    assert np.array_equal(ours.arbitration_id, theirs.arbitration_id)
+
+
+def test_our_blf_keeps_nanoseconds(tmp_path: Path) -> None:
+    batch = some_frames()
+    fine = FrameBatch("can0", batch.t_ns + np.arange(len(batch)) % 997, batch.arbitration_id, batch.dlc, batch.data)
+    path = tmp_path / "recording.blf"
+    write_log(path, fine)
+    assert same_values(read_log(path), fine)
+
+
+def object_bytes(kind: int, body: bytes, t: int = 0, flags: int = 2) -> bytes:
+    return struct.pack("<4sHHLL", b"LOBJ", 32, 1, 32 + len(body), kind) + struct.pack("<LHHQ", flags, 0, 0, t) + body
+
+
+def container_bytes(contents: bytes, declared: int | None = None, deflated: bytes | None = None) -> bytes:
+    packed = zlib.compress(contents) if deflated is None else deflated
+    size = 32 + len(packed)
+    head = struct.pack("<4sHHLL", b"LOBJ", 16, 1, size, 10)
+    head += struct.pack("<H6xL4x", 2, len(contents) if declared is None else declared)
+    return head + packed + bytes(size % 4)
+
+
+def file_bytes(*containers: bytes, header_size: int = 144) -> bytes:
+    body = b"".join(containers)
+    start = struct.pack("<8H", 2025, 6, 0, 15, 0, 0, 0, 0)
+    head = struct.pack("<4sL8BQQLL", b"LOGG", header_size, 5, 0, 0, 0, 2, 6, 8, 1, 144 + len(body), 0, 1, 0)
+    return (head + start + start).ljust(144, b"\0") + body
+
+
+CAN_BODY = struct.pack("<HBBL8s", 1, 0, 8, 0x181, b"12345678")
+GOOD = object_bytes(1, CAN_BODY, 5)
+
+
+def test_ten_microsecond_stamps_and_objects_that_span_containers(tmp_path: Path) -> None:
+    objects = GOOD + object_bytes(86, CAN_BODY, 3, flags=1) + object_bytes(96, b"marker!") + b"\0" + GOOD
+    path = tmp_path / "spanning.blf"
+    path.write_bytes(file_bytes(container_bytes(objects[:70]), container_bytes(objects[70:])))
+    batch = read_log(path)
+    start = 1_749_945_600_000_000_000
+    assert batch.t_ns.tolist() == [start + 5, start + 30_000, start + 5]
+
+
+def bomb() -> bytes:
+    machine = zlib.compressobj(9)
+    return b"".join(machine.compress(bytes(1 << 20)) for _ in range(64)) + machine.flush()
+
+
+BROKEN: dict[str, tuple[Callable[[], bytes], str]] = {
+    "header size of zero": (lambda: file_bytes(container_bytes(GOOD), header_size=0), "header size 0 at byte 4"),
+    "object size of zero": (
+        lambda: file_bytes(container_bytes(GOOD[:8] + bytes(4) + GOOD[12:])),
+        "object size 0 at byte 8 of the inflated",
+    ),
+    "container size of zero": (
+        lambda: file_bytes(container_bytes(GOOD)[:8] + bytes(4) + container_bytes(GOOD)[12:]),
+        "object size 0 at byte 152 of the file",
+    ),
+    "corrupt container": (
+        lambda: file_bytes(container_bytes(GOOD, deflated=b"\x78\x01" + b"\xff" * 60)),
+        "container at byte 144 is corrupt",
+    ),
+    "checksum of a container": (
+        lambda: file_bytes(container_bytes(GOOD, deflated=zlib.compress(GOOD)[:-4] + b"\1\2\3\4")),
+        "container at byte 144 is corrupt",
+    ),
+    "inflates to more than declared": (
+        lambda: file_bytes(container_bytes(GOOD, declared=10)),
+        "container at byte 144 inflates to more than the 10 bytes",
+    ),
+    "inflates to less than declared": (
+        lambda: file_bytes(container_bytes(GOOD, declared=100)),
+        "container at byte 144 holds 48 bytes, declares 100",
+    ),
+    "bomb": (
+        lambda: file_bytes(container_bytes(b"", declared=1 << 30, deflated=bomb())),
+        "declares 1073741824 bytes, more than is allowed",
+    ),
+    "bomb that lies": (
+        lambda: file_bytes(container_bytes(b"", declared=4096, deflated=bomb())),
+        "inflates to more than the 4096 bytes",
+    ),
+    "frame cut off in the last container": (
+        lambda: file_bytes(container_bytes(GOOD + GOOD[:30])),
+        "object of 48 bytes at byte 48 of the inflated contents is cut off",
+    ),
+    "rubbish between frames": (
+        lambda: file_bytes(container_bytes(GOOD + b"rubbish!" + GOOD)),
+        "no object at byte 48",
+    ),
+    "unknown compression": (
+        lambda: file_bytes(container_bytes(GOOD)[:16] + b"\x07" + container_bytes(GOOD)[17:]),
+        "unknown compression 7",
+    ),
+    "frame of 9 bytes": (
+        lambda: file_bytes(container_bytes(object_bytes(1, struct.pack("<HBBL8s", 1, 0, 9, 1, b"12345678")))),
+        "a frame of 9 bytes",
+    ),
+    "time beyond this age": (
+        lambda: file_bytes(container_bytes(object_bytes(1, CAN_BODY, 1 << 63))),
+        "a time beyond this age",
+    ),
+    "unit of time": (lambda: file_bytes(container_bytes(object_bytes(1, CAN_BODY, 1, flags=3))), "unknown unit"),
+    "CAN FD": (lambda: file_bytes(container_bytes(object_bytes(100, bytes(84)))), "is a CAN FD frame"),
+    "two buses": (
+        lambda: file_bytes(container_bytes(GOOD + object_bytes(1, b"\2" + CAN_BODY[1:]))),
+        "several buses",
+    ),
+    "frame outside a container": (lambda: file_bytes(GOOD), "frame outside a container at byte 144"),
+    "no date": (
+        lambda: file_bytes(container_bytes(GOOD)).replace(struct.pack("<2H", 2025, 6), b"\1\0\x63\0"),
+        "no date",
+    ),
+    "empty file": (lambda: b"", "is no BLF log"),
+    "text": (lambda: b"hello, this is no log\n" * 50, "is no BLF log"),
+    "header only": (lambda: b"LOGG" + bytes(20), "is no BLF file"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_blf_file_is_refused_with_file_and_byte(tmp_path: Path, name: str) -> None:
+    make, reason = BROKEN[name]
+    path = tmp_path / "N-7__broken.blf"
+    path.write_bytes(make())
+    with pytest.raises(LogFileError) as caught:
+        read_log(path)
+    assert caught.value.file == str(path)
+    assert reason in caught.value.reason
+
+
+@pytest.mark.parametrize("suffix", [".blf", *TEXT_FORMATS])
+def test_every_truncation_is_seen(tmp_path: Path, suffix: str) -> None:
+    whole = tmp_path / f"whole{suffix}"
+    write_log(whole, some_frames(4000))
+    content = whole.read_bytes()
+    cuts = np.linspace(5, len(content) - 1, 60 if suffix == ".blf" else 4).astype(int)
+    for cut in cuts:
+        path = tmp_path / f"cut{suffix}"
+        path.write_bytes(content[: int(cut)].removesuffix(b"\n"))
+        with pytest.raises(LogFileError) as caught:
+            read_log(path)
+        assert caught.value.file == str(path)
+
+
+def test_a_file_that_was_appended_to_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "long.blf"
+    write_log(path, some_frames())
+    with path.open("ab") as file:
+        file.write(b"\0" * 200)
+    with pytest.raises(LogFileError, match="never closed"):
+        read_log(path)
+
+
+def test_flipped_bits_never_pass_unseen_or_raise_anything_else(tmp_path: Path) -> None:
+    """Whatever byte of a container is damaged, zlib's checksum or the structure tells."""
+    path = tmp_path / "flipped.blf"
+    write_log(path, some_frames(300))
+    content = bytearray(path.read_bytes())
+    rng = np.random.default_rng(0)
+    for at in rng.integers(144 + 32, len(content) - 3, 150):
+        broken = bytearray(content)
+        broken[at] ^= 0x10
+        path.write_bytes(broken)
+        with pytest.raises(LogFileError):
+            read_log(path)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "damage", "line"),
+    [(".log", b"181#00", 7), (".log", b"garbage", 7), (".asc", b"garbage", 9), (".asc", b"0.5 1 181 Rx d 8 1 2 zz", 9)],
+)
+def test_a_damaged_line_is_named(tmp_path: Path, suffix: str, damage: bytes, line: int) -> None:
+    path = tmp_path / f"damaged{suffix}"
+    write_log(path, some_frames(50))
+    lines = path.read_bytes().split(b"\n")
+    lines[line - 1] = damage
+    path.write_bytes(b"\n".join(lines))
+    with pytest.raises(LogFileError) as caught:
+        read_log(path)
+    assert (caught.value.file, caught.value.line) == (str(path), line)
+
+
+def test_asc_times_are_absolute_and_utc(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """python-can's default is relative, dates are local, and it writes 7 ms as ``.7``: none of that comes through."""
+    monkeypatch.setenv("TZ", "America/New_York")
+    text = (
+        "date Thu Jun 12 10:00:00.{ms} 2025\nbase hex  timestamps absolute\ninternal events logged\n"
+        "Begin Triggerblock Thu Jun 12 10:00:00.{ms} 2025\n 0.000000 Start of measurement\n"
+        " 0.250000 1  181             Rx   d 2 01 02 \nEnd TriggerBlock\n"
+    )
+    for written, milliseconds in (("7", 7), ("070", 70), ("700", 700)):
+        path = tmp_path / "recording.asc"
+        path.write_text(text.format(ms=written))
+        batch = read_log(path)
+        assert batch.t_ns.tolist() == [1_749_722_400_000_000_000 + (milliseconds + 250) * 1_000_000]
+        assert batch.channel == "can0"
+
+
+def test_contents_and_suffix_must_agree(tmp_path: Path) -> None:
+    path = tmp_path / "recording.blf"
+    write_log(path, some_frames())
+    other = path.rename(tmp_path / "recording.asc")
+    with pytest.raises(LogFileError, match=r"called \.asc but holds a BLF log"):
+        read_log(other)
+    with pytest.raises(LogFileError, match="suffix is none of"):
+        read_log(path.with_suffix(".txt"))
+    with pytest.raises(LogFileError, match="No such file"):
+        read_log(path)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("asammdf") is not None, reason="the extra 'mf4' is installed")
+def test_mf4_without_its_extra_names_it(tmp_path: Path) -> None:
+    path = tmp_path / "recording.mf4"
+    path.write_bytes(b"MDF     4.10" + bytes(200))
+    with pytest.raises(LogFileError, match="extra 'mf4'"):
+        read_log(path)
+
+
+def test_the_child_is_held_to_its_limits(tmp_path: Path) -> None:
+    path = tmp_path / "recording.log"
+    write_log(path, some_frames(3000))
+    with pytest.raises(LogFileError, match="more than 100 frames"):
+        read_log(path, ReadLimits(frames=100))
+    with pytest.raises(LogFileError, match=r"longer than 0\.01 s"):
+        read_log(path, ReadLimits(seconds=0.01))
+    with pytest.raises(LogFileError):
+        read_log(path, ReadLimits(memory_bytes=40 << 20))
+    blf = tmp_path / "recording.blf"
+    write_log(blf, some_frames(9000))
+    with pytest.raises(LogFileError, match="inflates to more than 200000 bytes"):
+        read_log(blf, ReadLimits(inflated_bytes=200_000))
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(LogFileError, match="nowhere"):
+        write_log(tmp_path / "nowhere" / "recording.blf", some_frames())
+    with pytest.raises(LogFileError, match="nowhere"):
+        write_with_library(tmp_path / "nowhere" / "recording.asc", some_frames())
