@@ -9,6 +9,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
 from api.problems import Problem
+from api.schemas.common import Uncertain
 
 DESCRIPTION = """
 Fleet health monitoring of wheel-rail wear: contact geometry, equivalent conicity, trends and alerts per wheelset.
@@ -35,6 +36,7 @@ def document(app: FastAPI) -> dict[str, Any]:
     _, definitions = models_json_schema([(Problem, "serialization")], ref_template=template)
     schemas = found.setdefault("components", {}).setdefault("schemas", {})
     schemas.update(definitions["$defs"])
+    schemas["Uncertain"]["examples"] = Uncertain.model_json_schema()["examples"]  # FastAPI drops the nulls in them
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
     found["components"]["schemas"] = dict(sorted(schemas.items()))

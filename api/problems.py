@@ -107,6 +107,9 @@ def _bad_input(error: InputError) -> ProblemError:
 
 
 def _plain(error: HTTPException) -> ProblemError:
+    if error.status_code == HTTPStatus.BAD_REQUEST:  # the framework could not even decode the body
+        item = ProblemItem(part="body", pointer=pointer([]), detail="is no JSON in UTF-8")
+        return ProblemError(422, "invalid-request", "the body is no JSON in UTF-8", [item])
     return ProblemError(
         error.status_code, _KIND_OF_STATUS.get(error.status_code, ""), str(error.detail), headers=error.headers or {}
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import threading
 import time
-from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -13,20 +12,14 @@ import typer
 from rich.console import Console
 
 from api import logs
-from api.commands.estimate import run_in_order, summary
-from api.commands.ingest import receive_with_progress, recordings_of
-from api.commands.ingest import summary as reception_summary
 from api.commands.simulate import simulate_with_progress
+from api.demo.replay import ending_now, replay
 from api.demo.service import free_port, serving
 from api.demo.table import get, lines, table
-from api.factory import SystemClock, job_context, open_store, raw_store, scheduled_jobs
-from api.settings import Settings, load_settings
+from api.settings import load_settings
 from estimation.errors import StorageError
 from estimation.jobs.scheduler import stop_on_signals
 from fleet_db.migrate import upgrade
-from ingest.catalogue import default_catalogue
-from ingest.receiver import Receiver
-from ingest.registry_file import load_registry
 from ingest.simulator.scenario_file import load_scenario
 
 MARKER = "made-by-treadwatch-demo"
@@ -49,12 +42,11 @@ def demo(
     settings = load_settings(data_dir=data, port=free_port("127.0.0.1", port))
     settings = settings.model_copy(update={"database_url": None, "host": "127.0.0.1", "log_level": "warning"})
     logs.configure(settings)
-    plan = load_scenario(scenario)
+    plan = ending_now(load_scenario(scenario), time.time_ns())
     console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)
     report = simulate_with_progress(plan, recordings, console)
     upgrade(settings.url)
-    _receive(settings, recordings, report.registry, console)
-    _estimate(settings, console)
+    console.print(replay(settings, plan, report, console))
     with serving(settings) as url:
         found = lines(url, report.truth)
         console.print(table(found), soft_wrap=not console.is_terminal)
@@ -80,29 +72,6 @@ def _make_anew(folder: Path) -> None:
         shutil.rmtree(folder)
     folder.mkdir(parents=True)
     (folder / MARKER).touch()
-
-
-def _receive(settings: Settings, recordings: Path, registry: Path, console: Console) -> None:
-    with closing(open_store(settings)) as storage:
-        with storage.write() as unit:
-            load_registry(registry, unit)
-        receiver = Receiver(
-            storage, raw_store(settings), default_catalogue(), SystemClock(), window_length_s=settings.window_length_s
-        )
-        outcomes = list(receive_with_progress(receiver, recordings_of([recordings], None), console))
-    console.print(reception_summary(outcomes))
-    for _, outcome in outcomes:
-        if isinstance(outcome, Exception):
-            raise outcome
-
-
-def _estimate(settings: Settings, console: Console) -> None:
-    with closing(open_store(settings)) as storage:
-        runs = run_in_order(scheduled_jobs(settings), job_context(settings, storage), console)
-    console.print(summary(runs))
-    failed = [f"{run.job}: {run.error}" for run in runs if run.outcome != "succeeded"]
-    if failed:
-        raise StorageError("; ".join(failed))
 
 
 def _say_where(url: str, console: Console) -> None:

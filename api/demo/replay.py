@@ -1,0 +1,146 @@
+"""Years of a fleet in a minute: recordings come in campaign by campaign, and the jobs run after each.
+
+The clock stands at the evening of each campaign, so that what is stored (receipts, geometries, trends, alerts raised
+and closed) has the times it would have had.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from api.factory import job_context, open_store, raw_store, scheduled_jobs
+from api.settings import Settings
+from estimation.errors import StorageError
+from estimation.jobs.job import Job, JobContext, run_job
+from fleet_db.storage import SqlStorage
+from ingest.catalogue import default_catalogue
+from ingest.receiver import Receiver
+from ingest.registry_file import load_registry
+from ingest.simulator.fleet import FleetReport, Recording
+from ingest.simulator.scenario import Scenario
+
+HOUR_NS = 3_600 * 1_000_000_000
+DAY_NS = 24 * HOUR_NS
+
+
+@dataclass(slots=True)
+class ReplayClock:
+    """A clock that stands where the replay has come to."""
+
+    now: int
+
+    def now_ns(self) -> int:
+        """Return the replayed time, later at each call as recorded times must be."""
+        self.now += 1_000_000
+        return self.now
+
+
+def ending_now(scenario: Scenario, now_ns: int) -> Scenario:
+    """Return the scenario moved in time so that its last campaign was the day before ``now_ns``."""
+    last = max(scenario.start_ns(vehicle, scenario.sessions.campaigns - 1) for vehicle in scenario.vehicles)
+    days = (now_ns - last) // DAY_NS - 1
+    return replace(scenario, sessions=replace(scenario.sessions, start_ns=scenario.sessions.start_ns + days * DAY_NS))
+
+
+def replay(settings: Settings, scenario: Scenario, report: FleetReport, console: Console) -> Table:
+    """Receive and estimate the whole history; return what was done, as a table.
+
+    Raises
+    ------
+    TreadwatchError
+        A recording was rejected.
+    StorageError
+        A job failed.
+    """
+    columns = (
+        SpinnerColumn(),
+        TextColumn("receiving and estimating, campaign by campaign"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[what]}"),
+        TimeElapsedColumn(),
+    )
+    clock = ReplayClock(scenario.sessions.start_ns - DAY_NS)
+    with closing(open_store(settings)) as storage, Progress(*columns, console=console) as progress:
+        with storage.write() as unit:
+            load_registry(report.registry, unit)
+        context = replace(job_context(settings, storage), clock=clock)
+        receiver = _receiver(settings, storage, clock)
+        campaigns = _by_campaign(report)
+        bar = progress.add_task("", total=len(campaigns), what="")
+        tally = _Tally()
+        for campaign in sorted(campaigns):
+            clock.now = max(clock.now, _evening(scenario, campaign))
+            progress.update(bar, what="receiving")
+            tally.receive(receiver, campaigns[campaign])
+            for job in scheduled_jobs(settings):
+                progress.update(bar, what=job.name)
+                tally.run(job, context)
+            progress.update(bar, advance=1)
+        progress.update(bar, what="done")
+    return tally.table()
+
+
+class _Tally:
+    """What was done, added up."""
+
+    def __init__(self) -> None:
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+        self.counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
+
+    def receive(self, receiver: Receiver, recordings: Sequence[Recording]) -> None:
+        began = time.monotonic()
+        files: list[tuple[Path, str]] = [(recording.path, recording.vehicle) for recording in recordings]
+        for _, receipt in receiver.receive_files(files):
+            if isinstance(receipt, Exception):
+                raise receipt
+            self.add("receive", {"recordings": 1, "windows": receipt.windows_changed}, 0.0)
+            self.add("receive", {k: v for k, v in receipt.record.counts.items() if k in SHOWN}, 0.0)
+        self.seconds["receive"] += time.monotonic() - began
+
+    def run(self, job: Job, context: JobContext) -> None:
+        began = time.monotonic()
+        run = run_job(job, context, "schedule")
+        if run.outcome != "succeeded":
+            raise StorageError(f"job {job.name} {run.outcome}: {run.error}")
+        self.add(job.name, {"runs": 1, **run.counts}, time.monotonic() - began)
+
+    def add(self, what: str, counts: Mapping[str, int], seconds: float) -> None:
+        self.counts[what].update(counts)
+        self.seconds[what] += seconds
+
+    def table(self) -> Table:
+        table = Table("step", "seconds", "what it did")
+        for what, counts in self.counts.items():
+            text = ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in counts.items() if count)
+            table.add_row(what, f"{self.seconds[what]:.1f}", text)
+        return table
+
+
+SHOWN = ("frames", "samples_lost", "invalid_values", "emergencies")
+
+
+def _receiver(settings: Settings, storage: SqlStorage, clock: ReplayClock) -> Receiver:
+    return Receiver(storage, raw_store(settings), default_catalogue(), clock, window_length_s=settings.window_length_s)
+
+
+def _by_campaign(report: FleetReport) -> dict[int, list[Recording]]:
+    campaigns: defaultdict[int, list[Recording]] = defaultdict(list)
+    for recording in report.recordings:
+        campaigns[recording.campaign].append(recording)
+    return campaigns
+
+
+def _evening(scenario: Scenario, campaign: int) -> int:
+    """Return the time at which a campaign (from 1) of every vehicle has come in."""
+    last = max(scenario.start_ns(vehicle, campaign - 1) for vehicle in scenario.vehicles)
+    return last + round(scenario.sessions.duration * 1e9) + HOUR_NS

@@ -1,0 +1,146 @@
+"""The OpenAPI document: committed, stable, true to what the service answers."""
+
+from __future__ import annotations
+
+import json
+import re
+from importlib.resources import files
+from typing import Any
+
+import jsonschema_rs
+import pytest
+import schemathesis
+from hypothesis import HealthCheck, Phase, given, settings
+from running_service import Service
+from schemathesis.checks import not_a_server_error
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    negative_data_rejection,
+    response_schema_conformance,
+    status_code_conformance,
+    unsupported_method,
+)
+
+from api.app import describe
+from api.commands.openapi import document_text
+
+DOCUMENT = json.loads(document_text())
+HEADERS = {"If-Match", "If-None-Match", "Idempotency-Key"}
+
+
+def operations() -> list[tuple[str, str, dict[str, Any]]]:
+    return [(path, method, one) for path, item in DOCUMENT["paths"].items() for method, one in item.items()]
+
+
+def test_the_committed_document_is_what_the_routes_say() -> None:
+    committed = (files("api") / "openapi.json").read_text(encoding="utf-8")
+    assert committed == document_text(), "it has drifted; run: treadwatch openapi --write"
+
+
+def test_the_document_is_openapi_3_1() -> None:
+    assert DOCUMENT["openapi"].startswith("3.1.")
+
+
+def test_operations_have_stable_names() -> None:
+    names = [operation["operationId"] for _, _, operation in operations()]
+    assert len(names) == len(set(names))
+    assert all(re.fullmatch("[a-z]+(_[a-z]+)+", name) for name in names)
+    assert {"get_geometry", "get_trend", "poll_alert_feed", "acknowledge_alert", "run_job_now"} <= set(names)
+
+
+def test_paths_carry_the_version_and_problems_are_described() -> None:
+    for path, method, operation in operations():
+        if path in {"/healthz", "/readyz", "/metrics"}:
+            continue
+        assert path.startswith("/v1/")
+        refusals = {status for status in operation["responses"] if status >= "400"}
+        assert {"406", "422"} <= refusals
+        for status in refusals:
+            assert set(operation["responses"][status]["content"]) == {"application/problem+json"}
+        if method == "post" and not path.startswith("/v1/jobs"):
+            assert {"412", "428", "409", "404"} <= refusals
+
+
+def test_numbers_say_their_unit_in_their_names() -> None:
+    bare = {
+        "Uncertain": {"value", "std", "interval_95"},
+        "Alert": {"raise_limit", "clear_limit", "id", "occurrence_count", "version"},
+        "BinColumn": {"value", "std"},
+        "DistanceForecast": {"p10", "p50", "p90"},
+    }
+    counts = {"axle", "axles", "baseline", "gaps", "id", "n_windows", "number", "passes", "status", "version"}
+    units = ("_mm", "_m", "_km", "_m_s", "_1", "_s", "_rad", "_per_mm", "_per_1000_km", "_per_year")
+    for name, schema in DOCUMENT["components"]["schemas"].items():
+        for field, described in schema.get("properties", {}).items():
+            text = json.dumps(described)
+            numeric = '"type": "number"' in text or '"type": "integer"' in text
+            if numeric and field not in counts | bare.get(name, set()) | {"counts", "track_versions", "evidence"}:
+                assert field.endswith(units), f"{name}.{field}"
+
+
+def test_examples_validate() -> None:
+    checked = 0
+    for name, schema in DOCUMENT["components"]["schemas"].items():
+        for field, described in [("", schema), *schema.get("properties", {}).items()]:
+            whole = {**described, "components": DOCUMENT["components"]}
+            for example in described.get("examples", ()):
+                problems = [str(error) for error in jsonschema_rs.validator_for(whole).iter_errors(example)]
+                assert problems == [], f"{name}.{field}: {problems}"
+                checked += 1
+    for path, _, operation in operations():
+        for parameter in operation.get("parameters", ()):
+            for example in parameter["schema"].get("examples", ()):
+                jsonschema_rs.validate(parameter["schema"], example)
+                checked += 1
+            assert "examples" not in parameter, path
+    assert checked > 30
+
+
+@pytest.fixture(scope="session")
+def described_operations(service: Service) -> list[Any]:
+    """Return the operations as schemathesis reads them from the running service."""
+    schema = schemathesis.openapi.from_url(f"{service.url}/openapi.json")
+    return [result.ok() for result in schema.get_all_operations()]
+
+
+def test_the_service_answers_whatever_it_is_asked_as_the_document_says(described_operations: list[Any]) -> None:
+    checks = [
+        not_a_server_error,
+        content_type_conformance,
+        response_schema_conformance,
+        status_code_conformance,
+        negative_data_rejection,
+        unsupported_method,
+    ]
+    assert len(described_operations) == len(operations())
+    for operation in described_operations:
+        if operation.path == "/v1/jobs/{name}/runs" and operation.method == "post":
+            continue  # what a run changes is held in its own test
+        for mode in _modes(operation):
+
+            @settings(
+                max_examples=8,
+                derandomize=True,
+                database=None,
+                deadline=None,
+                phases=[Phase.explicit, Phase.generate],
+                suppress_health_check=list(HealthCheck),
+            )
+            @given(case=operation.as_strategy(generation_mode=mode))
+            def ask(case: Any) -> None:
+                case.call_and_validate(checks=checks)
+
+            ask()
+
+
+def _modes(operation: Any) -> list[schemathesis.GenerationMode]:
+    """Return how an operation can be asked: wrongly only where it takes something that can be wrong."""
+    described = DOCUMENT["paths"][operation.path][operation.method]
+    takes = [one for one in described.get("parameters", ()) if one["in"] != "header"]
+    if takes or "requestBody" in described:
+        return list(schemathesis.GenerationMode)
+    return [schemathesis.GenerationMode.POSITIVE]
+
+
+def test_describing_needs_no_database() -> None:
+    assert describe().openapi()["info"]["title"] == "treadwatch"
