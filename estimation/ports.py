@@ -239,6 +239,9 @@ class BinTables(Protocol):
     def put(
         self, wheelset: str, start_ns: int, table: BinTable, track_version: int | None, window_digest: str
     ) -> None: ...
+    def index(
+        self, wheelset: str, from_ns: int, to_ns: int | None
+    ) -> Sequence[tuple[WindowRecord, str, int | None]]: ...
     def stream(
         self, wheelset: str, from_ns: int, to_ns: int | None
     ) -> Iterator[tuple[WindowRecord, BinTable, int | None]]: ...

@@ -14,6 +14,7 @@ from estimation.settings import EstimationSettings
 from estimation.types import BinTable
 
 _STALE_AT_ONCE = 10_000
+REMEMBERED_HALF_LIVES = 20.0  # a weight of one in a million
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +42,11 @@ def run(context: JobContext) -> Mapping[str, int]:
         stale = unit.geometries.stale(_STALE_AT_ONCE)
     for done, serial in enumerate(stale, start=1):
         with context.storage.read() as unit:
+            change = unit.geometries.change(serial)
             records = refreshed(unit, serial, context)
         with context.storage.write() as unit:
             counts["geometries"] += sum(unit.geometries.put(record) for record in records)
+            unit.geometries.settle(serial, change)
         counts["wheelsets"] += 1
         context.checkpoint(done, len(stale))
     return counts
@@ -51,28 +54,30 @@ def run(context: JobContext) -> Mapping[str, int]:
 
 JOB = Job("refresh_geometry", "Merge bin tables into wheelset geometries", every_s=300.0, run=run)
 
-_Entry = tuple[WindowRecord, BinTable, int | None]
+_Entry = tuple[WindowRecord, str, int | None]  # window, parameter key, track version
 
 
 def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[GeometryRecord]:
-    """Return the geometries of one wheelset whose inputs differ from what is stored; ``current`` always comes last."""
+    """Return the geometries of one wheelset whose inputs differ from what is stored; the current one comes last.
+
+    Only the tables that such a geometry needs are read, so that new windows cost themselves and not the history.
+    """
     settings = context.setting(EstimationSettings)
-    key = settings.bins.key
     records: list[GeometryRecord] = []
     for baseline in baselines(unit.registry.wheelset(serial)):
-        entries = [e for e in unit.tables.stream(serial, baseline.from_ns, baseline.to_ns) if e[1].parameter_key == key]
+        index = unit.tables.index(serial, baseline.from_ns, baseline.to_ns)
+        entries = [entry for entry in index if entry[1] == settings.bins.key]
         if not entries:
             continue
-        known = {record.interval: record.input_digest for record in unit.geometries.intervals(serial, baseline.number)}
+        stored = {r.interval: r.input_digest for r in unit.geometries.intervals(serial, baseline.number)}
         for interval, part in _by_interval(entries, baseline, settings.interval_km).items():
-            if known.get(interval) != _digest(part, context.code_version):
-                table = bins.merge_all([entry[1] for entry in part], settings.bins)
-                records.append(_record(serial, baseline, interval, part, table, context))
+            if stored.get(interval) != _digest(part, context.code_version):
+                table = bins.merge_all([table for _, table in _tables(unit, part)], settings.bins)
+                records.append(_record(baseline, interval, part, table, context))
         if baseline.to_ns is None:
-            faded = bins.merge_with_mileage(
-                [(entry[0].mileage_km, entry[1]) for entry in entries], settings.half_life_km, settings.bins
-            )
-            records.append(_record(serial, baseline, None, entries, faded, context))
+            near = _remembered(entries, settings.half_life_km)
+            table = bins.merge_with_mileage(_tables(unit, near), settings.half_life_km, settings.bins)
+            records.append(_record(baseline, None, near, table, context))
     return records
 
 
@@ -83,15 +88,31 @@ def _by_interval(entries: Sequence[_Entry], baseline: Baseline, interval_km: flo
     return parts
 
 
+def _remembered(entries: Sequence[_Entry], half_life_km: float) -> list[_Entry]:
+    """Return the entries that forgetting has left a weight worth keeping."""
+    newest = max(entry[0].mileage_km for entry in entries)
+    return [entry for entry in entries if newest - entry[0].mileage_km <= REMEMBERED_HALF_LIVES * half_life_km]
+
+
+def _tables(unit: UnitOfWork, entries: Sequence[_Entry]) -> list[tuple[float, BinTable]]:
+    """Return mileage and table of the entries, oldest first."""
+    wanted = {entry[0].start_ns for entry in entries}
+    first, last = entries[0][0], entries[-1][0]
+    return [
+        (window.mileage_km, table)
+        for window, table, _ in unit.tables.stream(first.wheelset, first.start_ns, last.start_ns + 1)
+        if window.start_ns in wanted
+    ]
+
+
 def _digest(entries: Sequence[_Entry], code_version: str) -> str:
     text = hashlib.sha256(code_version.encode())
-    for window, table, version in entries:
-        text.update(f"{window.start_ns} {window.content_digest} {table.parameter_key} {version}\n".encode())
+    for window, key, version in entries:
+        text.update(f"{window.start_ns} {window.content_digest} {key} {version}\n".encode())
     return text.hexdigest()
 
 
 def _record(
-    serial: str,
     baseline: Baseline,
     interval: int | None,
     entries: Sequence[_Entry],
@@ -102,10 +123,10 @@ def _record(
     windows = [entry[0] for entry in entries]
     versions = {w.track_section: v for w, _, v in entries if w.track_section is not None and v is not None}
     return GeometryRecord(
-        wheelset=serial,
+        wheelset=windows[0].wheelset,
         baseline=baseline.number,
         interval=interval,
-        mileage_km=sum(w.mileage_km for w in windows) / len(windows),
+        mileage_km=_mean_mileage(windows, None if interval is not None else settings.half_life_km),
         from_ns=windows[0].start_ns,
         to_ns=windows[-1].start_ns + windows[-1].length_ns,
         geometry=geometry.estimate(table, settings.bins, settings.geometry),
@@ -115,3 +136,10 @@ def _record(
         code_version=context.code_version,
         recorded_ns=context.clock.now_ns(),
     )
+
+
+def _mean_mileage(windows: Sequence[WindowRecord], half_life_km: float | None) -> float:
+    """Return the mean mileage, weighted as forgetting weights the windows."""
+    newest = max(w.mileage_km for w in windows)
+    weights = [1.0 if half_life_km is None else 0.5 ** ((newest - w.mileage_km) / half_life_km) for w in windows]
+    return sum(weight * w.mileage_km for weight, w in zip(weights, windows, strict=True)) / sum(weights)

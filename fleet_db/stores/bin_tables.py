@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from sqlalchemy import Connection, and_, select
+from sqlalchemy import Connection, Select, and_, select
 
 from estimation.errors import ConflictError
 from estimation.ports import WindowRecord
@@ -52,6 +53,12 @@ class BinTableStore:
         if upsert(self.connection, TABLES, values):
             self.changes.note(wheelset)
 
+    def index(self, wheelset: str, from_ns: int, to_ns: int | None) -> Sequence[tuple[WindowRecord, str, int | None]]:
+        """Return what :meth:`stream` would yield without the tables: window, parameter key, track version."""
+        statement = _selected(select(WINDOWS, TABLES.c.parameter_key, TABLES.c.track_version), wheelset, from_ns, to_ns)
+        rows = self.connection.execute(statement)
+        return [(to_window_record(row), row.parameter_key, row.track_version) for row in rows]
+
     def stream(
         self, wheelset: str, from_ns: int, to_ns: int | None
     ) -> Iterator[tuple[WindowRecord, BinTable, int | None]]:
@@ -62,15 +69,17 @@ class BinTableStore:
         StorageError
             A table is damaged; names the window.
         """
-        same = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
-        statement = (
-            select(WINDOWS, TABLES.c.track_version, TABLES.c.packed)
-            .join_from(WINDOWS, TABLES, same)
-            .where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns >= from_ns)
-            .order_by(WINDOWS.c.start_ns)
-        )
-        if to_ns is not None:
-            statement = statement.where(WINDOWS.c.start_ns < to_ns)
+        statement = _selected(select(WINDOWS, TABLES.c.track_version, TABLES.c.packed), wheelset, from_ns, to_ns)
         for row in self.connection.execute(statement.execution_options(yield_per=BATCH)):
             where = f"bin table of window {wheelset}@{row.start_ns}"
             yield to_window_record(row), unpack_bin_table(row.packed, where=where), row.track_version
+
+
+def _selected(columns: Select[Any], wheelset: str, from_ns: int, to_ns: int | None) -> Select[Any]:
+    same = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
+    statement = (
+        columns.join_from(WINDOWS, TABLES, same)
+        .where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns >= from_ns)
+        .order_by(WINDOWS.c.start_ns)
+    )
+    return statement if to_ns is None else statement.where(WINDOWS.c.start_ns < to_ns)
