@@ -17,6 +17,7 @@ import numpy as np
 
 from estimation.errors import ConflictError, ParameterError
 from estimation.types import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from ingest.canopen import SYNC_ID
 from ingest.frames import DATA_BYTES, DEFAULT_CHANNEL, empty_batch, sealed, sort_by_time
 from ingest.logs import write_log
 
@@ -158,6 +159,8 @@ def send(
 ) -> int:
     """Send frames at the pace of their time stamps, the first at once; return how many were sent.
 
+    The frames of a cycle go out right behind their SYNC: a pause between them could grow beyond the cycle.
+
     Raises
     ------
     ConflictError
@@ -167,6 +170,8 @@ def send(
         return 0
     begin = clock_s()
     due = begin + (batch.t_ns - batch.t_ns[0]) * 1e-9
+    sync = np.maximum.accumulate(np.where(batch.arbitration_id == SYNC_ID, np.arange(len(batch)), -1))
+    due[sync >= 0] = due[sync[sync >= 0]]
     for position, message in enumerate(messages_of(batch)):
         ahead = float(due[position]) - clock_s()
         if ahead > 0.0:

@@ -54,15 +54,24 @@ class SyncClock:
     def ticks(self, t_ns: IntArray) -> IntArray:
         """Return the SYNC number that frames stamped ``t_ns`` (n,) belong to, or ``UNPLACED``.
 
-        A frame belongs to the SYNC of its cycle. Where that SYNC is lost, its instant follows from the one before,
-        over at most ``SYNC_REACH`` cycles.
+        A frame belongs to the SYNC before it. Recorders jitter: one stamped just before a SYNC that came in time
+        belongs to that. Where a SYNC is lost, its instant follows from the one before, over at most ``SYNC_REACH``
+        cycles; the number of the next SYNC says how many were lost, so that a frame that is stamped late, with none
+        lost, is still taken for what it is.
         """
         if len(self.t_ns) == 0:
             return np.full(len(t_ns), UNPLACED)
-        latest = t_ns + self.interval_ns // EARLY
-        at = np.searchsorted(self.t_ns, latest, side="right") - 1
-        cycles = (latest - self.t_ns[at]) // self.interval_ns
-        return np.where((at >= 0) & (cycles <= SYNC_REACH), self.tick[at] + cycles, UNPLACED)
+        slack = self.interval_ns // EARLY
+        steps = np.diff(self.tick)
+        in_time = np.abs(np.diff(self.t_ns) - steps * self.interval_ns) <= slack
+        lost = np.append(np.clip(steps - 1, 0, None), SYNC_REACH + 1)
+        before = np.searchsorted(self.t_ns, t_ns, side="right") - 1
+        after = np.minimum(before + 1, len(self.t_ns) - 1)
+        early = (self.t_ns[after] > t_ns) & (self.t_ns[after] - t_ns <= slack)
+        early &= (before < 0) | np.append(in_time, np.False_)[before]
+        cycles = np.minimum((t_ns + slack - self.t_ns[before]) // self.interval_ns, lost[before])
+        placed = np.where((before >= 0) & (cycles <= SYNC_REACH), self.tick[before] + cycles, UNPLACED)
+        return np.where(early, self.tick[after], placed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,6 +85,23 @@ def test_a_lost_sync_costs_no_sample_but_is_counted() -> None:
     assert np.array_equal(result.messages[ACCELERATION_1].tick, run.ticks)
 
 
+def test_frames_stamped_late_belong_to_the_sync_before_them() -> None:
+    """A listener that was held up stamps a frame 17 ms late; the SYNC after it says that none was lost."""
+    run = Run(seconds=5.0)
+    batch = run.frames()
+    t_ns = batch.t_ns.copy()
+    begin = position_of(batch, SYNC_ID, 300)
+    t_ns[begin + 1 : position_of(batch, SYNC_ID, 305)] = t_ns[begin] + 17_000_000
+    t_ns[begin + 1 :] = np.maximum.accumulate(t_ns[begin + 1 :] + np.arange(len(t_ns) - begin - 1))
+    result = placed(FrameBatch("can0", t_ns, batch.arbitration_id, batch.dlc, batch.data))
+    assert np.array_equal(result.messages[ACCELERATION_1].tick, run.ticks)
+    lateral = run.accelerations(1)["lateral_acceleration"]
+    assert np.array_equal(
+        result.messages[ACCELERATION_1].raw[:, 0] * result.messages[ACCELERATION_1].plan.signals[0].scale, lateral
+    )
+    assert result.align_counts.conflicting_frames == 0
+
+
 def test_frames_far_from_any_sync_have_no_instant() -> None:
     run = Run(seconds=5.0)
     batch = run.frames()

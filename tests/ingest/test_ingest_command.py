@@ -1,0 +1,131 @@
+"""``treadwatch ingest``, as a person starts it: files, folders, a live bus."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from test_bus import GROUP, multicast_problem
+from typer.testing import CliRunner
+from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
+
+from api.cli import build
+from estimation.errors import InputError, ParameterError
+from fleet_db.migrate import upgrade
+from fleet_db.session import database_engine
+from fleet_db.storage import SqlStorage
+from ingest.bus import open_bus, send
+from ingest.logs import write_log
+
+
+@pytest.fixture
+def deployment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sqlite_url: str) -> SqlStorage:
+    """Point the settings at a migrated database that knows the vehicle."""
+    monkeypatch.setenv("TREADWATCH_DATABASE_URL", sqlite_url)
+    monkeypatch.setenv("TREADWATCH_DATA_DIR", str(tmp_path / "data"))
+    monkeypatch.setenv("TREADWATCH_WINDOW_LENGTH_S", "10")
+    storage = SqlStorage(database_engine(sqlite_url), tmp_path / "data")
+    with storage.write() as unit:
+        register(unit)
+    storage.close()
+    return storage
+
+
+def run(*arguments: str) -> tuple[int, str]:
+    result = CliRunner().invoke(build(["ingest"]), ["ingest", *arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.output
+
+
+def recordings(folder: Path) -> Path:
+    folder.mkdir()
+    for hour in range(2):
+        batch = Run(seconds=12.0, start_ns=START_NS + 3600 * SECOND_NS * hour).frames()
+        write_log(folder / f"{VEHICLE}__{hour}.blf", batch)
+    return folder
+
+
+def test_a_folder_is_received_once(deployment: SqlStorage, tmp_path: Path) -> None:
+    folder = recordings(tmp_path / "in")
+    code, said = run(str(folder))
+    assert code == 0, said
+    assert VEHICLE in said
+    with deployment.read() as unit:
+        assert unit.windows.counts()["pending"] == 8
+    code, said = run(str(folder))
+    assert code == 0, said
+    with deployment.read() as unit:
+        assert unit.windows.counts()["pending"] == 8
+
+
+def test_a_bad_recording_is_named_and_the_others_go_on(deployment: SqlStorage, tmp_path: Path) -> None:
+    folder = recordings(tmp_path / "in")
+    (folder / f"{VEHICLE}__00.blf").write_bytes(b"LOGG but not really")
+    code, said = run(str(folder))
+    assert code == 1
+    assert f"{VEHICLE}__00.blf" in said
+    with deployment.read() as unit:
+        assert unit.windows.counts()["pending"] == 8
+
+
+@pytest.mark.usefixtures("deployment")
+def test_what_cannot_be_meant_is_refused(tmp_path: Path) -> None:
+    unnamed = tmp_path / "recording.blf"
+    write_log(unnamed, Run(seconds=1.0).frames())
+    with pytest.raises(InputError, match=r"recording\.blf: does not tell its vehicle"):
+        run(str(unnamed))
+    with pytest.raises(InputError, match="does not exist"):
+        run(str(tmp_path / "nowhere"))
+    with pytest.raises(InputError, match="holds no recording"):
+        run(str(Path(__file__).parent))
+    with pytest.raises(ParameterError, match="give recordings"):
+        run()
+    with pytest.raises(ParameterError, match="--channel and --vehicle"):
+        run("--interface", "udp_multicast")
+
+
+def test_a_live_bus_is_received_until_told_to_stop(deployment: SqlStorage) -> None:
+    problem = multicast_problem()
+    if problem:
+        pytest.skip(problem)
+    command = [sys.executable, "-c", "from api.cli import main; main()", "ingest", "--interface", "udp_multicast"]
+    command += ["--channel", GROUP, "--vehicle", VEHICLE, "--chunk-seconds", "2"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as listening:
+        assert listening.stderr is not None
+        watchdog = threading.Timer(60.0, listening.kill)
+        watchdog.start()
+        assert "listening to udp_multicast" in listening.stderr.readline()
+        now_ns = time.time_ns() // SECOND_NS * SECOND_NS
+        with open_bus("udp_multicast", GROUP) as bus:
+            time.sleep(0.3)
+            send(bus, Run(seconds=6.0, start_ns=now_ns).frames())
+        time.sleep(0.3)
+        listening.send_signal(signal.SIGTERM)
+        _, said = listening.communicate()
+        watchdog.cancel()
+    assert listening.returncode == 0, said
+    assert "0 dropped" in said
+    with deployment.read() as unit:
+        chunks = unit.chunks.overlapping(VEHICLE, now_ns, now_ns + 10 * SECOND_NS)
+        counts = unit.windows.counts()
+    assert len(chunks) >= 3
+    assert sum(chunk.counts["samples"] for chunk in chunks) == pytest.approx(3000, abs=30)
+    assert counts["pending"] >= 2
+
+
+def test_migrations_are_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TREADWATCH_DATA_DIR", str(tmp_path / "new"))
+    monkeypatch.delenv("TREADWATCH_DATABASE_URL", raising=False)
+    folder = recordings(tmp_path / "in")
+    with pytest.raises(Exception, match="treadwatch db upgrade"):
+        run(str(folder))
+    upgrade(f"sqlite:///{tmp_path / 'new' / 'treadwatch.sqlite'}")
+    code, said = run(str(folder))
+    assert code == 1, "the recordings are kept, but nobody knows the vehicle"
+    assert f"no vehicle '{VEHICLE}'" in said
