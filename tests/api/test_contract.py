@@ -127,13 +127,13 @@ def test_the_service_answers_whatever_it_is_asked_as_the_document_says(described
                 suppress_health_check=list(HealthCheck),
             )
             @given(case=operation.as_strategy(generation_mode=mode))
-            def ask(case: Any) -> None:
+            def ask(case: schemathesis.Case) -> None:
                 case.call_and_validate(checks=checks)
 
             ask()
 
 
-def _modes(operation: Any) -> list[schemathesis.GenerationMode]:
+def _modes(operation: schemathesis.schemas.APIOperation[Any, Any, Any, Any]) -> list[schemathesis.GenerationMode]:
     """Return how an operation can be asked: wrongly only where it takes something that can be wrong."""
     described = DOCUMENT["paths"][operation.path][operation.method]
     takes = [one for one in described.get("parameters", ()) if one["in"] != "header"]

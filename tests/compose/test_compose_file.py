@@ -1,0 +1,84 @@
+"""What docker-compose.yml and the Dockerfile promise."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from compose_file import ROOT, services
+
+from api.cli import COMMANDS
+from api.settings import PREFIX, Settings
+
+PASSWORD = {"POSTGRES_PASSWORD": "only-for-this-test"}
+OURS = ["migrate", "registry", "api", "scheduler", "receiver", "simulated-fleet"]
+
+
+def test_every_service_is_a_subcommand_of_one_image() -> None:
+    everything = services(PASSWORD)
+    assert set(everything) == {"postgres", *OURS}
+    assert {everything[name]["image"] for name in OURS} == {"treadwatch"}
+    known = {command.name for command in COMMANDS}
+    for name in OURS:
+        assert everything[name]["command"][0] in known
+        assert "entrypoint" not in everything[name]
+
+
+def test_every_variable_in_an_environment_is_a_setting() -> None:
+    settings = {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
+    everything = services(PASSWORD)
+    for name in OURS:
+        assert set(everything[name].get("environment", {})) <= settings
+
+
+def test_services_wait_for_what_they_need_and_say_whether_they_are_well() -> None:
+    everything = services(PASSWORD)
+    for name in ("api", "scheduler", "receiver"):
+        assert everything[name]["depends_on"]["migrate"]["condition"] == "service_completed_successfully"
+        assert everything[name]["healthcheck"]["test"]
+    assert everything["migrate"]["depends_on"]["postgres"]["condition"] == "service_healthy"
+    assert everything["postgres"]["healthcheck"]["test"]
+    assert "postgres" not in everything["simulated-fleet"].get("depends_on", {})
+    assert not everything["simulated-fleet"].get("environment")
+
+
+def test_there_is_no_default_secret() -> None:
+    with pytest.raises(AssertionError, match="POSTGRES_PASSWORD"):
+        services({})
+    for name in ("docker-compose.yml", "Dockerfile", ".env.example"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        for match in re.finditer(r"(?i)(password|secret|token)\w*[ \t]*[:=][ \t]*(\S*)", text):
+            assert match[2] in {"", "${POSTGRES_PASSWORD:?set"}, match[0]
+    ignored = (ROOT / ".gitignore").read_text(encoding="utf-8").splitlines()
+    assert ".env" in ignored
+
+
+def test_the_image_runs_one_command_without_privileges_from_pinned_versions() -> None:
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    assert 'ENTRYPOINT ["treadwatch"]' in text
+    assert "--constraint constraints.txt" in text
+    users = re.findall(r"^USER (\S+)$", text, re.MULTILINE)
+    assert users[-1:] == ["treadwatch"]
+    sent = {line[1:] for line in (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines() if line[:1] == "!"}
+    copied = [match.split()[:-1] for match in re.findall(r"^COPY (?!--from)(.*)$", text, re.MULTILINE)]
+    assert {name for names in copied for name in names} == sent
+    rooms = {path.parent.name for path in ROOT.glob("*/__init__.py")} - {"bench"}
+    assert rooms <= sent
+
+
+@pytest.mark.skipif(shutil.which("docker-compose") is None, reason="no docker-compose here")
+def test_docker_compose_accepts_the_file_and_asks_for_the_password(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "docker-compose.yml", tmp_path)
+    command = ["docker-compose", "config", "--quiet"]
+    environment = {name: value for name, value in os.environ.items() if name != "POSTGRES_PASSWORD"}
+    given = subprocess.run(
+        command, cwd=tmp_path, env=environment | PASSWORD, capture_output=True, text=True, check=False
+    )
+    assert given.returncode == 0, given.stderr
+    missing = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert missing.returncode != 0
+    assert "set it in .env" in missing.stderr

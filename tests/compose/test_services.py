@@ -1,0 +1,187 @@
+"""Every service of docker-compose.yml, started natively: frames on a multicast bus become geometry over REST."""
+
+from __future__ import annotations
+
+import os
+import random
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from compose_file import ServiceCommand, mounts, native, services
+
+PATIENCE_S = 150.0
+COMMAND = Path(sys.executable).with_name("treadwatch")
+WINDOW_S = 10
+
+
+class Deployment:
+    """The services, with what differs here: the database, folders for volumes, free ports, short windows."""
+
+    def __init__(self, database_url: str, directory: Path) -> None:
+        self.directory = directory
+        everything = services({"POSTGRES_PASSWORD": "unused"})
+        folders = mounts(everything, directory)
+        for folder in folders.values():
+            folder.mkdir(exist_ok=True)
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            self.port = probe.getsockname()[1]
+        group = f"239.74.{random.randint(1, 254)}.{random.randint(1, 254)}"  # noqa: S311 - no secret
+        # another PostgreSQL, free ports, and windows short enough for a test
+        self.replaced = {
+            "TREADWATCH_DATABASE_URL": database_url,
+            "TREADWATCH_HOST": "127.0.0.1",
+            "TREADWATCH_PORT": str(self.port),
+            "TREADWATCH_WINDOW_LENGTH_S": str(WINDOW_S),
+            "TREADWATCH_JOBS_EVERY_S": "2",
+        }
+        self.commands = {
+            name: self._here(native(service, name, folders), group)
+            for name, service in everything.items()
+            if name != "postgres"
+        }
+
+    def _here(self, command: ServiceCommand, group: str) -> ServiceCommand:
+        arguments = [{"239.74.163.2": group}.get(part, part) for part in command.arguments]
+        if "--chunk-seconds" in arguments:
+            arguments[arguments.index("--chunk-seconds") + 1] = str(WINDOW_S)
+        needed = command.environment and self.replaced
+        return ServiceCommand(command.name, arguments, command.environment | dict(needed))
+
+    def once(self, name: str) -> None:
+        """Run a service that ends."""
+        command = self.commands[name]
+        done = subprocess.run(
+            [COMMAND, *command.arguments],
+            env=_environment(command.environment),
+            cwd=self.directory,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE_S,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+
+    @contextmanager
+    def running(self, name: str) -> Iterator[subprocess.Popen[bytes]]:
+        """Run a service beside the test and stop it as compose does."""
+        command = self.commands[name]
+        with (self.directory / f"{name}.log").open("wb") as log:
+            process = subprocess.Popen(
+                [COMMAND, *command.arguments],
+                env=_environment(command.environment),
+                cwd=self.directory,
+                stdout=log,
+                stderr=log,
+            )
+            try:
+                yield process
+            finally:
+                process.terminate()
+                process.wait(30)
+
+    def logs(self) -> str:
+        """Return the end of every log."""
+        return "\n".join(f"--- {path.name}\n{path.read_text()[-3000:]}" for path in self.directory.glob("*.log"))
+
+
+def _environment(given: Mapping[str, str]) -> dict[str, str]:
+    inherited = {name: value for name, value in os.environ.items() if not name.startswith("TREADWATCH_")}
+    return inherited | dict(given)
+
+
+@pytest.fixture
+def deployment(empty_postgres_url: str, tmp_path: Path) -> Deployment:
+    """Return the deployment on a database that nobody has migrated."""
+    return Deployment(empty_postgres_url, tmp_path)
+
+
+def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment) -> None:
+    deployment.once("migrate")
+    deployment.once("registry")
+    with ExitStack() as stack:
+        client = stack.enter_context(httpx.Client(base_url=f"http://127.0.0.1:{deployment.port}", timeout=30.0))
+        processes = {name: stack.enter_context(deployment.running(name)) for name in ("api", "scheduler", "receiver")}
+        processes["simulated-fleet"] = stack.enter_context(deployment.running("simulated-fleet"))
+
+        def told(path: str, wanted: Callable[[Any], bool]) -> Any:  # noqa: ANN401 - JSON
+            return _eventually(lambda: _asked(client, path, wanted), processes, deployment)
+
+        told("/readyz", lambda body: body["status"] == "ok")
+        windows = told("/v1/wheelsets/LIVE-1/windows", lambda body: len(body["items"]) >= 1)["items"]
+        assert windows[0]["vehicle"] == "L-1"
+        assert windows[0]["track_section"] == "LIVE-5"
+        assert 15.0 <= windows[0]["quality"]["speed_min_m_s"] <= windows[0]["quality"]["speed_max_m_s"] <= 25.0
+        told("/v1/wheelsets/LIVE-1/windows", lambda body: any(item["state"] == "estimated" for item in body["items"]))
+        geometry = told("/v1/wheelsets/LIVE-1/geometry", lambda body: body["n_windows"] >= 1)
+        assert sum(geometry["bins"]["samples_1"]) > 1000
+        assert geometry["provenance"]["track_versions"] == {"LIVE-5": 1}
+        for job in told("/v1/jobs", lambda body: all(item["last_run"] for item in body["items"]))["items"]:
+            assert job["last_run"]["trigger"] == "schedule"
+            assert job["last_run"]["error"] is None
+        second = _second_scheduler(deployment)
+        assert second.returncode == 2
+        assert "another scheduler is already running" in second.stderr
+    for name in ("scheduler", "receiver", "simulated-fleet"):
+        assert processes[name].returncode == 0, deployment.logs()
+
+
+def _asked(client: httpx.Client, path: str, wanted: Callable[[Any], bool]) -> Any | None:  # noqa: ANN401 - JSON
+    try:
+        response = client.get(path)
+    except httpx.TransportError:
+        return None
+    if response.status_code != 200:
+        return None
+    return response.json() if wanted(response.json()) else None
+
+
+def _eventually(
+    ask: Callable[[], Any | None], processes: Mapping[str, subprocess.Popen[bytes]], deployment: Deployment
+) -> Any:  # noqa: ANN401 - JSON
+    until = time.monotonic() + PATIENCE_S
+    while True:
+        found = ask()
+        if found is not None:
+            return found
+        assert time.monotonic() < until, deployment.logs()
+        for name, process in processes.items():
+            assert process.poll() is None, f"{name} has ended\n{deployment.logs()}"
+        time.sleep(0.25)
+
+
+def _second_scheduler(deployment: Deployment) -> subprocess.CompletedProcess[str]:
+    command = deployment.commands["scheduler"]
+    return subprocess.run(
+        [COMMAND, *command.arguments],
+        env=_environment(command.environment),
+        cwd=deployment.directory,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def test_nothing_starts_on_a_database_that_is_not_migrated(deployment: Deployment) -> None:
+    for name in ("api", "scheduler", "receiver"):
+        command = deployment.commands[name]
+        refused = subprocess.run(
+            [COMMAND, *command.arguments],
+            env=_environment(command.environment),
+            cwd=deployment.directory,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert refused.returncode == 2
+        assert refused.stderr.strip().splitlines()[-1].endswith("run: treadwatch db upgrade")
+        assert "Traceback" not in refused.stderr
