@@ -16,14 +16,15 @@ from itertools import pairwise
 import numpy as np
 
 from estimation import least_squares
-from estimation.arrays import FloatArray
+from estimation.arrays import FloatArray, IntArray
 from estimation.errors import ParameterError
 from estimation.motion import Motion
 from estimation.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS, regression
 from estimation.types import BinTable
 from estimation.vehicle import VehicleParameters
 
-TABLE_VERSION = 1
+TABLE_VERSION = 2
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,15 +72,31 @@ def init(parameters: BinParameters) -> BinTable:
     )
 
 
+def group_of(block: IntArray, groups: int) -> IntArray:
+    """Return the group of each block: in turn, and each round begins at another group.
+
+    Were it in turn alone, a vehicle that passes at the same time every day would fill the same few groups for ever.
+
+    Parameters
+    ----------
+    block
+        (n,) number of the block.
+    groups
+        Number of groups.
+    """
+    turn = (block // groups).astype(np.uint64) * _GOLDEN >> np.uint64(32)  # spreads any regular step evenly
+    return np.asarray((block + (turn * np.uint64(groups) >> np.uint64(32)).astype(np.int64)) % groups)
+
+
 def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
-    """Reduce one stretch of motion to its bin table; blocks are dealt to the groups by their number."""
+    """Reduce one stretch of motion to its bin table; blocks are dealt to the groups by :func:`group_of`."""
     edges = parameters.edges
     bins = len(edges) - 1
     position = (motion.displacement - edges[0]) / parameters.width
     inside = motion.valid & (motion.block >= 0) & np.isfinite(position) & (position >= 0) & (position < bins)
     index = np.where(inside, position, 0.0).astype(np.int64)
     u = position - index - 0.5
-    cell = np.where(inside, (motion.block % parameters.groups) * bins + index, -1)
+    cell = np.where(inside, group_of(motion.block, parameters.groups) * bins + index, -1)
     equations = regression(motion, parameters.vehicle)
     x1, x2 = equations.lateral.T
     a, c = equations.yaw.T

@@ -15,6 +15,7 @@ mistake of ours or bad input from the outside world, and carries its facts as fi
     ├── ConflictError              the thing is not in the state that the request assumes
     ├── StoppedError               a job ended between two batches because the process is stopping
     └── StorageError               the database or the window files
+        ├── DamagedError           something that was stored is missing or damaged; the rest is whole
         ├── MigrationError         the database is at another migration head
         └── AlreadyRunningError    a second scheduler on the same database
 """
@@ -118,6 +119,10 @@ class StoppedError(TreadwatchError):
 
 class StorageError(TreadwatchError):
     """The database or the window files cannot do what was asked."""
+
+
+class DamagedError(StorageError):
+    """One thing that was stored is missing or damaged; names it. What is stored beside it can be used."""
 
 
 class MigrationError(StorageError):

@@ -125,7 +125,7 @@ class GeometryRecord:
     from_ns: int
     to_ns: int
     geometry: WheelsetGeometry
-    input_digest: str  # over keys and digests of windows and track versions
+    input_digest: str  # over keys, digests and mileages of windows, and track versions
     track_versions: Mapping[str, int]
     parameters: Mapping[str, JsonValue]
     code_version: str

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import zstandard
 
 from estimation.alerts import JsonValue
-from estimation.errors import StorageError
+from estimation.errors import DamagedError
 
 MAGIC = b"TWPK"
 FORMAT = 1
@@ -71,20 +71,20 @@ def unpack(blob: bytes, kind: str, *, where: str) -> Unpacked:
 
     Raises
     ------
-    StorageError
+    DamagedError
         The blob is cut, damaged, or of another kind or a later format; ``where`` names it.
     """
     if blob[: len(MAGIC)] != MAGIC or blob[len(MAGIC) : len(MAGIC) + 1] != bytes([FORMAT]):
-        raise StorageError(f"{where}: not packed arrays of format {FORMAT}")
+        raise DamagedError(f"{where}: not packed arrays of format {FORMAT}")
     try:
         body = _unfolded(blob[len(MAGIC) + 1 :])
         (length,) = struct.unpack_from("<I", body)
         header = json.loads(body[4 : 4 + length])
         arrays = _arrays(body, 4 + length, header["arrays"])
     except (zstandard.ZstdError, struct.error, ValueError, KeyError, TypeError) as error:
-        raise StorageError(f"{where}: damaged ({error})") from error
+        raise DamagedError(f"{where}: damaged ({error})") from error
     if header["kind"] != kind:
-        raise StorageError(f"{where}: holds {header['kind']!r}, expected {kind!r}")
+        raise DamagedError(f"{where}: holds {header['kind']!r}, expected {kind!r}")
     return Unpacked(header["version"], header["scalars"], arrays)
 
 

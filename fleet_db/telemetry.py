@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from estimation.arrays import BoolArray, FloatArray
-from estimation.errors import StorageError
+from estimation.errors import DamagedError, StorageError
 from estimation.types import ACCELERATIONS, Window, WindowQuality
 from fleet_db.atomic_files import write_atomically
 from fleet_db.packed.numbers import number_from_json, number_to_json, real_from_json
@@ -59,17 +59,23 @@ class WindowFiles:
 
         Raises
         ------
-        StorageError
+        DamagedError
             The file is missing, damaged, or holds other content than its name says; names the file.
+        StorageError
+            The directory is not there, or the file cannot be read now.
         """
         path = self.path(digest)
         try:
             blob = path.read_bytes()
         except FileNotFoundError as error:
-            raise StorageError(f"{path}: the samples of a window are missing") from error
+            if not self.directory.is_dir():  # a disk that is not mounted says nothing of one window
+                raise StorageError(f"{self.directory}: the directory of the windows is not there") from error
+            raise DamagedError(f"{path}: the samples of a window are missing") from error
+        except OSError as error:
+            raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
         window = unpack_window(blob, where=str(path))
         if window_digest(window) != digest:
-            raise StorageError(f"{path}: holds other content than its name says")
+            raise DamagedError(f"{path}: holds other content than its name says")
         return window
 
 
@@ -97,7 +103,7 @@ def unpack_window(blob: bytes, *, where: str) -> Window:
 
     Raises
     ------
-    StorageError
+    DamagedError
         The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, KIND, where=where)

@@ -1,4 +1,4 @@
-"""Job: pending windows become bin tables, or are refused with their reason."""
+"""Job: pending windows become bin tables, or are refused with their reason; one that is damaged is refused too."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from functools import lru_cache
 
+from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
 from estimation.ports import UnitOfWork, WindowRecord, WindowState
 from estimation.settings import EstimationSettings
@@ -48,15 +49,19 @@ def _compute(context: JobContext, settings: EstimationSettings) -> list[_Outcome
             return unit.tracks.alignment(section) if section is not None else None
 
         return [
-            (
-                record,
-                tabulate_window(
-                    unit.windows.load(record.wheelset, record.start_ns), alignment(record.track_section), settings
-                ),
-                alignment(record.track_section),
-            )
+            (record, _outcome(unit, record, alignment(record.track_section), settings), alignment(record.track_section))
             for record in unit.windows.pending(settings.batch)
         ]
+
+
+def _outcome(
+    unit: UnitOfWork, record: WindowRecord, track: TrackAlignment | None, settings: EstimationSettings
+) -> BinTable | Refusal:
+    try:
+        window = unit.windows.load(record.wheelset, record.start_ns)
+    except DamagedError as error:
+        return Refusal(str(error))  # names the file; the other windows go on
+    return tabulate_window(window, track, settings)
 
 
 def _store(unit: UnitOfWork, record: WindowRecord, outcome: BinTable | Refusal, track: TrackAlignment | None) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from estimation import bins, geometry
+from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
 from estimation.ports import GeometryRecord, UnitOfWork, WheelsetRecord, WindowRecord
 from estimation.settings import EstimationSettings
@@ -36,20 +37,37 @@ def baselines(wheelset: WheelsetRecord) -> list[Baseline]:
 
 
 def run(context: JobContext) -> Mapping[str, int]:
-    """Refresh every wheelset whose windows changed; each wheelset is committed together."""
+    """Refresh every wheelset whose windows changed; each wheelset is committed together.
+
+    Raises
+    ------
+    DamagedError
+        A bin table is damaged; raised after all other wheelsets are done.
+    """
     counts: Counter[str] = Counter(wheelsets=0, geometries=0)
+    damaged: list[DamagedError] = []
     with context.storage.read() as unit:
         stale = unit.geometries.stale(_STALE_AT_ONCE)
     for done, serial in enumerate(stale, start=1):
-        with context.storage.read() as unit:
-            change = unit.geometries.change(serial)
-            records = refreshed(unit, serial, context)
-        with context.storage.write() as unit:
-            counts["geometries"] += sum(unit.geometries.put(record) for record in records)
-            unit.geometries.settle(serial, change)
-        counts["wheelsets"] += 1
+        try:
+            counts["geometries"] += _refresh(context, serial)
+            counts["wheelsets"] += 1
+        except DamagedError as error:
+            damaged.append(error)
         context.checkpoint(done, len(stale))
+    if damaged:
+        raise damaged[0]
     return counts
+
+
+def _refresh(context: JobContext, serial: str) -> int:
+    with context.storage.read() as unit:
+        change = unit.geometries.change(serial)
+        records = refreshed(unit, serial, context)
+    with context.storage.write() as unit:
+        changed = sum(unit.geometries.put(record) for record in records)
+        unit.geometries.settle(serial, change)
+    return changed
 
 
 JOB = Job("refresh_geometry", "Merge bin tables into wheelset geometries", every_s=300.0, run=run)
@@ -60,25 +78,43 @@ _Entry = tuple[WindowRecord, str, int | None]  # window, parameter key, track ve
 def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[GeometryRecord]:
     """Return the geometries of one wheelset whose inputs differ from what is stored; the current one comes last.
 
-    Only the tables that such a geometry needs are read, so that new windows cost themselves and not the history.
+    Only the tables that such a geometry needs are read, so that new windows cost themselves and not the history. A
+    geometry whose windows are all gone (refused since, or of another baseline now) is followed by an empty one.
     """
     settings = context.setting(EstimationSettings)
     records: list[GeometryRecord] = []
     for baseline in baselines(unit.registry.wheelset(serial)):
         index = unit.tables.index(serial, baseline.from_ns, baseline.to_ns)
         entries = [entry for entry in index if entry[1] == settings.bins.key]
-        if not entries:
-            continue
-        stored = {r.interval: r.input_digest for r in unit.geometries.intervals(serial, baseline.number)}
-        for interval, part in _by_interval(entries, baseline, settings.interval_km).items():
-            if stored.get(interval) != _digest(part, context.code_version):
+        stored = {r.interval: r for r in unit.geometries.intervals(serial, baseline.number)}
+        parts = _by_interval(entries, baseline, settings.interval_km)
+        for interval, part in parts.items():
+            if interval not in stored or stored[interval].input_digest != _digest(part, context.code_version):
                 table = bins.merge_all([table for _, table in _tables(unit, part)], settings.bins)
                 records.append(_record(baseline, interval, part, table, context))
-        if baseline.to_ns is None:
+        records += [_emptied(record, context) for interval, record in stored.items() if interval not in parts]
+        current = unit.geometries.current(serial)
+        if not entries and current is not None and current.baseline == baseline.number:
+            records.append(_emptied(current, context))
+        if entries and baseline.to_ns is None:
             near = _remembered(entries, settings.half_life_km)
             table = bins.merge_with_mileage(_tables(unit, near), settings.half_life_km, settings.bins)
             records.append(_record(baseline, None, near, table, context))
     return records
+
+
+def _emptied(record: GeometryRecord, context: JobContext) -> GeometryRecord:
+    """Return what follows ``record`` when none of its windows is left."""
+    settings = context.setting(EstimationSettings)
+    return replace(
+        record,
+        geometry=geometry.estimate(bins.init(settings.bins), settings.bins, settings.geometry),
+        input_digest=_digest([], context.code_version),
+        track_versions={},
+        parameters=settings.as_json(),
+        code_version=context.code_version,
+        recorded_ns=context.clock.now_ns(),
+    )
 
 
 def _by_interval(entries: Sequence[_Entry], baseline: Baseline, interval_km: float) -> dict[int, list[_Entry]]:
@@ -108,7 +144,7 @@ def _tables(unit: UnitOfWork, entries: Sequence[_Entry]) -> list[tuple[float, Bi
 def _digest(entries: Sequence[_Entry], code_version: str) -> str:
     text = hashlib.sha256(code_version.encode())
     for window, key, version in entries:
-        text.update(f"{window.start_ns} {window.content_digest} {key} {version}\n".encode())
+        text.update(f"{window.start_ns} {window.content_digest} {key} {version} {window.mileage_km!r}\n".encode())
     return text.hexdigest()
 
 

@@ -66,7 +66,7 @@ class BinTableStore:
 
         Raises
         ------
-        StorageError
+        DamagedError
             A table is damaged; names the window.
         """
         statement = _selected(select(WINDOWS, TABLES.c.track_version, TABLES.c.packed), wheelset, from_ns, to_ns)

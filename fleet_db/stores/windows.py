@@ -48,7 +48,8 @@ class WindowStore:
     def put(self, window: Window, mileage_km: float, recorded_ns: int) -> bool:
         """Store a window as pending; return whether anything changed.
 
-        The same content again changes nothing (a lost sample file is made again). Other content replaces the window,
+        The same content again changes nothing, except that a lost sample file is made again, and a window that was
+        refused without it waits again. Other content replaces the window,
         which is pending again, and removes its bin table. Another mileage alone keeps state and bin table.
 
         Raises
@@ -61,6 +62,7 @@ class WindowStore:
         if found.content_digest == digest:
             if not self.files.has(digest, found.sample_bytes):
                 self.files.save(window, digest)
+                self._wait_again(window)
             return self._set_mileage(window, found.mileage_km, mileage_km)
         values = _values(window, mileage_km) | {
             "content_digest": digest,
@@ -100,7 +102,7 @@ class WindowStore:
         ------
         NotFoundError
             There is no such window.
-        StorageError
+        DamagedError
             Its file is missing or damaged; names the file.
         """
         return self.files.load(content_digest(self.connection, wheelset, start_ns))
@@ -160,6 +162,12 @@ class WindowStore:
         if row is None:
             raise NotFoundError("wheelset", wheelset)
         return row
+
+    def _wait_again(self, window: Window) -> None:
+        key = {"wheelset": window.wheelset, "start_ns": window.start_ns}
+        standing = self.connection.execute(STANDING, key_of(WINDOWS, key)).first()
+        if standing is not None and standing.state == WindowState.REFUSED.value:
+            self.mark(window.wheelset, window.start_ns, WindowState.PENDING, "")
 
     def _set_mileage(self, window: Window, before_km: float, mileage_km: float) -> bool:
         if before_km == mileage_km:
