@@ -7,6 +7,7 @@ import threading
 import time
 from pathlib import Path
 from typing import Annotated
+from urllib.parse import quote
 
 import typer
 from rich.console import Console
@@ -15,7 +16,7 @@ from api import logs
 from api.commands.simulate import simulate_with_progress
 from api.demo.replay import ending_now, replay
 from api.demo.service import free_port, serving
-from api.demo.table import get, lines, table
+from api.demo.table import get, lines, tables
 from api.settings import load_settings
 from estimation.errors import StorageError
 from estimation.jobs.scheduler import stop_on_signals
@@ -49,7 +50,8 @@ def demo(
     console.print(replay(settings, plan, report, console))
     with serving(settings) as url:
         found = lines(url, report.truth)
-        console.print(table(found), soft_wrap=not console.is_terminal)
+        for table in tables(found, console):
+            console.print(table)
         covered = [line.covers for line in found if line.covers is not None]
         console.print(
             f"{sum(covered)} of {len(covered)} intervals cover; {report.frames:,} CAN frames, "
@@ -66,6 +68,8 @@ def demo(
 
 def _make_anew(folder: Path) -> None:
     """Empty the demo's own folder; never one that the demo did not make."""
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise StorageError(f"{folder} is no folder of its own; choose another with --folder")
     if folder.exists():
         if not (folder / MARKER).is_file() and any(folder.iterdir()):
             raise StorageError(f"{folder} holds files that are not the demo's; choose another with --folder")
@@ -77,6 +81,7 @@ def _make_anew(folder: Path) -> None:
 def _say_where(url: str, console: Console) -> None:
     alerts = get(url, "/v1/alerts?open=true&limit=1")["items"]
     serial = alerts[0]["wheelset"] if alerts else get(url, "/v1/wheelsets?limit=1")["items"][0]["serial"]
+    serial = quote(serial, safe="")
     for path, what in (
         ("/docs", "every endpoint, to try in a browser"),
         (f"/v1/wheelsets/{serial}", "one wheelset, with links to all of it"),

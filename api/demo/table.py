@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import json
+import urllib.error
+import urllib.parse
 import urllib.request
+from collections.abc import Sequence
 from dataclasses import dataclass
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich import box
+from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 
 KM = 1000.0
@@ -16,12 +23,12 @@ KM = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class WheelsetLine:
-    """One wheelset, estimated and true."""
+    """One wheelset, estimated and true; ``None`` where nothing is estimated."""
 
     serial: str
-    mileage_km: float
-    amplitude_mm: float
-    true: float
+    mileage_km: float | None
+    amplitude_mm: float | None
+    true: float | None
     value: float | None
     low: float | None
     high: float | None
@@ -32,7 +39,7 @@ class WheelsetLine:
     @property
     def covers(self) -> bool | None:
         """Whether the 95 % interval holds the true conicity; None without an estimate."""
-        if self.low is None or self.high is None:
+        if self.low is None or self.high is None or self.true is None:
             return None
         return self.low <= self.true <= self.high
 
@@ -58,37 +65,57 @@ def get(base_url: str, path: str) -> Any:  # noqa: ANN401 - JSON
         return json.load(answer)
 
 
+def _get_if_any(base_url: str, path: str) -> Any:  # noqa: ANN401 - JSON
+    """Return the JSON of one GET; None where there is no such thing yet."""
+    try:
+        return get(base_url, path)
+    except urllib.error.HTTPError as error:
+        error.close()
+        if error.code != HTTPStatus.NOT_FOUND:
+            raise
+        return None
+
+
 def _line(base_url: str, serial: str, campaigns: list[dict[str, Any]]) -> WheelsetLine:
-    geometry = get(base_url, f"/v1/wheelsets/{serial}/geometry")
-    trend = get(base_url, f"/v1/wheelsets/{serial}/trend")
-    alerts = get(base_url, f"/v1/alerts?wheelset={serial}&open=true&limit=1000")["items"]
-    conicity = geometry["equivalent_conicity_1"]
+    at = f"/v1/wheelsets/{urllib.parse.quote(serial, safe='')}"
+    geometry = _get_if_any(base_url, f"{at}/geometry")
+    trend = _get_if_any(base_url, f"{at}/trend")
+    query = urllib.parse.urlencode({"wheelset": serial, "open": "true", "limit": 1000})
+    alerts = get(base_url, f"/v1/alerts?{query}")["items"]
+    conicity = geometry["equivalent_conicity_1"] if geometry else {"value": None, "interval_95": None}
     low, high = conicity["interval_95"] or (None, None)
-    amplitude = geometry["equivalent_conicity_amplitude_mm"]
-    seen = min(campaigns, key=lambda c: abs(c["mileage_km"] - geometry["mileage_km"]))
     return WheelsetLine(
         serial=serial,
-        mileage_km=geometry["mileage_km"],
-        amplitude_mm=amplitude,
-        true=float(np.interp(amplitude, seen["amplitude_mm"], seen["equivalent_conicity"])),
+        mileage_km=geometry["mileage_km"] if geometry else None,
+        amplitude_mm=geometry["equivalent_conicity_amplitude_mm"] if geometry else None,
+        true=_true(campaigns, geometry) if geometry else None,
         value=conicity["value"],
         low=low,
         high=high,
-        slope_per_100000_km=_slope(trend),
-        distance=_distance(trend),
+        slope_per_100000_km=_slope(trend) if trend else "",
+        distance=_distance(trend) if trend else "",
         alerts=", ".join(f"{a['kind']} ({a['severity']})" for a in alerts) or "none",
     )
+
+
+def _true(campaigns: list[dict[str, Any]], geometry: dict[str, Any]) -> float:
+    """Return the true conicity at the amplitude of the estimate, in the campaign nearest to its mileage."""
+    seen = min(campaigns, key=lambda c: abs(c["mileage_km"] - geometry["mileage_km"]))
+    amplitude = geometry["equivalent_conicity_amplitude_mm"]
+    return float(np.interp(amplitude, seen["amplitude_mm"], seen["equivalent_conicity"]))
 
 
 def _slope(trend: dict[str, Any]) -> str:
     slope = trend["slope_1_per_1000_km"]
     if slope["value"] is None:
-        return str(slope["reason"] or "unknown")
+        return "unknown"
     low, high = slope["interval_95"]
     return f"{100 * slope['value']:+.3f} [{100 * low:+.3f}, {100 * high:+.3f}]"
 
 
 def _distance(trend: dict[str, Any]) -> str:
+    if trend["status"] != "estimated":
+        return "unknown"  # an empty forecast of a known trend is good news, of an unknown one it is none
     forecast = trend["distance_to_limit_km"]
     p10, p50, p90 = (None if forecast[p] is None else forecast[p] / KM for p in ("p10", "p50", "p90"))
     if p50 is None:
@@ -98,25 +125,39 @@ def _distance(trend: dict[str, Any]) -> str:
     return f"{p50:,.0f} [{p10:,.0f}, {'beyond' if p90 is None else f'{p90:,.0f}'}]"
 
 
-def table(found: list[WheelsetLine]) -> Table:
-    """Return the table for a terminal."""
-    result = Table(title="Wheel-rail wear of the fleet, as the REST API tells it", title_justify="left")
-    for name in ("wheelset", "km since new", "at mm", "true conicity", "estimated [95 %]", "covers"):
-        result.add_column(name, justify="right" if name != "wheelset" else "left")
-    result.add_column("trend per 100,000 km [95 %]", justify="right")
-    result.add_column("1,000 km to the limit [p10, p90]", justify="right")
-    result.add_column("open alerts")
-    for line in found:
-        estimate = "unknown" if line.value is None else f"{line.value:.3f} [{line.low:.3f}, {line.high:.3f}]"
-        result.add_row(
-            line.serial,
-            f"{line.mileage_km:,.0f}",
-            f"{line.amplitude_mm:g}",
-            f"{line.true:.3f}",
-            estimate,
-            {True: "yes", False: "[red]no[/red]", None: ""}[line.covers],
-            line.slope_per_100000_km,
-            line.distance,
-            line.alerts,
-        )
+ESTIMATE = ("km since new", "at mm", "true conicity", "estimated [95 %]", "covers")
+OUTLOOK = ("trend per 100,000 km [95 %]", "1,000 km to the limit [p10, p90]", "open alerts")
+TITLE = "Wheel-rail wear of the fleet, as the REST API tells it"
+
+
+def tables(found: list[WheelsetLine], console: Console) -> list[Table]:
+    """Return one table where the console is wide enough for it, else one of the estimates and one of the outlook."""
+    estimates, outlooks = [_estimate_cells(line) for line in found], [_outlook_cells(line) for line in found]
+    whole = _table(TITLE, (*ESTIMATE, *OUTLOOK), [[*e, *o] for e, o in zip(estimates, outlooks, strict=True)], found)
+    if Measurement.get(console, console.options.update(max_width=1000), whole).maximum <= console.width:
+        return [whole]
+    return [_table(TITLE, ESTIMATE, estimates, found), _table("and what it leads to", OUTLOOK, outlooks, found)]
+
+
+def _table(title: str, head: Sequence[str], rows: list[list[str]], found: list[WheelsetLine]) -> Table:
+    result = Table("wheelset", title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in head:
+        result.add_column(name, justify="left" if name == OUTLOOK[-1] else "right")
+    for line, row in zip(found, rows, strict=True):
+        result.add_row(line.serial, *row)
     return result
+
+
+def _estimate_cells(line: WheelsetLine) -> list[str]:
+    known = line.value is not None
+    return [
+        "" if line.mileage_km is None else f"{line.mileage_km:,.0f}",
+        "" if line.amplitude_mm is None else f"{line.amplitude_mm:g}",
+        "" if line.true is None else f"{line.true:.3f}",
+        f"{line.value:.3f} [{line.low:.3f}, {line.high:.3f}]" if known else "unknown",
+        {True: "yes", False: "[red]no[/red]", None: ""}[line.covers],
+    ]
+
+
+def _outlook_cells(line: WheelsetLine) -> list[str]:
+    return [line.slope_per_100000_km, line.distance, line.alerts]
