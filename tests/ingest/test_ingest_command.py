@@ -90,10 +90,11 @@ def test_what_cannot_be_meant_is_refused(tmp_path: Path) -> None:
         run("--interface", "udp_multicast")
 
 
-def test_a_live_bus_is_received_until_told_to_stop(deployment: SqlStorage) -> None:
+def test_a_live_bus_is_received_until_told_to_stop(deployment: SqlStorage, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = multicast_problem()
     if problem:
         pytest.skip(problem)
+    monkeypatch.setenv("TREADWATCH_WINDOW_LENGTH_S", "4")
     command = [sys.executable, "-c", "from api.cli import main; main()", "ingest", "--interface", "udp_multicast"]
     command += ["--channel", GROUP, "--vehicle", VEHICLE, "--chunk-seconds", "2"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as listening:
@@ -104,7 +105,7 @@ def test_a_live_bus_is_received_until_told_to_stop(deployment: SqlStorage) -> No
         now_ns = time.time_ns() // SECOND_NS * SECOND_NS
         with open_bus("udp_multicast", GROUP) as bus:
             time.sleep(0.3)
-            send(bus, Run(seconds=6.0, start_ns=now_ns).frames())
+            sent = send(bus, Run(seconds=6.0, start_ns=now_ns).frames())
         time.sleep(0.3)
         listening.send_signal(signal.SIGTERM)
         _, said = listening.communicate()
@@ -112,10 +113,12 @@ def test_a_live_bus_is_received_until_told_to_stop(deployment: SqlStorage) -> No
     assert listening.returncode == 0, said
     assert "0 dropped" in said
     with deployment.read() as unit:
-        chunks = unit.chunks.overlapping(VEHICLE, now_ns, now_ns + 10 * SECOND_NS)
+        chunks = unit.chunks.overlapping(VEHICLE, now_ns - 60 * SECOND_NS, now_ns + 60 * SECOND_NS)
         counts = unit.windows.counts()
     assert len(chunks) >= 3
-    assert sum(chunk.counts["samples"] for chunk in chunks) == pytest.approx(3000, abs=30)
+    assert sum(chunk.frames for chunk in chunks) == sent
+    # a machine that is held up for more than 100 ms stamps a TIME frame so late that its second is not believed
+    assert 1000 <= sum(chunk.counts["samples"] for chunk in chunks) <= 3000
     assert counts["pending"] >= 2
 
 
