@@ -50,9 +50,9 @@ def test_there_is_no_default_secret() -> None:
     with pytest.raises(AssertionError, match="POSTGRES_PASSWORD"):
         services({})
     for name in ("docker-compose.yml", "Dockerfile", ".env.example"):
-        text = (ROOT / name).read_text(encoding="utf-8")
+        text = (ROOT / name).read_text(encoding="utf-8").replace("${POSTGRES_PASSWORD:?set it in .env}", "")
         for match in re.finditer(r"(?i)(password|secret|token)\w*[ \t]*[:=][ \t]*(\S*)", text):
-            assert match[2] in {"", "${POSTGRES_PASSWORD:?set"}, match[0]
+            assert match[2] == "", match[0]
     ignored = (ROOT / ".gitignore").read_text(encoding="utf-8").splitlines()
     assert ".env" in ignored
 

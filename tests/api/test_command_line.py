@@ -1,0 +1,185 @@
+"""The one command: what it loads, what it refuses, and in which words."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import structlog
+
+from api.cli import COMMANDS, main
+from api.factory import code_version
+from api.settings import Settings, load_settings
+from estimation.errors import ParameterError
+from fleet_db.migrate import upgrade
+
+COMMAND = Path(sys.executable).with_name("treadwatch")
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a command left behind."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+Run = Callable[..., Done]
+
+
+@pytest.fixture
+def treadwatch(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Iterator[Run]:
+    """Yield the command in this process, which has imported everything; its traces are removed afterwards."""
+    signals = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    handlers, level = logging.root.handlers[:], logging.root.level
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str, **environment: str) -> Done:
+        monkeypatch.setattr(sys, "argv", ["treadwatch", *arguments])
+        for name, value in environment.items():
+            monkeypatch.setenv(f"TREADWATCH_{name.upper()}", value)
+        code = 0
+        try:
+            main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+        told = capsys.readouterr()
+        return Done(code, told.out, told.err)
+
+    yield run
+    for number, handler in signals.items():
+        signal.signal(number, handler)
+    logging.root.handlers[:] = handlers
+    logging.root.setLevel(level)
+    structlog.reset_defaults()
+
+
+def refused(done: Done | subprocess.CompletedProcess[str]) -> str:
+    """Return the one line in which a command says why it will not."""
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    (line,) = done.stderr.strip().splitlines()
+    assert line.startswith("treadwatch: ")
+    return line
+
+
+def test_the_installed_command_refuses_in_one_line(tmp_path: Path) -> None:
+    environment = {"TREADWATCH_DATA_DIR": str(tmp_path), "PATH": ""}
+    done = subprocess.run([COMMAND, "db", "check"], env=environment, capture_output=True, text=True, check=False)
+    assert refused(done).endswith("run: treadwatch db upgrade")
+
+
+def test_help_names_every_subcommand_and_loads_none(treadwatch: Run) -> None:
+    done = treadwatch("--help")
+    assert done.returncode == 0
+    for command in COMMANDS:
+        assert command.name in done.stdout
+
+
+@pytest.mark.parametrize("name", ["contact", "db", "simulate"])
+def test_a_subcommand_does_not_wait_for_the_web_framework(name: str) -> None:
+    program = (
+        "import sys; from api.cli import build; build([sys.argv[1]]);"
+        "print(sorted({'fastapi', 'uvicorn'} & set(sys.modules)), f'api.commands.{sys.argv[1]}' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", program, name], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[] True"
+
+
+def test_an_unknown_subcommand_is_refused(treadwatch: Run) -> None:
+    done = treadwatch("derail")
+    assert done.returncode == 2
+    assert "derail" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("command", ["serve", "schedule", "estimate"])
+def test_a_database_that_was_never_migrated_is_refused(treadwatch: Run, command: str, tmp_path: Path) -> None:
+    line = refused(treadwatch(command, data_dir=str(tmp_path)))
+    assert line.endswith("run: treadwatch db upgrade")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", [["serve"], ["estimate"], ["db", "check"], ["db", "upgrade"]])
+def test_a_database_of_another_version_is_refused(treadwatch: Run, command: list[str], tmp_path: Path) -> None:
+    file = tmp_path / "treadwatch.sqlite"
+    upgrade(f"sqlite:///{file}")
+    with sqlite3.connect(file) as connection:
+        connection.execute("UPDATE alembic_version SET version_num = 'from-the-future'")
+    connection.close()
+    assert "from-the-future" in refused(treadwatch(*command, data_dir=str(tmp_path)))
+
+
+@pytest.mark.parametrize(
+    ("environment", "named"),
+    [
+        ({"port": "eighty"}, "TREADWATCH_PORT"),
+        ({"database_url": "mysql://user:hunter2@host/db"}, "TREADWATCH_DATABASE_URL"),
+        ({"window_length_s": "-1"}, "TREADWATCH_WINDOW_LENGTH_S"),
+        ({"log_level": "loud"}, "TREADWATCH_LOG_LEVEL"),
+    ],
+)
+def test_a_wrong_setting_is_named_and_its_value_is_not_repeated(
+    treadwatch: Run, environment: dict[str, str], named: str, tmp_path: Path
+) -> None:
+    line = refused(treadwatch("serve", data_dir=str(tmp_path), **environment))
+    assert named in line
+    assert "hunter2" not in line
+
+
+def test_an_unreachable_database_is_one_line_without_its_password(treadwatch: Run, tmp_path: Path) -> None:
+    url = f"postgresql://user:hunter2@/db?host={tmp_path}"
+    line = refused(treadwatch("serve", database_url=url, data_dir=str(tmp_path)))
+    assert "hunter2" not in line
+
+
+def test_wrong_rules_are_refused_and_named(treadwatch: Run, tmp_path: Path) -> None:
+    rules = tmp_path / "rules.toml"
+    rules.write_text("[conicity_limit]\nlimt = 3\n")
+    assert treadwatch("db", "upgrade", data_dir=str(tmp_path)).returncode == 0
+    line = refused(treadwatch("estimate", data_dir=str(tmp_path), rules_file=str(rules)))
+    assert str(rules) in line
+    assert "limt" in line
+
+
+def test_estimate_runs_every_job_in_order_and_says_what_it_did(treadwatch: Run, tmp_path: Path) -> None:
+    upgrade(f"sqlite:///{tmp_path / 'treadwatch.sqlite'}")
+    done = treadwatch("estimate", data_dir=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    places = [done.stdout.index(f" {name} ") for name in ("estimate_windows", "refresh_geometry", "evaluate_alerts")]
+    assert places == sorted(places)
+    assert done.stdout.count("succeeded") == 4
+    assert "there are" in refused(treadwatch("estimate", "--job", "none", data_dir=str(tmp_path)))
+
+
+def test_settings_come_from_the_environment_and_empty_means_not_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TREADWATCH_RULES_FILE", "")
+    monkeypatch.setenv("TREADWATCH_JOBS_EVERY_S", "")
+    monkeypatch.setenv("TREADWATCH_DATABASE_URL", "postgresql://user:secret@host/db")
+    settings = load_settings(port=1234, host=None)
+    assert (settings.rules_file, settings.jobs_every_s) == (None, None)
+    assert (settings.port, settings.host) == (1234, "127.0.0.1")
+    assert "secret" not in repr(settings)
+    with pytest.raises(ParameterError, match="TREADWATCH_PORT"):
+        load_settings(port=70000)
+
+
+def test_the_embedded_database_lies_in_the_data_directory(tmp_path: Path) -> None:
+    settings = Settings(data_dir=tmp_path, _env_file=None)
+    assert settings.url == f"sqlite:///{tmp_path}/treadwatch.sqlite"
+    assert {settings.samples_dir.parent, settings.raw_dir.parent} == {tmp_path}
+
+
+def test_the_code_version_is_the_release_and_a_digest_of_the_mathematics() -> None:
+    release, digest = code_version().split("+")
+    assert release == "0.1.0"
+    assert len(digest) == 12
+    assert code_version() == code_version.__wrapped__()
