@@ -1,0 +1,35 @@
+"""The pages for operators say what the code does."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from api.problems import TYPES
+from api.settings import PREFIX, Settings
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_every_setting_is_described_with_its_default() -> None:
+    rows = re.findall(r"^\| `(TREADWATCH_\w+)` \| (.*?) \|", (DOCS / "operations.md").read_text(), re.MULTILINE)
+    assert {name for name, _ in rows} == {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
+    for name, told in rows:
+        default = Settings.model_fields[name.removeprefix(PREFIX).lower()].default
+        if told.startswith("`"):
+            assert told.strip("`") == (f"{default:g}" if isinstance(default, float) else str(default)), name
+        else:
+            assert default is None, name
+
+
+def test_every_type_of_problem_is_described() -> None:
+    told = re.findall(r"`urn:treadwatch:problem:([\w-]+)`", (DOCS / "api.md").read_text())
+    assert set(told) == set(TYPES)
+
+
+@pytest.mark.parametrize("measure", re.findall(r"`(treadwatch_\w+)`", (DOCS / "operations.md").read_text()))
+def test_every_measure_that_is_described_exists(measure: str) -> None:
+    source = (Path(__file__).parents[2] / "api" / "metrics.py").read_text()
+    assert f'"{measure.removesuffix("_total")}"' in source
