@@ -1,0 +1,99 @@
+"""``treadwatch demo`` and ``treadwatch reproduce`` as a newcomer runs them, in processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib import image
+from tiny_fleet import DEAD, WORN
+
+from estimation.types import COMBINATIONS
+
+TREADWATCH = Path(sys.executable).with_name("treadwatch")
+
+
+def treadwatch(*arguments: str | Path, cwd: Path, columns: int = 200) -> subprocess.CompletedProcess[str]:
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("TREADWATCH_")} | {"COLUMNS": str(columns)}
+    command = [str(TREADWATCH), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, env=environment, timeout=300)
+
+
+def test_the_demo_prints_its_table_and_ends(scenario_file: Path, tmp_path: Path) -> None:
+    arguments = ("demo", "--once", "--scenario", scenario_file, "--folder", "own", "--port", "0")
+    done = treadwatch(*arguments, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    number = r"(\d\.\d{3})"
+    line = re.search(rf"{WORN}\s+91,000\s+[\d.]+\s+{number}\s+{number} \[{number}, {number}\]\s+(yes|no)", done.stdout)
+    assert line is not None, done.stdout
+    true, value, low, high = map(float, line.groups()[:4])
+    assert abs(true - value) < 0.03
+    assert low - 0.02 < true < high + 0.02
+    (dead,) = (row for row in done.stdout.splitlines() if row.strip().startswith(DEAD))
+    assert "no_data (critical)" in dead
+    assert "conicity_limit (critical, unknown)" in dead
+    assert re.search(r"http://127\.0\.0\.1:\d+/docs", done.stdout)
+    assert (tmp_path / "own" / "data" / "treadwatch.sqlite").is_file()
+
+
+@pytest.mark.parametrize("kind", ["folder", "file", "link"])
+def test_the_demo_refuses_what_is_not_its_own(tmp_path: Path, kind: str) -> None:
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    (precious / "thesis.txt").write_text("years of work")
+    folder = {"folder": precious, "file": precious / "thesis.txt", "link": tmp_path / "link"}[kind]
+    if kind == "link":
+        folder.symlink_to(precious)
+    done = treadwatch("demo", "--once", "--folder", folder, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"treadwatch: {folder} ")
+    assert "--folder" in done.stderr
+    assert (precious / "thesis.txt").read_text() == "years of work"
+    assert [path.name for path in precious.iterdir()] == ["thesis.txt"]
+
+
+def test_the_figures_are_drawn_and_their_numbers_are_true(tmp_path: Path) -> None:
+    done = treadwatch("reproduce", "--seconds", "120", "--out", "figures", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    out = tmp_path / "figures"
+    for name in ("figure_3.png", "figure_4.png", "figure_6.png", "figure_7.png"):
+        pixels = image.imread(out / name)
+        assert min(pixels.shape[:2]) > 400
+        assert 0.005 < (pixels[..., :3].min(axis=2) < 0.8).mean() < 0.5  # ink on paper
+    numbers = json.loads((out / "numbers.json").read_text(encoding="utf-8"))
+    _check_constant_gauge(numbers["figure_6"])
+    seven = numbers["figure_7"]
+    assert seven["gauge_std_mm"] == 2.0
+    spread = np.array(seven["rolling_radius_sum_mm"]["std"], dtype=float)
+    assert np.nanmedian(spread) > 5 * np.nanmedian(np.array(numbers["figure_6"]["rolling_radius_sum_mm"]["std"], float))
+    for name in ("figure_6.md", "figure_7.md"):
+        assert (out / name).read_text(encoding="utf-8").count("\n|") > 10
+
+
+def _check_constant_gauge(six: dict[str, object]) -> None:
+    samples, jump = np.array(six["samples"], float), np.array(six["contact_jump_inside_mm"], float)
+    good = (samples >= 2000) & (jump == 0)
+    assert good.sum() >= 8
+    reach = {
+        "rolling_radius_sum": 0.02,
+        "rolling_radius_difference": 0.005,
+        "contact_angle_difference": 0.01,
+        "contact_angle_sum": 0.02,
+    }
+    for name in COMBINATIONS:
+        column = six[f"{name}_{'mm' if name.startswith('rolling') else 'rad'}"]
+        assert isinstance(column, dict)
+        truth, found = (np.array(column[key], float) for key in ("truth", "estimate"))
+        scale = {"rolling_radius_sum": 1.0, "contact_angle_sum": float(np.abs(truth[good]).min())}
+        range_ = float(np.ptp(truth[good]))
+        assert np.abs(found - truth)[good].max() <= reach[name] * scale.get(name, range_), name
+        crossed = (samples >= 2000) & (jump > 0)
+        assert crossed.sum() >= 2
+        assert np.isnan(found[crossed]).all()
+        assert {column["status"][b] for b in np.flatnonzero(crossed)} == {"a contact jump crosses the bin"}
