@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Insert, Select, Table, Update, and_, bindparam, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Insert, Select, Table, Update, and_, bindparam, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from fleet_db.models import Base
@@ -35,9 +35,10 @@ def upsert(connection: Connection, table: Table, values: Mapping[str, Any]) -> b
     """Make the row with the primary key of ``values`` hold ``values``; return whether anything changed."""
     key = key_of(table, values)
     found = connection.execute(_by_key(table), key).mappings().first()
-    if found is None:
-        connection.execute(_insert(table), values)
+    if found is None and insert_new(connection, table, values):
         return True
+    if found is None:  # somebody else has stored it since it was looked up
+        found = connection.execute(_by_key(table), key).mappings().one()
     if all(found[name] == value for name, value in values.items()):
         return False
     replace(connection, table, values)
@@ -70,15 +71,15 @@ def _by_key(table: Table) -> Select[Any]:
 
 
 @cache
-def _insert(table: Table) -> Insert:
-    return insert(table)
-
-
-@cache
 def _insert_new(table: Table, dialect: str) -> Insert:
+    key = list(table.primary_key)
     if dialect == "postgresql":
-        return postgresql.insert(table).on_conflict_do_nothing().execution_options(preserve_rowcount=True)
-    return sqlite.insert(table).on_conflict_do_nothing().execution_options(preserve_rowcount=True)
+        return (
+            postgresql.insert(table)
+            .on_conflict_do_nothing(index_elements=key)
+            .execution_options(preserve_rowcount=True)
+        )
+    return sqlite.insert(table).on_conflict_do_nothing(index_elements=key).execution_options(preserve_rowcount=True)
 
 
 @cache

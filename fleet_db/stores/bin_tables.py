@@ -70,9 +70,10 @@ class BinTableStore:
             A table is damaged; names the window.
         """
         statement = _selected(select(WINDOWS, TABLES.c.track_version, TABLES.c.packed), wheelset, from_ns, to_ns)
-        for row in self.connection.execute(statement.execution_options(yield_per=BATCH)):
-            where = f"bin table of window {wheelset}@{row.start_ns}"
-            yield to_window_record(row), unpack_bin_table(row.packed, where=where), row.track_version
+        with self.connection.execute(statement.execution_options(yield_per=BATCH)) as found:
+            for row in found:
+                where = f"bin table of window {wheelset}@{row.start_ns}"
+                yield to_window_record(row), unpack_bin_table(row.packed, where=where), row.track_version
 
 
 def _selected(columns: Select[Any], wheelset: str, from_ns: int, to_ns: int | None) -> Select[Any]:
