@@ -24,7 +24,7 @@ from estimation.jobs.job import Job, JobContext, run_job
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
 from ingest.receiver import Receiver
-from ingest.registry_file import load_registry
+from ingest.registry_file import RegistryContents, read_registry
 from ingest.simulator.fleet import FleetReport, Recording
 from ingest.simulator.scenario import Scenario
 
@@ -71,8 +71,8 @@ def replay(settings: Settings, scenario: Scenario, report: FleetReport, console:
     )
     clock = ReplayClock(scenario.sessions.start_ns - DAY_NS)
     with closing(open_store(settings)) as storage, Progress(*columns, console=console) as progress:
-        with storage.write() as unit:
-            load_registry(report.registry, unit)
+        contents = read_registry(report.registry)
+        _register(storage, contents)
         context = replace(job_context(settings, storage), clock=clock)
         receiver = _receiver(settings, storage, clock)
         campaigns = _by_campaign(report)
@@ -80,6 +80,7 @@ def replay(settings: Settings, scenario: Scenario, report: FleetReport, console:
         tally = _Tally()
         for campaign in sorted(campaigns):
             clock.now = max(clock.now, _evening(scenario, campaign))
+            _reprofile(storage, contents, clock.now)
             progress.update(bar, what="receiving")
             tally.receive(receiver, campaigns[campaign])
             for job in scheduled_jobs(settings):
@@ -131,6 +132,31 @@ SHOWN = ("frames", "samples_lost", "invalid_values", "emergencies")
 
 def _receiver(settings: Settings, storage: SqlStorage, clock: ReplayClock) -> Receiver:
     return Receiver(storage, raw_store(settings), default_catalogue(), clock, window_length_s=settings.window_length_s)
+
+
+def _register(storage: SqlStorage, contents: RegistryContents) -> None:
+    """Store what was known from the beginning."""
+    with storage.write() as unit:
+        for fleet in contents.fleets:
+            unit.registry.add_fleet(fleet)
+        for vehicle in contents.vehicles:
+            unit.registry.add_vehicle(vehicle)
+        for wheelset in contents.wheelsets:
+            unit.registry.add_wheelset(wheelset)
+        for mounting in contents.mountings:
+            unit.registry.add_mounting(mounting)
+        for section in contents.sections:
+            unit.tracks.add_section(section)
+        for alignment in contents.alignments:
+            unit.tracks.add_alignment(alignment)
+
+
+def _reprofile(storage: SqlStorage, contents: RegistryContents, until_ns: int) -> None:
+    """Store the visits to the lathe that have taken place; what is stored already does not change."""
+    with storage.write() as unit:
+        for reprofiling in contents.reprofilings:
+            if reprofiling.at_ns <= until_ns:
+                unit.registry.add_reprofiling(reprofiling)
 
 
 def _by_campaign(report: FleetReport) -> dict[int, list[Recording]]:

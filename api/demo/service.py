@@ -26,26 +26,39 @@ def serving(settings: Settings) -> Iterator[str]:
     StorageError
         The API did not start.
     """
-    api = server(settings)
     stopping = threading.Event()
-    threads = (
-        threading.Thread(target=api.run, name="api", daemon=True),
-        threading.Thread(target=_schedule, args=(settings, stopping), name="scheduler", daemon=True),
-    )
-    for thread in threads:
-        thread.start()
+    scheduler = threading.Thread(target=_schedule, args=(settings, stopping), name="scheduler", daemon=True)
+    with serving_api(settings) as url:
+        scheduler.start()
+        try:
+            yield url
+        finally:
+            stopping.set()
+            scheduler.join(settings.shutdown_timeout_s)
+
+
+@contextmanager
+def serving_api(settings: Settings) -> Iterator[str]:
+    """Serve the REST API alone; yield its base URL.
+
+    Raises
+    ------
+    StorageError
+        The API did not start.
+    """
+    api = server(settings)
+    thread = threading.Thread(target=api.run, name="api", daemon=True)
+    thread.start()
     try:
         deadline = time.monotonic() + START_S
         while not api.started:
-            if time.monotonic() > deadline or not threads[0].is_alive():
+            if time.monotonic() > deadline or not thread.is_alive():
                 raise StorageError(f"the API did not start on {settings.host}:{settings.port}")
             time.sleep(0.05)
         yield f"http://{settings.host}:{settings.port}"
     finally:
         api.should_exit = True
-        stopping.set()
-        for thread in threads:
-            thread.join(settings.shutdown_timeout_s)
+        thread.join(settings.shutdown_timeout_s)
 
 
 def free_port(host: str, wanted: int) -> int:

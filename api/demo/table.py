@@ -94,8 +94,14 @@ def _line(base_url: str, serial: str, campaigns: list[dict[str, Any]]) -> Wheels
         high=high,
         slope_per_100000_km=_slope(trend) if trend else "",
         distance=_distance(trend) if trend else "",
-        alerts=", ".join(f"{a['kind']} ({a['severity']})" for a in alerts) or "none",
+        alerts=", ".join(f"{a['kind']} ({_standing(a)})" for a in alerts) or "none",
     )
+
+
+def _standing(alert: dict[str, Any]) -> str:
+    """Return the severity, and the condition where the data do not show the matter now."""
+    condition, severity = str(alert["condition"]), str(alert["severity"])
+    return severity if condition == "active" else f"{severity}, {condition}"
 
 
 def _true(campaigns: list[dict[str, Any]], geometry: dict[str, Any]) -> float:

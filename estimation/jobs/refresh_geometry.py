@@ -79,28 +79,41 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     """Return the geometries of one wheelset whose inputs differ from what is stored; the current one comes last.
 
     Only the tables that such a geometry needs are read, so that new windows cost themselves and not the history. A
-    geometry whose windows are all gone (refused since, or of another baseline now) is followed by an empty one.
+    geometry whose windows are all gone (refused since, or of another baseline now) is followed by an empty one. The
+    current geometry is that of the newest baseline with windows.
     """
     settings = context.setting(EstimationSettings)
     records: list[GeometryRecord] = []
+    newest: tuple[Baseline, list[_Entry]] | None = None
     for baseline in baselines(unit.registry.wheelset(serial)):
         index = unit.tables.index(serial, baseline.from_ns, baseline.to_ns)
         entries = [entry for entry in index if entry[1] == settings.bins.key]
-        stored = {r.interval: r for r in unit.geometries.intervals(serial, baseline.number)}
-        parts = _by_interval(entries, baseline, settings.interval_km)
-        for interval, part in parts.items():
-            if interval not in stored or stored[interval].input_digest != _digest(part, context.code_version):
-                table = bins.merge_all([table for _, table in _tables(unit, part)], settings.bins)
-                records.append(_record(baseline, interval, part, table, context))
-        records += [_emptied(record, context) for interval, record in stored.items() if interval not in parts]
-        current = unit.geometries.current(serial)
-        if not entries and current is not None and current.baseline == baseline.number:
-            records.append(_emptied(current, context))
-        if entries and baseline.to_ns is None:
-            near = _remembered(entries, settings.half_life_km)
-            table = bins.merge_with_mileage(_tables(unit, near), settings.half_life_km, settings.bins)
-            records.append(_record(baseline, None, near, table, context))
+        records += _intervals(unit, serial, baseline, entries, context)
+        if entries:
+            newest = baseline, entries
+    current = unit.geometries.current(serial)
+    if current is not None and (newest is None or newest[0].number < current.baseline):
+        records.append(_emptied(current, context))
+    elif newest is not None:
+        near = _remembered(newest[1], settings.half_life_km)
+        table = bins.merge_with_mileage(_tables(unit, near), settings.half_life_km, settings.bins)
+        records.append(_record(newest[0], None, near, table, context))
     return records
+
+
+def _intervals(
+    unit: UnitOfWork, serial: str, baseline: Baseline, entries: Sequence[_Entry], context: JobContext
+) -> list[GeometryRecord]:
+    """Return the geometries per mileage interval of one baseline that are not stored like that."""
+    settings = context.setting(EstimationSettings)
+    stored = {r.interval: r for r in unit.geometries.intervals(serial, baseline.number)}
+    parts = _by_interval(entries, baseline, settings.interval_km)
+    records = []
+    for interval, part in parts.items():
+        if interval not in stored or stored[interval].input_digest != _digest(part, context.code_version):
+            table = bins.merge_all([table for _, table in _tables(unit, part)], settings.bins)
+            records.append(_record(baseline, interval, part, table, context))
+    return records + [_emptied(record, context) for interval, record in stored.items() if interval not in parts]
 
 
 def _emptied(record: GeometryRecord, context: JobContext) -> GeometryRecord:
