@@ -68,14 +68,14 @@ def motion(window: Window, track: TrackAlignment, parameters: SignalParameters) 
     usable = _usable(window, track, parameters)
     if usable is None:
         return Refusal("no sample on the known part of the section above the least speed")
-    stretches = _stretches(usable, window, parameters)
-    if not stretches:
+    runs = stretches(usable, window, parameters)
+    if not runs:
         return Refusal(f"no uninterrupted stretch of {parameters.shortest_stretch_s:g} s")
     d = _alignment_at(window.distance, track, usable)
     n = len(window.valid)
     signals = {item.name: np.full(n, np.nan) for item in fields(Motion) if item.name not in _NOT_SIGNALS}
     valid = np.zeros(n, dtype=np.bool_)
-    for start, stop in stretches:
+    for start, stop in runs:
         for name, values in _integrate(window, d, usable, slice(start, stop), parameters).items():
             signals[name][start:stop] = values
         trim = round(parameters.trimmed_s / window.sample_interval_s)
@@ -106,7 +106,7 @@ def _alignment_at(distance: FloatArray, track: TrackAlignment, usable: BoolArray
     return np.asarray(CubicSpline(track.s[part], track.alignment[part], extrapolate=False)(distance))
 
 
-def _stretches(usable: BoolArray, window: Window, parameters: SignalParameters) -> list[tuple[int, int]]:
+def stretches(usable: BoolArray, window: Window, parameters: SignalParameters) -> list[tuple[int, int]]:
     """Return the runs of usable samples with only short gaps in them, long enough to be worth it."""
     index = np.flatnonzero(usable)
     breaks = np.flatnonzero(np.diff(index) > parameters.bridged_samples + 1)
@@ -120,16 +120,8 @@ def _integrate(
     window: Window, d: FloatArray, usable: BoolArray, part: slice, parameters: SignalParameters
 ) -> dict[str, FloatArray]:
     """Rates and displacements of one stretch, slow parts projected out."""
-    dt = window.sample_interval_s
-    n = part.stop - part.start
     known = usable[part]
-    t = np.arange(n)
-    accelerations = np.stack([_bridged(getattr(window, name)[part], known) for name in ACCELERATIONS])
-    accelerations -= accelerations.mean(axis=1, keepdims=True)
-    rates = _running_integral(accelerations, dt)
-    centred = t - t.mean()
-    rates -= rates.mean(axis=1, keepdims=True) + np.outer(rates @ centred / (centred @ centred), centred)
-    displacements = _running_integral(rates, dt)
+    accelerations, rates, displacements = running_integrals(window, known, part)
     y, ψ, φ, ym = displacements
     dy, dψ, dφ, dym = rates
     ddy, ddψ = accelerations[:2]
@@ -148,6 +140,31 @@ def _integrate(
     )
     fast = _without_slow_part(raw, _distance(window, known, part), parameters.longest_wavelength)
     return dict(zip(names, fast, strict=True))
+
+
+def running_integrals(window: Window, known: BoolArray, part: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return accelerations, rates and displacements (4, n) each, in the order of ``ACCELERATIONS``, of one stretch.
+
+    Means, and straight lines of the rates, are taken out on the way, so that what still wanders is small; the slow
+    part of the result carries no meaning.
+
+    Parameters
+    ----------
+    window
+        Measured accelerations.
+    known
+        (n,) where samples of the stretch are usable; others are bridged by straight lines.
+    part
+        The stretch.
+    """
+    dt = window.sample_interval_s
+    t = np.arange(part.stop - part.start)
+    accelerations = np.stack([_bridged(getattr(window, name)[part], known) for name in ACCELERATIONS])
+    accelerations -= accelerations.mean(axis=1, keepdims=True)
+    rates = _running_integral(accelerations, dt)
+    centred = t - t.mean()
+    rates -= rates.mean(axis=1, keepdims=True) + np.outer(rates @ centred / (centred @ centred), centred)
+    return accelerations, rates, _running_integral(rates, dt)
 
 
 def _bridged(values: FloatArray, known: BoolArray) -> FloatArray:

@@ -1,0 +1,1 @@
+"""The lateral alignment of a place, from the fleet that passes it."""

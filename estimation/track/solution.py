@@ -1,0 +1,127 @@
+"""The solution of a panel: every wheelset's curve, the alignment of the place, and whether they can be told at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from estimation.arrays import BoolArray, FloatArray, IntArray
+from estimation.jackknife import jackknife_std
+from estimation.track.panel import PanelState, groups_of
+from estimation.types import Status
+
+LEAST_DIVERSITY = 0.15
+LEAST_WHEELSETS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class PanelReport:
+    """Whether the passes could tell alignment and geometry apart, and from what."""
+
+    status: Status
+    reason: str
+    wheelsets: int
+    passes: float  # mean per grid point that has any
+    covered: float  # share of the section with enough passes
+    diversity: float  # std of R between the passes of a place over the std of R
+    residual_rms: float  # m, of y between the passes of a place, after the fit
+
+
+@dataclass(frozen=True, slots=True)
+class PanelSolution:
+    """Curves and alignment with their standard deviations from blocks along the section."""
+
+    report: PanelReport
+    wheelsets: tuple[str, ...]
+    knots: FloatArray  # (k,) R, m
+    curves: FloatArray  # (1 + g, w, k) h(R) = y - d, m: from all data, then with each group left out
+    weight: FloatArray  # (w, k) how much of the data each knot has seen, in samples
+    alignment: FloatArray  # (n,) high-passed d, m; NaN where too few passes
+    alignment_std: FloatArray  # (n,) m
+    passes: IntArray  # (n,)
+
+
+def result(state: PanelState) -> PanelSolution:
+    """Return what the passes so far say of the section and of the wheelsets that passed it."""
+    p = state.parameters
+    w, k = len(state.wheelsets), p.hats
+    enough = state.passes >= p.least_passes
+    group = groups_of(np.arange(p.points), p)
+    normal = np.empty((p.groups, w * k, w * k))
+    right = np.empty((p.groups, w * k))
+    stacked = state.functions.reshape(w * k, p.points)
+    share = np.zeros(p.points)
+    share[enough] = 1.0 / state.passes[enough]
+    for g in range(p.groups):
+        mine = np.flatnonzero((group == g) & (state.passes > 0))
+        G = stacked[:, mine]
+        per_pass = np.where(enough[mine], share[mine], 1.0 / np.maximum(state.passes[mine], 1))
+        normal[g] = linalg.block_diag(*state.gram[g]) - (G * per_pass) @ G.T
+        right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[mine])
+    curves = _curves(normal, right, w, p.roughness)
+    alignments = np.stack([(state.displacement - curve.reshape(-1) @ stacked) * share for curve in curves])
+    residual = _residual_rms(state, curves[0], normal, right)
+    mean_passes = float(state.passes[state.passes > 0].mean()) if (state.passes > 0).any() else 0.0
+    std = np.hypot(jackknife_std(alignments), residual * np.sqrt(share))
+    report = _report(state, enough, mean_passes, residual)
+    return PanelSolution(
+        report=report,
+        wheelsets=state.wheelsets,
+        knots=p.knots,
+        curves=curves,
+        weight=np.einsum("gwkk->wk", state.gram),
+        alignment=np.where(enough, alignments[0], np.nan),
+        alignment_std=np.where(enough, std, np.nan),
+        passes=state.passes,
+    )
+
+
+def _curves(normal: FloatArray, right: FloatArray, w: int, roughness: float) -> FloatArray:
+    """Solve for all data and with each group left out; curves pass through zero at R = 0."""
+    if w == 0:
+        return np.zeros((1 + len(normal), 0, 1))
+    total, total_right = normal.sum(axis=0), right.sum(axis=0)
+    k = len(total) // w
+    scale = np.trace(total) / len(total)
+    bend = np.diff(np.eye(k), 2, axis=0)
+    penalty = scale * (roughness * bend.T @ bend + 1e-6 * np.ones((k, k)) / k)
+    prior = linalg.block_diag(*[penalty] * w)
+    curves = [
+        linalg.solve(total - left_out + prior, total_right - left_right, assume_a="sym").reshape(w, k)
+        for left_out, left_right in zip(
+            [np.zeros_like(total), *normal], [np.zeros_like(total_right), *right], strict=True
+        )
+    ]
+    centre = k // 2
+    return np.stack([curve - curve[:, [centre]] for curve in curves])
+
+
+def _residual_rms(state: PanelState, curve: FloatArray, normal: FloatArray, right: FloatArray) -> float:
+    """Return the rms of y - d - h(R) over all passes, degrees of freedom taken off."""
+    c = curve.reshape(-1)
+    met = state.passes > 0
+    within = state.square.sum() - (state.displacement[met] ** 2 / state.passes[met]).sum()
+    squares = within - 2 * c @ right.sum(axis=0) + c @ normal.sum(axis=0) @ c
+    freedom = max(float((state.passes[met] - 1).sum()) - len(c), 1.0)
+    return float(np.sqrt(max(squares, 0.0) / freedom))
+
+
+def _report(state: PanelState, enough: BoolArray, mean_passes: float, residual: float) -> PanelReport:
+    several = state.passes > 1
+    count = state.passes[several]
+    sums, squares = state.difference[0, several], state.difference[1, several]
+    within = (squares - sums**2 / count).sum() / max((count - 1).sum(), 1)
+    total = squares.sum() / max(count.sum(), 1)
+    diversity = float(np.sqrt(max(within, 0.0) / total)) if total > 0 else 0.0
+    covered = float(enough.mean())
+    reason = ""
+    if not enough.any():
+        reason = f"no place with {state.parameters.least_passes} passes"
+    elif len(state.wheelsets) < LEAST_WHEELSETS:
+        reason = "one wheelset alone cannot tell the track from its own geometry"
+    elif diversity < LEAST_DIVERSITY:
+        reason = f"the passes are too alike: diversity {diversity:.2f}, {LEAST_DIVERSITY} is needed"
+    status = Status.UNESTIMATED if reason else Status.ESTIMATED
+    return PanelReport(status, reason, len(state.wheelsets), mean_passes, covered, diversity, residual)

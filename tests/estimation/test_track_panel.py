@@ -1,0 +1,140 @@
+"""The alignment of a place and the geometry of those who pass it, from the passes alone."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from smooth_wheelset import SmoothTable, mems_windows, run, track
+
+from estimation.contact.conicity import equivalent_conicity
+from estimation.errors import ParameterError
+from estimation.signals import SignalParameters
+from estimation.track.local_filter import smoother, trusted, without_slow_part
+from estimation.track.panel import PanelParameters, PanelState, hat_functions, init, update
+from estimation.track.passes import Pass, passes
+from estimation.track.solution import PanelSolution, result
+from estimation.types import Status
+from estimation.vehicle import VehicleParameters
+
+PARAMETERS = PanelParameters(length=3000.0, hats=31)
+FLEET = ((0.05, 17.0), (0.05, 23.0), (0.10, 16.0), (0.10, 22.0), (0.16, 18.0), (0.16, 24.0))  # cone, speed
+
+
+@cache
+def fleet_passes(seed: int = 1, alike: bool = False) -> tuple[Pass, ...]:  # noqa: FBT001, FBT002 - a test's switch
+    found: list[Pass] = []
+    for number, (cone, speed) in enumerate(FLEET):
+        cone, speed = (0.10, 20.0) if alike else (cone, speed)  # noqa: PLW2901 - alike on purpose
+        m = run(120, seed=seed, cone=cone, speed=speed)
+        for window in mems_windows(m, seed=10 * seed + number):
+            found += [
+                Pass(f"cone {cone}" + (f" {number}" if alike else ""), 1000 * number + window.start_ns, p.first, p.step,
+                     p.displacement, p.difference)
+                for p in passes(window, PARAMETERS.step, VehicleParameters(), SignalParameters())
+            ]  # fmt: skip
+    return tuple(found)
+
+
+def _solved(found: tuple[Pass, ...]) -> PanelSolution:
+    return result(update(init(PARAMETERS), list(found)))
+
+
+def test_the_local_fit_takes_out_cubics_and_halves_the_cut_off() -> None:
+    weights = smoother(30.0, 0.5)
+    assert weights.sum() == pytest.approx(1.0)
+    s = np.arange(2000) * 0.5
+    m = len(weights) // 2
+    cubic = 3.0 + 0.2 * s - 1e-3 * s**2 + 4e-7 * s**3
+    assert np.abs(without_slow_part(cubic, weights)[m:-m]).max() < 1e-7
+    wave = np.sin(2 * np.pi * s / 30.0)
+    assert np.abs(without_slow_part(wave, weights)[m:-m]).max() == pytest.approx(0.5, abs=0.02)
+    fast = np.sin(2 * np.pi * s / 8.0)
+    assert np.abs(without_slow_part(fast, weights)[m:-m]).max() == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_sample_is_trusted_when_all_within_reach_are_valid() -> None:
+    weights = np.ones(5) / 5
+    valid = np.ones(20, dtype=bool)
+    valid[10] = False
+    expected = np.array([all(0 <= j < 20 and valid[j] for j in range(i - 2, i + 3)) for i in range(20)])
+    np.testing.assert_array_equal(trusted(valid, weights), expected)
+
+
+@given(R=st.lists(st.floats(-4e-3, 4e-3), min_size=1, max_size=30))
+def test_hats_add_up_to_one_and_reproduce_straight_lines(R: list[float]) -> None:
+    knots = PARAMETERS.knots
+    values = hat_functions(np.array(R), knots)
+    np.testing.assert_allclose(values.sum(axis=0), 1.0, atol=1e-12)
+    np.testing.assert_allclose(knots @ values, R, atol=1e-12)
+
+
+def test_the_radius_difference_of_a_pass_is_the_true_one() -> None:
+    m = run(120, seed=1, cone=0.10, speed=20.0)
+    window = mems_windows(m, seed=0, density=0.0)[0]
+    (found,) = passes(window, 0.5, VehicleParameters(), SignalParameters())
+    weights = smoother(30.0, 0.5)
+    grid = np.arange(found.first, found.stop) * 0.5
+    true = np.interp(grid, m.distance, m.rolling_radius_left - m.rolling_radius_right)
+    inner = slice(len(weights), -len(weights))
+    error = without_slow_part(found.difference, weights) - without_slow_part(true, weights)
+    assert np.sqrt((error[inner] ** 2).mean()) < 0.01 * true.std()
+
+
+def test_alignment_and_conicity_come_out_of_unknown_track() -> None:
+    solved = _solved(fleet_passes())
+    assert solved.report.status is Status.ESTIMATED
+    weights = smoother(PARAMETERS.cut_off, PARAMETERS.step)
+    grid = np.arange(PARAMETERS.points) * PARAMETERS.step
+    truth = track(1)
+    true = without_slow_part(np.interp(grid, truth.s, truth.alignment), weights)
+    seen = np.isfinite(solved.alignment) & (grid > 100) & (grid < 1700)
+    error = (solved.alignment - true)[seen]
+    assert seen.sum() > 2500
+    assert error.std() < 0.12 * true[seen].std()
+    amplitudes = (1.0e-3, 1.5e-3, 2.0e-3)
+    for name, curve, weight in zip(solved.wheelsets, solved.curves[0], solved.weight, strict=True):
+        table = SmoothTable(float(name.split()[1]))
+        x = table.lateral_displacement
+        expected = equivalent_conicity(x, table.left(x) - table.right(x), amplitudes)
+        used = (weight > 50) & (np.gradient(curve) > 0)
+        found = equivalent_conicity(curve[used], solved.knots[used], amplitudes)
+        assert np.nanmax(np.abs(found - expected)) < 0.02, name
+
+
+@settings(max_examples=8, deadline=None)
+@given(order=st.permutations(range(12)), cut=st.integers(1, 11))
+def test_any_order_and_grouping_of_the_passes_gives_the_same(order: list[int], cut: int) -> None:
+    found = fleet_passes()
+    small = PanelParameters(length=2000.0, hats=11, groups=4)
+    chosen = [found[i] for i in order]
+    state: PanelState = update(update(init(small), chosen[:cut]), chosen[cut:])
+    reference = update(init(small), [found[i] for i in range(12)])
+    places = [state.wheelsets.index(name) for name in reference.wheelsets]
+    for name in ("gram", "cross"):
+        ours, theirs = getattr(state, name)[:, places], getattr(reference, name)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
+    np.testing.assert_array_equal(state.passes, reference.passes)
+    np.testing.assert_allclose(state.displacement, reference.displacement, rtol=1e-9, atol=1e-15)
+
+
+def test_one_wheelset_alone_or_wheelsets_all_alike_say_nothing() -> None:
+    alone = tuple(p for p in fleet_passes() if p.wheelset == "cone 0.05")
+    told = _solved(alone).report
+    assert told.status is Status.UNESTIMATED
+    assert told.reason
+    alike = _solved(fleet_passes(alike=True)).report
+    assert alike.status is Status.UNESTIMATED
+    assert "alike" in alike.reason
+
+
+def test_nothing_is_unestimated_and_another_grid_is_refused() -> None:
+    assert result(init(PanelParameters(length=500.0, hats=5))).report.status is Status.UNESTIMATED
+    stray = Pass("W", 0, 0, 0.25, np.zeros(900), np.zeros(900))
+    with pytest.raises(ParameterError, match="grid"):
+        update(init(PARAMETERS), [stray])
+    with pytest.raises(ParameterError, match="cut_off"):
+        PanelParameters(cut_off=0.0)
