@@ -14,7 +14,7 @@ from rich.table import Table
 
 from bench.report import BenchRow
 
-NAMES = ("contact", "estimation", "recursion", "decoding", "simulator", "trend")
+NAMES = ("contact", "estimation", "recursion", "decoding", "simulator")
 
 
 def main() -> int:

@@ -8,13 +8,12 @@ import numpy as np
 
 from estimation.arrays import BoolArray, FloatArray
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
+from estimation.displacement_error import SCALE_UNCERTAINTY, DisplacementError
 from estimation.jackknife import jackknife_std, with_interval
 from estimation.types import Estimate
 
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
-SCALE_UNCERTAINTY = 0.005  # of the displacement, from integration and projection
-MOST_EXCESS = 0.2  # of the variance of the displacement that its error may make up
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +34,7 @@ class CurveReplicates:
     difference: FloatArray  # (1 + g, b, 3) m: value, slope, curvature over u; from all data, then each group left out
     sensitivity: FloatArray  # (b, k, 3) m: the same per standard deviation of each uncertain parameter
     usable: BoolArray  # (b,)
-    samples: FloatArray  # (b,)
-    displacement_noise: float  # m, std of the error of the displacement
+    error: DisplacementError
     count: float  # windows
     band_limited: bool
 
@@ -101,16 +99,14 @@ def _rows(curve: CurveReplicates, run: BoolArray) -> list[_Row]:
     do a scale error, the rounding of kinks by e, and the difference between bins that bend and straight lines
     between their centres.
     """
-    observed = 0.5 * (curve.edges[:-1] + curve.edges[1:])
-    variance = np.average(observed**2, weights=curve.samples)
-    excess = min(curve.displacement_noise**2 / variance, MOST_EXCESS)
+    excess = curve.error.excess
     low, high = curve.edges[:-1][run], curve.edges[1:][run]
     at = _nodes(low, high)
     x = (1 - excess) * at
     values = [_evaluate(shape[run]) for shape in curve.difference]
     shifted = [values[0] + _evaluate(curve.sensitivity[run, k]) for k in range(curve.sensitivity.shape[1])]
     coarse = np.interp(at, 0.5 * (low + high), curve.difference[0, run, 0])
-    rounded = _rounded(x, values[0], curve.displacement_noise)
+    rounded = curve.error.rounded(x, values[0])
     stretched = ((1 + SCALE_UNCERTAINTY) * x, values[0])
     return [*((x, row) for row in (*values, *shifted)), (at, values[0]), stretched, (x, rounded), (x, coarse)]
 
@@ -127,16 +123,6 @@ def _evaluate(shape: FloatArray) -> FloatArray:
     edge = at_low.copy()
     edge[1:] = 0.5 * (at_low[1:] + at_high[:-1])
     return np.append(np.column_stack([edge, value]).ravel(), at_high[-1])
-
-
-def _rounded(x: FloatArray, difference: FloatArray, std: float) -> FloatArray:
-    """Return the curve averaged over a normal error of x (three-point Gauss-Hermite); straight beyond its ends."""
-    step = np.sqrt(3.0) * std
-    line_low = (difference[1] - difference[0]) / (x[1] - x[0])
-    line_high = (difference[-1] - difference[-2]) / (x[-1] - x[-2])
-    before = np.interp(x - step, x, difference) + line_low * np.minimum(x - step - x[0], 0.0)
-    after = np.interp(x + step, x, difference) + line_high * np.maximum(x + step - x[-1], 0.0)
-    return np.asarray(before / 6 + 2 * difference / 3 + after / 6)
 
 
 def _estimate(values: FloatArray, groups: int, count: float, reason: str) -> Estimate:

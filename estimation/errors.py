@@ -126,14 +126,13 @@ class DamagedError(StorageError):
 
 
 class MigrationError(StorageError):
-    """The database is at another migration head than this code."""
+    """The database is at another migration head than this code; ``known`` says whether an upgrade leads from there."""
 
-    def __init__(self, found: str | None, expected: str) -> None:
+    def __init__(self, found: str | None, expected: str, *, known: bool = True) -> None:
         self.found = found
         self.expected = expected
-        super().__init__(
-            f"the database is at migration {found or 'none'}, this version needs {expected}; run: treadwatch db upgrade"
-        )
+        remedy = "run: treadwatch db upgrade" if known else "this version does not know it: run the later one it is of"
+        super().__init__(f"the database is at migration {found or 'none'}, this version needs {expected}; {remedy}")
 
 
 class AlreadyRunningError(StorageError):

@@ -15,6 +15,7 @@ from estimation import least_squares
 from estimation.arrays import BoolArray, FloatArray
 from estimation.bins import BinParameters
 from estimation.curve import CurveParameters, CurveReplicates, curve_estimates
+from estimation.displacement_error import DisplacementError
 from estimation.jackknife import jackknife_std
 from estimation.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS
 from estimation.types import BinStatus, BinTable, BinValues, WheelsetGeometry
@@ -89,20 +90,21 @@ def estimate(table: BinTable, bins: BinParameters, parameters: GeometryParameter
     few = (samples < parameters.least_samples) | (replicates.groups_in_bin < FEWEST_GROUPS)
     jump = ~few & _jumps(replicates, few, parameters)
     unc = parameters.uncertainty
-    S = _combination(replicates.lateral[:, :, 0], unc.lateral(), few, jump, parameters.prior_radius, parameters)
-    D = _combination(replicates.lateral[:, :, 2], unc.lateral(), few, jump, parameters.prior_angle, parameters)
-    A = _combination(replicates.yaw[:, :, 0], unc.yaw(), few, jump, parameters.prior_angle, parameters)
-    R = _combination(replicates.yaw[:, :, 1], unc.yaw(), few, jump, parameters.prior_radius, parameters)
+    centre = 0.5 * (table.edges[:-1] + table.edges[1:])
+    error = DisplacementError.of(_displacement_noise(replicates, few | jump, bins), centre, samples)
+    hidden = _Hidden(few, jump, centre, error, parameters.informative)
+    S = _combination(replicates.lateral[:, :, 0], unc.lateral(), hidden, parameters.prior_radius)
+    D = _combination(replicates.lateral[:, :, 2], unc.lateral(), hidden, parameters.prior_angle)
+    A = _combination(replicates.yaw[:, :, 0], unc.yaw(), hidden, parameters.prior_angle)
+    R = _combination(replicates.yaw[:, :, 1], unc.yaw(), hidden, parameters.prior_radius)
     shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 5, 3): R across each bin, by target
-    noise = _displacement_noise(replicates, few | jump, bins)
     curve = curve_estimates(
         CurveReplicates(
             edges=table.edges,
             difference=shape[:, :, 0, :],
             sensitivity=shape[0, :, 1:, :] * unc.yaw()[:, None],
             usable=~few,
-            samples=samples,
-            displacement_noise=noise,
+            error=error,
             count=float(table.windows),
             band_limited=bins.band_limited,
         ),
@@ -176,18 +178,25 @@ def _displacement_noise(replicates: _Replicates, out: BoolArray, bins: BinParame
     return float(np.quantile(replicates.residual[steep] / slope[steep], 0.25) / np.sqrt(2.0))
 
 
-def _combination(
-    theta: FloatArray,
-    relative: FloatArray,
-    few: BoolArray,
-    jump: BoolArray,
-    prior: float,
-    parameters: GeometryParameters,
-) -> BinValues:
+@dataclass(frozen=True, slots=True)
+class _Hidden:
+    """What decides over all combinations of a bin alike."""
+
+    few: BoolArray  # (b,)
+    jump: BoolArray  # (b,)
+    centre: FloatArray  # (b,) m
+    error: DisplacementError
+    informative: float
+
+
+def _combination(theta: FloatArray, relative: FloatArray, hidden: _Hidden, prior: float) -> BinValues:
     """One coefficient over the bins: (1 + g, b, 1 + k) replicates and sensitivities to value, std, status."""
     value = theta[0, :, 0]
-    std = np.hypot(jackknife_std(theta[:, :, 0]), np.sqrt(((theta[0, :, 1:] * relative) ** 2).sum(axis=1)))
-    vague = ~(std < parameters.informative * prior)
+    sampled = jackknife_std(theta[:, :, 0])
+    parameters = np.sqrt(((theta[0, :, 1:] * relative) ** 2).sum(axis=1))
+    displaced = hidden.error.std_of_bins(hidden.centre, value, ~hidden.few & np.isfinite(value))
+    std = np.sqrt(sampled**2 + parameters**2 + displaced**2)
+    vague = ~(std < hidden.informative * prior)
     status = tuple(
         BinStatus.TOO_FEW
         if f
@@ -196,7 +205,7 @@ def _combination(
         else BinStatus.UNOBSERVABLE
         if v
         else BinStatus.ESTIMATED
-        for f, j, v in zip(few, jump, vague, strict=True)
+        for f, j, v in zip(hidden.few, hidden.jump, vague, strict=True)
     )
-    hidden = few | jump | vague
-    return BinValues(np.where(hidden, np.nan, value), np.where(hidden, np.nan, std), status)
+    unknown = hidden.few | hidden.jump | vague
+    return BinValues(np.where(unknown, np.nan, value), np.where(unknown, np.nan, std), status)

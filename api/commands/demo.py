@@ -38,17 +38,18 @@ def demo(
     """Simulate a fleet on CAN, receive it, estimate it, and serve trends and alerts."""
     began = time.monotonic()
     console = Console()
+    plan = ending_now(load_scenario(scenario), time.time_ns())
     _make_anew(folder)
     recordings, data = folder / "recordings", folder / "data"
-    settings = load_settings(data_dir=data, port=free_port("127.0.0.1", port))
+    settings = load_settings(data_dir=data)
     settings = settings.model_copy(update={"database_url": None, "host": "127.0.0.1", "log_level": "warning"})
     logs.configure(settings)
-    plan = ending_now(load_scenario(scenario), time.time_ns())
     console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)
     report = simulate_with_progress(plan, recordings, console)
     upgrade(settings.url)
     console.print(replay(settings, plan, report, console))
-    with serving(settings) as url:
+    # the port is looked for now, not a minute ago: somebody else may have come to listen meanwhile
+    with serving(settings.model_copy(update={"port": free_port(settings.host, port)})) as url:
         found = lines(url, report.truth)
         for table in tables(found, console):
             console.print(table)

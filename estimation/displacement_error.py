@@ -1,0 +1,60 @@
+"""What an error of the lateral displacement does to a curve over it, and what of that remains unknown.
+
+A measured displacement has an error (std e). A large measured displacement is too large on average, by the factor
+1/(1 - e^2/var), which flattens the curve; and kinks are rounded over e.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.arrays import BoolArray, FloatArray
+
+SCALE_UNCERTAINTY = 0.005  # of the displacement, from integration and projection
+MOST_EXCESS = 0.2  # of the variance of the displacement that its error may make up
+
+
+@dataclass(frozen=True, slots=True)
+class DisplacementError:
+    """Std of the error of y - d, and by how much the measured displacement is too large."""
+
+    std: float  # m
+    excess: float  # share
+
+    @staticmethod
+    def of(std: float, centre: FloatArray, samples: FloatArray) -> DisplacementError:
+        """Return the error for displacements distributed as ``samples`` (b,) over bins at ``centre`` (b,), m."""
+        variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
+        return DisplacementError(std, min(std**2 / variance, MOST_EXCESS) if variance > 0 else 0.0)
+
+    def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the curve averaged over a normal error of x (three-point Gauss-Hermite); straight beyond its ends."""
+        step = np.sqrt(3.0) * self.std
+        line_low = (values[1] - values[0]) / (x[1] - x[0])
+        line_high = (values[-1] - values[-2]) / (x[-1] - x[-2])
+        before = np.interp(x - step, x, values) + line_low * np.minimum(x - step - x[0], 0.0)
+        after = np.interp(x + step, x, values) + line_high * np.maximum(x + step - x[-1], 0.0)
+        return np.asarray(before / 6 + 2 * values / 3 + after / 6)
+
+    def std_of_bins(self, centre: FloatArray, values: FloatArray, usable: BoolArray) -> FloatArray:
+        """Return what the error leaves unknown of a value per bin (b,): its stretch, a scale error, the rounding.
+
+        Parameters
+        ----------
+        centre
+            (b,) m.
+        values
+            (b,) in any unit; read where ``usable``.
+        usable
+            (b,) bins with a value; elsewhere the result is zero.
+        """
+        left_unknown = np.zeros(len(centre))
+        if usable.sum() < 2:  # noqa: PLR2004 - no slope of one value
+            return left_unknown
+        x, v = centre[usable], values[usable]
+        slope = np.gradient(v, x)
+        stretch = slope * x * np.hypot(self.excess, SCALE_UNCERTAINTY)
+        left_unknown[usable] = np.hypot(stretch, self.rounded(x, v) - v)
+        return left_unknown
