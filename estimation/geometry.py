@@ -194,7 +194,9 @@ def _combination(theta: FloatArray, relative: FloatArray, hidden: _Hidden, prior
     value = theta[0, :, 0]
     sampled = jackknife_std(theta[:, :, 0])
     parameters = np.sqrt(((theta[0, :, 1:] * relative) ** 2).sum(axis=1))
-    displaced = hidden.error.std_of_bins(hidden.centre, value, ~hidden.few & np.isfinite(value))
+    # what a bin holds that a jump crosses is no value of the curve, and would pose as a slope of its neighbours
+    curve = ~hidden.few & ~hidden.jump & np.isfinite(value)
+    displaced = hidden.error.std_of_bins(hidden.centre, value, curve)
     std = np.sqrt(sampled**2 + parameters**2 + displaced**2)
     vague = ~(std < hidden.informative * prior)
     status = tuple(
