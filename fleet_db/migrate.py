@@ -39,7 +39,7 @@ def upgrade(url: str) -> str:
             serialise(connection, Subject.MIGRATION)
             found = MigrationContext.configure(connection).get_current_revision()
             if found is not None and found not in _known():
-                raise MigrationError(found, head())
+                raise MigrationError(found, head(), known=False)
             config = _config()
             config.attributes["connection"] = connection
             command.upgrade(config, "head")
@@ -64,7 +64,7 @@ def check_head(engine: Engine) -> None:
     with own_errors(), engine.connect() as connection:
         found = MigrationContext.configure(connection).get_current_revision()
     if found != head():
-        raise MigrationError(found, head())
+        raise MigrationError(found, head(), known=found is None or found in _known())
 
 
 def head() -> str:

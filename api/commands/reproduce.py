@@ -10,6 +10,8 @@ import typer
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from estimation.errors import ParameterError
+
 
 def reproduce(
     out: Annotated[Path, typer.Option(help="Folder for pictures and numbers; made if missing.")] = Path("reproduction"),
@@ -20,7 +22,10 @@ def reproduce(
     from api.reproduction import figures, report, study  # noqa: PLC0415 - only this command needs matplotlib and numba
 
     console = Console()
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ParameterError(f"{out}: no folder can be made there: {error.strerror}", field="--out") from error
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
         step = progress.add_task("constant gauge: simulate, estimate", total=4)

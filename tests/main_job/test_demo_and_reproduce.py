@@ -58,6 +58,25 @@ def test_the_demo_refuses_what_is_not_its_own(tmp_path: Path, kind: str) -> None
     assert [path.name for path in precious.iterdir()] == ["thesis.txt"]
 
 
+def test_a_scenario_that_cannot_be_read_leaves_the_last_demo_alone(tmp_path: Path) -> None:
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "made-by-treadwatch-demo").touch()
+    (own / "table.txt").write_text("seen")
+    (tmp_path / "wrong.toml").write_text('name = "wrong"\nsped = 3\n')
+    done = treadwatch("demo", "--once", "--scenario", "wrong.toml", "--folder", own, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("treadwatch: wrong.toml")
+    assert (own / "table.txt").read_text() == "seen"
+
+
+def test_figures_need_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    done = treadwatch("reproduce", "--out", "taken", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("treadwatch: field '--out': taken: ")
+
+
 def test_the_figures_are_drawn_and_their_numbers_are_true(tmp_path: Path) -> None:
     done = treadwatch("reproduce", "--seconds", "120", "--out", "figures", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -92,7 +111,9 @@ def _check_constant_gauge(six: dict[str, object]) -> None:
         truth, found = (np.array(column[key], float) for key in ("truth", "estimate"))
         scale = {"rolling_radius_sum": 1.0, "contact_angle_sum": float(np.abs(truth[good]).min())}
         range_ = float(np.ptp(truth[good]))
-        assert np.abs(found - truth)[good].max() <= reach[name] * scale.get(name, range_), name
+        known = good & np.isfinite(found)  # two minutes are not enough for every bin
+        assert known.sum() >= 0.8 * good.sum()
+        assert np.abs(found - truth)[known].max() <= reach[name] * scale.get(name, range_), name
         crossed = (samples >= 2000) & (jump > 0)
         assert crossed.sum() >= 2
         assert np.isnan(found[crossed]).all()
