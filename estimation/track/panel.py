@@ -16,7 +16,7 @@ import numpy as np
 from estimation.arrays import FloatArray, IntArray
 from estimation.errors import ParameterError
 from estimation.track.local_filter import smoother, trusted, without_slow_part
-from estimation.track.passes import Pass
+from estimation.track.passes import Pass, gridded
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,13 +85,7 @@ def init(parameters: PanelParameters) -> PanelState:
 
 
 def update(state: PanelState, passes: list[Pass]) -> PanelState:
-    """Return the state with ``passes`` added; the cost is that of the passes, and one copy of the sums.
-
-    Raises
-    ------
-    ParameterError
-        A pass lies on another grid.
-    """
+    """Return the state with ``passes`` added; the cost is that of the passes, and one copy of the sums."""
     wheelsets = tuple(dict.fromkeys((*state.wheelsets, *(item.wheelset for item in passes))))
     new = len(wheelsets) - len(state.wheelsets)
     gram = np.pad(state.gram, ((0, 0), (0, new), (0, 0), (0, 0)))
@@ -133,26 +127,20 @@ def groups_of(at: IntArray, parameters: PanelParameters) -> IntArray:
 
 
 def filtered(item: Pass, parameters: PanelParameters) -> tuple[IntArray, FloatArray, FloatArray, FloatArray] | None:
-    """Return grid points (m,), filtered hats (k, m), y (m,) and R (m,) of a pass; None where it is too short.
-
-    Raises
-    ------
-    ParameterError
-        The pass lies on another grid.
-    """
-    if item.step != parameters.step:
-        raise ParameterError(f"a pass every {item.step} m on a grid of {parameters.step} m", field="step")
+    """Return grid points (m,), filtered hats (k, m), y (m,) and R (m,) of a pass; None where it is too short."""
     weights = smoother(parameters.cut_off, parameters.step)
-    m = len(weights) // 2
-    points = np.arange(item.first, item.stop)
-    R = without_slow_part(item.difference, weights)
+    first, displacement, difference = gridded(item, parameters.step)
+    points = np.arange(first, first + len(displacement))
+    if len(points) <= 2 * len(weights):
+        return None
+    R = without_slow_part(difference, weights)
     certain = trusted(np.ones(len(points), dtype=np.bool_), weights)
     twice = trusted(certain, weights)  # the hats of the filtered R are filtered themselves
     inside = twice & (points >= 0) & (points < parameters.points)
-    if inside.sum() <= m:
+    if not inside.any():
         return None
     B = without_slow_part(hat_functions(np.where(certain, R, 0.0), parameters.knots), weights)
-    y = without_slow_part(item.displacement, weights)
+    y = without_slow_part(displacement, weights)
     return points[inside], B[:, inside], y[inside], R[inside]
 
 

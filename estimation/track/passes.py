@@ -1,4 +1,4 @@
-"""A pass: what one wheelset felt along a stretch of a section, on the section's grid of distance."""
+"""A pass: what one wheelset felt along a stretch of a section."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.arrays import FloatArray, frozen_array
+from estimation.arrays import BoolArray, FloatArray, frozen_array
 from estimation.signals import SignalParameters, running_integrals, stretches
 from estimation.types import Window
 from estimation.vehicle import VehicleParameters
@@ -14,38 +14,35 @@ from estimation.vehicle import VehicleParameters
 
 @dataclass(frozen=True, slots=True)
 class Pass:
-    """Lateral displacement and rolling radius difference of a wheelset against distance, slow parts meaningless.
-
-    Grid point k of the section lies at ``k * step``; the pass covers first..first + n - 1.
-    """
+    """Lateral displacement and rolling radius difference of a wheelset against distance, slow parts meaningless."""
 
     wheelset: str
-    key: int  # start of its window, ns: passes are told apart by (wheelset, key, first)
-    first: int
-    step: float  # m
+    vehicle: str
+    start_ns: int  # of its window
+    at: FloatArray  # (n,) m along the section, strictly increasing
     displacement: FloatArray  # (n,) y, m
     difference: FloatArray  # (n,) R, m, measured without knowledge of the track
 
     def __post_init__(self) -> None:
-        n = len(self.displacement)
-        for name in ("displacement", "difference"):
+        n = len(self.at)
+        for name in ("at", "displacement", "difference"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
 
-    @property
-    def stop(self) -> int:
-        """One past its last grid point."""
-        return self.first + len(self.displacement)
+
+def gridded(item: Pass, step: float) -> tuple[int, FloatArray, FloatArray]:
+    """Return the first grid point, and y and R (m,) at the grid points ``k * step`` that the pass covers."""
+    first, last = int(np.ceil(item.at[0] / step)), int(np.floor(item.at[-1] / step))
+    grid = np.arange(first, last + 1) * step
+    return first, np.interp(grid, item.at, item.displacement), np.interp(grid, item.at, item.difference)
 
 
-def passes(window: Window, step: float, vehicle: VehicleParameters, parameters: SignalParameters) -> list[Pass]:
-    """Return the passes of a window: one for each uninterrupted stretch, resampled every ``step`` m.
+def passes(window: Window, vehicle: VehicleParameters, parameters: SignalParameters) -> list[Pass]:
+    """Return the passes of a window: one for each uninterrupted stretch.
 
     Parameters
     ----------
     window
         Measured accelerations and distance along its section.
-    step
-        Grid spacing, m.
     vehicle
         Parameters of Eq. 2, which turns the yaw motion into rL - rR.
     parameters
@@ -61,20 +58,12 @@ def passes(window: Window, step: float, vehicle: VehicleParameters, parameters: 
         known = np.asarray(usable[part])
         y, R = _felt(window, known, part, vehicle)
         at = np.interp(np.arange(stop - start), np.flatnonzero(known), window.distance[part][known])
-        if np.diff(at).min() <= 0:
-            continue  # distance runs backwards or stands still: not a pass along this section's direction
-        first, last = int(np.ceil(at[0] / step)), int(np.floor(at[-1] / step))
-        grid = np.arange(first, last + 1) * step
-        if len(grid):
-            found.append(
-                Pass(window.wheelset, window.start_ns, first, step, np.interp(grid, at, y), np.interp(grid, at, R))
-            )
+        if np.diff(at).min() > 0:  # else distance runs backwards or stands still: no pass along this direction
+            found.append(Pass(window.wheelset, window.vehicle, window.start_ns, at, y, R))
     return found
 
 
-def _felt(
-    window: Window, known: np.ndarray[tuple[int], np.dtype[np.bool_]], part: slice, p: VehicleParameters
-) -> tuple[FloatArray, FloatArray]:
+def _felt(window: Window, known: BoolArray, part: slice, p: VehicleParameters) -> tuple[FloatArray, FloatArray]:
     """Return y and the measured R (Eq. 2 solved for rL - rR with S = 2 r0, the small contact angle term left out)."""
     accelerations, rates, displacements = running_integrals(window, known, part)
     V = np.interp(np.arange(len(known)), np.flatnonzero(known), window.speed[part][known])

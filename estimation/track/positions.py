@@ -1,0 +1,201 @@
+"""Passes put where they were: odometer offsets and scale errors found from what the passes have in common.
+
+What every wheelset feels at a place is mostly the track. So each journey (the windows of one vehicle on one run over
+the section) is shifted and stretched until its lateral displacement agrees with the mean of the others: first by
+correlation, then by least squares on the slope of the alignment that the panel has found. Where the whole fleet lies
+is nobody's to say: the mean journey keeps its place.
+
+A worn and a new wheelset answer the track with different lags, so the offset of a journey and the slope of its
+wheelsets' curves trade off; a vehicle whose wheelsets differ in wear tells them apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import signal
+
+from estimation.arrays import FloatArray
+from estimation.track.local_filter import smoother, without_slow_part
+from estimation.track.panel import PanelParameters, filtered
+from estimation.track.passes import Pass, gridded
+from estimation.track.solution import PanelSolution
+
+NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class PositionParameters:
+    """How far positions may be off."""
+
+    largest_offset: float = 45.0  # m, searched both ways
+    pause_s: float = 300.0  # a longer pause between windows of a vehicle begins a new journey
+    least_correlation: float = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """True position = measured + offset + scale (measured - middle)."""
+
+    offset: float = 0.0  # m
+    scale: float = 0.0
+    middle: float = 0.0  # m
+
+    def at(self, measured: FloatArray) -> FloatArray:
+        """Return corrected positions, m."""
+        return np.asarray(measured + self.offset + self.scale * (measured - self.middle))
+
+
+Journey = tuple[str, int]  # vehicle, start of its first window, ns
+
+
+def journeys(passes: Sequence[Pass], parameters: PositionParameters) -> dict[Journey, list[Pass]]:
+    """Group passes by vehicle and run."""
+    found: dict[Journey, list[Pass]] = {}
+    last: dict[str, tuple[Journey, int]] = {}
+    for item in sorted(passes, key=lambda p: (p.vehicle, p.start_ns, p.wheelset)):
+        end = item.start_ns
+        known = last.get(item.vehicle)
+        if known is None or end - known[1] > parameters.pause_s * NANOSECONDS:
+            journey = (item.vehicle, item.start_ns)
+            found[journey] = []
+        else:
+            journey = known[0]
+        found[journey].append(item)
+        last[item.vehicle] = (journey, end)
+    return found
+
+
+def corrected(passes: Sequence[Pass], correction: Correction) -> list[Pass]:
+    """Return the passes at their corrected positions."""
+    return [replace(item, at=correction.at(item.at)) for item in passes]
+
+
+def correlate(
+    grouped: Mapping[Journey, Sequence[Pass]], panel: PanelParameters, parameters: PositionParameters
+) -> dict[Journey, Correction]:
+    """Return a correction for every journey from the correlation of lateral displacements.
+
+    The longest journey is the first reference; then, twice, the mean of all. A journey that agrees with nothing
+    keeps its place with no correction.
+    """
+    corrections = {journey: Correction(middle=0.5 * panel.length) for journey in grouped}
+    first = max(grouped, key=lambda journey: sum(item.at[-1] - item.at[0] for item in grouped[journey]))
+    reference = _mean_displacement({first: grouped[first]}, corrections, panel)
+    for _ in range(3):
+        for journey, members in grouped.items():
+            lags = [
+                lag
+                for item in members
+                if (lag := _lag(corrected([item], corrections[journey])[0], reference, panel, parameters)) is not None
+            ]
+            corrections[journey] = _fitted(corrections[journey], lags)
+        corrections = _centred(corrections)
+        reference = _mean_displacement(grouped, corrections, panel)
+    return corrections
+
+
+def refine(
+    grouped: Mapping[Journey, Sequence[Pass]],
+    corrections: Mapping[Journey, Correction],
+    solution: PanelSolution,
+    panel: PanelParameters,
+) -> dict[Journey, Correction]:
+    """Return better corrections: one Gauss-Newton step on y - d - h(R) = d' (offset + scale (s - middle))."""
+    slope = np.gradient(np.nan_to_num(solution.alignment), panel.step)
+    certain = np.isfinite(solution.alignment)
+    better = {}
+    for journey, members in grouped.items():
+        correction = corrections[journey]
+        normal, right = 1e-12 * np.eye(2), np.zeros(2)
+        for item in corrected(members, correction):
+            columns = filtered(item, panel)
+            if columns is None:
+                continue
+            at, B, y, _ = columns
+            curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
+            residual = (y - curve @ B - np.nan_to_num(solution.alignment[at])) * certain[at]
+            design = np.stack([slope[at], slope[at] * (at * panel.step - correction.middle)]) * certain[at]
+            normal += design @ design.T
+            right += design @ residual
+        step = np.linalg.solve(normal + np.diag([0.0, 1e-9 * normal[1, 1]]), right)
+        better[journey] = replace(
+            correction, offset=correction.offset + float(step[0]), scale=correction.scale + float(step[1])
+        )
+    return _centred(better)
+
+
+def _mean_displacement(
+    grouped: Mapping[Journey, Sequence[Pass]], corrections: Mapping[Journey, Correction], panel: PanelParameters
+) -> FloatArray:
+    """Return the mean filtered y (n,) over all passes; zero where there is none."""
+    weights = smoother(panel.cut_off, panel.step)
+    total, count = np.zeros(panel.points), np.zeros(panel.points)
+    for journey, members in grouped.items():
+        for item in corrected(members, corrections[journey]):
+            points, y = _filtered_displacement(item, weights, panel)
+            np.add.at(total, points, y)
+            np.add.at(count, points, 1.0)
+    return np.asarray(total / np.maximum(count, 1.0))
+
+
+def _filtered_displacement(item: Pass, weights: FloatArray, panel: PanelParameters) -> tuple[np.ndarray, FloatArray]:
+    first, displacement, _ = gridded(item, panel.step)
+    m = len(weights) // 2
+    if len(displacement) <= 2 * m + 1:
+        return np.empty(0, dtype=np.int64), np.empty(0)
+    y = without_slow_part(displacement, weights)[m:-m]
+    points = np.arange(first + m, first + m + len(y))
+    inside = (points >= 0) & (points < panel.points)
+    return points[inside], y[inside]
+
+
+def _lag(
+    item: Pass, reference: FloatArray, panel: PanelParameters, parameters: PositionParameters
+) -> tuple[float, float] | None:
+    """Return (middle of the pass, its offset) in m, from the peak of the correlation; None without a clear one."""
+    points, y = _filtered_displacement(item, smoother(panel.cut_off, panel.step), panel)
+    reach = int(parameters.largest_offset / panel.step)
+    if len(points) < 4 * reach:
+        return None
+    low, high = points[0] - reach, points[-1] + reach + 1
+    padded = np.pad(reference, (max(-low, 0), max(high - panel.points, 0)))
+    base = max(-low, 0)
+    part = padded[low + base : high + base]
+    products = signal.correlate(part, y, mode="valid")
+    energy = np.convolve(part * part, np.ones(len(y)), mode="valid")
+    scores = products / np.sqrt(np.maximum(energy, 1e-30) * (y @ y))
+    k = int(np.argmax(scores))
+    if scores[k] < parameters.least_correlation:
+        return None
+    shift = float(k - reach)
+    if 0 < k < len(scores) - 1:
+        a, b, c = scores[k - 1 : k + 2]
+        shift += 0.5 * (a - c) / (a - 2 * b + c)
+    return 0.5 * (points[0] + points[-1]) * panel.step, shift * panel.step
+
+
+def _fitted(correction: Correction, lags: Sequence[tuple[float, float]]) -> Correction:
+    """Return the correction with a robust straight line through the lags added."""
+    if not lags:
+        return correction
+    s, lag = np.array(lags).T
+    u = s - correction.middle
+    weights = np.ones(len(u))
+    line = np.zeros(2)
+    for _ in range(10):
+        design = np.stack([weights, weights * u])
+        ridge = np.diag([0.0, 1e-6 * float(u @ u) + 1e4])  # a short journey says little of its scale
+        line = np.linalg.solve(design @ np.stack([np.ones(len(u)), u]).T + ridge, design @ lag)
+        error = np.abs(lag - line[0] - line[1] * u)
+        weights = 1.0 / (1.0 + (error / max(float(np.median(error)), 0.1)) ** 2)
+    return replace(correction, offset=correction.offset + float(line[0]), scale=correction.scale + float(line[1]))
+
+
+def _centred(corrections: Mapping[Journey, Correction]) -> dict[Journey, Correction]:
+    """Return the corrections less their mean: the fleet as a whole stays where it said it was."""
+    offset = float(np.mean([c.offset for c in corrections.values()]))
+    scale = float(np.mean([c.scale for c in corrections.values()]))
+    return {j: replace(c, offset=c.offset - offset, scale=c.scale - scale) for j, c in corrections.items()}
