@@ -10,6 +10,7 @@ from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from estimation.alerts import AlertScope
 from estimation.errors import TreadwatchError
 from estimation.jobs.job import Job
 from estimation.ports import Storage, WindowState
@@ -68,7 +69,8 @@ class StoredMeasures(Collector):
         labels = ["fleet", "kind", "severity"]
         family = GaugeMetricFamily("treadwatch_alerts_open", "Open alerts.", labels=labels)
         with self._storage.read() as unit:
-            found = Tally((alert.fleet, alert.kind.value, alert.severity.value) for alert in unit.alerts.all_open())
+            of_wheelsets = [alert for alert in unit.alerts.all_open() if alert.scope is AlertScope.WHEELSET]
+            found = Tally((alert.fleet, alert.kind.value, alert.severity.value) for alert in of_wheelsets)
         for key, count in sorted(found.items()):
             family.add_metric(list(key), count)
         return family

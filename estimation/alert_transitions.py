@@ -6,9 +6,9 @@ cleared and with that closed. A reprofiling or an exchange closes it with its re
 later breach opens a new one.
 
 Times of an alert are those of the data that moved it, so that the same data give the same alerts whenever they are
-evaluated; the time of recording is on the events. ``version`` is left to the
-store, which counts it. The delays as they were when it was raised, and how far they have
-been counted, stand under ``delays`` in its evidence.
+evaluated; the time of recording is on the events. ``version`` is left to the store, which counts it: what comes out
+carries the version that went in. The delays as they were when it was raised, and how far they have been counted, stand
+under ``delays`` in its evidence.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ DAY_NS = 86_400_000_000_000
 PROBABILITY_BANDS = (0.05, 0.5, 0.8, 0.95, 0.99)
 MOST_REFERENCES = 20
 REFERENCE_LENGTH = 200
-_RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.CRITICAL: 2}
+SEVERITY_RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.CRITICAL: 2}
 
 
 def transition(
@@ -69,7 +69,7 @@ def transition(
         raise ConflictError("the finding is not about this alert", kind="alert", key=str(open_alert.alert_id))
     if open_alert.condition is Condition.PENDING:
         return _pending(open_alert, finding)
-    return _raised(_without_stale_acknowledgement(open_alert, now_ns), open_alert, finding)
+    return _raised(without_stale_acknowledgement(open_alert, now_ns), open_alert, finding)
 
 
 def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
@@ -129,7 +129,7 @@ def _raised(alert: Alert, stored: Alert, finding: Finding) -> Transition | None:
         return _clearing(alert, stored, finding)
     else:  # between the limits: still true, not seen again
         after = replace(_counted(_refreshed(alert, finding), finding, clear_seen=0), condition=Condition.ACTIVE)
-    return _updated(stored, after)
+    return updated(stored, after)
 
 
 def _unknown(alert: Alert, finding: Finding) -> Alert:
@@ -143,7 +143,7 @@ def _clearing(alert: Alert, stored: Alert, finding: Finding) -> Transition | Non
     seen = _delay(alert, "clear_seen") + (1 if news else 0)
     after = _counted(_refreshed(alert, finding), finding, clear_seen=seen)
     if seen < _delay(alert, "off_evaluations"):
-        return _updated(stored, replace(after, condition=Condition.ACTIVE))
+        return updated(stored, replace(after, condition=Condition.ACTIVE))
     after = replace(
         after,
         condition=Condition.CLEARED,
@@ -176,19 +176,21 @@ def _refreshed(alert: Alert, finding: Finding) -> Alert:
         raise_limit=finding.raise_limit,
         clear_limit=finding.clear_limit,
     )
-    if _RANK[finding.severity] > _RANK[alert.severity]:
+    if SEVERITY_RANK[finding.severity] > SEVERITY_RANK[alert.severity]:
         return replace(after, acknowledged_by=None, acknowledged_ns=None)
     return after
 
 
-def _without_stale_acknowledgement(alert: Alert, now_ns: int) -> Alert:
+def without_stale_acknowledgement(alert: Alert, now_ns: int) -> Alert:
+    """Return the alert without an acknowledgement that has run out."""
     days = _number(_counters(alert).get("acknowledgement_days"), AlertDelays().acknowledgement_days)
     if alert.acknowledged_ns is not None and now_ns - alert.acknowledged_ns > days * DAY_NS:
         return replace(alert, acknowledged_by=None, acknowledged_ns=None)
     return alert
 
 
-def _updated(before: Alert, after: Alert) -> Transition | None:
+def updated(before: Alert, after: Alert) -> Transition | None:
+    """Return the change, told of only where it matters to a reader of the feed; None where there is none."""
     events = (AlertEventKind.UPDATED,) if _material(before) != _material(after) else ()
     return _changed(before, after, events)
 

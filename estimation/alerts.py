@@ -1,6 +1,7 @@
 """Alerts as values: what a rule finds, what an alert is, what happens to it.
 
-Identity of an open alert is (fleet, wheelset serial, kind); facts are kept apart instead of one status word.
+Identity of an open alert is (fleet, wheelset serial, kind); that of a fleet alert, which stands for many of them, is
+(fleet, kind). Facts are kept apart instead of one status word.
 """
 
 from __future__ import annotations
@@ -20,6 +21,13 @@ class AlertKind(StrEnum):
     WHEEL_ASYMMETRY = "wheel_asymmetry"
     NO_DATA = "no_data"
     SENSOR_FAULT = "sensor_fault"
+
+
+class AlertScope(StrEnum):
+    """What an alert is about."""
+
+    WHEELSET = "wheelset"
+    FLEET = "fleet"
 
 
 class Severity(StrEnum):
@@ -69,11 +77,15 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Alert:
-    """One alert; ``alert_id`` 0 until stored. ``version`` counts changes (its ETag)."""
+    """One alert; ``alert_id`` 0 until stored. ``version`` counts changes (its ETag).
+
+    ``wheelset`` is None for a fleet alert. ``fleet_alert_id`` names the fleet alert that this one is a member of, which
+    it stays for good.
+    """
 
     alert_id: int
     fleet: str
-    wheelset: str
+    wheelset: str | None
     kind: AlertKind
     severity: Severity
     condition: Condition
@@ -93,7 +105,13 @@ class Alert:
     shelved_until_ns: int | None = None
     shelved_reason: str | None = None
     external_refs: tuple[str, ...] = ()
+    fleet_alert_id: int | None = None
     version: int = 1
+
+    @property
+    def scope(self) -> AlertScope:
+        """Whether it is about a wheelset or the fleet."""
+        return AlertScope.FLEET if self.wheelset is None else AlertScope.WHEELSET
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from estimation.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, Condition, JsonValue
+from estimation.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, AlertScope, Condition, JsonValue
 from estimation.types import BinTable, TrackAlignment, WearTrend, WheelsetGeometry, Window, WindowQuality
 
 
@@ -275,12 +275,17 @@ class Trends(Protocol):
 class Alerts(Protocol):
     """Alerts and their feed; at most one open alert per (wheelset, kind), held by the database.
 
+    Of fleet alerts at most one per (fleet, kind) is open. What happens to a member that was raised with its fleet alert
+    is among its events, but not in the feed, where the fleet alert stands for it.
+
     ``save`` takes an alert with the version it was read with, stores the next version and returns it; an alert that
     has another version by now is a ``ConflictError``.
     """
 
     def open(self, wheelset: str, kind: AlertKind) -> Alert | None: ...
     def all_open(self, wheelset: str | None = None) -> Sequence[Alert]: ...
+    def open_in_fleet(self, fleet: str) -> Sequence[Alert]: ...
+    def members(self, fleet_alert_id: int) -> Sequence[Alert]: ...
     def get(self, alert_id: int) -> Alert: ...
     def page(
         self,
@@ -292,6 +297,8 @@ class Alerts(Protocol):
         open_only: bool,
         after_id: int | None,
         limit: int,
+        scope: AlertScope | None = None,
+        fleet_alert_id: int | None = None,
     ) -> Sequence[Alert]: ...
     def feed(self, after_sequence: int, limit: int) -> Sequence[AlertEvent]: ...
     def events(self, alert_id: int) -> Sequence[AlertEvent]: ...

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from http import HTTPStatus
 
 from fastapi import APIRouter, Request, Response
@@ -51,8 +51,7 @@ def _change(
         require_match(if_match, alerts.alert(current, now_ns))
         transition = change.apply(current)
         if transition is not None:
-            after = replace(transition.alert, version=current.version)
-            current = unit.alerts.save(after, transition.events, now_ns, change.actor, change.note)
+            current = unit.alerts.save(transition.alert, transition.events, now_ns, change.actor, change.note)
         told = alerts.alert(current, now_ns)
         post.remember(unit, HTTPStatus.OK, told, now_ns)
     return answer(request, told)

@@ -22,11 +22,15 @@ from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Page
 from api.services import Joined
-from estimation.alerts import AlertKind, Condition
+from estimation.alerts import AlertKind, AlertScope, Condition
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
 Kind = Annotated[AlertKind | None, Query(description="Only of this kind.")]
 InCondition = Annotated[Condition | None, Query(description="Only in this condition.")]
+Scope = Annotated[AlertScope | None, Query(description="Only alerts of wheelsets, or only fleet alerts.")]
+MemberOf = Annotated[
+    int | None, Query(ge=1, le=2**63 - 1, description="Only members of the fleet alert with this `id`.", examples=[1])
+]
 OpenOnly = Annotated[bool, Query(alias="open", description="Only alerts that are not closed.")]
 After = Annotated[str | None, Query(description="`next_cursor` of the last poll; left out, from the beginning.")]
 
@@ -39,12 +43,22 @@ def list_alerts(
     wheelset: WheelsetFilter = None,
     kind: Kind = None,
     condition: InCondition = None,
+    scope: Scope = None,
+    fleet_alert: MemberOf = None,
     open_only: OpenOnly = False,  # noqa: FBT002 - a query parameter
     cursor: Cursor = None,
     limit: Limit = DEFAULT_LIMIT,
 ) -> Response:
-    """List the alerts, oldest first."""
-    filters = {"fleet": fleet, "wheelset": wheelset, "kind": kind, "condition": condition, "open": open_only}
+    """List the alerts, oldest first; fleet alerts and their members both."""
+    filters = {
+        "fleet": fleet,
+        "wheelset": wheelset,
+        "kind": kind,
+        "condition": condition,
+        "scope": scope,
+        "fleet_alert": fleet_alert,
+        "open": open_only,
+    }
     after = cursors.decode_number(operation(request), filters, cursor)
     with joined.storage.read() as unit:
         rows = unit.alerts.page(
@@ -55,6 +69,8 @@ def list_alerts(
             open_only=open_only,
             after_id=after,
             limit=limit + 1,
+            scope=scope,
+            fleet_alert_id=fleet_alert,
         )
     now_ns = joined.clock.now_ns()
     return answer_page(
@@ -64,7 +80,10 @@ def list_alerts(
 
 @router.get("/feed", response_model=alerts.Feed, responses=described(400))
 def poll_alert_feed(request: Request, joined: Joined, after: After = None, limit: Limit = DEFAULT_LIMIT) -> Response:
-    """Return what happened to alerts, in commit order; keep `next_cursor` and poll with it, nothing is missed."""
+    """Return what happened to alerts, in commit order; keep `next_cursor` and poll with it, nothing is missed.
+
+    A fleet alert stands for members that were raised with it; what happens to those is in their own `events`.
+    """
     name = operation(request)
     position = cursors.decode_number(name, {}, after) or 0
     with joined.storage.read() as unit:

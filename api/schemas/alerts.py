@@ -10,7 +10,7 @@ from api.schemas.common import Links, Representation, Request, finite
 from api.schemas.registry import segment
 from api.times import Moment, Timestamp, to_rfc3339
 from estimation.alerts import Alert as AlertValue
-from estimation.alerts import AlertEvent, AlertEventKind, AlertKind, Condition, Severity
+from estimation.alerts import AlertEvent, AlertEventKind, AlertKind, AlertScope, Condition, Severity
 
 _WORDS = r"^[^\x00]*$"
 
@@ -28,11 +28,13 @@ class DisplayState(StrEnum):
 
 
 class Alert(Representation):
-    """One alert of one wheelset; at most one of a kind is open at a time."""
+    """One alert of one wheelset, or one fleet alert that stands for many; at most one of a kind is open at a time."""
 
     id: int = Field(examples=[17])
     fleet: str = Field(examples=["demo"])
-    wheelset: str = Field(examples=["WS-0001"])
+    wheelset: str | None = Field(examples=["WS-0001"], description="Null for a fleet alert.")
+    scope: AlertScope = Field(description="Whether it is about a wheelset or the fleet.")
+    fleet_alert_id: int | None = Field(description="The fleet alert that this one is a member of.")
     kind: AlertKind
     severity: Severity
     condition: Condition
@@ -47,7 +49,9 @@ class Alert(Representation):
     raise_limit: float | None = Field(description="As it was when the alert fired, in the unit of `limit_unit`.")
     clear_limit: float | None = Field(description="As it was when the alert fired, in the unit of `limit_unit`.")
     limit_unit: str | None = Field(examples=["1"], description="Unit of both limits; fixed for a kind.")
-    evidence: dict[str, JsonValue] = Field(description="Numbers, intervals, windows and limits that led to it.")
+    evidence: dict[str, JsonValue] = Field(
+        description="Numbers, intervals, windows and limits that led to it; `members` of a fleet alert."
+    )
     action: str = Field(description="Suggested action, from a code list.", examples=["reprofile"])
     acknowledged_by: str | None
     acknowledged_at: Timestamp | None
@@ -130,14 +134,26 @@ def _time(t_ns: int | None) -> str | None:
     return None if t_ns is None else to_rfc3339(t_ns)
 
 
+def _links(record: AlertValue) -> dict[str, str]:
+    own = f"/v1/alerts/{record.alert_id}"
+    links = {"self": own, "events": f"{own}/events"}
+    if record.wheelset is None:
+        return links | {"members": f"/v1/alerts?fleet_alert={record.alert_id}"}
+    wheelset = f"/v1/wheelsets/{segment(record.wheelset)}"
+    links |= {"wheelset": wheelset, "geometry": f"{wheelset}/geometry", "trend": f"{wheelset}/trend"}
+    if record.fleet_alert_id is not None:
+        links["fleet_alert"] = f"/v1/alerts/{record.fleet_alert_id}"
+    return links
+
+
 def alert(record: AlertValue, now_ns: int) -> Alert:
     """Return the representation of an alert at this time."""
-    own = f"/v1/alerts/{record.alert_id}"
-    wheelset = f"/v1/wheelsets/{segment(record.wheelset)}"
     return Alert(
         id=record.alert_id,
         fleet=record.fleet,
         wheelset=record.wheelset,
+        scope=record.scope,
+        fleet_alert_id=record.fleet_alert_id,
         kind=record.kind,
         severity=record.severity,
         condition=record.condition,
@@ -151,7 +167,7 @@ def alert(record: AlertValue, now_ns: int) -> Alert:
         probability_1=finite(record.probability),
         raise_limit=finite(record.raise_limit),
         clear_limit=finite(record.clear_limit),
-        limit_unit=LIMIT_UNITS.get(record.kind),
+        limit_unit=None if record.wheelset is None else LIMIT_UNITS.get(record.kind),
         evidence=dict(record.evidence),
         action=record.action,
         acknowledged_by=record.acknowledged_by,
@@ -160,13 +176,7 @@ def alert(record: AlertValue, now_ns: int) -> Alert:
         shelved_reason=record.shelved_reason,
         external_refs=list(record.external_refs),
         version=record.version,
-        links={
-            "self": own,
-            "events": f"{own}/events",
-            "wheelset": wheelset,
-            "geometry": f"{wheelset}/geometry",
-            "trend": f"{wheelset}/trend",
-        },
+        links=_links(record),
     )
 
 

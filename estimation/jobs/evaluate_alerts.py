@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from estimation.alert_transitions import close, transition
 from estimation.alerts import Alert, AlertEventKind, Transition
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.raise_alerts import raise_in_fleet
 from estimation.ports import UnitOfWork, WheelsetRecord, WindowRecord
 from estimation.rules.book import RuleBook
 from estimation.rules.evaluation import WheelsetFacts, findings, overtaken
@@ -16,22 +17,40 @@ FIRST_LOOK_NS = 3_600_000_000_000
 
 
 def run(context: JobContext) -> Mapping[str, int]:
-    """Evaluate alerts; each wheelset is one transaction, and the same data again change nothing."""
+    """Evaluate alerts; the same data again change nothing.
+
+    Each wheelset is one transaction, in which its alerts are updated, cleared and closed. What is to be raised waits
+    for the others of its fleet, since too many of a kind are raised as one; each fleet is then one transaction. A run
+    that ends early raises what it has found; what it has not stored the next run finds again.
+    """
     with context.storage.read() as unit:
         serials = [wheelset.serial for wheelset in unit.registry.wheelsets()]
+        fleets = [fleet.code for fleet in unit.registry.fleets()]
     counts: Counter[str] = Counter(dict.fromkeys(("wheelsets", *(kind.value for kind in AlertEventKind)), 0))
-    for done, serial in enumerate(serials):
-        context.checkpoint(done, len(serials))
-        with context.storage.write() as unit:
-            counts.update(kind.value for kind in _evaluate(unit, serial, context))
-        counts["wheelsets"] += 1
+    found: list[Transition] = []
+    try:
+        for done, serial in enumerate(serials):
+            context.checkpoint(done, len(serials))
+            with context.storage.write() as unit:
+                events, to_raise = _evaluate(unit, serial, context)
+            counts.update(kind.value for kind in events)
+            found += to_raise
+            counts["wheelsets"] += 1
+    finally:
+        for fleet in fleets:
+            of_fleet = [change for change in found if change.alert.fleet == fleet]
+            with context.storage.write() as unit:
+                events = raise_in_fleet(unit, fleet, of_fleet, context.setting(RuleBook), context.clock.now_ns())
+            counts.update(kind.value for kind in events)
     return dict(counts)
 
 
-def _evaluate(unit: UnitOfWork, serial: str, context: JobContext) -> list[AlertEventKind]:
+def _evaluate(unit: UnitOfWork, serial: str, context: JobContext) -> tuple[list[AlertEventKind], list[Transition]]:
+    """Store what changes on the open alerts of a wheelset; return the events of that, and what is to be raised."""
     book, now_ns = context.setting(RuleBook), context.clock.now_ns()
     facts = _facts(unit, unit.registry.wheelset(serial), book)
     events: list[AlertEventKind] = []
+    to_raise: list[Transition] = []
     ended = overtaken(facts, book)
     for alert, reason, at_ns in ended:
         events += _save(unit, close(alert, reason, at_ns), now_ns, reason)
@@ -45,9 +64,13 @@ def _evaluate(unit: UnitOfWork, serial: str, context: JobContext) -> list[AlertE
             fleet=facts.wheelset.fleet,
             delays=book.delays_of(finding.kind),
         )
-        if change is not None:
+        if change is None:
+            continue
+        if AlertEventKind.RAISED in change.events:
+            to_raise.append(change)
+        else:
             events += _save(unit, change, now_ns, "")
-    return events
+    return events, to_raise
 
 
 def _save(unit: UnitOfWork, change: Transition, now_ns: int, note: str) -> Sequence[AlertEventKind]:

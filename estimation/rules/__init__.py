@@ -10,6 +10,7 @@ from estimation.rules.book import (
     RuleBook,
     SensorFaultRule,
     SpeedBand,
+    StormRule,
     WheelAsymmetryRule,
 )
 from estimation.rules.conicity_limit import conicity_limit_finding
@@ -28,6 +29,7 @@ __all__ = [
     "RuleBook",
     "SensorFaultRule",
     "SpeedBand",
+    "StormRule",
     "WheelAsymmetryRule",
     "asymmetry_of",
     "conicity_limit_finding",

@@ -125,6 +125,14 @@ class SensorFaultRule:
 
 
 @dataclass(frozen=True, slots=True)
+class StormRule:
+    """How many new alerts of one kind in one fleet become one fleet alert."""
+
+    more_than: int = 5
+    within_hours: float = 24.0  # between the times at which the first and the last of them were opened
+
+
+@dataclass(frozen=True, slots=True)
 class RuleBook:
     """All rules; ``RuleBook()`` holds the shipped defaults."""
 
@@ -133,6 +141,7 @@ class RuleBook:
     wheel_asymmetry: WheelAsymmetryRule = field(default_factory=WheelAsymmetryRule)
     no_data: NoDataRule = field(default_factory=NoDataRule)
     sensor_fault: SensorFaultRule = field(default_factory=SensorFaultRule)
+    storm: StormRule = field(default_factory=StormRule)
 
     def delays_of(self, kind: AlertKind) -> AlertDelays:
         """Return the delays of the rule behind an alert kind."""

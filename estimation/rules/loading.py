@@ -44,6 +44,8 @@ _RANGES: Mapping[str, tuple[float, float]] = {
     "minimum_windows": (1, 1_000_000),
     "minimum_points": (2, 1_000_000),
     "latest_windows": (1, 1000),
+    "more_than": (1, 1_000_000),
+    "within_hours": (0.01, 87_600.0),
     "days": (0.01, 3650.0),
     "acknowledgement_days": (0.01, 3650.0),
 }

@@ -9,10 +9,14 @@ from estimation.alerts import AlertEventKind, AlertKind, Condition, Severity
 from fleet_db.models.base import Base, Count, Json, Name, Nanoseconds, Real, Serial, one_of
 
 OPEN = text("closed_ns IS NULL")
+OPEN_OF_FLEET = text("wheelset IS NULL AND closed_ns IS NULL")
 
 
 class AlertRow(Base):
-    """One alert. The partial unique index is what keeps a second open one of its kind out."""
+    """One alert, of a wheelset or (without one) of a fleet.
+
+    The partial unique indexes are what keeps a second open one of its kind out.
+    """
 
     __tablename__ = "alerts"
     __table_args__ = (
@@ -30,13 +34,23 @@ class AlertRow(Base):
             sqlite_where=OPEN,
             postgresql_where=OPEN,
         ),
+        Index(
+            "uq_alerts_one_open_of_fleet",
+            "fleet",
+            "kind",
+            unique=True,
+            sqlite_where=OPEN_OF_FLEET,
+            postgresql_where=OPEN_OF_FLEET,
+        ),
+        CheckConstraint("wheelset IS NOT NULL OR fleet_alert_id IS NULL", name="members_have_wheelset"),
         Index(None, "wheelset"),
+        Index(None, "fleet_alert_id"),
         {"sqlite_autoincrement": True},
     )
 
     alert_id: Mapped[Serial]
     fleet: Mapped[str] = mapped_column(ForeignKey("fleets.code"))
-    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"))
+    wheelset: Mapped[str | None] = mapped_column(ForeignKey("wheelsets.serial"))
     kind: Mapped[str] = mapped_column(String(32))
     severity: Mapped[str] = mapped_column(String(16))
     condition: Mapped[str] = mapped_column(String(16))
@@ -56,11 +70,15 @@ class AlertRow(Base):
     shelved_until_ns: Mapped[Nanoseconds | None]
     shelved_reason: Mapped[Name | None]
     external_refs: Mapped[Json]
+    fleet_alert_id: Mapped[Count | None] = mapped_column(ForeignKey("alerts.alert_id"))
     version: Mapped[int]
 
 
 class AlertEventRow(Base):
-    """One line of the feed, with the alert as it was right after. ``sequence`` grows in commit order."""
+    """One line of the feed, with the alert as it was right after. ``sequence`` grows in commit order.
+
+    Not ``in_feed``: the event of a member that its fleet alert stands for.
+    """
 
     __tablename__ = "alert_events"
     __table_args__ = (one_of("kind", AlertEventKind), {"sqlite_autoincrement": True})
@@ -72,3 +90,4 @@ class AlertEventRow(Base):
     recorded_ns: Mapped[Nanoseconds]
     actor: Mapped[Name]
     note: Mapped[Name]
+    in_feed: Mapped[bool]

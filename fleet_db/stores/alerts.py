@@ -9,7 +9,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, insert, select, update
 
-from estimation.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, Condition, Severity
+from estimation.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, AlertScope, Condition, Severity
 from estimation.errors import ConflictError, NotFoundError
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import AlertEventRow, AlertRow
@@ -40,6 +40,15 @@ class AlertStore:
         statement = _open() if wheelset is None else _open().where(ALERTS.c.wheelset == wheelset)
         return self._alerts(statement.order_by(ALERTS.c.alert_id))
 
+    def open_in_fleet(self, fleet: str) -> Sequence[Alert]:
+        """Return the open alerts of a fleet and of its wheelsets, by number."""
+        return self._alerts(_open().where(ALERTS.c.fleet == fleet).order_by(ALERTS.c.alert_id))
+
+    def members(self, fleet_alert_id: int) -> Sequence[Alert]:
+        """Return the alerts that a fleet alert stands for, open and closed, by number."""
+        statement = select(ALERTS).where(ALERTS.c.fleet_alert_id == fleet_alert_id)
+        return self._alerts(statement.order_by(ALERTS.c.alert_id))
+
     def get(self, alert_id: int) -> Alert:
         """Return one alert.
 
@@ -63,6 +72,8 @@ class AlertStore:
         open_only: bool,
         after_id: int | None,
         limit: int,
+        scope: AlertScope | None = None,
+        fleet_alert_id: int | None = None,
     ) -> Sequence[Alert]:
         """Return at most ``limit`` alerts with a number behind ``after_id`` that match every filter given."""
         statement = _open() if open_only else select(ALERTS)
@@ -70,13 +81,21 @@ class AlertStore:
         for name, value in wanted.items():
             if value is not None:
                 statement = statement.where(ALERTS.c[name] == str(value))
+        if scope is not None:
+            of_fleet = ALERTS.c.wheelset.is_(None)
+            statement = statement.where(of_fleet if scope is AlertScope.FLEET else ~of_fleet)
+        if fleet_alert_id is not None:
+            statement = statement.where(ALERTS.c.fleet_alert_id == fleet_alert_id)
         if after_id is not None:
             statement = statement.where(ALERTS.c.alert_id > after_id)
         return self._alerts(statement.order_by(ALERTS.c.alert_id).limit(limit))
 
     def feed(self, after_sequence: int, limit: int) -> Sequence[AlertEvent]:
-        """Return at most ``limit`` events behind ``after_sequence``, in commit order; none ever appears before it."""
-        return self._events(select(EVENTS).where(EVENTS.c.sequence > after_sequence).limit(limit))
+        """Return at most ``limit`` events behind ``after_sequence``, in commit order; none ever appears before it.
+
+        Without those of members that were raised with their fleet alert, which stands for them here.
+        """
+        return self._events(select(EVENTS).where(EVENTS.c.sequence > after_sequence, EVENTS.c.in_feed).limit(limit))
 
     def events(self, alert_id: int) -> Sequence[AlertEvent]:
         """Return what happened to one alert, oldest first."""
@@ -106,6 +125,7 @@ class AlertStore:
         self._only_open(alert)
         alert = replace(alert, evidence=json.loads(to_json(dict(alert.evidence))))
         saved = self._insert(alert) if alert.alert_id == 0 else self._update(alert, changed=bool(events))
+        in_feed = bool(events) and self._told(saved)
         rows = [
             {
                 "alert_id": saved.alert_id,
@@ -114,12 +134,20 @@ class AlertStore:
                 "recorded_ns": recorded_ns,
                 "actor": actor,
                 "note": note,
+                "in_feed": in_feed,
             }
             for kind in events
         ]
         for row in rows:
             self.connection.execute(insert(EVENTS).values(**row))
         return saved
+
+    def _told(self, alert: Alert) -> bool:
+        """Return whether the feed tells of an alert itself: it is no member, or was told of before it became one."""
+        if alert.fleet_alert_id is None:
+            return True
+        told = select(EVENTS.c.sequence).where(EVENTS.c.alert_id == alert.alert_id, EVENTS.c.in_feed).limit(1)
+        return self.connection.scalar(told) is not None
 
     def _insert(self, alert: Alert) -> Alert:
         values = _fields(replace(alert, version=1))
@@ -154,7 +182,7 @@ class AlertStore:
         other = self.connection.scalar(statement)
         if other is not None:
             raise ConflictError(
-                f"alert {other} of kind {alert.kind.value} is already open for wheelset {alert.wheelset!r}",
+                f"alert {other} of kind {alert.kind.value} is already open for {_subject(alert)}",
                 kind="alert",
                 key=str(other),
             )
@@ -174,6 +202,10 @@ class AlertStore:
 
 def _open() -> Select[Any]:
     return select(ALERTS).where(ALERTS.c.closed_ns.is_(None))
+
+
+def _subject(alert: Alert) -> str:
+    return f"fleet {alert.fleet!r}" if alert.wheelset is None else f"wheelset {alert.wheelset!r}"
 
 
 def _fields(alert: Alert) -> dict[str, Any]:

@@ -64,7 +64,7 @@ def test_paths_carry_the_version_and_problems_are_described() -> None:
 def test_numbers_say_their_unit_in_their_names() -> None:
     bare = {
         "Uncertain": {"value", "std", "interval_95"},
-        "Alert": {"raise_limit", "clear_limit", "id", "occurrence_count", "version"},
+        "Alert": {"raise_limit", "clear_limit", "id", "fleet_alert_id", "occurrence_count", "version"},
         "BinColumn": {"value", "std"},
         "DistanceForecast": {"p10", "p50", "p90"},
     }

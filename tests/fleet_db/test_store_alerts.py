@@ -12,7 +12,7 @@ import sqlalchemy
 import stored_values as make
 from sqlalchemy.exc import IntegrityError
 
-from estimation.alerts import Alert, AlertEventKind, AlertKind, Condition, Severity
+from estimation.alerts import Alert, AlertEventKind, AlertKind, AlertScope, Condition, Severity
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from fleet_db.models import AlertRow
 from fleet_db.storage import SqlStorage
@@ -105,6 +105,60 @@ def test_one_open_alert_is_held_by_the_database_itself(fleet: SqlStorage) -> Non
         connection.execute(sqlalchemy.insert(AlertRow).values(**row))
 
 
+FLEET_ALERT = replace(make.ALERT, wheelset=None)
+
+
+def test_one_open_fleet_alert_of_a_kind(fleet: SqlStorage) -> None:
+    first = save(fleet, FLEET_ALERT, RAISED)
+    save(fleet, make.ALERT, RAISED)  # one of a wheelset is another matter
+    save(fleet, replace(FLEET_ALERT, kind=AlertKind.NO_DATA), RAISED)
+    with pytest.raises(ConflictError, match=f"alert {first.alert_id} .* is already open for fleet 'F-1'"):
+        save(fleet, FLEET_ALERT, RAISED)
+    with fleet.engine.connect() as connection:
+        statement = sqlalchemy.select(AlertRow.__table__).where(AlertRow.alert_id == first.alert_id)
+        row = dict(connection.execute(statement).mappings().one())
+    del row["alert_id"]
+    with pytest.raises(IntegrityError), fleet.engine.begin() as connection:
+        connection.execute(sqlalchemy.insert(AlertRow).values(**row))
+    save(fleet, replace(first, closed_ns=60), CLOSED)
+    with fleet.engine.begin() as connection:
+        connection.execute(sqlalchemy.insert(AlertRow).values(**row))
+
+
+def test_a_fleet_alert_stands_in_the_feed_for_members_raised_with_it(fleet: SqlStorage) -> None:
+    told = save(fleet, make.ALERT, RAISED)
+    standing = save(fleet, FLEET_ALERT, RAISED)
+    number = standing.alert_id
+    told = save(fleet, replace(told, fleet_alert_id=number), UPDATED)
+    quiet = save(fleet, replace(make.ALERT, wheelset="WS-2", fleet_alert_id=number), RAISED)
+    quiet = save(fleet, replace(quiet, closed_ns=60), CLOSED)
+    told = save(fleet, replace(told, closed_ns=61), CLOSED)
+    with fleet.read() as unit:
+        assert [(e.kind, e.alert.alert_id) for e in unit.alerts.feed(0, 10)] == [
+            (RAISED, told.alert_id),
+            (RAISED, number),
+            (UPDATED, told.alert_id),
+            (CLOSED, told.alert_id),
+        ]
+        assert [(e.kind, e.alert.fleet_alert_id) for e in unit.alerts.events(quiet.alert_id)] == [
+            (RAISED, number),
+            (CLOSED, number),
+        ]
+        assert list(unit.alerts.members(number)) == [told, quiet]
+        assert list(unit.alerts.open_in_fleet("F-1")) == [standing]
+        assert unit.alerts.open_in_fleet("F-2") == []
+
+
+def test_members_are_alerts_of_wheelsets_and_their_fleet_alert_is_known(fleet: SqlStorage) -> None:
+    standing = save(fleet, FLEET_ALERT, RAISED)
+    with pytest.raises(ConflictError):
+        save(fleet, replace(FLEET_ALERT, kind=AlertKind.NO_DATA, fleet_alert_id=standing.alert_id), RAISED)
+    with pytest.raises(ConflictError):
+        save(fleet, replace(make.ALERT, fleet_alert_id=77), RAISED)
+    with fleet.read() as unit:
+        assert list(unit.alerts.all_open()) == [standing]
+
+
 def test_pages_by_filter(fleet: SqlStorage) -> None:
     first = save(fleet, make.ALERT, RAISED)
     second = save(fleet, replace(make.ALERT, wheelset="WS-2", condition=Condition.UNKNOWN), RAISED)
@@ -121,6 +175,14 @@ def test_pages_by_filter(fleet: SqlStorage) -> None:
         assert page(kind=AlertKind.NO_DATA) == [third]
         assert page(open_only=True) == [first, second]
         assert page(fleet="F-2") == []
+        assert page(scope=AlertScope.FLEET) == page(fleet_alert_id=first.alert_id) == []
+        assert page(scope=AlertScope.WHEELSET) == [first, second, third]
+    fourth = save(fleet, FLEET_ALERT, RAISED)
+    first = save(fleet, replace(first, fleet_alert_id=fourth.alert_id))
+    with fleet.read() as unit:
+        assert page(scope=AlertScope.FLEET) == [fourth]
+        assert page(scope=AlertScope.WHEELSET, open_only=True) == [first, second]
+        assert page(fleet_alert_id=fourth.alert_id) == [first]
 
 
 def test_bad_alerts_leave_nothing(fleet: SqlStorage) -> None:

@@ -243,3 +243,17 @@ def test_references_are_kept_once_and_bounded() -> None:
 def test_a_finding_of_another_wheelset_is_refused() -> None:
     with pytest.raises(ConflictError, match="not about"):
         step(raised(), replace(finding(200), wheelset="W2"))
+
+
+def test_counting_versions_is_left_to_the_store() -> None:
+    read = replace(after(None, finding(1)), alert_id=7, version=5)
+    changes = [
+        step(read, finding(2)),
+        step(read, finding(2, breached=None)),
+        step(replace(read, condition=Condition.PENDING), finding(2)),
+        close(read, "reprofiled", 2),
+        acknowledge(read, "j.smith", 2),
+        shelve(read, 3, "ordered", 2),
+        link(read, "WO-1"),
+    ]
+    assert [None if change is None else change.alert.version for change in changes] == [5] * len(changes)

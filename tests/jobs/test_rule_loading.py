@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from estimation.errors import InputError
-from estimation.rules import RuleBook, SpeedBand, load_rules
+from estimation.rules import RuleBook, SpeedBand, StormRule, load_rules
 
 
 def written(tmp_path: Path, text: str) -> Path:
@@ -39,6 +39,8 @@ def test_what_is_written_counts_and_the_rest_stays(tmp_path: Path) -> None:
             [no_data]
             enabled = false
             days = 3
+            [storm]
+            more_than = 12
             """,
         )
     )
@@ -49,6 +51,7 @@ def test_what_is_written_counts_and_the_rest_stays(tmp_path: Path) -> None:
     assert book.conicity_limit.bands == (SpeedBand(100.0, 0.45, 0.0, "freight"), SpeedBand(math.inf, 0.6, -0.001))
     assert (book.no_data.enabled, book.no_data.days) == (False, 3.0)
     assert book.sensor_fault == RuleBook().sensor_fault
+    assert book.storm == StormRule(more_than=12, within_hours=24.0)
 
 
 @pytest.mark.parametrize(
@@ -66,6 +69,11 @@ def test_what_is_written_counts_and_the_rest_stays(tmp_path: Path) -> None:
         ("[sensor_fault]\nlatest_windows = 2.5\n", "sensor_fault.latest_windows", "whole"),
         ("[sensor_fault]\nlatest_windows = inf\n", "sensor_fault.latest_windows", "outside|whole"),
         ("[sensor_fault]\nclear_share = 0.7\n", "sensor_fault.clear_share", "above"),
+        ("[storm]\nmore_than = 0\n", "storm.more_than", "outside"),
+        ("[storm]\nmore_than = 2.5\n", "storm.more_than", "whole"),
+        ("[storm]\nwithin_hours = 0\n", "storm.within_hours", "outside"),
+        ("[storm]\nwithin_hours = '1'\n", "storm.within_hours", "number"),
+        ("[storm]\ndelays = {}\n", "storm.delays", "unknown key"),
         ("[conicity_limit]\nraise_probability = 0.2\n", "conicity_limit.raise_probability", "outside"),
         ("[conicity_limit]\ndelays = { off = 1 }\n", "conicity_limit.delays.off", "unknown key"),
         ("[conicity_limit]\nbands = []\n", "conicity_limit.bands", "at least one"),

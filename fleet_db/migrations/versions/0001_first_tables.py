@@ -199,7 +199,7 @@ def _alerts() -> None:
         "alerts",
         sa.Column("alert_id", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), nullable=False),
         sa.Column("fleet", sa.String(length=64), nullable=False),
-        sa.Column("wheelset", sa.String(length=64), nullable=False),
+        sa.Column("wheelset", sa.String(length=64), nullable=True),
         sa.Column("kind", sa.String(length=32), nullable=False),
         sa.Column("severity", sa.String(length=16), nullable=False),
         sa.Column("condition", sa.String(length=16), nullable=False),
@@ -219,6 +219,7 @@ def _alerts() -> None:
         sa.Column("shelved_until_ns", sa.BigInteger(), nullable=True),
         sa.Column("shelved_reason", sa.Text(), nullable=True),
         sa.Column("external_refs", sa.JSON(), nullable=False),
+        sa.Column("fleet_alert_id", sa.BigInteger(), nullable=True),
         sa.Column("version", sa.Integer(), nullable=False),
         sa.CheckConstraint(
             "condition IN ('pending', 'active', 'cleared', 'unknown')", name=op.f("ck_alerts_condition_known")
@@ -230,12 +231,25 @@ def _alerts() -> None:
         sa.CheckConstraint("severity IN ('info', 'warning', 'critical')", name=op.f("ck_alerts_severity_known")),
         sa.CheckConstraint("occurrence_count > 0", name=op.f("ck_alerts_occurrences_counted")),
         sa.CheckConstraint("version > 0", name=op.f("ck_alerts_version_positive")),
+        sa.CheckConstraint(
+            "wheelset IS NOT NULL OR fleet_alert_id IS NULL", name=op.f("ck_alerts_members_have_wheelset")
+        ),
         sa.ForeignKeyConstraint(["fleet"], ["fleets.code"], name=op.f("fk_alerts_fleet_fleets")),
+        sa.ForeignKeyConstraint(["fleet_alert_id"], ["alerts.alert_id"], name=op.f("fk_alerts_fleet_alert_id_alerts")),
         sa.ForeignKeyConstraint(["wheelset"], ["wheelsets.serial"], name=op.f("fk_alerts_wheelset_wheelsets")),
         sa.PrimaryKeyConstraint("alert_id", name=op.f("pk_alerts")),
         sqlite_autoincrement=True,
     )
     op.create_index(op.f("ix_alerts_wheelset"), "alerts", ["wheelset"], unique=False)
+    op.create_index(op.f("ix_alerts_fleet_alert_id"), "alerts", ["fleet_alert_id"], unique=False)
+    op.create_index(
+        "uq_alerts_one_open_of_fleet",
+        "alerts",
+        ["fleet", "kind"],
+        unique=True,
+        sqlite_where=sa.text("wheelset IS NULL AND closed_ns IS NULL"),
+        postgresql_where=sa.text("wheelset IS NULL AND closed_ns IS NULL"),
+    )
     op.create_index(
         "uq_alerts_one_open",
         "alerts",
@@ -422,6 +436,7 @@ def _alert_events() -> None:
         sa.Column("recorded_ns", sa.BigInteger(), nullable=False),
         sa.Column("actor", sa.Text(), nullable=False),
         sa.Column("note", sa.Text(), nullable=False),
+        sa.Column("in_feed", sa.Boolean(), nullable=False),
         sa.CheckConstraint(
             "kind IN ('raised', 'updated', 'acknowledged', 'shelved', 'cleared', 'closed')",
             name=op.f("ck_alert_events_kind_known"),
