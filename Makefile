@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test check lint bench clean
+.PHONY: demo test check lint bench bench-track clean
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	@echo "building the virtual environment in $(VENV) (about a minute)"
@@ -30,6 +30,9 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 
 check: lint test
+
+bench-track: $(VENV)/.dev
+	$(BIN)/python -m bench track
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m bench $(ARGS)

@@ -58,7 +58,8 @@ def passes(window: Window, vehicle: VehicleParameters, parameters: SignalParamet
         known = np.asarray(usable[part])
         y, R = _felt(window, known, part, vehicle)
         at = np.interp(np.arange(stop - start), np.flatnonzero(known), window.distance[part][known])
-        if np.diff(at).min() > 0:  # else distance runs backwards or stands still: no pass along this direction
+        # where distance runs backwards or stands still there is no pass along this direction
+        if np.diff(at).min() > 0 and np.isfinite(y).all() and np.isfinite(R).all():
             found.append(Pass(window.wheelset, window.vehicle, window.start_ns, at, y, R))
     return found
 
