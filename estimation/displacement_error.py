@@ -38,7 +38,7 @@ class DisplacementError:
         after = np.interp(x + step, x, values) + line_high * np.maximum(x + step - x[-1], 0.0)
         return np.asarray(before / 6 + 2 * values / 3 + after / 6)
 
-    def std_of_bins(self, centre: FloatArray, values: FloatArray, usable: BoolArray) -> FloatArray:
+    def std_of_bins(self, centre: FloatArray, values: FloatArray, smooth: BoolArray, met: BoolArray) -> FloatArray:
         """Return what the error leaves unknown of a value per bin (b,): its stretch, a scale error, the rounding.
 
         Parameters
@@ -46,15 +46,20 @@ class DisplacementError:
         centre
             (b,) m.
         values
-            (b,) in any unit; read where ``usable``.
-        usable
-            (b,) bins with a value; elsewhere the result is zero.
+            (b,) in any unit.
+        smooth
+            (b,) bins with a value of the curve; elsewhere the result is zero.
+        met
+            (b,) bins with any value, those included that a contact jump crosses: no part of the curve's slope, but
+            samples stray from them into their neighbours.
         """
         left_unknown = np.zeros(len(centre))
-        if usable.sum() < 2:  # noqa: PLR2004 - no slope of one value
+        if smooth.sum() < 2:  # noqa: PLR2004 - no slope of one value
             return left_unknown
-        x, v = centre[usable], values[usable]
-        slope = np.gradient(v, x)
+        x = centre[smooth]
+        slope = np.gradient(values[smooth], x)
         stretch = slope * x * np.hypot(self.excess, SCALE_UNCERTAINTY)
-        left_unknown[usable] = np.hypot(stretch, self.rounded(x, v) - v)
+        strayed = np.zeros(len(centre))
+        strayed[met] = self.rounded(centre[met], values[met]) - values[met]
+        left_unknown[smooth] = np.hypot(stretch, strayed[smooth])
         return left_unknown

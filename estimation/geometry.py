@@ -194,9 +194,8 @@ def _combination(theta: FloatArray, relative: FloatArray, hidden: _Hidden, prior
     value = theta[0, :, 0]
     sampled = jackknife_std(theta[:, :, 0])
     parameters = np.sqrt(((theta[0, :, 1:] * relative) ** 2).sum(axis=1))
-    # what a bin holds that a jump crosses is no value of the curve, and would pose as a slope of its neighbours
-    curve = ~hidden.few & ~hidden.jump & np.isfinite(value)
-    displaced = hidden.error.std_of_bins(hidden.centre, value, curve)
+    met = ~hidden.few & np.isfinite(value)
+    displaced = hidden.error.std_of_bins(hidden.centre, value, met & ~hidden.jump, met)
     std = np.sqrt(sampled**2 + parameters**2 + displaced**2)
     vague = ~(std < hidden.informative * prior)
     status = tuple(
