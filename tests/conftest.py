@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import one_thread  # noqa: F401 - must come before whatever loads the linear algebra
 import psycopg
 import pytest
 import sqlalchemy
