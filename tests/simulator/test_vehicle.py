@@ -47,7 +47,8 @@ def test_cones_give_the_linear_system_worked_out_by_hand(state: list[float], spe
         yaw_acceleration(ODD, speed, at, contact),
         mass_lateral_acceleration(ODD, at),
     ]
-    np.testing.assert_allclose(got, expected[[1, 3, 5]], atol=1e-13 * max(scale.max(), 1.0))
+    # radii of half a metre lose 1e-16 m of their difference, which weighs l f11 / (r0 I) = 2e4 1/(m s2) in psi''
+    np.testing.assert_allclose(got, expected[[1, 3, 5]], atol=1e-11 * max(scale.max(), 1.0))
 
 
 def test_every_printed_term_pulls_the_way_the_axes_say() -> None:
