@@ -60,6 +60,7 @@ class DisplacementError:
         slope = np.gradient(values[smooth], x)
         stretch = slope * x * np.hypot(self.excess, SCALE_UNCERTAINTY)
         strayed = np.zeros(len(centre))
-        strayed[met] = self.rounded(centre[met], values[met]) - values[met]
+        both = DisplacementError(np.sqrt(2.0) * self.std, self.excess)  # the value has an error of the same size
+        strayed[met] = both.rounded(centre[met], values[met]) - values[met]
         left_unknown[smooth] = np.hypot(stretch, strayed[smooth])
         return left_unknown
