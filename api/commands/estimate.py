@@ -15,7 +15,7 @@ from rich.table import Table
 
 from api.factory import job_context, open_store, scheduled_jobs
 from api.settings import Settings, load_settings
-from estimation.errors import NotFoundError
+from estimation.errors import ParameterError
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.jobs.scheduler import stop_on_signals
 from estimation.ports import JobRun
@@ -42,7 +42,8 @@ def _chosen(settings: Settings, name: str | None) -> Sequence[Job]:
     jobs = scheduled_jobs(settings)
     chosen = [job for job in jobs if name in {None, job.name}]
     if not chosen:
-        raise NotFoundError("job", f"{name}; there are {', '.join(job.name for job in jobs)}")
+        known = ", ".join(job.name for job in jobs)
+        raise ParameterError(f"no job {name!r}; there are {known}", field="--job")
     return chosen
 
 

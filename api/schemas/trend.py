@@ -12,7 +12,7 @@ from api.times import Timestamp, to_rfc3339
 from estimation.ports import TrendRecord
 from estimation.types import Forecast, Status
 
-_BEYOND = "not reached within the forecast horizon, or unknown"
+_BEYOND = "not reached within the forecast horizon"
 
 
 class TrendPoints(Representation):
@@ -70,9 +70,9 @@ class Trend(Representation):
     links: Links
 
 
-def _distance(forecast: Forecast) -> DistanceForecast:
+def _distance(forecast: Forecast, unknown: str | None) -> DistanceForecast:
     p10, p50, p90 = finite(forecast.p10), finite(forecast.p50), finite(forecast.p90)
-    reason = _BEYOND if None in (p10, p50, p90) else None
+    reason = (unknown or _BEYOND) if None in (p10, p50, p90) else None
     return DistanceForecast(p10=p10, p50=p50, p90=p90, reason=reason)
 
 
@@ -81,9 +81,9 @@ def _moment(t_ns: float | None) -> str | None:
     return None if value is None or abs(value) >= 2.0**63 else to_rfc3339(int(value))
 
 
-def _date(forecast: Forecast) -> DateForecast:
+def _date(forecast: Forecast, unknown: str | None) -> DateForecast:
     p10, p50, p90 = _moment(forecast.p10), _moment(forecast.p50), _moment(forecast.p90)
-    reason = _BEYOND if None in (p10, p50, p90) else None
+    reason = (unknown or _BEYOND) if None in (p10, p50, p90) else None
     return DateForecast(p10=p10, p50=p50, p90=p90, reason=reason)
 
 
@@ -91,6 +91,7 @@ def trend(record: TrendRecord) -> Trend:
     """Return the representation of a trend."""
     found = record.trend
     own = f"/v1/wheelsets/{segment(record.wheelset)}"
+    unknown = None if found.status is Status.ESTIMATED else found.reason or "the trend is not estimated"
     return Trend(
         wheelset=record.wheelset,
         quantity=found.quantity,
@@ -108,8 +109,8 @@ def trend(record: TrendRecord) -> Trend:
         slope_1_per_1000_km=uncertain(found.slope_per_1000_km),
         slope_1_per_year=uncertain(found.slope_per_year),
         limit_1=finite(found.limit),
-        distance_to_limit_km=_distance(found.distance_to_limit_km),
-        date_of_limit=_date(found.date_of_limit_ns),
+        distance_to_limit_km=_distance(found.distance_to_limit_km, unknown),
+        date_of_limit=_date(found.date_of_limit_ns, unknown),
         probability_over_limit_1=finite(found.probability_over_limit),
         provenance=TrendProvenance(code_version=record.code_version, input_digest=record.input_digest),
         links={

@@ -20,11 +20,7 @@ def run(context: JobContext) -> Mapping[str, int]:
     settings = context.setting(EstimationSettings)
     counts: Counter[str] = Counter(estimated=0, refused=0, changed_meanwhile=0)
     with context.storage.write() as unit:
-        counts["requeued"] = sum(
-            unit.windows.requeue(section.code, NO_ALIGNMENT)
-            for section in unit.tracks.sections()
-            if unit.tracks.alignment(section.code) is not None
-        )
+        counts["requeued"] = _requeue(unit, settings)
         total = unit.windows.counts().get(WindowState.PENDING, 0)
     done = 0
     while batch := _compute(context, settings):
@@ -39,6 +35,16 @@ def run(context: JobContext) -> Mapping[str, int]:
 JOB = Job("estimate_windows", "Reduce pending windows to bin tables", every_s=60.0, run=run)
 
 _Outcome = tuple[WindowRecord, BinTable | Refusal, TrackAlignment | None]
+
+
+def _requeue(unit: UnitOfWork, settings: EstimationSettings) -> int:
+    """Let windows wait again that an alignment has come for, or whose table is of another alignment or parameters."""
+    known = {section.code: unit.tracks.alignment(section.code) for section in unit.tracks.sections()}
+    versions = {code: track.version for code, track in known.items() if track is not None}
+    outdated = unit.tables.outdated(settings.bins.key, versions)
+    for wheelset, start_ns in outdated:
+        unit.windows.mark(wheelset, start_ns, WindowState.PENDING, "")
+    return len(outdated) + sum(unit.windows.requeue(code, NO_ALIGNMENT) for code in versions)
 
 
 def _compute(context: JobContext, settings: EstimationSettings) -> list[_Outcome]:

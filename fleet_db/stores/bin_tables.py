@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Select, and_, select
+from sqlalchemy import Connection, Select, and_, or_, select
 
 from estimation.errors import ConflictError
 from estimation.ports import WindowRecord
@@ -18,6 +18,7 @@ from fleet_db.rows import table_of, upsert
 from fleet_db.stores.windows import content_digest, to_window_record
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
+SAME_WINDOW = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
 BATCH = 500  # rows fetched at once
 
 
@@ -53,6 +54,28 @@ class BinTableStore:
         if upsert(self.connection, TABLES, values):
             self.changes.note(wheelset)
 
+    def outdated(self, parameter_key: str, track_versions: Mapping[str, int]) -> Sequence[tuple[str, int]]:
+        """Return (wheelset, start) of tables made with other parameters, or on another version of their section.
+
+        Parameters
+        ----------
+        parameter_key
+            Of the parameters in force.
+        track_versions
+            Version in force by section; a section that is not named is not looked at.
+        """
+        newer = [
+            and_(WINDOWS.c.track_section == section, TABLES.c.track_version != version)
+            for section, version in track_versions.items()
+        ]
+        statement = (
+            select(TABLES.c.wheelset, TABLES.c.start_ns)
+            .join_from(WINDOWS, TABLES, SAME_WINDOW)
+            .where(or_(TABLES.c.parameter_key != parameter_key, *newer))
+            .order_by(TABLES.c.wheelset, TABLES.c.start_ns)
+        )
+        return [(row.wheelset, row.start_ns) for row in self.connection.execute(statement)]
+
     def index(self, wheelset: str, from_ns: int, to_ns: int | None) -> Sequence[tuple[WindowRecord, str, int | None]]:
         """Return what :meth:`stream` would yield without the tables: window, parameter key, track version."""
         statement = _selected(select(WINDOWS, TABLES.c.parameter_key, TABLES.c.track_version), wheelset, from_ns, to_ns)
@@ -77,9 +100,8 @@ class BinTableStore:
 
 
 def _selected(columns: Select[Any], wheelset: str, from_ns: int, to_ns: int | None) -> Select[Any]:
-    same = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
     statement = (
-        columns.join_from(WINDOWS, TABLES, same)
+        columns.join_from(WINDOWS, TABLES, SAME_WINDOW)
         .where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns >= from_ns)
         .order_by(WINDOWS.c.start_ns)
     )

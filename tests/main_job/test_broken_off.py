@@ -166,3 +166,25 @@ def test_the_shape_of_a_batch_changes_no_result(
         context = JobContext(deployed.storage, deployed.clock, "test", settings=(settings,))
         assert run_job(job_named("estimate_windows"), context, "cli").outcome == "succeeded"
     assert results(fleet.storage) == results(second_fleet.storage)
+
+
+def test_windows_are_estimated_again_on_a_new_alignment_and_with_other_parameters(received: Deployment) -> None:
+    fleet = received
+    succeeded(fleet, "estimate_windows", "refresh_geometry")
+    assert run(fleet, "estimate_windows").counts["requeued"] == 0
+    with fleet.storage.write() as unit:
+        track = unit.tracks.alignment("T-3")
+        assert track is not None
+        unit.tracks.add_alignment(replace(track, alignment=1.001 * track.alignment))
+    again = run(fleet, "estimate_windows").counts
+    assert (again["requeued"], again["estimated"]) == (6, 6)
+    succeeded(fleet, "refresh_geometry")
+    with fleet.storage.read() as unit:
+        current = unit.geometries.current(WORN)
+    assert current is not None
+    assert current.track_versions == {"T-3": 2}
+    settings = EstimationSettings()
+    other = replace(settings, signals=replace(settings.signals, longest_wavelength=50.0))
+    context = JobContext(fleet.storage, fleet.clock, "test", settings=(other,))
+    changed = run_job(job_named("estimate_windows"), context, "cli").counts
+    assert (changed["requeued"], changed["estimated"]) == (6, 6)
