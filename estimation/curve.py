@@ -8,7 +8,7 @@ import numpy as np
 
 from estimation.arrays import BoolArray, FloatArray
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
-from estimation.displacement_error import SCALE_UNCERTAINTY, DisplacementError
+from estimation.displacement_error import DisplacementError
 from estimation.jackknife import jackknife_std, with_interval
 from estimation.types import Estimate
 
@@ -107,7 +107,7 @@ def _rows(curve: CurveReplicates, run: BoolArray) -> list[_Row]:
     shifted = [values[0] + _evaluate(curve.sensitivity[run, k]) for k in range(curve.sensitivity.shape[1])]
     coarse = np.interp(at, 0.5 * (low + high), curve.difference[0, run, 0])
     rounded = curve.error.rounded(x, values[0])
-    stretched = ((1 + SCALE_UNCERTAINTY) * x, values[0])
+    stretched = ((1 + curve.error.scale) * x, values[0])
     return [*((x, row) for row in (*values, *shifted)), (at, values[0]), stretched, (x, rounded), (x, coarse)]
 
 

@@ -6,13 +6,13 @@ A measured displacement has an error (std e). A large measured displacement is t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.arrays import BoolArray, FloatArray
 
-SCALE_UNCERTAINTY = 0.005  # of the displacement, from integration and projection
+SCALE_UNCERTAINTY = 0.005  # of a displacement that was integrated and projected
 MOST_EXCESS = 0.2  # of the variance of the displacement that its error may make up
 
 
@@ -22,12 +22,14 @@ class DisplacementError:
 
     std: float  # m
     excess: float  # share
+    scale: float  # share, std
 
     @staticmethod
-    def of(std: float, centre: FloatArray, samples: FloatArray) -> DisplacementError:
+    def of(std: float, centre: FloatArray, samples: FloatArray, *, integrated: bool) -> DisplacementError:
         """Return the error for displacements distributed as ``samples`` (b,) over bins at ``centre`` (b,), m."""
         variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
-        return DisplacementError(std, min(std**2 / variance, MOST_EXCESS) if variance > 0 else 0.0)
+        excess = min(std**2 / variance, MOST_EXCESS) if variance > 0 else 0.0
+        return DisplacementError(std, excess, SCALE_UNCERTAINTY if integrated else 0.0)
 
     def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
         """Return the curve averaged over a normal error of x (three-point Gauss-Hermite); straight beyond its ends."""
@@ -58,9 +60,9 @@ class DisplacementError:
             return left_unknown
         x = centre[smooth]
         slope = np.gradient(values[smooth], x)
-        stretch = slope * x * np.hypot(self.excess, SCALE_UNCERTAINTY)
+        stretch = slope * x * np.hypot(self.excess, self.scale)
         strayed = np.zeros(len(centre))
-        both = DisplacementError(np.sqrt(2.0) * self.std, self.excess)  # the value has an error of the same size
+        both = replace(self, std=np.sqrt(2.0) * self.std)  # the value has an error of the same size
         strayed[met] = both.rounded(centre[met], values[met]) - values[met]
         left_unknown[smooth] = np.hypot(stretch, strayed[smooth])
         return left_unknown

@@ -91,7 +91,8 @@ def estimate(table: BinTable, bins: BinParameters, parameters: GeometryParameter
     jump = ~few & _jumps(replicates, few, parameters)
     unc = parameters.uncertainty
     centre = 0.5 * (table.edges[:-1] + table.edges[1:])
-    error = DisplacementError.of(_displacement_noise(replicates, few | jump, bins), centre, samples)
+    noise = _displacement_noise(replicates, few | jump, bins)
+    error = DisplacementError.of(noise, centre, samples, integrated=bins.band_limited)
     hidden = _Hidden(few, jump, centre, error, parameters.informative)
     S = _combination(replicates.lateral[:, :, 0], unc.lateral(), hidden, parameters.prior_radius)
     D = _combination(replicates.lateral[:, :, 2], unc.lateral(), hidden, parameters.prior_angle)
