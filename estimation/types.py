@@ -15,6 +15,8 @@ import numpy.typing as npt
 
 from estimation.arrays import BoolArray, FloatArray, IntArray, frozen_array
 
+RECORDED = "recorded"
+FLEET = "fleet"
 EXTENDED_FLAG = 0x8000_0000
 REMOTE_FLAG = 0x4000_0000
 ERROR_FLAG = 0x2000_0000
@@ -164,6 +166,10 @@ class TrackAlignment:
     gauge_deviation_std: FloatArray  # (n,) m
     passes: IntArray  # (n,) passes behind each value; 0 for a recording car
     status: Status
+    source: str = RECORDED  # or FLEET
+    cut_off: float = np.inf  # m; longer wavelengths are not in ``alignment``
+    scale_std: float = 0.0  # relative, of a common stretch of y - d that the alignment leaves open
+    gauge_known: bool = True  # False: ``gauge_deviation`` is zero for want of knowledge, its std what is expected
 
     def __post_init__(self) -> None:
         n = len(self.s)
