@@ -74,23 +74,28 @@ def corrected(passes: Sequence[Pass], correction: Correction) -> list[Pass]:
 
 
 def correlate(
-    grouped: Mapping[Journey, Sequence[Pass]], panel: PanelParameters, parameters: PositionParameters
+    grouped: Mapping[Journey, Sequence[Pass]],
+    panel: PanelParameters,
+    parameters: PositionParameters,
+    anchor: FloatArray | None = None,
 ) -> dict[Journey, Correction]:
     """Return a correction for every journey from the correlation of lateral displacements.
 
     The longest journey is the first reference; then, twice, the mean of all. A journey that agrees with nothing
-    keeps its place with no correction.
+    keeps its place with no correction. An ``anchor`` (n,), the alignment as known, is the reference instead, and the
+    fleet as a whole is then moved to where that lies.
     """
     corrections = {journey: Correction(middle=0.5 * panel.length) for journey in grouped}
+    if anchor is not None:
+        return {
+            journey: _fitted(corrections[journey], _lags(members, corrections[journey], anchor, panel, parameters))
+            for journey, members in grouped.items()
+        }
     first = max(grouped, key=lambda journey: sum(item.at[-1] - item.at[0] for item in grouped[journey]))
     reference = _mean_displacement({first: grouped[first]}, corrections, panel)
     for _ in range(3):
         for journey, members in grouped.items():
-            lags = [
-                lag
-                for item in members
-                if (lag := _lag(corrected([item], corrections[journey])[0], reference, panel, parameters)) is not None
-            ]
+            lags = _lags(members, corrections[journey], reference, panel, parameters)
             corrections[journey] = _fitted(corrections[journey], lags)
         corrections = _centred(corrections)
         reference = _mean_displacement(grouped, corrections, panel)
@@ -102,8 +107,13 @@ def refine(
     corrections: Mapping[Journey, Correction],
     solution: PanelSolution,
     panel: PanelParameters,
+    *,
+    anchored: bool = False,
 ) -> dict[Journey, Correction]:
-    """Return better corrections: one Gauss-Newton step on y - d - h(R) = d' (offset + scale (s - middle))."""
+    """Return better corrections: one Gauss-Newton step on y - d - h(R) = d' (offset + scale (s - middle)).
+
+    ``anchored`` where the alignment holds evidence of where the place lies; else the mean journey keeps its place.
+    """
     slope = np.gradient(np.nan_to_num(solution.alignment), panel.step)
     certain = np.isfinite(solution.alignment)
     better = {}
@@ -124,7 +134,7 @@ def refine(
         better[journey] = replace(
             correction, offset=correction.offset + float(step[0]), scale=correction.scale + float(step[1])
         )
-    return _centred(better)
+    return better if anchored else _centred(better)
 
 
 def _mean_displacement(
@@ -150,6 +160,18 @@ def _filtered_displacement(item: Pass, weights: FloatArray, panel: PanelParamete
     points = np.arange(first + m, first + m + len(y))
     inside = (points >= 0) & (points < panel.points)
     return points[inside], y[inside]
+
+
+def _lags(
+    members: Sequence[Pass],
+    correction: Correction,
+    reference: FloatArray,
+    panel: PanelParameters,
+    parameters: PositionParameters,
+) -> list[tuple[float, float]]:
+    """Return (middle, offset) in m of the passes of a journey that have a clear one."""
+    found = [_lag(item, reference, panel, parameters) for item in corrected(members, correction)]
+    return [lag for lag in found if lag is not None]
 
 
 def _lag(
