@@ -9,7 +9,7 @@ from fleet_db.models.geometries import GeometryRow
 from fleet_db.models.idempotency import IdempotencyRow
 from fleet_db.models.jobs import JobRunRow
 from fleet_db.models.mountings import MountingRow
-from fleet_db.models.tracks import TrackAlignmentRow, TrackSectionRow
+from fleet_db.models.tracks import TrackAlignmentRow, TrackLayoutRow, TrackSectionRow
 from fleet_db.models.trends import TrendRow
 from fleet_db.models.vehicles import VehicleRow
 from fleet_db.models.wheelsets import ReprofilingRow, WheelsetChangeRow, WheelsetRow
@@ -27,6 +27,7 @@ __all__ = [
     "MountingRow",
     "ReprofilingRow",
     "TrackAlignmentRow",
+    "TrackLayoutRow",
     "TrackSectionRow",
     "TrendRow",
     "VehicleRow",

@@ -1,4 +1,4 @@
-"""Track sections and the versions of their alignment."""
+"""Track sections and the versions of their alignment and of their layout."""
 
 from __future__ import annotations
 
@@ -33,6 +33,19 @@ class TrackAlignmentRow(Base):
     section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
     version: Mapped[int] = mapped_column(primary_key=True)
     status: Mapped[str] = mapped_column(String(16))
+    points: Mapped[Count]
+    content_digest: Mapped[Digest]
+    packed: Mapped[Packed]
+
+
+class TrackLayoutRow(Base):
+    """One version of the horizontal layout of a section; never changed. The arrays are in ``packed``."""
+
+    __tablename__ = "track_layouts"
+    __table_args__ = (CheckConstraint("version > 0", name="version_positive"),)
+
+    section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
+    version: Mapped[int] = mapped_column(primary_key=True)
     points: Mapped[Count]
     content_digest: Mapped[Digest]
     packed: Mapped[Packed]
