@@ -127,7 +127,10 @@ def groups_of(at: IntArray, parameters: PanelParameters) -> IntArray:
 
 
 def filtered(item: Pass, parameters: PanelParameters) -> tuple[IntArray, FloatArray, FloatArray, FloatArray] | None:
-    """Return grid points (m,), filtered hats (k, m), y (m,) and R (m,) of a pass; None where it is too short."""
+    """Return grid points (m,), filtered hats (k, m), y (m,) and R (m,) of a pass; None where it is too short.
+
+    Hats and R change their sign where the wheelset's left wheel runs on the section's right rail.
+    """
     weights = smoother(parameters.cut_off, parameters.step)
     first, displacement, difference = gridded(item, parameters.step)
     points = np.arange(first, first + len(displacement))
@@ -141,7 +144,7 @@ def filtered(item: Pass, parameters: PanelParameters) -> tuple[IntArray, FloatAr
         return None
     B = without_slow_part(hat_functions(np.where(certain, R, 0.0), parameters.knots), weights)
     y = without_slow_part(displacement, weights)
-    return points[inside], B[:, inside], y[inside], R[inside]
+    return points[inside], item.side * B[:, inside], y[inside], item.side * R[inside]
 
 
 def hat_functions(R: FloatArray, knots: FloatArray) -> FloatArray:

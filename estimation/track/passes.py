@@ -14,7 +14,12 @@ from estimation.vehicle import VehicleParameters
 
 @dataclass(frozen=True, slots=True)
 class Pass:
-    """Lateral displacement and rolling radius difference of a wheelset against distance, slow parts meaningless."""
+    """Lateral displacement and rolling radius difference of a wheelset against distance, slow parts meaningless.
+
+    The displacement is the section's, positive to the left of increasing distance; the difference is the wheelset's, its
+    left wheel less its right one. Where the wheelset's left wheel runs on the section's right rail ``side`` is -1, and
+    y = d - h(R) instead of y = d + h(R).
+    """
 
     wheelset: str
     vehicle: str
@@ -22,6 +27,7 @@ class Pass:
     at: FloatArray  # (n,) m along the section, strictly increasing
     displacement: FloatArray  # (n,) y, m
     difference: FloatArray  # (n,) R, m, measured without knowledge of the track
+    side: int = 1  # or -1
 
     def __post_init__(self) -> None:
         n = len(self.at)
@@ -36,8 +42,13 @@ def gridded(item: Pass, step: float) -> tuple[int, FloatArray, FloatArray]:
     return first, np.interp(grid, item.at, item.displacement), np.interp(grid, item.at, item.difference)
 
 
-def passes(window: Window, vehicle: VehicleParameters, parameters: SignalParameters) -> list[Pass]:
-    """Return the passes of a window: one for each uninterrupted stretch.
+def passes(
+    window: Window, vehicle: VehicleParameters, parameters: SignalParameters, *, mounted_reversed: bool = False
+) -> list[Pass]:
+    """Return the passes of a window: one for each uninterrupted stretch along which distance rises, or falls.
+
+    A vehicle that runs the section the other way has its axes turned half round: what it feels to its left lies to the
+    section's right, and its left wheels run on the section's right rail.
 
     Parameters
     ----------
@@ -47,6 +58,8 @@ def passes(window: Window, vehicle: VehicleParameters, parameters: SignalParamet
         Parameters of Eq. 2, which turns the yaw motion into rL - rR.
     parameters
         Gates on gaps, length and speed.
+    mounted_reversed
+        The wheelset's left wheel is on the vehicle's right-hand side.
     """
     with np.errstate(invalid="ignore"):
         usable = window.valid & np.isfinite(window.distance) & (window.speed >= parameters.least_speed_m_s)
@@ -58,9 +71,22 @@ def passes(window: Window, vehicle: VehicleParameters, parameters: SignalParamet
         known = np.asarray(usable[part])
         y, R = _felt(window, known, part, vehicle)
         at = np.interp(np.arange(stop - start), np.flatnonzero(known), window.distance[part][known])
-        # where distance runs backwards or stands still there is no pass along this direction
-        if np.diff(at).min() > 0 and np.isfinite(y).all() and np.isfinite(R).all():
-            found.append(Pass(window.wheelset, window.vehicle, window.start_ns, at, y, R))
+        steps = np.diff(at)
+        direction = 1 if steps.min() > 0 else -1 if steps.max() < 0 else 0
+        if direction and np.isfinite(y).all() and np.isfinite(R).all():
+            mounted = -1 if mounted_reversed else 1
+            along = slice(None, None, direction)
+            found.append(
+                Pass(
+                    window.wheelset,
+                    window.vehicle,
+                    window.start_ns,
+                    at[along],
+                    direction * y[along],
+                    mounted * R[along],
+                    direction * mounted,
+                )
+            )
     return found
 
 
