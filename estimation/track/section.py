@@ -1,0 +1,311 @@
+"""The alignment of a section from the passes of an epoch and what was known before.
+
+What was known, the last version or a recorded alignment, enters as one more pass of a wheelset with R = 0, weighted
+by its variance against that of a pass. Journeys are put where it lies; without it they are put where they agree. A
+journey that then agrees with nothing is refused and the others are solved again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from estimation.arrays import FloatArray
+from estimation.track.local_filter import smoother, trusted, without_slow_part
+from estimation.track.panel import PanelParameters, PanelState, filtered, groups_of, init, update
+from estimation.track.passes import Pass
+from estimation.track.positions import (
+    Correction,
+    Journey,
+    PositionParameters,
+    corrected,
+    correlate,
+    journeys,
+    refine,
+)
+from estimation.track.report import JourneyReport, LoopReport, nothing
+from estimation.track.solution import PanelSolution, result
+from estimation.types import FLEET, Status, TrackAlignment
+
+Grouped = Mapping[Journey, Sequence[Pass]]
+
+
+@dataclass(frozen=True, slots=True)
+class SectionParameters:
+    """How an epoch of passes becomes an alignment."""
+
+    panel: PanelParameters = field(default_factory=PanelParameters)
+    positions: PositionParameters = field(default_factory=PositionParameters)
+    rounds: int = 8  # of positions and panel at most
+    settled: float = 0.05  # m: positions that move less have converged
+    pass_std: float = 0.15e-3  # m of y - d - h(R) of a pass, before it is known
+    stray: float = 2.0  # times the median residual of the other journeys
+    stray_least: float = 0.4e-3  # m
+    most_weight: float = 1000.0  # of evidence, in passes
+    gauge_std: float = 1e-3  # m, expected of a gauge that nobody knows
+
+
+@dataclass(frozen=True, slots=True)
+class SectionEstimate:
+    """What the passes of an epoch and the evidence say; ``alignment`` is None where that is nothing."""
+
+    alignment: TrackAlignment | None
+    report: LoopReport
+    corrections: Mapping[Journey, Correction]  # of the journeys that were used
+    solution: PanelSolution | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """Evidence on the grid: filtered alignment (n,), zero where there is none, and its std (n,), inf there."""
+
+    alignment: FloatArray
+    std: FloatArray
+    passes: FloatArray
+    gauge: FloatArray
+    gauge_std: FloatArray
+    gauge_known: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Settled:
+    state: PanelState  # without the evidence
+    solution: PanelSolution
+    corrections: dict[Journey, Correction]
+    rounds: int
+    moved: float
+
+
+def estimate_section(
+    section: str, passes: Sequence[Pass], evidence: TrackAlignment | None, parameters: SectionParameters
+) -> SectionEstimate:
+    """Return the alignment of a section from ``passes`` and ``evidence``.
+
+    Parameters
+    ----------
+    section
+        Its code.
+    passes
+        Of this epoch; wheelsets are told apart by ``Pass.wheelset``, so passes of other wear need another name.
+    evidence
+        The last version, or a recorded alignment; None where nothing is known.
+    parameters
+        Grid, filter, rounds.
+    """
+    named = () if evidence is None else (f"{evidence.source} version {evidence.version}",)
+    grouped: Grouped = journeys(passes, parameters.positions)
+    if not grouped:
+        return SectionEstimate(None, nothing("no pass", named), {}, None)
+    known = None if evidence is None else _known(evidence, parameters.panel)
+    settled, strays, residuals = _without_strays(grouped, known, parameters)
+    report = _report(settled, grouped, strays, residuals, known, parameters)
+    report = replace(report, evidence=named)
+    if report.status is not Status.ESTIMATED:
+        return SectionEstimate(None, report, {}, settled.solution)
+    alignment = _alignment(section, settled, known, parameters)
+    certain = np.isfinite(alignment.alignment)
+    report = replace(
+        report,
+        covered=float(certain.mean()),
+        alignment_std_m=float(np.median(alignment.alignment_std[certain])) if certain.any() else float("nan"),
+    )
+    return SectionEstimate(alignment, report, settled.corrections, settled.solution)
+
+
+def _without_strays(
+    grouped: Grouped, known: _Known | None, p: SectionParameters
+) -> tuple[_Settled, dict[Journey, str], dict[Journey, float]]:
+    """Settle, leave out what agrees with nothing, and settle again until all that is left agrees."""
+    kept = dict(grouped)
+    strays: dict[Journey, str] = {}
+    residuals: dict[Journey, float] = {}
+    while True:
+        settled = _settle(kept, known, p)
+        residuals |= _residuals(kept, settled, p.panel)
+        found = _strays({journey: residuals[journey] for journey in kept}, settled.corrections, p)
+        strays |= found
+        if not found or len(found) == len(kept):
+            return settled, strays, residuals
+        kept = {journey: members for journey, members in kept.items() if journey not in found}
+
+
+def _settle(grouped: Grouped, known: _Known | None, p: SectionParameters) -> _Settled:
+    """Solve the panel and put the journeys where it says, in turn, until none moves."""
+    anchor = known.alignment if known is not None else None
+    corrections = correlate(grouped, p.panel, p.positions, anchor)
+    noise, moved, rounds = p.pass_std, np.inf, 0
+    while True:
+        rounds += 1
+        at = [item for journey, members in grouped.items() for item in corrected(members, corrections[journey])]
+        state = update(init(p.panel), at)
+        solution = result(state if known is None else _with_evidence(state, known, noise, p))
+        noise = max(solution.report.residual_rms, 0.1 * p.pass_std)
+        if moved < p.settled or rounds == p.rounds:
+            return _Settled(state, solution, corrections, rounds, moved)
+        better = refine(grouped, corrections, solution, p.panel, anchored=known is not None)
+        moved = max(_apart(corrections[journey], better[journey], members) for journey, members in grouped.items())
+        corrections = better
+
+
+def _apart(first: Correction, second: Correction, members: Sequence[Pass]) -> float:
+    """Return by how much two corrections differ at the ends of a journey, m."""
+    ends = np.array([min(item.at[0] for item in members), max(item.at[-1] for item in members)])
+    return float(np.abs(first.at(ends) - second.at(ends)).max())
+
+
+def _known(evidence: TrackAlignment, panel: PanelParameters) -> _Known:
+    """Return ``evidence`` as the panel sees it: on its grid, after its high-pass if it has not been through one."""
+    grid = np.arange(panel.points) * panel.step
+    certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
+    inside = np.interp(grid, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
+    d = np.interp(grid, evidence.s, np.where(certain, evidence.alignment, 0.0))
+    std = np.interp(grid, evidence.s, np.where(certain, evidence.alignment_std, 0.0))
+    if not np.isfinite(evidence.cut_off):
+        weights = smoother(panel.cut_off, panel.step)
+        inside = trusted(np.asarray(inside), weights)
+        d = without_slow_part(d, weights)
+    passes = np.interp(grid, evidence.s, evidence.passes.astype(np.float64))
+    return _Known(
+        np.where(inside, d, 0.0),
+        np.where(inside, std, np.inf),
+        np.where(inside, np.rint(passes), 0.0),
+        np.interp(grid, evidence.s, evidence.gauge_deviation),
+        np.interp(grid, evidence.s, evidence.gauge_deviation_std),
+        evidence.gauge_known,
+    )
+
+
+def _with_evidence(state: PanelState, known: _Known, noise: float, p: SectionParameters) -> PanelState:
+    """Return the sums with the evidence added as a pass of R = 0, as heavy as its variance makes it."""
+    with np.errstate(divide="ignore"):
+        weight = np.minimum((noise / known.std) ** 2, p.most_weight)
+    d = known.alignment
+    group = groups_of(np.arange(p.panel.points), p.panel)
+    square = state.square + np.bincount(group, weights=weight * d * d, minlength=p.panel.groups)
+    return replace(
+        state,
+        parameters=replace(state.parameters, least_passes=1),
+        displacement=state.displacement + weight * d,
+        passes=state.passes + weight,
+        square=square,
+    )
+
+
+def _residuals(grouped: Grouped, settled: _Settled, panel: PanelParameters) -> dict[Journey, float]:
+    """Return the rms of y - d - h(R) of every journey, m; NaN where it covers nothing that is known."""
+    found = {}
+    d = settled.solution.alignment
+    for journey, members in grouped.items():
+        squares, count = 0.0, 0
+        for item in corrected(members, settled.corrections[journey]):
+            columns = filtered(item, panel)
+            if columns is None:
+                continue
+            at, B, y, _ = columns
+            curve = settled.solution.curves[0, settled.solution.wheelsets.index(item.wheelset)]
+            rest = (y - curve @ B - d[at])[np.isfinite(d[at])]
+            squares, count = squares + float(rest @ rest), count + len(rest)
+        found[journey] = float(np.sqrt(squares / count)) if count else float("nan")
+    return found
+
+
+def _strays(
+    residuals: Mapping[Journey, float], corrections: Mapping[Journey, Correction], p: SectionParameters
+) -> dict[Journey, str]:
+    """Return the journeys that are not where they say, or not on this section, with the reason."""
+    found = {}
+    for journey, value in residuals.items():
+        others = [rest for other, rest in residuals.items() if other != journey and np.isfinite(rest)]
+        limit = max(p.stray * float(np.median(others)), p.stray_least) if others else np.inf
+        offset = abs(corrections[journey].offset)
+        if not np.isfinite(value):
+            found[journey] = "too short, or where too few have passed"
+        elif value > limit:
+            found[journey] = f"agrees with no other: {1e3 * value:.2f} mm apart, {1e3 * limit:.2f} mm are expected"
+        elif offset > p.positions.largest_offset:
+            found[journey] = f"{offset:.0f} m off, {p.positions.largest_offset:.0f} m are searched"
+    return found
+
+
+def _report(
+    settled: _Settled,
+    grouped: Grouped,
+    strays: Mapping[Journey, str],
+    residuals: Mapping[Journey, float],
+    known: _Known | None,
+    p: SectionParameters,
+) -> LoopReport:
+    solution = settled.solution
+    of_panel = result(settled.state).report if known is not None else solution.report
+    status, reason = of_panel.status, of_panel.reason
+    if known is not None and np.isfinite(known.std).any():
+        status, reason = Status.ESTIMATED, ""
+    if status is Status.ESTIMATED and len(strays) == len(grouped):
+        status, reason = Status.UNESTIMATED, "no journey agrees with another: " + next(iter(strays.values()))
+    told = [
+        _journey(journey, members, settled.corrections.get(journey, Correction()), residuals[journey], strays)
+        for journey, members in grouped.items()
+    ]
+    certain = np.isfinite(solution.alignment_std)
+    return LoopReport(
+        status=status,
+        reason=reason,
+        converged=settled.moved < p.settled,
+        rounds=settled.rounds,
+        residual_rms_m=solution.report.residual_rms,
+        moved_m=settled.moved,
+        passes=sum(item.passes for item in told if item.used),
+        wheelsets=len(solution.wheelsets),
+        mean_passes=of_panel.passes,
+        diversity=of_panel.diversity,
+        covered=float(np.isfinite(solution.alignment).mean()),
+        alignment_std_m=float(np.median(solution.alignment_std[certain])) if certain.any() else float("nan"),
+        journeys=tuple(told),
+    )
+
+
+def _journey(
+    journey: Journey, members: Sequence[Pass], correction: Correction, residual: float, strays: Mapping[Journey, str]
+) -> JourneyReport:
+    return JourneyReport(
+        vehicle=journey[0],
+        from_ns=journey[1],
+        to_ns=max(item.start_ns for item in members),
+        passes=len(members),
+        offset_m=correction.offset,
+        scale_1=correction.scale,
+        middle_m=correction.middle,
+        residual_rms_m=residual,
+        used=journey not in strays,
+        reason=strays.get(journey, ""),
+    )
+
+
+def _alignment(section: str, settled: _Settled, known: _Known | None, p: SectionParameters) -> TrackAlignment:
+    """Return the solution as an alignment, NaN where it is not known; places that nobody passed stay as they were."""
+    solution, seen = settled.solution, settled.state.passes
+    d, std, before = solution.alignment, solution.alignment_std, np.zeros(p.panel.points)
+    gauge, gauge_std, gauge_known = np.zeros(p.panel.points), np.full(p.panel.points, p.gauge_std), False
+    if known is not None:
+        held, before = np.isfinite(known.std), known.passes
+        certain = held | (seen >= p.panel.least_passes)
+        stays = held & ((seen == 0) | ~np.isfinite(d))
+        d = np.where(stays, known.alignment, np.where(certain, d, np.nan))
+        std = np.where(stays, known.std, np.where(certain, std, np.nan))
+        gauge, gauge_std, gauge_known = known.gauge, known.gauge_std, known.gauge_known
+    return TrackAlignment(
+        section=section,
+        version=0,
+        s=np.asarray(np.arange(p.panel.points) * p.panel.step, dtype=np.float64),
+        alignment=d,
+        alignment_std=std,
+        gauge_deviation=gauge,
+        gauge_deviation_std=gauge_std,
+        passes=np.rint(seen + before).astype(np.int64),
+        status=Status.ESTIMATED,
+        source=FLEET,
+        cut_off=p.panel.cut_off,
+        gauge_known=gauge_known,
+    )

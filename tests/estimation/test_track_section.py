@@ -1,0 +1,119 @@
+"""An epoch of passes and what was known before become an alignment, journeys put where they were."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from smooth_wheelset import alignment as recorded_alignment
+from smooth_wheelset import track
+from test_track_panel import PARAMETERS, fleet_passes
+from test_track_positions import OFFSETS, SCALES
+
+from estimation.track.local_filter import smoother, without_slow_part
+from estimation.track.passes import Pass
+from estimation.track.section import SectionEstimate, SectionParameters, estimate_section
+from estimation.types import FLEET, Status, TrackAlignment
+
+SECTION = SectionParameters(panel=PARAMETERS)
+
+
+def displaced(passes: tuple[Pass, ...]) -> list[Pass]:
+    moved = []
+    for item in passes:
+        offset, scale = OFFSETS.get(item.vehicle, 0.0), SCALES.get(item.vehicle, 0.0)
+        moved.append(replace(item, at=item.at + offset + scale * (item.at - 1000.0)))
+    return moved
+
+
+@cache
+def first_version() -> SectionEstimate:
+    return estimate_section("S", displaced(fleet_passes()), None, SECTION)
+
+
+def known(estimate: SectionEstimate) -> TrackAlignment:
+    assert estimate.alignment is not None
+    return replace(estimate.alignment, version=1)
+
+
+def error(alignment: TrackAlignment, shift: float = 0.0) -> float:
+    """Return the std of the error of an alignment over that of the true one."""
+    truth = track(1)
+    weights = smoother(PARAMETERS.cut_off, PARAMETERS.step)
+    true = without_slow_part(np.interp(alignment.s + shift, truth.s, truth.alignment), weights)
+    seen = np.isfinite(alignment.alignment) & (alignment.s > 100) & (alignment.s < 1700)
+    return float((alignment.alignment - true)[seen].std() / true[seen].std())
+
+
+def test_positions_and_alignment_settle_together() -> None:
+    found = first_version()
+    assert found.report.status is Status.ESTIMATED
+    assert found.report.converged
+    assert found.report.moved_m < SECTION.settled
+    assert found.report.evidence == ()
+    assert all(journey.used for journey in found.report.journeys)
+    assert known(found).source == FLEET
+    fleet_lies = np.mean([OFFSETS[c] for c in OFFSETS])  # nobody says where the fleet as a whole lies
+    assert error(known(found), -fleet_lies) < 0.12
+    json.dumps(found.report.as_json(), allow_nan=False)
+
+
+def test_evidence_says_where_the_place_lies_and_more_passes_make_it_no_worse() -> None:
+    """The next epoch lies elsewhere by its odometers, and is put where the last version is."""
+    first = known(first_version())
+    again = [replace(item, at=item.at + 11.0, start_ns=item.start_ns + 10**15) for item in displaced(fleet_passes())]
+    second = estimate_section("S", again, first, SECTION)
+    assert second.report.evidence == ("fleet version 1",)
+    before = {journey[0]: c for journey, c in first_version().corrections.items()}
+    for (vehicle, _), correction in second.corrections.items():
+        offsets = correction.at(np.array([1011.0])) - before[vehicle].at(np.array([1000.0]))
+        assert np.abs(offsets).max() < 0.2
+    after = known(second)
+    held = np.isfinite(first.alignment)
+    assert np.isfinite(after.alignment[held]).all()
+    assert np.nanmedian(after.alignment_std) < np.nanmedian(first.alignment_std)
+    assert (after.passes >= first.passes).all()
+    fleet_lies = np.mean([OFFSETS[c] for c in OFFSETS])
+    assert error(after, -fleet_lies) < 1.1 * error(first, -fleet_lies)
+
+
+def test_a_recorded_alignment_is_evidence_that_one_wheelset_can_be_read_against() -> None:
+    alone = [item for item in displaced(fleet_passes()) if item.wheelset == "cone 0.05"]
+    blind = estimate_section("S", alone, None, SECTION)
+    assert blind.alignment is None
+    assert "no place with 3 passes" in blind.report.reason
+    truth = recorded_alignment(track(1))
+    recorded = replace(truth, alignment_std=np.full(len(truth.s), 0.05e-3))
+    assert estimate_section("S", alone, recorded, SECTION).report.status is Status.ESTIMATED
+    found = estimate_section("S", displaced(fleet_passes()), recorded, SECTION)
+    for (vehicle, _), correction in found.corrections.items():
+        true = np.array([400.0, 1600.0])
+        measured = true + OFFSETS[vehicle] + SCALES[vehicle] * (true - 1000.0)
+        assert np.abs(correction.at(measured) - true).max() < 0.5, vehicle
+
+
+def test_a_journey_of_another_place_is_refused_and_the_others_stay_as_they_were() -> None:
+    rng = np.random.default_rng(1)
+    stranger = [
+        replace(item, vehicle="stranger", displacement=1e-3 * rng.standard_normal(len(item.at)))
+        for item in fleet_passes()
+        if item.vehicle == "17 m/s"
+    ]
+    found = estimate_section("S", [*displaced(fleet_passes()), *stranger], None, SECTION)
+    (refused,) = [journey for journey in found.report.journeys if not journey.used]
+    assert refused.vehicle == "stranger"
+    assert "agrees with no other" in refused.reason
+    for journey, correction in first_version().corrections.items():
+        assert found.corrections[journey].offset == pytest.approx(correction.offset, abs=0.02)
+
+
+def test_no_pass_and_passes_all_alike_give_no_alignment_but_a_reason() -> None:
+    assert estimate_section("S", [], None, SECTION).report.reason == "no pass"
+    alike = estimate_section("S", fleet_passes(alike=True), None, SECTION)
+    assert alike.alignment is None
+    assert alike.report.status is Status.UNESTIMATED
+    assert "alike" in alike.report.reason
+    json.dumps(alike.report.as_json(), allow_nan=False)
