@@ -94,7 +94,7 @@ def _scenario(root: TomlTable) -> Scenario:
         fleet_name=fleet_name,
         parameters=_parameters(root.table("dynamics")),
         section=section,
-        sensors=_sensors(root.table("sensors")),
+        sensors=sensor_node(root.table("sensors")),
         speed=speed,
         sessions=sessions,
         bus=_bus(root.table("bus")),
@@ -153,7 +153,8 @@ def _recipe(table: TomlTable) -> TrackRecipe:
     )
 
 
-def _sensors(table: TomlTable) -> SensorNode:
+def sensor_node(table: TomlTable) -> SensorNode:
+    """Return the sensor node that a ``sensors`` table describes."""
     kind = table.text("kind", "mems")
     rate = table.integer("rate_hz", 250, low=1, high=FULL_RATE_HZ)
     if FULL_RATE_HZ % rate:
