@@ -12,7 +12,7 @@ from enum import StrEnum
 from typing import Protocol
 
 from estimation.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, AlertScope, Condition, JsonValue
-from estimation.types import BinTable, TrackAlignment, WearTrend, WheelsetGeometry, Window, WindowQuality
+from estimation.types import BinTable, Status, TrackAlignment, WearTrend, WheelsetGeometry, Window, WindowQuality
 
 
 class WindowState(StrEnum):
@@ -90,6 +90,61 @@ class TrackSectionRecord:
     rail_inclination: float
     nominal_gauge_m: float
     length_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentRecord:
+    """A version of a section's alignment without its arrays.
+
+    ``same_since`` is the oldest version from which it differs by less than that one left unknown: what was estimated
+    with any version since then need not be estimated again.
+    """
+
+    section: str
+    version: int
+    status: Status
+    source: str
+    same_since: int
+    cut_off_m: float  # inf where every wavelength is known
+    scale_std: float
+    gauge_known: bool
+    alignment_std_m: float | None  # median along the section; None of recordings before it was kept
+    points: int
+    recorded_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class TrackReport:
+    """What a run of the alignment job found of a section; ``version`` is the one in force afterwards, if any."""
+
+    section: str
+    version: int | None
+    made: bool  # whether that run made the version
+    status: Status
+    reason: str
+    windows: int
+    input_digest: str  # over keys and digests of windows, and the version before
+    code_version: str
+    report: Mapping[str, JsonValue]
+    recorded_ns: int
+    report_id: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class WindowPosition:
+    """Where a window was along its section: true position = measured + offset + scale (measured - middle).
+
+    ``reason`` says why that is not known. ``content_digest`` is of the samples that were looked at.
+    """
+
+    wheelset: str
+    start_ns: int
+    content_digest: str
+    version: int | None  # of the alignment against which it was found
+    offset_m: float = 0.0
+    scale: float = 0.0
+    middle_m: float = 0.0
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +270,15 @@ class Tracks(Protocol):
     def section_by_number(self, number: int) -> TrackSectionRecord | None: ...
     def add_section(self, record: TrackSectionRecord) -> None: ...
     def alignment(self, section: str, version: int | None = None) -> TrackAlignment | None: ...
-    def add_alignment(self, alignment: TrackAlignment) -> int: ...
+    def add_alignment(
+        self, alignment: TrackAlignment, *, same_since: int | None = None, recorded_ns: int | None = None
+    ) -> int: ...
+    def in_force(self, section: str) -> AlignmentRecord | None: ...
+    def versions(self, section: str, after: int | None, limit: int) -> Sequence[AlignmentRecord]: ...
+    def report(self, section: str, version: int | None = None) -> TrackReport | None: ...
+    def add_report(self, report: TrackReport) -> int: ...
+    def position(self, wheelset: str, start_ns: int) -> WindowPosition | None: ...
+    def put_position(self, position: WindowPosition) -> bool: ...
 
 
 class Windows(Protocol):
@@ -223,6 +286,8 @@ class Windows(Protocol):
 
     def put(self, window: Window, mileage_km: float, recorded_ns: int) -> bool: ...
     def pending(self, limit: int) -> Sequence[WindowRecord]: ...
+    def ready(self, limit: int, waiting_sections: Sequence[str]) -> Sequence[WindowRecord]: ...
+    def unplaced(self, track_section: str, limit: int) -> Sequence[WindowRecord]: ...
     def get(self, wheelset: str, start_ns: int) -> WindowRecord | None: ...
     def requeue(self, track_section: str, reason: str) -> int: ...
     def load(self, wheelset: str, start_ns: int) -> Window: ...

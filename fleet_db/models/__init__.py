@@ -9,7 +9,14 @@ from fleet_db.models.geometries import GeometryRow
 from fleet_db.models.idempotency import IdempotencyRow
 from fleet_db.models.jobs import JobRunRow
 from fleet_db.models.mountings import MountingRow
-from fleet_db.models.tracks import TrackAlignmentRow, TrackLayoutRow, TrackSectionRow
+from fleet_db.models.tracks import (
+    TrackAlignmentRow,
+    TrackLayoutRow,
+    TrackReportRow,
+    TrackSectionRow,
+    TrackVersionRow,
+    WindowPositionRow,
+)
 from fleet_db.models.trends import TrendRow
 from fleet_db.models.vehicles import VehicleRow
 from fleet_db.models.wheelsets import ReprofilingRow, WheelsetChangeRow, WheelsetRow
@@ -28,12 +35,15 @@ __all__ = [
     "ReprofilingRow",
     "TrackAlignmentRow",
     "TrackLayoutRow",
+    "TrackReportRow",
     "TrackSectionRow",
+    "TrackVersionRow",
     "TrendRow",
     "VehicleRow",
     "WheelsetBinRow",
     "WheelsetChangeRow",
     "WheelsetRow",
     "WindowBinTableRow",
+    "WindowPositionRow",
     "WindowRow",
 ]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from sqlalchemy import CheckConstraint, ForeignKey, String
+from sqlalchemy import CheckConstraint, ForeignKey, ForeignKeyConstraint, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.types import Status
-from fleet_db.models.base import Base, Count, Digest, Name, Packed, Real, one_of
+from estimation.types import FLEET, RECORDED, Status
+from fleet_db.models.base import Base, Count, Digest, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
 
 
 class TrackSectionRow(Base):
@@ -36,6 +36,71 @@ class TrackAlignmentRow(Base):
     points: Mapped[Count]
     content_digest: Mapped[Digest]
     packed: Mapped[Packed]
+
+
+class TrackVersionRow(Base):
+    """Where a version of an alignment came from, beside it; one without this row is a recording.
+
+    ``same_since`` is the oldest version from which this one differs by less than that one left unknown.
+    ``cut_off_m`` is null where every wavelength is known.
+    """
+
+    __tablename__ = "track_versions"
+    __table_args__ = (
+        one_of("source", (RECORDED, FLEET)),
+        CheckConstraint("same_since <= version", name="same_since_before"),
+        ForeignKeyConstraint(["section", "version"], ["track_alignments.section", "track_alignments.version"]),
+    )
+
+    section: Mapped[str] = mapped_column(String(64), primary_key=True)
+    version: Mapped[int] = mapped_column(primary_key=True)
+    source: Mapped[str] = mapped_column(String(16))
+    same_since: Mapped[int]
+    cut_off_m: Mapped[Real | None]
+    scale_std: Mapped[Real]
+    gauge_known: Mapped[bool]
+    alignment_std_m: Mapped[Real | None]
+    recorded_ns: Mapped[Nanoseconds]
+
+
+class TrackReportRow(Base):
+    """What a run of the alignment job found of a section; ``version`` is the one in force afterwards, if any."""
+
+    __tablename__ = "track_reports"
+    __table_args__ = (one_of("status", Status), Index(None, "section", "report_id"), {"sqlite_autoincrement": True})
+
+    report_id: Mapped[Serial]
+    section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"))
+    version: Mapped[int | None]
+    made: Mapped[bool]
+    status: Mapped[str] = mapped_column(String(16))
+    reason: Mapped[Name]
+    windows: Mapped[Count]
+    input_digest: Mapped[Digest]
+    code_version: Mapped[Name]
+    report: Mapped[Json]
+    recorded_ns: Mapped[Nanoseconds]
+
+
+class WindowPositionRow(Base):
+    """Where a window was along its section: true position = measured + offset + scale (measured - middle).
+
+    ``reason`` says why that is not known. ``content_digest`` is of the samples that were looked at.
+    """
+
+    __tablename__ = "window_positions"
+    __table_args__ = (
+        ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
+    )
+
+    wheelset: Mapped[str] = mapped_column(String(64), primary_key=True)
+    start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    content_digest: Mapped[Digest]
+    version: Mapped[int | None]
+    offset_m: Mapped[Real]
+    scale: Mapped[Real]
+    middle_m: Mapped[Real]
+    reason: Mapped[Name]
 
 
 class TrackLayoutRow(Base):

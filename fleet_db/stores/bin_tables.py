@@ -55,17 +55,17 @@ class BinTableStore:
             self.changes.note(wheelset)
 
     def outdated(self, parameter_key: str, track_versions: Mapping[str, int]) -> Sequence[tuple[str, int]]:
-        """Return (wheelset, start) of tables made with other parameters, or on another version of their section.
+        """Return (wheelset, start) of tables made with other parameters, or on too old a version of their section.
 
         Parameters
         ----------
         parameter_key
             Of the parameters in force.
         track_versions
-            Version in force by section; a section that is not named is not looked at.
+            By section, the oldest version that is as good as the one in force; a section not named is not looked at.
         """
         newer = [
-            and_(WINDOWS.c.track_section == section, TABLES.c.track_version != version)
+            and_(WINDOWS.c.track_section == section, TABLES.c.track_version < version)
             for section, version in track_versions.items()
         ]
         statement = (

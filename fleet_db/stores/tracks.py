@@ -7,17 +7,34 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Select, insert, select
+import numpy as np
+from sqlalchemy import Connection, Select, and_, func, insert, select
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.ports import TrackSectionRecord
-from estimation.types import TrackAlignment
+from estimation.ports import AlignmentRecord, TrackReport, TrackSectionRecord, WindowPosition
+from estimation.types import RECORDED, Status, TrackAlignment
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import TrackAlignmentRow, TrackSectionRow
+from fleet_db.models import TrackAlignmentRow, TrackReportRow, TrackSectionRow, TrackVersionRow, WindowPositionRow
 from fleet_db.packed.alignment import pack_alignment, unpack_alignment
-from fleet_db.rows import table_of, upsert
+from fleet_db.rows import null_if_nan, table_of, upsert
 
-SECTIONS, ALIGNMENTS = table_of(TrackSectionRow), table_of(TrackAlignmentRow)
+SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
+REPORTS, POSITIONS = table_of(TrackReportRow), table_of(WindowPositionRow)
+SAME_VERSION = and_(VERSIONS.c.section == ALIGNMENTS.c.section, VERSIONS.c.version == ALIGNMENTS.c.version)
+SOURCE = func.coalesce(VERSIONS.c.source, RECORDED)
+RECORDS = select(
+    ALIGNMENTS.c.section,
+    ALIGNMENTS.c.version,
+    ALIGNMENTS.c.status,
+    ALIGNMENTS.c.points,
+    SOURCE.label("source"),
+    func.coalesce(VERSIONS.c.same_since, ALIGNMENTS.c.version).label("same_since"),
+    VERSIONS.c.cut_off_m,
+    VERSIONS.c.scale_std,
+    VERSIONS.c.gauge_known,
+    VERSIONS.c.alignment_std_m,
+    VERSIONS.c.recorded_ns,
+).select_from(ALIGNMENTS.outerjoin(VERSIONS, SAME_VERSION))
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +93,22 @@ class TrackStore:
             return None
         return unpack_alignment(row.packed, row.version, where=f"alignment {row.version} of track section {section!r}")
 
-    def add_alignment(self, alignment: TrackAlignment) -> int:
+    def add_alignment(
+        self, alignment: TrackAlignment, *, same_since: int | None = None, recorded_ns: int | None = None
+    ) -> int:
         """Store an alignment as the next version of its section and return that; ``alignment.version`` is not read.
 
-        The content of the newest version again changes nothing and returns its version.
+        The content of the newest version of the same source again changes nothing and returns its version: a
+        recording that is registered again does not come before what the fleet has found since.
+
+        Parameters
+        ----------
+        alignment
+            What is known of the section.
+        same_since
+            Oldest version from which it does not differ materially; its own version where left out.
+        recorded_ns
+            Our time; where left out none is kept.
 
         Raises
         ------
@@ -90,26 +119,96 @@ class TrackStore:
         self.section(alignment.section)
         packed = pack_alignment(alignment)
         digest = hashlib.sha256(packed).hexdigest()
-        newest = self.connection.execute(
+        of_section = ALIGNMENTS.c.section == alignment.section
+        known = self.connection.execute(
             select(ALIGNMENTS.c.version, ALIGNMENTS.c.content_digest)
-            .where(ALIGNMENTS.c.section == alignment.section)
+            .select_from(ALIGNMENTS.outerjoin(VERSIONS, SAME_VERSION))
+            .where(of_section, SOURCE == alignment.source)  # noqa: SIM300 - the column comes first
             .order_by(ALIGNMENTS.c.version.desc())
             .limit(1)
         ).first()
-        if newest is not None and newest.content_digest == digest:
-            return int(newest.version)
-        version = 1 if newest is None else int(newest.version) + 1
-        self.connection.execute(
-            insert(ALIGNMENTS).values(
-                section=alignment.section,
-                version=version,
-                status=str(alignment.status),
-                points=len(alignment.s),
-                content_digest=digest,
-                packed=packed,
-            )
-        )
+        if known is not None and known.content_digest == digest:
+            return int(known.version)
+        version = 1 + (self.connection.scalar(select(func.max(ALIGNMENTS.c.version)).where(of_section)) or 0)
+        values = {"section": alignment.section, "version": version}
+        content = {"points": len(alignment.s), "content_digest": digest, "packed": packed}
+        self.connection.execute(insert(ALIGNMENTS).values(**values, status=str(alignment.status), **content))
+        if recorded_ns is not None:
+            told = _told(alignment, version if same_since is None else same_since, recorded_ns)
+            self.connection.execute(insert(VERSIONS).values(**values, **told))
         return version
+
+    def in_force(self, section: str) -> AlignmentRecord | None:
+        """Return what the newest version of the alignment of a section is, without its arrays."""
+        statement = RECORDS.where(ALIGNMENTS.c.section == section).order_by(ALIGNMENTS.c.version.desc()).limit(1)
+        row = self.connection.execute(statement).first()
+        return None if row is None else _alignment_record(row)
+
+    def versions(self, section: str, after: int | None, limit: int) -> Sequence[AlignmentRecord]:
+        """Return at most ``limit`` versions of a section behind version ``after``, oldest first."""
+        statement = RECORDS.where(ALIGNMENTS.c.section == section).order_by(ALIGNMENTS.c.version).limit(limit)
+        if after is not None:
+            statement = statement.where(ALIGNMENTS.c.version > after)
+        return [_alignment_record(row) for row in self.connection.execute(statement)]
+
+    def report(self, section: str, version: int | None = None) -> TrackReport | None:
+        """Return the newest report of a section, or the one of the run that made ``version``."""
+        statement = select(REPORTS).where(REPORTS.c.section == section)
+        if version is not None:
+            statement = statement.where(REPORTS.c.version == version, REPORTS.c.made)
+        row = self.connection.execute(statement.order_by(REPORTS.c.report_id.desc()).limit(1)).first()
+        if row is None:
+            return None
+        fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
+        return TrackReport(**(fields | {"status": Status(row.status)}))
+
+    def add_report(self, report: TrackReport) -> int:
+        """Append what a run found of a section; return its number."""
+        serialise(self.connection, Subject.TRACKS)
+        values = asdict(report) | {"status": str(report.status), "report": dict(report.report)}
+        values.pop("report_id")
+        return int(
+            self.connection.execute(insert(REPORTS).values(**values).returning(REPORTS.c.report_id)).scalar_one()
+        )
+
+    def position(self, wheelset: str, start_ns: int) -> WindowPosition | None:
+        """Return where a window was, if that has been looked at."""
+        key = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
+        row = self.connection.execute(select(POSITIONS).where(*key)).first()
+        return None if row is None else WindowPosition(*row)
+
+    def put_position(self, position: WindowPosition) -> bool:
+        """Store where a window was, in the place of what was known; return whether that has changed."""
+        return upsert(self.connection, POSITIONS, asdict(position))
 
     def _sections(self, statement: Select[Any]) -> Sequence[TrackSectionRecord]:
         return [TrackSectionRecord(*row) for row in self.connection.execute(statement)]
+
+
+def _told(alignment: TrackAlignment, same_since: int, recorded_ns: int) -> dict[str, Any]:
+    std = alignment.alignment_std[np.isfinite(alignment.alignment_std)]
+    return {
+        "source": alignment.source,
+        "same_since": same_since,
+        "cut_off_m": float(alignment.cut_off) if np.isfinite(alignment.cut_off) else None,
+        "scale_std": float(alignment.scale_std),
+        "gauge_known": bool(alignment.gauge_known),
+        "alignment_std_m": null_if_nan(float(np.median(std))) if len(std) else None,
+        "recorded_ns": recorded_ns,
+    }
+
+
+def _alignment_record(row: Any) -> AlignmentRecord:  # noqa: ANN401 - a row of RECORDS
+    return AlignmentRecord(
+        section=row.section,
+        version=row.version,
+        status=Status(row.status),
+        source=row.source,
+        same_since=row.same_since,
+        cut_off_m=np.inf if row.cut_off_m is None else row.cut_off_m,
+        scale_std=0.0 if row.scale_std is None else row.scale_std,
+        gauge_known=True if row.gauge_known is None else row.gauge_known,
+        alignment_std_m=row.alignment_std_m,
+        points=row.points,
+        recorded_ns=row.recorded_ns,
+    )

@@ -7,17 +7,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, and_, bindparam, delete, func, select
+from sqlalchemy import Connection, Row, Select, and_, bindparam, delete, exists, func, or_, select
 
 from estimation.errors import NotFoundError
 from estimation.ports import WindowRecord, WindowState
 from estimation.types import Window, WindowQuality
 from fleet_db.changes import Changes
-from fleet_db.models import WheelsetRow, WindowBinTableRow, WindowRow
+from fleet_db.models import WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.rows import insert_new, key_given, key_of, nan_if_null, null_if_nan, replace, table_of
 from fleet_db.telemetry import WindowFiles, window_digest
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
+POSITIONS = table_of(WindowPositionRow)
+PLACED = exists().where(
+    POSITIONS.c.wheelset == WINDOWS.c.wheelset,
+    POSITIONS.c.start_ns == WINDOWS.c.start_ns,
+    POSITIONS.c.content_digest == WINDOWS.c.content_digest,
+)
 SAME = and_(WINDOWS.c.wheelset == WHEELSETS.c.serial, WINDOWS.c.start_ns == bindparam("start_ns"))
 STORED = (
     select(WINDOWS.c.content_digest, WINDOWS.c.sample_bytes, WINDOWS.c.mileage_km)
@@ -80,6 +86,22 @@ class WindowStore:
         """Return windows that wait to be estimated, by wheelset and start."""
         statement = select(WINDOWS).where(WINDOWS.c.state == WindowState.PENDING.value)
         return self._records(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns).limit(limit))
+
+    def ready(self, limit: int, waiting_sections: Sequence[str]) -> Sequence[WindowRecord]:
+        """Return windows that wait to be estimated, by wheelset and start.
+
+        Those of ``waiting_sections`` are passed over until it has been looked at where they were.
+        """
+        statement = select(WINDOWS).where(WINDOWS.c.state == WindowState.PENDING.value)
+        if waiting_sections:
+            elsewhere = func.coalesce(WINDOWS.c.track_section, "").not_in(waiting_sections)
+            statement = statement.where(or_(elsewhere, PLACED))
+        return self._records(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns).limit(limit))
+
+    def unplaced(self, track_section: str, limit: int) -> Sequence[WindowRecord]:
+        """Return windows of a section of which nobody has looked where they were, newest first."""
+        statement = select(WINDOWS).where(WINDOWS.c.track_section == track_section, ~PLACED)
+        return self._records(statement.order_by(WINDOWS.c.start_ns.desc(), WINDOWS.c.wheelset).limit(limit))
 
     def get(self, wheelset: str, start_ns: int) -> WindowRecord | None:
         """Return one window's record."""
@@ -166,6 +188,9 @@ class WindowStore:
     def _wait_again(self, window: Window) -> None:
         key = {"wheelset": window.wheelset, "start_ns": window.start_ns}
         standing = self.connection.execute(STANDING, key_of(WINDOWS, key)).first()
+        self.connection.execute(
+            delete(POSITIONS).where(POSITIONS.c.wheelset == window.wheelset, POSITIONS.c.start_ns == window.start_ns)
+        )
         if standing is not None and standing.state == WindowState.REFUSED.value:
             self.mark(window.wheelset, window.start_ns, WindowState.PENDING, "")
 

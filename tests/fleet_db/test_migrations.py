@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import sqlalchemy
+import stored_values as make
+from alembic import command
 from alembic.autogenerate import compare_metadata
+from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from sqlalchemy import Engine
 
 from estimation.errors import MigrationError, ParameterError, StorageError
+from estimation.types import RECORDED
 from fleet_db.migrate import SCRIPTS, check_head, head, upgrade
 from fleet_db.models import Base
+from fleet_db.packed.alignment import pack_alignment
 from fleet_db.session import database_engine
+from fleet_db.storage import SqlStorage
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -161,3 +169,29 @@ def test_sqlite_is_opened_the_careful_way(sqlite_url: str) -> None:
         }
     engine.dispose()
     assert pragmas == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "busy_timeout": 30_000}
+
+
+def test_a_database_of_the_first_version_keeps_its_tracks(empty_url: str, engine: Engine) -> None:
+    """What it holds of alignments is a recording, in force until the fleet has found something."""
+    config = Config()
+    config.set_main_option("script_location", str(SCRIPTS))
+    with engine.begin() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0001")
+        connection.exec_driver_sql(
+            "INSERT INTO track_sections VALUES ('S-7', 7, 'by the river', '56E1', 0.05, 1.435, 1000.0)"
+        )
+        packed = pack_alignment(make.alignment(4))
+        connection.execute(
+            sqlalchemy.text("INSERT INTO track_alignments VALUES ('S-7', 1, 'estimated', 40, :digest, :packed)"),
+            {"digest": hashlib.sha256(packed).hexdigest(), "packed": packed},
+        )
+    assert upgrade(empty_url) == head()
+    storage = SqlStorage(engine, Path("unused"))
+    with storage.write() as unit:
+        assert make.same(unit.tracks.alignment("S-7"), replace(make.alignment(4), version=1))
+        record = unit.tracks.in_force("S-7")
+        assert record is not None
+        assert (record.source, record.same_since, record.gauge_known) == (RECORDED, 1, True)
+        assert unit.tracks.add_alignment(make.alignment(4)) == 1
+        assert unit.tracks.report("S-7") is None

@@ -1,0 +1,130 @@
+"""Versions of alignments by where they came from, reports of runs, positions of windows: the same on both databases."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import stored_values as make
+
+from estimation.errors import ConflictError
+from estimation.ports import AlignmentRecord, TrackReport, WindowPosition, WindowState
+from estimation.types import FLEET, RECORDED, Status, TrackAlignment
+from fleet_db.packed.alignment import pack_alignment, unpack_alignment
+from fleet_db.storage import SqlStorage
+
+
+def of_fleet(seed: int) -> TrackAlignment:
+    """Return an alignment from the fleet, unknown at its first place."""
+    made = make.alignment(seed)
+    d, std = made.alignment.copy(), made.alignment_std.copy()
+    d[0] = std[0] = np.nan
+    return replace(
+        made, alignment=d, alignment_std=std, source=FLEET, cut_off=62.5, scale_std=0.0125, gauge_known=False
+    )
+
+
+REPORT = TrackReport(
+    "S-7", None, made=False, status=Status.UNESTIMATED, reason="too alike", windows=3, input_digest="d" * 64,
+    code_version="1+x", report={"rounds": 4, "journeys": [{"vehicle": "V-1", "residual_rms_m": None}]}, recorded_ns=7,
+)  # fmt: skip
+
+
+def test_where_an_alignment_came_from_comes_back_with_it_and_a_recording_is_packed_as_ever() -> None:
+    fleet = of_fleet(1)
+    assert make.same(unpack_alignment(pack_alignment(fleet), 0, where="here"), fleet)
+    recorded = make.alignment(1)
+    assert unpack_alignment(pack_alignment(recorded), 0, where="here").source == RECORDED
+    assert b"" != pack_alignment(recorded) != pack_alignment(replace(recorded, cut_off=60.0))
+
+
+def test_a_recording_registered_again_does_not_come_before_what_the_fleet_has_found(fleet: SqlStorage) -> None:
+    recorded = make.alignment(1)
+    with fleet.write() as unit:
+        assert unit.tracks.in_force("S-7") is None
+        assert unit.tracks.add_alignment(recorded) == 1
+        assert unit.tracks.add_alignment(of_fleet(2), recorded_ns=50) == 2
+        assert unit.tracks.add_alignment(of_fleet(2), recorded_ns=60) == 2
+        assert unit.tracks.add_alignment(of_fleet(3), same_since=2, recorded_ns=70) == 3
+        assert unit.tracks.add_alignment(recorded) == 1
+    with fleet.read() as unit:
+        newest = unit.tracks.in_force("S-7")
+        found = unit.tracks.versions("S-7", None, 10)
+        assert make.same(unit.tracks.alignment("S-7"), replace(of_fleet(3), version=3))
+        assert unit.tracks.versions("S-7", 1, 1) == found[1:2]
+        assert unit.tracks.versions("S-8", None, 10) == []
+    std = float(np.nanmedian(of_fleet(3).alignment_std))
+    assert newest == found[-1]
+    told = AlignmentRecord(
+        "S-7",
+        3,
+        Status.ESTIMATED,
+        FLEET,
+        same_since=2,
+        cut_off_m=62.5,
+        scale_std=0.0125,
+        gauge_known=False,
+        alignment_std_m=std,
+        points=40,
+        recorded_ns=70,
+    )
+    assert newest == told
+    assert found[0] == replace(
+        told, version=1, source=RECORDED, same_since=1, cut_off_m=np.inf, scale_std=0.0, gauge_known=True,
+        alignment_std_m=None, recorded_ns=None,
+    )  # fmt: skip
+
+
+def test_reports_are_kept_and_the_one_that_made_a_version_is_found(fleet: SqlStorage) -> None:
+    made = replace(REPORT, version=1, made=True, status=Status.ESTIMATED, reason="")
+    kept = replace(REPORT, version=1)
+    with fleet.write() as unit:
+        assert unit.tracks.report("S-7") is None
+        numbers = [unit.tracks.add_report(one) for one in (REPORT, made, kept)]
+    assert numbers == sorted(set(numbers))
+    with fleet.read() as unit:
+        assert unit.tracks.report("S-7") == replace(kept, report_id=numbers[2])
+        assert unit.tracks.report("S-7", 1) == replace(made, report_id=numbers[1])
+        assert unit.tracks.report("S-7", 2) is None
+
+
+def test_windows_wait_until_it_has_been_looked_at_where_they_were(fleet: SqlStorage) -> None:
+    windows = [make.window(number) for number in range(3)]
+    elsewhere = make.window(3, track_section=None)
+    with fleet.write() as unit:
+        for window in (*windows, elsewhere):
+            unit.windows.put(window, 1.0, 1)
+        records = {record.start_ns: record for record in unit.windows.pending(10)}
+        assert [one.start_ns for one in unit.windows.unplaced("S-7", 2)] == [w.start_ns for w in windows[:0:-1]]
+        assert len(unit.windows.ready(10, [])) == len(unit.windows.ready(10, ["S-8"])) == 4
+        assert [one.start_ns for one in unit.windows.ready(10, ["S-7"])] == [elsewhere.start_ns]
+        digest = records[windows[0].start_ns].content_digest
+        position = WindowPosition("WS-1", windows[0].start_ns, digest, None, 12.5, -1e-3, 6000.0, "")
+        assert unit.tracks.position("WS-1", windows[0].start_ns) is None
+        assert unit.tracks.put_position(position)
+        assert not unit.tracks.put_position(position)
+        assert unit.tracks.put_position(replace(position, offset_m=12.25))
+    with fleet.read() as unit:
+        assert unit.tracks.position("WS-1", windows[0].start_ns) == replace(position, offset_m=12.25)
+        assert [one.start_ns for one in unit.windows.ready(10, ["S-7"])] == [windows[0].start_ns, elsewhere.start_ns]
+    with fleet.write() as unit:  # other samples: nobody has looked at these
+        unit.windows.put(make.window(0, seed=5), 1.0, 2)
+        assert len(unit.windows.unplaced("S-7", 10)) == 3
+    with pytest.raises(ConflictError), fleet.write() as unit:
+        unit.tracks.put_position(replace(position, start_ns=5))
+
+
+def test_tables_of_versions_that_are_as_good_as_the_one_in_force_are_not_outdated(fleet: SqlStorage) -> None:
+    with fleet.write() as unit:
+        for number, version in enumerate((1, 2, 3)):
+            window = make.window(number)
+            unit.windows.put(window, 1.0, 1)
+            unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED, "")
+            record = unit.windows.get("WS-1", window.start_ns)
+            assert record is not None
+            unit.tables.put("WS-1", window.start_ns, make.bin_table(), version, record.content_digest)
+        old = make.bin_table().parameter_key
+        assert [start for _, start in unit.tables.outdated(old, {"S-7": 2})] == [make.window(0).start_ns]
+        assert unit.tables.outdated(old, {"S-7": 1}) == []
+        assert len(unit.tables.outdated("other parameters", {"S-7": 1})) == 3
