@@ -59,7 +59,7 @@ def estimate(motion: Motion, parameters: PaperParameters) -> PaperGeometry:
     first, bins = int(nearest.min()), int(nearest.max() - nearest.min()) + 1
     features = np.column_stack([motion.yaw[keep], motion.roll_rate[keep], np.ones(int(keep.sum()))])
     lateral, count = recursion_in_bins(features, _lateral(motion, p, V, keep), nearest - first, bins, parameters)
-    yaw, _ = recursion_in_bins(features, _yaw(motion, p, V, keep), nearest - first, bins, parameters)
+    yaw, _ = recursion_in_bins(features, yaw_output(motion, p, V, keep), nearest - first, bins, parameters)
     f11, f22, f23 = p.longitudinal_creep_coefficient, p.lateral_creep_coefficient, p.lateral_spin_creep_coefficient
     r0, l = p.nominal_radius, p.half_contact_distance  # noqa: E741 - the paper's l
     return PaperGeometry(
@@ -84,7 +84,7 @@ def _lateral(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) ->
     return np.asarray((motion.lateral_acceleration - known)[keep])
 
 
-def _yaw(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) -> FloatArray:
+def yaw_output(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) -> FloatArray:
     """Return psi'' - Omega2 (Eq. 17)."""
     damping = 2 * p.half_contact_distance**2 * p.longitudinal_creep_coefficient / V + 2 * p.spin_creep_coefficient / V
     known = (

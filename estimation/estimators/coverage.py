@@ -1,0 +1,37 @@
+"""Where along y - d there are data at all: a count by displacement, and the unbroken run of it around zero."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimation.arrays import BoolArray, FloatArray, IntArray
+from estimation.motion import Motion
+
+WIDTH = 0.25e-3  # m
+REACH = 7.0e-3  # m
+CELLS = round(2 * REACH / WIDTH)
+LEAST_SAMPLES = 100
+
+
+def usable(motion: Motion) -> BoolArray:
+    """Return the samples (n,) that an estimator may use."""
+    return np.asarray(
+        motion.valid & (motion.block >= 0) & np.isfinite(motion.displacement) & (np.abs(motion.displacement) < REACH)
+    )
+
+
+def counted(displacement: FloatArray) -> IntArray:
+    """Return the number of samples (CELLS,) in each cell of ``WIDTH`` over +-``REACH``."""
+    cell = np.floor((displacement + REACH) / WIDTH).astype(np.int64)
+    return np.bincount(cell, minlength=CELLS).astype(np.int64)
+
+
+def covered_range(counts: IntArray) -> tuple[float, float] | None:
+    """Return from where to where, m, every cell has ``LEAST_SAMPLES``, zero inside; None where there is no such run."""
+    enough = counts >= LEAST_SAMPLES
+    middle = CELLS // 2
+    right = middle + int(np.argmin(np.append(enough[middle:], False)))
+    left = middle - int(np.argmin(np.append(enough[:middle][::-1], False)))
+    if middle in {left, right}:
+        return None
+    return left * WIDTH - REACH, right * WIDTH - REACH

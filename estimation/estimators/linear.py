@@ -1,0 +1,42 @@
+"""Linear effective conicity: one slope, R = R0 + 2 lambda (y - d), lambda the same at every amplitude."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.arrays import FloatArray
+from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.series import SeriesState, added, empty, merged, solved
+from estimation.motion import Motion
+
+MILLIMETRE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class LinearConicity:
+    """Least squares of one straight line."""
+
+    name: str = "linear"
+    title: str = "linear effective conicity"
+
+    def init(self, parameters: EstimatorParameters) -> SeriesState:
+        """Return the state that has seen nothing."""
+        return empty(parameters, 2)
+
+    def update(self, state: SeriesState, motion: Motion) -> SeriesState:
+        """Return the state that has seen ``motion`` as well."""
+        return added(state, motion, _line)
+
+    def merge(self, first: SeriesState, second: SeriesState) -> SeriesState:
+        """Return the state that has seen what both have seen; ValueError where their parameters differ."""
+        return merged(first, second)
+
+    def result(self, state: SeriesState) -> CurveEstimate:
+        """Return the straight line, its conicity at every amplitude that was met."""
+        return solved(state, _line, ridge=0.0)
+
+
+def _line(x: FloatArray) -> FloatArray:
+    return np.column_stack([np.ones(len(x)), x / MILLIMETRE])

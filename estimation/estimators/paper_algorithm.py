@@ -1,0 +1,169 @@
+"""The paper's own algorithm (``estimation.paper``), stretch by stretch: grey-box recursion in every bin of y - d.
+
+Only the yaw identification (Eq. 17-18) runs, which gives rL - rR; V of the paper is the mean speed of a stretch. The
+recursion starts in a bin when the threshold count is reached. Its intervals are those of the recursion's own
+covariance, which takes every residual for independent and every parameter for right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numba
+import numpy as np
+
+from estimation.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.errors import ParameterError
+from estimation.estimators.coverage import REACH, usable
+from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.replicates import Replicates, curve_estimate, nothing
+from estimation.motion import Motion
+from estimation.paper import REGRESSORS, yaw_output
+
+SCALE = (1e-3, 1e-3, 1.0)  # usual size of psi, phi' and the constant
+FEWEST_BINS = 5
+LEAST_RANK = 1e-9  # smallest to largest, of a triangle that still is solved
+
+
+@dataclass(frozen=True, slots=True)
+class PaperState:
+    """The recursion of every bin, and the samples of the bins that have not started."""
+
+    parameters: EstimatorParameters
+    theta: FloatArray  # (b, 3) of the scaled regressors; NaN before the start
+    covariance: FloatArray  # (b, 3, 3) P of Eq. 10
+    squares: FloatArray  # (b,) sum of squared residuals
+    count: IntArray  # (b,)
+    waiting: FloatArray  # (b, threshold, 4) scaled regressors and output
+    stretches: int
+
+    def __post_init__(self) -> None:
+        b, threshold = self.waiting.shape[:2]
+        object.__setattr__(self, "theta", frozen_array(self.theta, (b, REGRESSORS), name="theta"))
+        shape = (b, REGRESSORS, REGRESSORS)
+        object.__setattr__(self, "covariance", frozen_array(self.covariance, shape, name="covariance"))
+        object.__setattr__(self, "squares", frozen_array(self.squares, (b,), name="squares"))
+        object.__setattr__(self, "count", frozen_array(self.count, (b,), np.int64, name="count"))
+        object.__setattr__(self, "waiting", frozen_array(self.waiting, (b, threshold, REGRESSORS + 1), name="waiting"))
+
+
+@dataclass(frozen=True, slots=True)
+class PaperAlgorithm:
+    """Division size b, threshold count and forgetting factor W of the paper's section 4."""
+
+    width: float = 0.25e-3  # b, m
+    threshold: int = 200
+    forgetting: float = 1.0
+    name: str = "paper"
+    title: str = "the paper's algorithm"
+
+    def __post_init__(self) -> None:
+        if not 0 < self.width < REACH:
+            raise ParameterError(f"{self.width!r} m is outside 0 to {REACH} m", field="width")
+        if self.threshold <= REGRESSORS:
+            raise ParameterError(f"{self.threshold} samples start no recursion", field="threshold")
+        if not 0 < self.forgetting <= 1:
+            raise ParameterError(f"{self.forgetting!r} is outside 0 to 1", field="forgetting")
+
+    def init(self, parameters: EstimatorParameters) -> PaperState:
+        """Return the state that has seen nothing."""
+        b = 2 * self._half + 1
+        return PaperState(
+            parameters,
+            np.full((b, REGRESSORS), np.nan),
+            np.zeros((b, REGRESSORS, REGRESSORS)),
+            np.zeros(b),
+            np.zeros(b, dtype=np.int64),
+            np.zeros((b, self.threshold, REGRESSORS + 1)),
+            0,
+        )
+
+    def update(self, state: PaperState, motion: Motion) -> PaperState:
+        """Return the state that has seen ``motion`` as well, sample by sample."""
+        keep = usable(motion)
+        if not keep.any():
+            return replace(state, stretches=state.stretches + 1)
+        V = float(motion.speed[keep].mean())
+        index = np.floor(motion.displacement[keep] / self.width + 0.5).astype(np.int64) + self._half
+        features = np.column_stack([motion.yaw[keep], motion.roll_rate[keep], np.ones(int(keep.sum()))]) / SCALE
+        output = yaw_output(motion, state.parameters.vehicle, V, keep)
+        return self._recursed(state, features, output, index)
+
+    def _recursed(self, state: PaperState, features: FloatArray, output: FloatArray, index: IntArray) -> PaperState:
+        """Run the recursion of every bin over its samples (n,), in their order."""
+        theta, covariance, squares = state.theta.copy(), state.covariance.copy(), state.squares.copy()
+        count, waiting = state.count.copy(), state.waiting.copy()
+        order = np.argsort(index, kind="stable")  # a bin's samples together, in their own order
+        samples = np.column_stack([features, output])[order]
+        stops = np.searchsorted(index[order], np.arange(len(count)) + 1)
+        for b in np.unique(index):
+            mine = samples[stops[b - 1] if b else 0 : stops[b]]
+            taken = min(max(self.threshold - int(count[b]), 0), len(mine))
+            waiting[b, count[b] : count[b] + taken] = mine[:taken]
+            count[b] += len(mine)
+            if taken and count[b] >= self.threshold:
+                theta[b], covariance[b], squares[b] = _start(waiting[b])
+            rest = np.ascontiguousarray(mine[taken:])
+            if len(rest) and np.isfinite(theta[b, 0]):
+                X, z = np.ascontiguousarray(rest[:, :REGRESSORS]), np.ascontiguousarray(rest[:, REGRESSORS])
+                theta[b], covariance[b], squares[b] = _recurse(
+                    theta[b], covariance[b], squares[b], X, z, self.forgetting
+                )
+        return PaperState(state.parameters, theta, covariance, squares, count, waiting, state.stretches + 1)
+
+    def result(self, state: PaperState) -> CurveEstimate:
+        """Return R of the bins that have started, in the unbroken run around zero."""
+        p = state.parameters.vehicle
+        per_unit = -p.yaw_inertia * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
+        run = self._run(np.isfinite(state.theta[:, 2]) & (state.count > self.threshold + REGRESSORS))
+        samples = int(state.count.sum())
+        if run.stop - run.start < FEWEST_BINS:
+            reason = f"fewer than {FEWEST_BINS} bins around the centre have reached the threshold"
+            return nothing(reason, state.parameters, samples, state.stretches)
+        R = per_unit * state.theta[run, 2] / SCALE[2]
+        variance = state.squares[run] / (state.count[run] - REGRESSORS)
+        std = abs(per_unit) * np.sqrt(variance * state.covariance[run, 2, 2]) / SCALE[2]
+        x = (np.arange(run.start, run.stop) - self._half) * self.width
+        left_out = np.empty((0, len(x)))
+        curve = Replicates(x, R, left_out, R + np.diag(std), samples, state.stretches)
+        return curve_estimate(curve, state.parameters)
+
+    @property
+    def _half(self) -> int:
+        return int(np.ceil(REACH / self.width))
+
+    def _run(self, started: BoolArray) -> slice:
+        after = int(np.argmin(np.append(started[self._half :], False)))
+        before = int(np.argmin(np.append(started[: self._half][::-1], False)))
+        return slice(self._half - before, self._half + after) if after else slice(0, 0)
+
+
+def _start(waiting: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Solve the samples (threshold, 4) that have waited in a bin (Eq. 10-11); NaN where they do not determine it."""
+    X, z = waiting[:, :REGRESSORS], waiting[:, REGRESSORS]
+    size = np.sqrt((X * X).mean(axis=0))
+    if size.min() <= 0.0:
+        return np.full(REGRESSORS, np.nan), np.zeros((REGRESSORS, REGRESSORS)), 0.0
+    root, triangle = np.linalg.qr(X / size)
+    diagonal = np.abs(np.diag(triangle))
+    if diagonal.min() <= LEAST_RANK * diagonal.max():
+        return np.full(REGRESSORS, np.nan), np.zeros((REGRESSORS, REGRESSORS)), 0.0
+    inverse = np.linalg.inv(triangle) / size[:, None]
+    theta = inverse @ (root.T @ z)
+    return theta, inverse @ inverse.T, float(((z - X @ theta) ** 2).sum())
+
+
+@numba.njit(cache=True, nogil=True)
+def _recurse(
+    theta: FloatArray, P: FloatArray, squares: float, X: FloatArray, z: FloatArray, W: float
+) -> tuple[FloatArray, FloatArray, float]:
+    """Eq. 12-14, sample by sample, and the sum of squared residuals."""
+    for i in range(len(z)):
+        x = X[i]
+        Px = P @ x
+        γ = 1.0 / (W + x @ Px)
+        error = z[i] - x @ theta
+        squares = W * (squares + γ * error * error)
+        theta = theta + γ * error * Px
+        P = (P - γ * np.outer(Px, Px)) / W
+    return theta, P, squares

@@ -1,0 +1,102 @@
+"""From a curve and its replicates (blocks left out, parameters shifted) to a ``CurveEstimate``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.arrays import FloatArray
+from estimation.contact.conicity import equivalent_conicity, zero_crossing
+from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.jackknife import jackknife_std, with_interval
+from estimation.types import Estimate, Status
+
+FEWEST_GROUPS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Replicates:
+    """A curve over ``displacement``: from all data, with each group left out, shifted by each uncertainty.
+
+    An estimator without groups gives none: then all that is uncertain is in ``shifted``, one standard deviation each.
+    """
+
+    displacement: FloatArray  # (n,) m
+    all_data: FloatArray  # (n,) m
+    left_out: FloatArray  # (g, n) m; g may be 0
+    shifted: FloatArray  # (p, n) m
+    samples: int
+    stretches: int
+
+
+def nothing(reason: str, parameters: EstimatorParameters, samples: int, stretches: int) -> CurveEstimate:
+    """Return the estimate that says: nothing, for this reason."""
+    amplitude = np.array(parameters.curve.amplitudes)
+    unknown = Estimate.unknown(reason, float(stretches))
+    empty = np.empty(0)
+    return CurveEstimate(
+        displacement=empty,
+        difference=empty,
+        difference_std=empty,
+        amplitude=amplitude,
+        conicity=(unknown,) * len(amplitude),
+        nonlinearity=unknown,
+        zero_crossing=unknown,
+        samples=samples,
+        stretches=stretches,
+        status=Status.UNESTIMATED,
+        reason=reason,
+    )
+
+
+def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveEstimate:
+    """Return curve, conicity, NP and zero crossing, intervals from the spread of the replicates."""
+    g = len(curve.left_out)
+    if 0 < g < FEWEST_GROUPS:
+        return nothing(f"{g} blocks of data", parameters, curve.samples, curve.stretches)
+    x = curve.displacement
+    rows = np.concatenate([curve.all_data[None], curve.left_out, curve.shifted])
+    amplitude = np.array(parameters.curve.amplitudes)
+    values = np.stack([equivalent_conicity(x, row, amplitude) for row in rows])
+    count = float(curve.stretches)
+    conicity = tuple(
+        estimate_of(values[:, k], g, count, f"amplitude {1e3 * a:g} mm is not covered") for k, a in enumerate(amplitude)
+    )
+    ends = (parameters.curve.nonlinearity_low, parameters.curve.nonlinearity_high)
+    low, high = (values[:, int(np.argmin(np.abs(amplitude - end)))] for end in ends)
+    nonlinearity = estimate_of(
+        (high - low) / (1e3 * (ends[1] - ends[0])), g, count, f"amplitude {1e3 * ends[1]:g} mm is not covered"
+    )
+    if parameters.band_limited:
+        crossing = Estimate.unknown("band-limited signals carry no offset", count)
+    else:
+        zeros = np.array([zero_crossing(x, row) for row in rows])
+        crossing = estimate_of(zeros, g, count, "rL - rR has no zero in the range covered")
+    known = any(item.value is not None for item in conicity)
+    return CurveEstimate(
+        displacement=x,
+        difference=curve.all_data,
+        difference_std=np.hypot(_spread(rows, g), np.sqrt(((curve.shifted - curve.all_data) ** 2).sum(axis=0))),
+        amplitude=amplitude,
+        conicity=conicity,
+        nonlinearity=nonlinearity,
+        zero_crossing=crossing,
+        samples=curve.samples,
+        stretches=curve.stretches,
+        status=Status.ESTIMATED if known else Status.UNESTIMATED,
+        reason="" if known else "no amplitude is covered",
+    )
+
+
+def estimate_of(values: FloatArray, groups: int, count: float, reason: str) -> Estimate:
+    """Return one number from its rows: all data, each group left out, then one row an uncertain parameter."""
+    if not np.isfinite(values).all():
+        return Estimate.unknown(reason, count)
+    systematic = float(np.sqrt(((values[groups + 1 :] - values[0]) ** 2).sum()))
+    return with_interval(float(values[0]), float(_spread(values, groups)), systematic, max(groups, 2), count)
+
+
+def _spread(rows: FloatArray, groups: int) -> FloatArray:
+    """Return the jackknife's std of the first row; zero without groups."""
+    return jackknife_std(rows[: groups + 1]) if groups else np.zeros(rows.shape[1:])

@@ -1,0 +1,117 @@
+"""Least squares of R = rL - rR as a series of functions of y - d: what the linear and the cubic fit share.
+
+R c = z2 (Eq. 2 solved for R, the small contact angle term left out) is regressed on the functions, per group of
+blocks; beside the target stand its derivatives by the uncertain parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.arrays import FloatArray, IntArray, frozen_array
+from estimation.bins import group_of
+from estimation.estimators.coverage import CELLS, counted, covered_range, usable
+from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.replicates import Replicates, curve_estimate, nothing
+from estimation.motion import Motion
+from estimation.regressors import YAW_TARGETS, regression
+
+GROUPS = 16
+SPACING = 0.05e-3  # m of y - d at which the curve is given
+Basis = Callable[[FloatArray], FloatArray]  # y - d (n,) to functions (n, m)
+
+
+@dataclass(frozen=True, slots=True)
+class SeriesState:
+    """Sums over samples; states add up in any order."""
+
+    parameters: EstimatorParameters
+    gram: FloatArray  # (g, m, m)
+    cross: FloatArray  # (g, m, 5) with R and its derivatives by the logarithms of the parameters, m
+    counts: IntArray  # (CELLS,) samples by displacement
+    samples: int
+    stretches: int
+
+    def __post_init__(self) -> None:
+        g, m = self.gram.shape[:2]
+        object.__setattr__(self, "gram", frozen_array(self.gram, (g, m, m), name="gram"))
+        object.__setattr__(self, "cross", frozen_array(self.cross, (g, m, len(YAW_TARGETS)), name="cross"))
+        object.__setattr__(self, "counts", frozen_array(self.counts, (CELLS,), np.int64, name="counts"))
+
+
+def empty(parameters: EstimatorParameters, functions: int) -> SeriesState:
+    """Return the state of ``functions`` functions that has seen nothing."""
+    return SeriesState(
+        parameters,
+        np.zeros((GROUPS, functions, functions)),
+        np.zeros((GROUPS, functions, len(YAW_TARGETS))),
+        np.zeros(CELLS, dtype=np.int64),
+        0,
+        0,
+    )
+
+
+def added(state: SeriesState, motion: Motion, basis: Basis) -> SeriesState:
+    """Return the state with ``motion`` added."""
+    keep = usable(motion)
+    equations = regression(motion, state.parameters.vehicle)
+    targets = equations.yaw_targets[keep] / equations.yaw[keep, 1:]
+    functions = basis(motion.displacement[keep])
+    groups = group_of(motion.block[keep], GROUPS)
+    gram, cross = state.gram.copy(), state.cross.copy()
+    for group in np.unique(groups):
+        mine = groups == group
+        gram[group] += functions[mine].T @ functions[mine]
+        cross[group] += functions[mine].T @ targets[mine]
+    return replace(
+        state,
+        gram=gram,
+        cross=cross,
+        counts=state.counts + counted(motion.displacement[keep]),
+        samples=state.samples + int(keep.sum()),
+        stretches=state.stretches + 1,
+    )
+
+
+def merged(first: SeriesState, second: SeriesState) -> SeriesState:
+    """Return the sum of both.
+
+    Raises
+    ------
+    ValueError
+        The states were made with different parameters.
+    """
+    if first.parameters != second.parameters:
+        raise ValueError("states of different parameters do not merge")
+    return replace(
+        first,
+        gram=first.gram + second.gram,
+        cross=first.cross + second.cross,
+        counts=first.counts + second.counts,
+        samples=first.samples + second.samples,
+        stretches=first.stretches + second.stretches,
+    )
+
+
+def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
+    """Return the curve of the series; ``ridge`` holds functions without data at zero, relative to the mean."""
+    span = covered_range(state.counts)
+    if span is None:
+        return nothing("too few samples around the centre", state.parameters, state.samples, state.stretches)
+    low, high = span
+    x = np.linspace(low, high, round((high - low) / SPACING) + 1)
+    present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
+    gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
+    small = ridge * np.trace(gram) / len(gram) * np.eye(len(gram))
+    theta = np.linalg.solve(gram + small, cross)
+    left_out = [np.linalg.solve(gram - state.gram[g] + small, cross - state.cross[g])[:, 0] for g in present]
+    functions = basis(x)
+    value = functions @ theta[:, 0]
+    shifts = (functions @ theta[:, 1:]).T * state.parameters.uncertainty.yaw()[:, None]
+    return curve_estimate(
+        Replicates(x, value, np.array(left_out) @ functions.T, value + shifts, state.samples, state.stretches),
+        state.parameters,
+    )

@@ -1,0 +1,211 @@
+"""Estimators behind one interface: against truth, against the paper's plain form, and a stranger that fits in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+from smooth_wheelset import SmoothTable, ideal, run
+
+from estimation import paper
+from estimation.arrays import same_values
+from estimation.contact.conicity import equivalent_conicity
+from estimation.errors import ParameterError
+from estimation.estimators.catalogue import PRODUCT, estimators
+from estimation.estimators.cubic import CubicFit, b_splines
+from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
+from estimation.estimators.interface import run as run_estimator
+from estimation.estimators.linear import LinearConicity
+from estimation.estimators.paper_algorithm import PaperAlgorithm
+from estimation.estimators.replicates import Replicates, curve_estimate
+from estimation.geometry import ParameterUncertainty
+from estimation.motion import Motion
+from estimation.regressors import regression
+from estimation.types import Status
+
+CERTAIN = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0))
+ALL = pytest.mark.parametrize("estimator", estimators(), ids=lambda item: item.name)
+
+
+def cut(motion: Motion, *at: int) -> list[Motion]:
+    edges = [0, *at, len(motion)]
+    names = [item.name for item in fields(Motion) if item.name != "band_limited"]
+    return [replace(motion, **{name: getattr(motion, name)[a:b] for name in names}) for a, b in pairwise(edges)]
+
+
+def true_conicity(estimate: CurveEstimate) -> np.ndarray:
+    x = np.linspace(-10e-3, 10e-3, 2001)
+    return equivalent_conicity(x, SmoothTable().left(x) - SmoothTable().right(x), estimate.amplitude)
+
+
+def test_the_catalogue_names_each_once_and_the_product_first() -> None:
+    names = [item.name for item in estimators()]
+    assert names[0] == PRODUCT
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize(("estimator", "near"), list(zip(estimators(), (0.002, 0.03, 0.004, 0.002), strict=True)))
+def test_each_comes_near_a_smooth_wheelset(estimator: Estimator[Any], near: float) -> None:
+    found = run_estimator(estimator, CERTAIN, cut(ideal(run(300)), 60_000, 120_000, 200_000))
+    true = true_conicity(found)
+    errors = [abs(item.value - t) for item, t in zip(found.conicity, true, strict=True) if item.value is not None]
+    assert found.status is Status.ESTIMATED
+    assert len(errors) > 10
+    assert max(errors) < near
+    assert found.stretches == 4
+    for item in found.conicity:
+        assert item.value is None or (item.low is not None and item.high is not None and item.low < item.high)
+
+
+def test_one_slope_is_the_same_at_every_amplitude() -> None:
+    found = run_estimator(LinearConicity(), CERTAIN, [ideal(run(120))])
+    values = [item.value for item in found.conicity if item.value is not None]
+    slope = np.diff(found.difference) / np.diff(found.displacement)
+    np.testing.assert_allclose(values, slope[0] / 2, rtol=1e-3)
+    np.testing.assert_allclose(slope, slope[0], rtol=1e-9)
+
+
+@ALL
+def test_a_state_is_not_touched_by_its_update(estimator: Estimator[Any]) -> None:
+    first, second = cut(ideal(run(40)), 20_000)
+    state = estimator.update(estimator.init(CERTAIN), first)
+    copy = estimator.update(estimator.init(CERTAIN), first)
+    estimator.update(state, second)
+    assert same_values(getattr(state, "table", state), getattr(copy, "table", copy))
+
+
+@pytest.mark.parametrize("estimator", [item for item in estimators() if hasattr(item, "merge")], ids=lambda e: e.name)
+def test_merged_parts_are_the_whole(estimator: Any) -> None:  # noqa: ANN401 - any that merges
+    parts = cut(ideal(run(120)), 30_000, 70_000)
+    states = [estimator.update(estimator.init(CERTAIN), part) for part in parts]
+    either = estimator.result(estimator.merge(estimator.merge(states[2], states[0]), states[1]))
+    whole = run_estimator(estimator, CERTAIN, parts)
+    np.testing.assert_allclose(either.difference, whole.difference, rtol=1e-9, atol=1e-12)
+    assert (either.samples, either.stretches) == (whole.samples, whole.stretches)
+    other = estimator.init(replace(CERTAIN, vehicle=replace(CERTAIN.vehicle, load=1e4)))
+    with pytest.raises(ValueError, match="do not merge"):
+        estimator.merge(states[0], other)
+
+
+def test_the_paper_in_stretches_is_the_paper_at_once() -> None:
+    """At constant speed V is the same for every stretch, so that both run the same recursion."""
+    motion = ideal(run(120))
+    found = run_estimator(PaperAlgorithm(), CERTAIN, cut(motion, 9_000, 50_001))
+    plain = paper.estimate(motion, paper.PaperParameters())
+    at = np.rint((found.displacement - plain.centre[0]) / 0.25e-3).astype(int)
+    np.testing.assert_allclose(found.difference, plain.rolling_radius_difference[at], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"width": 0.0}, {"width": 1.0}, {"threshold": 3}, {"forgetting": 0.0}, {"forgetting": 1.1}]
+)
+def test_impossible_paper_parameters_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ParameterError, match=next(iter(wrong))):
+        PaperAlgorithm(**wrong)
+
+
+def test_impossible_pieces_are_refused() -> None:
+    with pytest.raises(ParameterError, match="piece"):
+        CubicFit(piece=0.0)
+
+
+def test_splines_are_those_of_scipy() -> None:
+    x = np.linspace(-3.0, 2.999, 500)
+    knots = np.arange(-3 - 3, 3 + 3 + 1, dtype=float)
+    np.testing.assert_allclose(
+        b_splines(x, -3.0, 1.0, 6), BSpline.design_matrix(x, knots, 3).toarray(), rtol=0, atol=1e-12
+    )
+
+
+@ALL
+@pytest.mark.parametrize("keep", [0, 300])
+def test_too_little_is_unestimated_with_a_reason(estimator: Estimator[Any], keep: int) -> None:
+    motion = ideal(run(40))
+    valid = np.arange(len(motion)) < keep
+    found = run_estimator(estimator, CERTAIN, [replace(motion, valid=valid)])
+    assert found.status is Status.UNESTIMATED
+    assert found.reason
+    assert all(item.value is None and item.reason for item in (*found.conicity, found.nonlinearity))
+
+
+@ALL
+def test_samples_that_are_not_valid_do_not_matter(estimator: Estimator[Any]) -> None:
+    motion = ideal(run(120))
+    bad = np.arange(len(motion)) % 7000 < 500
+    spoilt = {
+        name: np.where(bad, 1e3 if name == "yaw_acceleration" else np.nan, getattr(motion, name))
+        for name in ("displacement", "yaw", "yaw_acceleration", "roll_rate")
+    }
+    clean = run_estimator(estimator, CERTAIN, [replace(motion, valid=~bad)])
+    dirty = run_estimator(estimator, CERTAIN, [replace(motion, valid=~bad, **spoilt)])
+    np.testing.assert_array_equal(clean.difference, dirty.difference)
+
+
+def test_uncertain_parameters_widen_the_interval() -> None:
+    parts = [ideal(run(120))]
+    for estimator in (LinearConicity(), CubicFit()):
+        sure = run_estimator(estimator, CERTAIN, parts).conicity[4]
+        vague = run_estimator(estimator, EstimatorParameters(), parts).conicity[4]
+        assert sure.std is not None
+        assert vague.std is not None
+        assert vague.std > 2 * sure.std
+
+
+def test_a_curve_without_groups_has_normal_intervals_of_its_shifts() -> None:
+    x = np.linspace(-4e-3, 4e-3, 81)
+    curve = Replicates(x, 0.4 * x, np.empty((0, 81)), np.stack([0.42 * x]), 100, 1)
+    found = curve_estimate(curve, CERTAIN).conicity[4]
+    assert found.value == pytest.approx(0.2, rel=1e-3)
+    assert found.std == pytest.approx(0.01, rel=1e-2)
+    assert found.high == pytest.approx(0.2 + 1.96 * 0.01, rel=1e-2)
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """Mean and variance of the slope."""
+
+    parameters: EstimatorParameters
+    mean: float
+    variance: float
+    samples: int
+    stretches: int
+
+
+@dataclass(frozen=True)
+class ScalarKalman:
+    """A stranger: a Kalman filter of one slope, sample by sample."""
+
+    name: str = "kalman"
+    title: str = "Kalman filter of one slope"
+
+    def init(self, parameters: EstimatorParameters) -> Gaussian:
+        return Gaussian(parameters, 0.2, 1.0, 0, 0)
+
+    def update(self, state: Gaussian, motion: Motion) -> Gaussian:
+        equations = regression(motion, state.parameters.vehicle)
+        mean, variance = state.mean, state.variance
+        R = equations.yaw_targets[:, 0] / equations.yaw[:, 1]
+        for x, measured in zip(motion.displacement[::50], R[::50], strict=True):
+            gain = variance * x / (x * x * variance + 1e-8)
+            mean, variance = mean + gain * (measured - x * mean), (1 - gain * x) * variance
+        return Gaussian(
+            state.parameters, mean, variance, state.samples + len(motion.displacement[::50]), state.stretches + 1
+        )
+
+    def result(self, state: Gaussian) -> CurveEstimate:
+        x = np.linspace(-5e-3, 5e-3, 101)
+        shifted = (state.mean + np.sqrt(state.variance)) * x
+        curve = Replicates(x, state.mean * x, np.empty((0, 101)), shifted[None], state.samples, state.stretches)
+        return curve_estimate(curve, state.parameters)
+
+
+def test_a_kalman_filter_fits_in() -> None:
+    stranger: Estimator[Gaussian] = ScalarKalman()
+    parts = cut(ideal(run(120)), 50_000)
+    found = run_estimator(stranger, CERTAIN, parts)
+    line = run_estimator(LinearConicity(), CERTAIN, parts)
+    assert found.conicity[4].value == pytest.approx(line.conicity[4].value, abs=0.02)
