@@ -1,0 +1,123 @@
+"""A recorded alignment with a mistake in it is found out by what the fleet has felt; an honest one is believed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimation.track.local_filter import smoother, without_slow_part
+from estimation.track.recorded import judge_recorded
+from estimation.types import FLEET, Status, TrackAlignment
+from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
+
+LENGTH, STEP, CUT_OFF = 4000.0, 0.5, 30.0
+FLEET_STD = 0.07e-3
+
+
+def truth(seed: int) -> TrackTruth:
+    return make_track(TrackRecipe(length=LENGTH, alignment_std=2e-3), np.random.SeedSequence(seed))
+
+
+def lying(s: np.ndarray, d: np.ndarray, std: float) -> TrackAlignment:
+    zero = np.zeros(len(s))
+    return TrackAlignment(
+        "S", 1, s, d, np.full(len(s), std), zero, zero, np.zeros(len(s), dtype=np.int64), Status.ESTIMATED
+    )
+
+
+def fleet(seed: int, *, offset: float = 0.0, stretch: float = 0.0) -> TrackAlignment:
+    """Return what a fleet would find: high-passed, a little too small, with smooth errors, NaN at its ends."""
+    rng = np.random.default_rng(seed)
+    track, grid = truth(seed), np.arange(0.0, LENGTH, STEP)
+    weights = smoother(CUT_OFF, STEP)
+    error = np.convolve(rng.standard_normal(len(grid)), np.hanning(17), mode="same")
+    place = grid + offset + stretch * (grid - LENGTH / 2)
+    d = without_slow_part(np.stack([np.interp(place, track.s, track.alignment), error]), weights)
+    felt = 0.98 * d[0] + FLEET_STD * d[1] / d[1].std()
+    reach = len(weights) // 2
+    felt[:reach] = felt[-reach:] = np.nan
+    return replace(lying(grid, felt, FLEET_STD), source=FLEET, cut_off=CUT_OFF)
+
+
+def recording(seed: int, std: float, spacing: float = 0.25) -> TrackAlignment:
+    rng, track = np.random.default_rng(seed + 500), truth(seed)
+    s = np.arange(0.0, LENGTH, spacing)
+    return lying(s, np.interp(s, track.s, track.alignment) + std * rng.standard_normal(len(s)), std)
+
+
+@pytest.mark.parametrize("std", [0.05e-3, 0.5e-3])
+@pytest.mark.parametrize("spacing", [0.25, 1.0])
+def test_honest_recordings_are_believed_wherever_the_fleet_lies_within_its_own_doubt(
+    std: float, spacing: float
+) -> None:
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        found = fleet(seed, offset=rng.uniform(-2, 2), stretch=rng.uniform(-3e-4, 3e-4))
+        told = judge_recorded(recording(seed, std, spacing), found)
+        assert told.usable, (seed, told)
+        assert told.scale == pytest.approx(1.0, abs=0.06)
+        assert told.sign == 1
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [(1e3, "millimetres were taken for metres"), (1e-3, "metres were taken for millimetres"),
+     (25.4, "taken for inches"), (1 / 25.4, "inches were taken for millimetres"), (2.0, "it is 2.")],
+)  # fmt: skip
+@pytest.mark.parametrize("of_std", [False, True])
+def test_a_wrong_unit_is_named(factor: float, said: str, *, of_std: bool) -> None:
+    for seed in range(3):
+        good = recording(seed, 0.05e-3)
+        std = good.alignment_std * (factor if of_std else 1.0)
+        told = judge_recorded(replace(good, alignment=factor * good.alignment, alignment_std=std), fleet(seed))
+        assert not told.usable
+        assert said in told.reason
+        assert told.scale == pytest.approx(factor, rel=0.05)
+
+
+@pytest.mark.parametrize("shift", [10.0, -10.0, 4.5])
+def test_a_shifted_recording_is_found_and_measured(shift: float) -> None:
+    for seed in range(4):
+        good = recording(seed, 0.1e-3)
+        told = judge_recorded(replace(good, s=good.s + shift), fleet(seed))
+        assert not told.usable
+        assert f"{abs(told.shift):.1f} m too far {'along' if shift > 0 else 'back'}" in told.reason
+        assert told.shift == pytest.approx(-shift, abs=0.3)
+        assert told.misfit > 2.0
+        excused = judge_recorded(replace(good, s=good.s + shift), fleet(seed), place_std=4.0)
+        assert excused.usable  # a fleet that does not know its own place cannot say
+
+
+def test_mirrored_and_foreign_recordings_are_refused() -> None:
+    for seed in range(6):
+        good, found = recording(seed, 0.05e-3), fleet(seed)
+        mirrored = judge_recorded(replace(good, alignment=-good.alignment), found)
+        assert not mirrored.usable
+        assert mirrored.sign == -1
+        assert "mirror image" in mirrored.reason
+        for other in (recording(seed + 50, 0.05e-3), replace(good, alignment=good.alignment[::-1])):
+            told = judge_recorded(other, found)
+            assert not told.usable
+            assert "no more in common" in told.reason
+
+
+def test_a_recording_that_claims_too_much_is_refused() -> None:
+    told = judge_recorded(replace(recording(1, 0.5e-3), alignment_std=recording(1, 0.05e-3).alignment_std), fleet(1))
+    assert not told.usable
+    assert "standard deviation" in told.reason
+
+
+def test_a_fleet_that_knows_too_little_says_nothing_against_a_recording() -> None:
+    found = fleet(1)
+    few = replace(found, alignment=np.where(np.arange(len(found.s)) < 300, found.alignment, np.nan))
+    none = replace(found, alignment=np.full(len(found.s), np.nan))
+    elsewhere = replace(recording(1, 1e-4), s=recording(1, 1e-4).s + 1e5)
+    for told in (
+        judge_recorded(recording(1, 1e-4), few), judge_recorded(recording(1, 1e-4), none),
+        judge_recorded(elsewhere, found),
+    ):  # fmt: skip
+        assert told.usable
+        assert told.sign == 0
+        assert "does not know enough" in told.reason
