@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from estimation import bins
 from estimation.settings import EstimationSettings
 from estimation.signals import Refusal, motion
-from estimation.types import BinTable, TrackAlignment, Window
+from estimation.track.positions import Correction
+from estimation.types import BinTable, TrackAlignment, Window, WindowQuality
 
 NO_ALIGNMENT = "the alignment of the track section is not known"
 
 
-def tabulate_window(window: Window, track: TrackAlignment | None, settings: EstimationSettings) -> BinTable | Refusal:
+def tabulate_window(
+    window: Window,
+    track: TrackAlignment | None,
+    settings: EstimationSettings,
+    correction: Correction | None = None,
+    misplaced: str = "",
+) -> BinTable | Refusal:
     """Return the bin table of ``window`` on ``track``, or why the window is refused.
 
     Parameters
@@ -21,12 +30,20 @@ def tabulate_window(window: Window, track: TrackAlignment | None, settings: Esti
         Alignment of its track section; None where none is on file.
     settings
         Gates, filters and bins.
+    correction
+        From the measured positions to the true ones; None where they are believed.
+    misplaced
+        Why the position is not certain; empty where it is.
     """
-    refused = _gate(window, settings)
+    refused = gate(window.quality, window.track_section, settings)
     if refused is not None:
         return refused
     if track is None:
         return Refusal(NO_ALIGNMENT)
+    if misplaced:
+        return Refusal(misplaced)
+    if correction is not None:
+        window = replace(window, distance=correction.at(window.distance))
     moved = motion(window, track, settings.signals)
     if isinstance(moved, Refusal):
         return moved
@@ -34,15 +51,16 @@ def tabulate_window(window: Window, track: TrackAlignment | None, settings: Esti
     return table if table.samples else Refusal("no sample inside the bins")
 
 
-def _gate(window: Window, settings: EstimationSettings) -> Refusal | None:
-    quality, gates = window.quality, settings.gates
+def gate(quality: WindowQuality, track_section: str | None, settings: EstimationSettings) -> Refusal | None:
+    """Return why a window of this quality is not looked at; None where it is."""
+    gates = settings.gates
     if quality.sensor_fault:
         return Refusal("the sensor reports a fault")
     if quality.coverage < gates.least_coverage:
         return Refusal(f"{quality.coverage:.0%} of the samples, {gates.least_coverage:.0%} are needed")
     if quality.clipped > gates.most_clipped:
         return Refusal(f"{quality.clipped:.1%} of the samples are clipped")
-    if window.track_section is None:
+    if track_section is None:
         return Refusal("the track section is not known")
     if quality.position_quality < gates.least_position_quality:
         return Refusal("the position is not known well enough")

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from estimation.errors import NotFoundError
-from estimation.jobs import estimate_windows, evaluate_alerts, refresh_geometry, refresh_trends
+from estimation.jobs import estimate_windows, evaluate_alerts, refresh_alignment, refresh_geometry, refresh_trends
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.ports import JobRun
 
 ALL_JOBS: tuple[Job, ...] = (
+    refresh_alignment.JOB,
     estimate_windows.JOB,
     refresh_geometry.JOB,
     refresh_trends.JOB,

@@ -1,17 +1,23 @@
-"""Job: pending windows become bin tables, or are refused with their reason; one that is damaged is refused too."""
+"""Job: pending windows become bin tables, or are refused with their reason; one that is damaged is refused too.
+
+A window is estimated at the position that the alignment job has found for it. Where the alignment came from the fleet
+it waits until that has looked at it; on a recording it does not.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
-from estimation.ports import UnitOfWork, WindowRecord, WindowState
+from estimation.ports import AlignmentRecord, UnitOfWork, WindowPosition, WindowRecord, WindowState
 from estimation.settings import EstimationSettings
 from estimation.signals import Refusal
-from estimation.types import BinTable, TrackAlignment
+from estimation.track.positions import Correction
+from estimation.types import FLEET, BinTable, TrackAlignment
 from estimation.window_table import NO_ALIGNMENT, tabulate_window
 
 
@@ -20,13 +26,16 @@ def run(context: JobContext) -> Mapping[str, int]:
     settings = context.setting(EstimationSettings)
     counts: Counter[str] = Counter(estimated=0, refused=0, changed_meanwhile=0)
     with context.storage.write() as unit:
-        counts["requeued"] = _requeue(unit, settings)
+        known = {section.code: unit.tracks.in_force(section.code) for section in unit.tracks.sections()}
+        in_force = {code: record for code, record in known.items() if record is not None}
+        counts["requeued"] = _requeue(unit, settings, in_force)
         total = unit.windows.counts().get(WindowState.PENDING, 0)
     done = 0
-    while batch := _compute(context, settings):
+    waiting = [code for code, record in in_force.items() if record.source == FLEET]
+    while batch := _compute(context, settings, waiting):
         with context.storage.write() as unit:
-            for record, outcome, track in batch:
-                counts[_store(unit, record, outcome, track)] += 1
+            for work, outcome in batch:
+                counts[_store(unit, work, outcome)] += 1
         done += len(batch)
         context.checkpoint(done, max(total, done))
     return counts
@@ -34,50 +43,67 @@ def run(context: JobContext) -> Mapping[str, int]:
 
 JOB = Job("estimate_windows", "Reduce pending windows to bin tables", every_s=60.0, run=run)
 
-_Outcome = tuple[WindowRecord, BinTable | Refusal, TrackAlignment | None]
+
+@dataclass(frozen=True, slots=True)
+class _Work:
+    """A window, the alignment in force, and where the window was."""
+
+    record: WindowRecord
+    track: TrackAlignment | None
+    position: WindowPosition | None
 
 
-def _requeue(unit: UnitOfWork, settings: EstimationSettings) -> int:
-    """Let windows wait again that an alignment has come for, or whose table is of another alignment or parameters."""
-    known = {section.code: unit.tracks.alignment(section.code) for section in unit.tracks.sections()}
-    versions = {code: track.version for code, track in known.items() if track is not None}
-    outdated = unit.tables.outdated(settings.bins.key, versions)
+def _requeue(unit: UnitOfWork, settings: EstimationSettings, in_force: Mapping[str, AlignmentRecord]) -> int:
+    """Let windows wait again that an alignment has come for, or whose table is of another alignment or parameters.
+
+    A version that differs from the one of a table by less than that left unknown is none to estimate again for.
+    """
+    outdated = unit.tables.outdated(settings.bins.key, {code: one.same_since for code, one in in_force.items()})
     for wheelset, start_ns in outdated:
         unit.windows.mark(wheelset, start_ns, WindowState.PENDING, "")
-    return len(outdated) + sum(unit.windows.requeue(code, NO_ALIGNMENT) for code in versions)
+    return len(outdated) + sum(unit.windows.requeue(code, NO_ALIGNMENT) for code in in_force)
 
 
-def _compute(context: JobContext, settings: EstimationSettings) -> list[_Outcome]:
+def _compute(
+    context: JobContext, settings: EstimationSettings, waiting: Sequence[str]
+) -> list[tuple[_Work, BinTable | Refusal]]:
     with context.storage.read() as unit:
 
         @lru_cache
         def alignment(section: str | None) -> TrackAlignment | None:
             return unit.tracks.alignment(section) if section is not None else None
 
-        return [
-            (record, _outcome(unit, record, alignment(record.track_section), settings), alignment(record.track_section))
-            for record in unit.windows.pending(settings.batch)
-        ]
+        found = []
+        for record in unit.windows.ready(settings.batch, waiting):
+            position = unit.tracks.position(record.wheelset, record.start_ns)
+            work = _Work(record, alignment(record.track_section), position)
+            found.append((work, _outcome(unit, work, settings)))
+        return found
 
 
-def _outcome(
-    unit: UnitOfWork, record: WindowRecord, track: TrackAlignment | None, settings: EstimationSettings
-) -> BinTable | Refusal:
+def _outcome(unit: UnitOfWork, work: _Work, settings: EstimationSettings) -> BinTable | Refusal:
     try:
-        window = unit.windows.load(record.wheelset, record.start_ns)
+        window = unit.windows.load(work.record.wheelset, work.record.start_ns)
     except DamagedError as error:
         return Refusal(str(error))  # names the file; the other windows go on
-    return tabulate_window(window, track, settings)
+    position = work.position
+    if position is None or position.content_digest != work.record.content_digest:
+        return tabulate_window(window, work.track, settings)
+    correction = Correction(position.offset_m, position.scale, position.middle_m)
+    return tabulate_window(window, work.track, settings, correction, position.reason)
 
 
-def _store(unit: UnitOfWork, record: WindowRecord, outcome: BinTable | Refusal, track: TrackAlignment | None) -> str:
+def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Refusal) -> str:
+    record = work.record
     now = unit.windows.get(record.wheelset, record.start_ns)
     if now is None or now.content_digest != record.content_digest:
         return "changed_meanwhile"  # still pending: the next batch takes it
+    if unit.tracks.position(record.wheelset, record.start_ns) != work.position:
+        return "changed_meanwhile"
     if isinstance(outcome, Refusal):
         unit.windows.mark(record.wheelset, record.start_ns, WindowState.REFUSED, outcome.reason)
         return "refused"
-    version = track.version if track is not None else None
+    version = work.track.version if work.track is not None else None
     unit.tables.put(record.wheelset, record.start_ns, outcome, version, record.content_digest)
     unit.windows.mark(record.wheelset, record.start_ns, WindowState.ESTIMATED, "")
     return "estimated"

@@ -26,7 +26,7 @@ from estimation.track.positions import (
     refine,
 )
 from estimation.track.report import JourneyReport, LoopReport, nothing
-from estimation.track.solution import PanelSolution, result
+from estimation.track.solution import LEAST_WHEELSETS, PanelSolution, result
 from estimation.types import FLEET, Status, TrackAlignment
 
 Grouped = Mapping[Journey, Sequence[Pass]]
@@ -45,6 +45,11 @@ class SectionParameters:
     stray_least: float = 0.4e-3  # m
     most_weight: float = 1000.0  # of evidence, in passes
     gauge_std: float = 1e-3  # m, expected of a gauge that nobody knows
+
+    @property
+    def reaches(self) -> float:
+        """Longest wavelength, m, that the alignment holds."""
+        return self.panel.cut_off
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +104,9 @@ def estimate_section(
     if not grouped:
         return SectionEstimate(None, nothing("no pass", named), {}, None)
     known = None if evidence is None else _known(evidence, parameters.panel)
+    reason = _nothing_to_tell(grouped, parameters) if known is None else ""
+    if reason:
+        return SectionEstimate(None, nothing(reason, named), {}, None)
     settled, strays, residuals = _without_strays(grouped, known, parameters)
     report = _report(settled, grouped, strays, residuals, known, parameters)
     report = replace(report, evidence=named)
@@ -112,6 +120,19 @@ def estimate_section(
         alignment_std_m=float(np.median(alignment.alignment_std[certain])) if certain.any() else float("nan"),
     )
     return SectionEstimate(alignment, report, settled.corrections, settled.solution)
+
+
+def _nothing_to_tell(grouped: Grouped, p: SectionParameters) -> str:
+    """Return why the passes alone cannot tell anything, before anything is solved; empty where they may."""
+    passed = np.zeros(p.panel.points, dtype=np.int64)
+    lives = set()
+    for item in (item for members in grouped.values() for item in members):
+        first, last = (int(np.clip(at / p.panel.step, 0, p.panel.points)) for at in (item.at[0], item.at[-1]))
+        passed[first:last] += 1
+        lives.add(item.wheelset)
+    if len(lives) < LEAST_WHEELSETS:
+        return "one wheelset alone cannot tell the track from its own geometry"
+    return "" if (passed >= p.panel.least_passes).any() else f"no place with {p.panel.least_passes} passes"
 
 
 def _without_strays(
@@ -306,6 +327,6 @@ def _alignment(section: str, settled: _Settled, known: _Known | None, p: Section
         passes=np.rint(seen + before).astype(np.int64),
         status=Status.ESTIMATED,
         source=FLEET,
-        cut_off=p.panel.cut_off,
+        cut_off=p.reaches,
         gauge_known=gauge_known,
     )

@@ -86,7 +86,7 @@ def _curves(normal: FloatArray, right: FloatArray, w: int, roughness: float) -> 
     k = len(total) // w
     scale = np.trace(total) / len(total)
     bend = np.diff(np.eye(k), 2, axis=0)
-    penalty = scale * (roughness * bend.T @ bend + 1e-6 * np.ones((k, k)) / k)
+    penalty = scale * (roughness * bend.T @ bend + 1e-6 * np.ones((k, k)) / k + 1e-9 * np.eye(k))
     prior = linalg.block_diag(*[penalty] * w)
     curves = [
         linalg.solve(total - left_out + prior, total_right - left_right, assume_a="sym").reshape(w, k)

@@ -156,7 +156,7 @@ def test_estimate_runs_every_job_in_order_and_says_what_it_did(treadwatch: Run, 
     assert done.returncode == 0, done.stderr
     places = [done.stdout.index(f" {name} ") for name in ("estimate_windows", "refresh_geometry", "evaluate_alerts")]
     assert places == sorted(places)
-    assert done.stdout.count("succeeded") == 4
+    assert done.stdout.count("succeeded") == 5
     assert "there are" in refused(treadwatch("estimate", "--job", "none", data_dir=str(tmp_path)))
 
 

@@ -105,8 +105,8 @@ def test_settings_are_found_by_type_and_have_defaults(sqlite_storage: Storage) -
 
 def test_the_catalogue_names_every_job_in_its_order(storage: Storage) -> None:
     names = [job.name for job in ALL_JOBS]
-    assert names == ["estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts"]
-    assert job_named("refresh_trends") is ALL_JOBS[2]
+    assert names == ["refresh_alignment", "estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts"]
+    assert job_named("refresh_trends") is ALL_JOBS[3]
     with pytest.raises(NotFoundError, match="no job 'nothing'"):
         job_named("nothing")
     runs = run_all(context_of(storage), "cli")

@@ -1,0 +1,165 @@
+"""What an epoch found, into the store: the version, the report, and where each window was."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.alerts import JsonValue
+from estimation.jobs.job import JobContext
+from estimation.ports import (
+    TrackReport,
+    TrackSectionRecord,
+    UnitOfWork,
+    WindowPosition,
+    WindowRecord,
+    WindowState,
+)
+from estimation.track.epochs import AlignmentSettings, material
+from estimation.track.passes import Pass
+from estimation.track.positions import Correction, Journey, journeys
+from estimation.track.recordings import Finding
+from estimation.track.screening import PassStatus
+from estimation.types import Status, TrackAlignment
+
+
+@dataclass(frozen=True, slots=True)
+class Epoch:
+    """The windows of an epoch, what was known before, and the passes that were made of them."""
+
+    section: TrackSectionRecord
+    records: Sequence[WindowRecord]
+    before: TrackAlignment | None
+    digest: str
+    passes: Sequence[Pass]
+    refused: Mapping[tuple[str, int], str]
+
+
+def store(unit: UnitOfWork, epoch: Epoch, finding: Finding, context: JobContext) -> str:
+    """Store what was found; return what became of it.
+
+    Nothing is stored where another version has come in force since the epoch was read ("changed_meanwhile"). Windows
+    of an epoch that identified nothing are left for the next, but for those that hold no pass.
+    """
+    now = unit.tracks.in_force(epoch.section.code)
+    expected = epoch.before.version if epoch.before is not None else None
+    if (now.version if now is not None else None) != expected:
+        return "changed_meanwhile"
+    version = expected
+    if finding.made and finding.alignment is not None:
+        version = _next_version(unit, epoch, finding.alignment, context)
+    _report(unit, epoch, finding, version, context)
+    settings = context.setting(AlignmentSettings)
+    for position in _positions(epoch, finding, version, settings):
+        _place(unit, position)
+    if finding.estimate.report.status is not Status.ESTIMATED and expected is None:
+        return "unestimated"
+    return "versions" if finding.made else "kept"
+
+
+def _next_version(unit: UnitOfWork, epoch: Epoch, alignment: TrackAlignment, context: JobContext) -> int:
+    """Store an alignment; say since which version what it is used for stays the same."""
+    now = unit.tracks.in_force(epoch.section.code)
+    base = unit.tracks.alignment(epoch.section.code, now.same_since) if now is not None else None
+    same_since = None
+    if base is not None and not material(base, alignment, context.setting(AlignmentSettings)):
+        same_since = base.version
+    return unit.tracks.add_alignment(alignment, same_since=same_since, recorded_ns=context.clock.now_ns())
+
+
+def _report(unit: UnitOfWork, epoch: Epoch, finding: Finding, version: int | None, context: JobContext) -> None:
+    told = finding.estimate.report
+    extra: dict[str, JsonValue] = {"recording": finding.recording, "refused_windows": _counted(epoch.refused)}
+    unit.tracks.add_report(
+        TrackReport(
+            section=epoch.section.code,
+            version=version,
+            made=finding.made,
+            status=told.status,
+            reason=told.reason,
+            windows=len(epoch.records),
+            input_digest=epoch.digest,
+            code_version=context.code_version,
+            report=dict(told.as_json()) | extra,
+            recorded_ns=context.clock.now_ns(),
+        )
+    )
+
+
+def _counted(refused: Mapping[tuple[str, int], str]) -> JsonValue:
+    """Return how many windows were refused for each reason."""
+    reasons = list(refused.values())
+    return {reason: reasons.count(reason) for reason in sorted(set(reasons))}
+
+
+def _positions(
+    epoch: Epoch, finding: Finding, version: int | None, settings: AlignmentSettings
+) -> Sequence[WindowPosition]:
+    """Return where the windows were, as far as it has been found."""
+    judged = list(zip(epoch.passes, finding.outcomes, strict=True))
+    used = [item for item, outcome in judged if outcome.status is PassStatus.USED]
+    journey_of = {
+        (item.vehicle, item.start_ns): journey
+        for journey, members in journeys(used, settings.section.positions).items()
+        for item in members
+    }
+    held = {_window(item) for item in used}
+    against = {_window(item): outcome.reason for item, outcome in judged if outcome.status is PassStatus.REFUSED}
+    against = {**epoch.refused, **{key: reason for key, reason in against.items() if key not in held}}
+    strays = {(told.vehicle, told.from_ns): told.reason for told in finding.estimate.report.journeys if not told.used}
+    found = []
+    for record in epoch.records:
+        key = (record.wheelset, record.start_ns)
+        plain = WindowPosition(record.wheelset, record.start_ns, record.content_digest, version)
+        if key in against and (key in epoch.refused or finding.alignment is not None):
+            found.append(plain if finding.trusted else replace(plain, reason=against[key]))
+        elif finding.alignment is not None and key in held:
+            found.append(_corrected(plain, journey_of[record.vehicle, record.start_ns], finding, strays, settings))
+    return found
+
+
+def _window(item: Pass) -> tuple[str, int]:
+    """Return wheelset and start of the window of a pass, which bears the name of a life of that wheelset."""
+    return item.wheelset.rsplit("#", 2)[0], item.start_ns
+
+
+def _corrected(
+    plain: WindowPosition,
+    journey: Journey,
+    finding: Finding,
+    strays: Mapping[Journey, str],
+    settings: AlignmentSettings,
+) -> WindowPosition:
+    correction = finding.estimate.corrections.get(journey)
+    if finding.trusted:
+        far = correction is not None and _largest(correction) > settings.trusted_offset
+        return plain if correction is None or not far else _moved(plain, correction)
+    if journey in strays:
+        return replace(plain, reason=f"its position along the section is not certain: {strays[journey]}")
+    if correction is None:
+        return replace(plain, reason="its position along the section is not certain")
+    return _moved(plain, correction)
+
+
+def _moved(plain: WindowPosition, correction: Correction) -> WindowPosition:
+    return replace(plain, offset_m=correction.offset, scale=correction.scale, middle_m=correction.middle)
+
+
+def _largest(correction: Correction) -> float:
+    """Return the largest shift between the begin and twice the middle of the section, m."""
+    ends = np.array([0.0, 2.0 * correction.middle])
+    return float(np.abs(correction.at(ends) - ends).max())
+
+
+def _place(unit: UnitOfWork, position: WindowPosition) -> None:
+    """Store where a window was; one that had been estimated elsewhere waits again."""
+    before = unit.tracks.position(position.wheelset, position.start_ns)
+    if not unit.tracks.put_position(position):
+        return
+    told = (position.offset_m, position.scale, position.reason)
+    was = (before.offset_m, before.scale, before.reason) if before is not None else (0.0, 0.0, "")
+    window = unit.windows.get(position.wheelset, position.start_ns)
+    if told != was and window is not None and window.state is not WindowState.PENDING:
+        unit.windows.mark(position.wheelset, position.start_ns, WindowState.PENDING, "")
