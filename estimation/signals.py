@@ -1,10 +1,9 @@
 """From measured accelerations to band-limited motion relative to the track.
 
 Rates and displacements are running integrals of the accelerations. Offsets and drift make them wander; so from every
-signal the part that varies slowly *along the track* is projected out: the least-squares fit of cosines in distance
-down to the cut-off wavelength, and of a straight line and a parabola in time. The projection is linear, idempotent,
-takes stretches of any length and speed, and is applied once to each side that is compared (y - d as a whole), so that
-it favours neither.
+signal the part that varies slowly *along the track* is taken out (``high_pass``). The filter is linear, takes
+stretches of any length and speed, and is applied once to each side that is compared (y - d as a whole), so that it
+favours neither.
 """
 
 from __future__ import annotations
@@ -13,14 +12,17 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.linalg import cho_factor, cho_solve
 
 from estimation.arrays import BoolArray, FloatArray
 from estimation.errors import ParameterError
+from estimation.high_pass import HighPass, without_slow_part
 from estimation.motion import Motion
-from estimation.types import ACCELERATIONS, TrackAlignment, Window
+from estimation.restored_alignment import restored
+from estimation.types import ACCELERATIONS, TrackAlignment, TrackLayout, Window
+from estimation.usable_samples import CurveLimits, Usable, usable_samples
 
 NANOSECONDS = 1_000_000_000
+FEWEST_POINTS = 4  # of a spline
 SPLINE_MARGIN = 20  # points of the stored alignment beyond the window, so that the spline's ends do not matter
 
 
@@ -28,22 +30,36 @@ SPLINE_MARGIN = 20  # points of the stored alignment beyond the window, so that 
 class SignalParameters:
     """How windows become motion."""
 
-    longest_wavelength: float = 60.0  # m; longer is projected out
+    longest_wavelength: float = 40.0  # m; of longer ones less than half is left
+    design: HighPass = HighPass.SMOOTHER
     bridged_samples: int = 3  # gaps up to this long are bridged for the integrals, never used as samples
+    modelled_gap_s: float = 0.25  # gaps up to this long do not end a stretch of motion: their integrals are solved for
     shortest_stretch_s: float = 10.0
-    trimmed_s: float = 1.0  # at each end of a stretch, where the projection sees one side only
-    least_speed_m_s: float = 5.0
+    trimmed_s: float = 1.0  # at each end of a stretch, where the high-pass sees one side only
+    least_speed_m_s: float = 8.0
+    sharpest_curvature: float = 1e-4  # 1/m
+    highest_cant: float = 0.02  # m
+    curve_margin: float = 30.0  # m kept from sharper curves; positions and registers are off by some
+    least_used: float = 0.1  # of a window's samples
     block_s: float = 20.0
 
     def __post_init__(self) -> None:
         for item in fields(self):
-            if not getattr(self, item.name) >= 0:
-                raise ParameterError(f"{getattr(self, item.name)!r} is negative", field=item.name)
+            value = getattr(self, item.name)
+            if not isinstance(value, HighPass) and not value >= 0:
+                raise ParameterError(f"{value!r} is negative", field=item.name)
+        if not self.longest_wavelength > 0:
+            raise ParameterError("must be positive", field="longest_wavelength")
 
     @property
     def source(self) -> str:
         """What a bin table says of where its motion came from."""
         return "band-limited " + " ".join(f"{item.name}={getattr(self, item.name)}" for item in fields(self))
+
+    @property
+    def curve_limits(self) -> CurveLimits:
+        """What counts as straight."""
+        return CurveLimits(self.sharpest_curvature, self.highest_cant, self.curve_margin)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +69,9 @@ class Refusal:
     reason: str
 
 
-def motion(window: Window, track: TrackAlignment, parameters: SignalParameters) -> Motion | Refusal:
+def motion(
+    window: Window, track: TrackAlignment, parameters: SignalParameters, layout: TrackLayout | None = None
+) -> Motion | Refusal:
     """Return the band-limited motion of ``window`` relative to ``track``, or why it cannot be had.
 
     Parameters
@@ -61,85 +79,123 @@ def motion(window: Window, track: TrackAlignment, parameters: SignalParameters) 
     window
         Measured accelerations, speed and distance, (n,) each.
     track
-        Alignment of the window's section; samples outside it are passed over.
+        Alignment of the window's section; samples outside it are passed over. Wavelengths that it does not hold are
+        taken out of the motion too.
     parameters
         Cut-off wavelength and gates.
+    layout
+        Curves of the section, which are passed over; None where none is on file.
     """
-    usable = _usable(window, track, parameters)
-    if usable is None:
-        return Refusal("no sample on the known part of the section above the least speed")
-    runs = stretches(usable, window, parameters)
-    if not runs:
-        return Refusal(f"no uninterrupted stretch of {parameters.shortest_stretch_s:g} s")
-    d = _alignment_at(window.distance, track, usable)
+    d = _alignment_at(window.distance, track)
+    limits = parameters.curve_limits
+    usable = usable_samples(window, np.isfinite(d), layout, parameters.least_speed_m_s, limits)
+    if not usable.samples.any():
+        return Refusal(f"no sample can be used: {usable.causes}")
+    dt = window.sample_interval_s
+    runs = stretches(usable.samples, window, parameters, round(parameters.modelled_gap_s / dt))
     n = len(window.valid)
     signals = {item.name: np.full(n, np.nan) for item in fields(Motion) if item.name not in _NOT_SIGNALS}
     valid = np.zeros(n, dtype=np.bool_)
+    trim = round(parameters.trimmed_s / dt)
+    longest = min(parameters.longest_wavelength, track.cut_off)
     for start, stop in runs:
-        for name, values in _integrate(window, d, usable, slice(start, stop), parameters).items():
-            signals[name][start:stop] = values
-        trim = round(parameters.trimmed_s / window.sample_interval_s)
-        valid[start + trim : stop - trim] = usable[start + trim : stop - trim]
-    seconds = window.start_ns / NANOSECONDS + np.arange(n) * window.sample_interval_s
+        part = slice(start, stop)
+        known = np.asarray(usable.samples[part])
+        fast = without_slow_part(
+            _integrated(window, d, known, part), _distance(window, known, part), known, longest, parameters.design
+        )
+        for name, values in zip(_INTEGRATED, fast, strict=True):
+            signals[name][part] = values
+        valid[start + trim : stop - trim] = usable.samples[start + trim : stop - trim]
+    refusal = _too_little(valid, runs, usable, parameters)
+    if refusal is not None:
+        return refusal
+    seconds = window.start_ns / NANOSECONDS + np.arange(n) * dt
     block = np.floor(seconds / parameters.block_s).astype(np.int64)
     signals["speed"] = np.where(window.speed > 0, window.speed, np.nan)
     return Motion(**signals, valid=valid, block=block, band_limited=True)
 
 
 _NOT_SIGNALS = frozenset({"valid", "block", "band_limited"})
+_INTEGRATED = (
+    "displacement",
+    "lateral_velocity",
+    "lateral_acceleration",
+    "yaw",
+    "yaw_rate",
+    "yaw_acceleration",
+    "roll",
+    "roll_rate",
+    "stretch",
+    "stretch_rate",
+)
 
 
-def _usable(window: Window, track: TrackAlignment, parameters: SignalParameters) -> BoolArray | None:
+def _too_little(
+    valid: BoolArray, runs: list[tuple[int, int]], usable: Usable, parameters: SignalParameters
+) -> Refusal | None:
+    lost = f"; lost: {usable.causes}" if usable.causes else ""
+    if not runs:
+        return Refusal(f"no uninterrupted stretch of {parameters.shortest_stretch_s:g} s{lost}")
+    if valid.mean() < parameters.least_used:
+        return Refusal(f"{valid.mean():.0%} of the samples can be used, {parameters.least_used:.0%} are needed{lost}")
+    return None
+
+
+def _alignment_at(distance: FloatArray, track: TrackAlignment) -> FloatArray:
+    """Return d (n,) by a cubic spline through the stored alignment; NaN off the section and where it is not known."""
+    d = np.full(len(distance), np.nan)
     with np.errstate(invalid="ignore"):
-        on_track = (window.distance >= track.s[0]) & (window.distance <= track.s[-1])
-        moving = window.speed >= parameters.least_speed_m_s
-    usable = window.valid & on_track & moving
-    return np.asarray(usable) if usable.any() else None
+        on_track = np.flatnonzero((distance >= track.s[0]) & (distance <= track.s[-1]))
+    if not len(on_track):
+        return d
+    at = distance[on_track]
+    first = max(int(np.searchsorted(track.s, at.min())) - SPLINE_MARGIN, 0)
+    last = int(np.searchsorted(track.s, at.max())) + SPLINE_MARGIN
+    s, alignment = track.s[first:last], restored(track)[first:last]
+    known = np.isfinite(alignment)
+    if known.sum() < FEWEST_POINTS:
+        return d
+    after = np.searchsorted(s, at).clip(1, len(s) - 1)
+    between = known[after - 1] & known[after]
+    spline = CubicSpline(s[known], alignment[known], extrapolate=False)
+    d[on_track[between]] = spline(at[between])
+    return d
 
 
-def _alignment_at(distance: FloatArray, track: TrackAlignment, usable: BoolArray) -> FloatArray:
-    """Return d (n,) by a cubic spline through the stored alignment where the window runs; NaN off the section."""
-    seen = distance[usable]
-    first = max(int(np.searchsorted(track.s, seen.min())) - SPLINE_MARGIN, 0)
-    last = int(np.searchsorted(track.s, seen.max())) + SPLINE_MARGIN
-    part = slice(first, last)
-    return np.asarray(CubicSpline(track.s[part], track.alignment[part], extrapolate=False)(distance))
+def stretches(
+    usable: BoolArray, window: Window, parameters: SignalParameters, longest_gap: int | None = None
+) -> list[tuple[int, int]]:
+    """Return the runs of usable samples with only short gaps in them, long enough to be worth it.
 
-
-def stretches(usable: BoolArray, window: Window, parameters: SignalParameters) -> list[tuple[int, int]]:
-    """Return the runs of usable samples with only short gaps in them, long enough to be worth it."""
+    Parameters
+    ----------
+    usable
+        (n,).
+    window
+        Its sampling interval is used.
+    parameters
+        Gates.
+    longest_gap
+        Samples that may be missing in a row; by default as many as may be bridged.
+    """
+    gap = parameters.bridged_samples if longest_gap is None else longest_gap
     index = np.flatnonzero(usable)
-    breaks = np.flatnonzero(np.diff(index) > parameters.bridged_samples + 1)
+    breaks = np.flatnonzero(np.diff(index) > gap + 1)
     starts = np.concatenate([index[:1], index[breaks + 1]])
     stops = np.concatenate([index[breaks], index[-1:]]) + 1
     least = parameters.shortest_stretch_s / window.sample_interval_s
     return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True) if b - a >= least]
 
 
-def _integrate(
-    window: Window, d: FloatArray, usable: BoolArray, part: slice, parameters: SignalParameters
-) -> dict[str, FloatArray]:
-    """Rates and displacements of one stretch, slow parts projected out."""
-    known = usable[part]
+def _integrated(window: Window, d: FloatArray, known: BoolArray, part: slice) -> FloatArray:
+    """Return accelerations, rates and displacements (10, n) of one stretch in the order of ``_INTEGRATED``."""
     accelerations, rates, displacements = running_integrals(window, known, part)
     y, ψ, φ, ym = displacements
     dy, dψ, dφ, dym = rates
     ddy, ddψ = accelerations[:2]
-    raw = np.stack([y - _bridged(d[part], np.isfinite(d[part])), dy, ddy, ψ, dψ, ddψ, φ, dφ, ym - y, dym - dy])
-    names = (
-        "displacement",
-        "lateral_velocity",
-        "lateral_acceleration",
-        "yaw",
-        "yaw_rate",
-        "yaw_acceleration",
-        "roll",
-        "roll_rate",
-        "stretch",
-        "stretch_rate",
-    )
-    fast = _without_slow_part(raw, _distance(window, known, part), parameters.longest_wavelength)
-    return dict(zip(names, fast, strict=True))
+    along = _bridged(d[part], np.isfinite(d[part]))
+    return np.stack([y - along, dy, ddy, ψ, dψ, ddψ, φ, dφ, ym - y, dym - dy])
 
 
 def running_integrals(window: Window, known: BoolArray, part: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -186,39 +242,3 @@ def _distance(window: Window, known: BoolArray, part: slice) -> FloatArray:
     """Distance run in the stretch, (n,) m, ascending from zero; where a sample is missing, interpolated."""
     speed = _bridged(window.speed[part], known)
     return np.asarray(_running_integral(speed[None, :], window.sample_interval_s)[0])
-
-
-def _without_slow_part(signals: FloatArray, distance: FloatArray, longest: float) -> FloatArray:
-    """Project out cosines in distance of wavelengths above ``longest``, a line and a parabola in time.
-
-    Parameters
-    ----------
-    signals
-        (m, n).
-    distance
-        (n,) m, from zero.
-    longest
-        Cut-off wavelength, m.
-    """
-    basis = slow_basis(distance, longest)
-    gram = basis @ basis.T
-    gram[np.diag_indices_from(gram)] *= 1 + 1e-12  # cosines and parabola are nearly dependent in short stretches
-    return np.asarray(signals - cho_solve(cho_factor(gram), basis @ signals.T).T @ basis)
-
-
-def slow_basis(distance: FloatArray, longest: float) -> FloatArray:
-    """Return (k, n) functions that span what varies more slowly than ``longest``, orthogonal to rounding or nearly."""
-    n = len(distance)
-    length = float(distance[-1])
-    terms = int(2 * length / longest)
-    t = np.linspace(-1.0, 1.0, n)
-    basis = np.empty((terms + 3, n))
-    basis[0] = 1.0
-    first = np.cos(np.pi * distance / length)
-    if terms:
-        basis[1] = first
-    for k in range(2, terms + 1):
-        basis[k] = 2 * first * basis[k - 1] - basis[k - 2]  # Chebyshev: cos(k x)
-    basis[terms + 1] = t
-    basis[terms + 2] = 1.5 * t * t - 0.5
-    return basis

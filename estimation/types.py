@@ -179,6 +179,24 @@ class TrackAlignment:
 
 
 @dataclass(frozen=True, slots=True)
+class TrackLayout:
+    """The horizontal layout of a track section as built, from the infrastructure register; straight between points."""
+
+    section: str
+    version: int
+    s: FloatArray  # (n,) m along the section, strictly increasing
+    curvature: FloatArray  # (n,) 1/m, positive in a curve to the left
+    cant: FloatArray  # (n,) m, right rail above the left one: positive where it leans into a curve to the left
+
+    def __post_init__(self) -> None:
+        n = len(self.s)
+        for name in ("s", "curvature", "cant"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+        if n < 2 or not (np.diff(self.s) > 0).all():  # noqa: PLR2004 - a stretch has two ends
+            raise ValueError("s: two points or more, strictly increasing, are needed")
+
+
+@dataclass(frozen=True, slots=True)
 class BinTable:
     """Mergeable sufficient statistics of the piecewise least squares, per bin of lateral displacement and group.
 
