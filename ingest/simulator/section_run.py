@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +123,14 @@ class SectionRun:
     def known_track(self) -> TrackAlignment | None:
         """Return the true alignment as a recording of the section, where the scenario says that it is known."""
         return self.true_track() if self.scenario.alignment_known else None
+
+    def known_gauge(self) -> TrackAlignment | None:
+        """Return the gauge alone, alignment all NaN, where the scenario says that it is known and varies."""
+        if not (self.scenario.gauge_known and self.scenario.gauge_std > 0.0):
+            return None
+        track = self.true_track()
+        unknown = np.full(len(track.s), np.nan)
+        return replace(track, alignment=unknown, alignment_std=unknown)
 
     def true_track(self) -> TrackAlignment:
         """Return the true alignment of the section, with the gauge where the scenario says that it is known."""

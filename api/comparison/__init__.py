@@ -1,0 +1,1 @@
+"""Estimators compared on the windows of one simulated section."""

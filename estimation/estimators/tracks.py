@@ -1,0 +1,106 @@
+"""What an estimator is told of the track: a known alignment, the one that the fleet has found, or nothing.
+
+The alignment from the fleet is ``estimation.track.section.estimate_section``; windows are put where it says they were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.motion import Motion
+from estimation.settings import EstimationSettings
+from estimation.signals import Refusal, motion
+from estimation.track.epochs import AlignmentSettings, reduced
+from estimation.track.passes import Pass, passes
+from estimation.track.positions import Correction
+from estimation.track.section import SectionEstimate, estimate_section
+from estimation.types import Status, TrackAlignment, Window
+
+STEP = 0.5  # m
+_UNMOVED = Correction()
+
+
+@dataclass(frozen=True, slots=True)
+class TrackKnowledge:
+    """An alignment, and where the windows were; without ``found`` their positions are believed."""
+
+    track: TrackAlignment
+    found: SectionEstimate | None = None
+
+    def placed(self, window: Window) -> Window | None:
+        """Return ``window`` where it was; None where its journey agrees with nothing."""
+        if self.found is None:
+            return window
+        correction = self._correction(window)
+        return None if correction is None else replace(window, distance=correction.at(window.distance))
+
+    def correction_of(self, window: Window) -> Correction | None:
+        """Return how the positions of ``window`` are put right; None where its journey agrees with nothing."""
+        return _UNMOVED if self.found is None else self._correction(window)
+
+    def _correction(self, window: Window) -> Correction | None:
+        assert self.found is not None
+        for journey in self.found.report.journeys:
+            if journey.vehicle == window.vehicle and journey.from_ns <= window.start_ns <= journey.to_ns:
+                return self.found.corrections.get((journey.vehicle, journey.from_ns))
+        return None
+
+
+def straight_track(section: str, length: float) -> TrackAlignment:
+    """Return what someone takes the section for who knows nothing of it: no alignment at all, d = 0."""
+    s = np.asarray(np.arange(round(length / STEP) + 1) * STEP, dtype=np.float64)
+    zero = np.zeros(len(s))
+    return TrackAlignment(section, 0, s, zero, zero, zero, zero, zero.astype(np.int64), Status.ESTIMATED)
+
+
+def section_passes(windows: Iterable[Window], settings: EstimationSettings, alignment: AlignmentSettings) -> list[Pass]:
+    """Return the passes of ``windows``, as the alignment of their section is found from them."""
+    return [
+        reduced(item, item.wheelset, alignment.pass_step)
+        for window in windows
+        for item in passes(window, settings.vehicle, settings.signals)
+    ]
+
+
+def fleet_knowledge(
+    found: Sequence[Pass], evidence: TrackAlignment | None, section: str, length: float, settings: AlignmentSettings
+) -> TrackKnowledge | str:
+    """Return the alignment that ``found`` and ``evidence`` give, and the positions; or why there is none.
+
+    Parameters
+    ----------
+    found
+        Passes of the section.
+    evidence
+        What is known beforehand. Where it holds no alignment (all NaN) but the gauge, the gauge is taken over.
+    section, length
+        Its code, and its length, m.
+    settings
+        Of the alignment.
+    """
+    parameters = replace(settings.section, panel=replace(settings.section.panel, length=length))
+    told = evidence is not None and bool(np.isfinite(evidence.alignment).any())
+    estimate = estimate_section(section, found, evidence if told else None, parameters)
+    if estimate.alignment is None:
+        return estimate.report.reason
+    track = estimate.alignment
+    if evidence is not None and not told:
+        track = replace(
+            track,
+            gauge_deviation=np.interp(track.s, evidence.s, evidence.gauge_deviation),
+            gauge_deviation_std=np.interp(track.s, evidence.s, evidence.gauge_deviation_std),
+            gauge_known=evidence.gauge_known,
+        )
+    return TrackKnowledge(track, estimate)
+
+
+def motions(windows: Iterable[Window], knowledge: TrackKnowledge, settings: EstimationSettings) -> Iterator[Motion]:
+    """Yield the motion of every window relative to the track, as far as it is known; refused windows are left out."""
+    for window in windows:
+        placed = knowledge.placed(window)
+        moved = None if placed is None else motion(placed, knowledge.track, settings.signals)
+        if moved is not None and not isinstance(moved, Refusal):
+            yield moved
