@@ -1,9 +1,15 @@
-"""A track on file: CSV with the columns ``s_m, alignment_mm, gauge_deviation_mm``, as a recording car gives it."""
+"""A track on file: CSV with the columns ``s_m, alignment_mm, gauge_deviation_mm``, as a recording car gives it.
+
+The layout of the line, where it is known, is in the columns ``curvature_per_km, cant_mm`` (curvature in 1/km: the
+inverse of the radius in km, positive to the left; cant: right rail above the left one), beside the others or in a file
+of its own.
+"""
 
 from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +18,15 @@ from estimation.arrays import FloatArray
 from estimation.errors import InputError
 
 COLUMNS = ("s_m", "alignment_mm", "gauge_deviation_mm")
+LAYOUT_COLUMNS = ("curvature_per_km", "cant_mm")
 FEWEST_POINTS = 8
+FEWEST_LAYOUT_POINTS = 2
+SHARPEST_PER_KM = 20.0  # a radius of 50 m: nothing sharper is run on
+HIGHEST_CANT_MM = 250.0
+CURVED_PER_KM = 0.5  # a radius of 2 km: with that, a cant below CANTED_MM everywhere is one in metres
+CANTED_MM = 1.0
+STRAIGHT_PER_KM = 0.02  # a radius of 50 km: with that, a cant above CURVE_CANT_MM is curvature in 1/m
+CURVE_CANT_MM = 20.0
 
 
 def read_track_columns(path: Path) -> FloatArray:
@@ -26,6 +40,51 @@ def read_track_columns(path: Path) -> FloatArray:
         The file cannot be read, a column is missing, a cell is not a finite number, distances do not increase, or
         there are fewer than eight rows; names file, line and column.
     """
+    header, lines = _cells(path)
+    table = _table(path, header, lines, COLUMNS, FEWEST_POINTS)
+    return np.asarray(table * np.array([1.0, 1e-3, 1e-3]), dtype=np.float64)
+
+
+def read_layout_columns(path: Path) -> FloatArray | None:
+    """Return (n, 3): distance in m, curvature in 1/m, cant in m; None where the file has no such columns.
+
+    Raises
+    ------
+    InputError
+        As ``read_track_columns``; or one of the two columns stands alone or has another name, or its numbers are in
+        another unit: radii, 1/m, cant in metres.
+    """
+    header, lines = _cells(path)
+    for name in header:
+        if name.startswith(("curvature", "cant", "radius")) and name not in LAYOUT_COLUMNS:
+            raise InputError(f"expected {' and '.join(LAYOUT_COLUMNS)}", file=path, line=1, field=name)
+    if not any(name in header for name in LAYOUT_COLUMNS):
+        return None
+    table = _table(path, header, lines, (COLUMNS[0], *LAYOUT_COLUMNS), FEWEST_LAYOUT_POINTS)
+    _check_layout_units(path, *table[:, 1:].T)
+    return np.asarray(table * np.array([1.0, 1e-3, 1e-3]), dtype=np.float64)
+
+
+def _check_layout_units(path: Path, curvature: FloatArray, cant: FloatArray) -> None:
+    sharpest, highest = float(np.abs(curvature).max()), float(np.abs(cant).max())
+    if sharpest > SHARPEST_PER_KM:
+        reason = f"{sharpest:g} 1/km is a radius of {1e3 / sharpest:.3g} m; are these radii, or another unit?"
+        raise InputError(reason, file=path, field=LAYOUT_COLUMNS[0])
+    if highest > HIGHEST_CANT_MM:
+        raise InputError(f"{highest:g} mm of cant is on no line; another unit?", file=path, field=LAYOUT_COLUMNS[1])
+    if sharpest > CURVED_PER_KM and 0.0 < highest < CANTED_MM:
+        reason = f"at most {highest:g} mm in curves of down to {1e3 / sharpest:.0f} m; is this cant in metres?"
+        raise InputError(reason, file=path, field=LAYOUT_COLUMNS[1])
+    if 0.0 < sharpest < STRAIGHT_PER_KM and highest > CURVE_CANT_MM:
+        reason = f"at most {sharpest:g} 1/km with {highest:g} mm of cant; is this curvature in 1/m?"
+        raise InputError(reason, file=path, field=LAYOUT_COLUMNS[0])
+
+
+_Row = tuple[int, list[str]]
+
+
+def _cells(path: Path) -> tuple[list[str], list[_Row]]:
+    """Return the names of the columns, and the cells of every line that is not blank with its number."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -34,22 +93,23 @@ def read_track_columns(path: Path) -> FloatArray:
         raise InputError("is no text file", file=path) from error
     lines = csv.reader(text.splitlines())
     header = [name.strip() for name in next(lines, [])]
-    for name in COLUMNS:
+    return header, [(lines.line_num, cells) for cells in lines if any(cell.strip() for cell in cells)]
+
+
+def _table(path: Path, header: list[str], lines: list[_Row], columns: Sequence[str], fewest: int) -> FloatArray:
+    """Return the columns (n, k) as numbers; the first is distance."""
+    for name in columns:
         if name not in header:
-            raise InputError(f"no such column; expected {', '.join(COLUMNS)}", file=path, line=1, field=name)
-    places = [header.index(name) for name in COLUMNS]
+            raise InputError(f"no such column; expected {', '.join(columns)}", file=path, line=1, field=name)
+    places = [header.index(name) for name in columns]
     rows: list[tuple[float, ...]] = []
-    for cells in lines:
-        if not any(cell.strip() for cell in cells):
-            continue
-        rows.append(
-            tuple(_number(path, lines.line_num, cells, *column) for column in zip(COLUMNS, places, strict=True))
-        )
+    for number, cells in lines:
+        rows.append(tuple(_number(path, number, cells, *column) for column in zip(columns, places, strict=True)))
         if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
-            raise InputError("distance does not increase", file=path, line=lines.line_num, field="s_m")
-    if len(rows) < FEWEST_POINTS:
-        raise InputError(f"{len(rows)} rows are no track, at least {FEWEST_POINTS} are needed", file=path)
-    return np.asarray(np.array(rows) * np.array([1.0, 1e-3, 1e-3]), dtype=np.float64)
+            raise InputError("distance does not increase", file=path, line=number, field=columns[0])
+    if len(rows) < fewest:
+        raise InputError(f"{len(rows)} rows are no track, at least {fewest} are needed", file=path)
+    return np.array(rows, dtype=np.float64)
 
 
 def uniform_distance(s: FloatArray) -> bool:

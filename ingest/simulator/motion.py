@@ -10,8 +10,11 @@ import numpy.typing as npt
 
 from estimation.arrays import FloatArray, frozen_array
 from estimation.errors import ParameterError
+from estimation.types import ACCELERATIONS
 from estimation.vehicle import VehicleParameters, creep_rate
+from ingest.simulator.curves import path_motion
 from ingest.simulator.stepping import (
+    FORCED,
     LOOKED_UP,
     OUTPUTS,
     STATES,
@@ -26,7 +29,7 @@ from ingest.simulator.track import TrackTruth
 
 STEP = 1e-3  # s
 RATE_LIMIT = 1.0  # creep rate x sub-step; Runge-Kutta of 4th order is stable to 2.78
-MINIMUM_SPEED = 0.5  # m/s: Kalker's linear creep has no meaning at rest
+MINIMUM_SPEED = 0.5  # m/s, of scenarios that do not stop
 _MINIMUM_NODES = 3
 
 
@@ -54,6 +57,7 @@ class WheelsetMotion:
     """The true motion of a wheelset and its suspended mass, every ``STEP`` s; all arrays (n,), SI.
 
     ``outside`` counts samples whose lateral displacement left the contact table: there the motion means nothing.
+    Displacements and yaw are relative to the path as built; ``felt_of_path`` is what sensors feel of its curves.
     """
 
     t: FloatArray  # s, from 0
@@ -78,11 +82,15 @@ class WheelsetMotion:
     contact_angle_left: FloatArray  # rad
     contact_angle_right: FloatArray  # rad
     outside: int
+    felt_of_path: FloatArray | None = None  # (4, n) in the order of ACCELERATIONS; None on straight track
 
     def __post_init__(self) -> None:
         n = len(self.t)
         for name in ("t", "distance", "speed", "roll_acceleration", *OUTPUTS):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+        if self.felt_of_path is not None:
+            felt = frozen_array(self.felt_of_path, (len(ACCELERATIONS), n), name="felt_of_path")
+            object.__setattr__(self, "felt_of_path", felt)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -147,19 +155,23 @@ def simulate_wheelset(
 ) -> WheelsetMotion:
     """Run a wheelset along ``track`` from distance ``start`` (m) with ``speed`` (n,), m/s, given every ``STEP`` s.
 
-    Between samples the speed is linear. ``initial`` (6,) holds y, y', psi, psi', ym, ym' in SI; without it wheelset
-    and mass start at rest relative to the track, on its centre line. Two runs of the same input give the same bits.
+    Between samples the speed is linear; it may be zero, where the wheelset stands. ``initial`` (6,) holds y, y', psi,
+    psi', ym, ym' in SI; without it wheelset and mass start at rest relative to the track, on its centre line. Two runs
+    of the same input give the same bits.
 
     Raises
     ------
     ParameterError
-        Speed below ``MINIMUM_SPEED``, or the run leaves the track.
+        Speed that is negative or not finite, or the run leaves the track.
     """
     speed = np.ascontiguousarray(speed, dtype=np.float64)
     prepared = table if isinstance(table, PreparedTable) else PreparedTable.of(table)
     distance = _course(track, speed, start)
     coefficients = track.spline_coefficients()
     state = _start(coefficients, track, start, float(speed[0])) if initial is None else np.array(initial, np.float64)
+    path = None
+    if track.curves is not None:
+        path = path_motion(parameters, track.curves, track.s, distance, speed, STEP)
     out = np.empty((len(OUTPUTS), len(speed)))
     outside = integrate(
         constants(parameters),
@@ -168,6 +180,7 @@ def simulate_wheelset(
         Grid(prepared.x0, 1 / prepared.x_step, prepared.e0, 1 / prepared.e_step, float(track.s[0]), track.interval),
         speed,
         distance,
+        path.forced if path is not None else np.zeros((len(speed), FORCED)),
         STEP,
         sub_steps(speed, STEP, creep_rate(parameters, 1.0), RATE_LIMIT),
         state,
@@ -178,14 +191,20 @@ def simulate_wheelset(
     roll_acceleration = time_derivative(named["roll_rate"], STEP)
     t = STEP * np.arange(len(speed), dtype=np.float64)
     return WheelsetMotion(
-        t=t, distance=distance, speed=speed, roll_acceleration=roll_acceleration, outside=int(outside), **named
+        t=t,
+        distance=distance,
+        speed=speed,
+        roll_acceleration=roll_acceleration,
+        outside=int(outside),
+        felt_of_path=path.felt if path is not None else None,
+        **named,
     )
 
 
 def _course(track: TrackTruth, speed: FloatArray, start: float) -> FloatArray:
     """Return the distance at each sample, after checking that speed and track allow the run."""
-    if not (np.isfinite(speed).all() and len(speed) > 1 and speed.min() >= MINIMUM_SPEED):
-        raise ParameterError(f"two samples or more, each at least {MINIMUM_SPEED} m/s, are needed", field="speed")
+    if not (np.isfinite(speed).all() and len(speed) > 1 and speed.min() >= 0.0):
+        raise ParameterError("two samples or more, none negative, are needed", field="speed")
     distance = travelled(speed, start)
     if start < track.s[0] or distance[-1] > track.s[-1]:
         raise ParameterError(

@@ -90,7 +90,10 @@ def measure(motion: WheelsetMotion, node: SensorNode, rng: np.random.Generator, 
     values, clipped = np.empty((size, 4)), np.zeros((size, 4), dtype=np.bool_)
     taps = _low_pass(stride) if node.anti_alias and stride > 1 else None
     for place, (name, channel) in enumerate(zip(ACCELERATIONS, node.channels, strict=True)):
-        raw = _transduce(np.asarray(getattr(motion, name)), channel, float(offsets[place]), rng)
+        true = np.asarray(getattr(motion, name))
+        if motion.felt_of_path is not None:
+            true = true + motion.felt_of_path[place]
+        raw = _transduce(true, channel, float(offsets[place]), rng)
         if np.isfinite(channel.limit):
             over = np.abs(raw) > channel.limit
             if over.any():

@@ -15,6 +15,8 @@ import numpy as np
 
 from estimation.arrays import FloatArray, IntArray
 
+STANDSTILL = 0.05  # m/s: below it the wheels stick, and only the suspended mass moves
+FORCED = 3  # accelerations that the path forces: y, psi, ym
 STATES = 6  # y, y', psi, psi', ym, ym'
 LOOKED_UP = 7  # rL, rR, dL, dR, phi, phi_x, phi_e
 OUTPUTS = (
@@ -118,19 +120,35 @@ def derivatives(
     speed: float,
     s: float,
     state: FloatArray,
+    forced: FloatArray,
     rates: FloatArray,
     contact: FloatArray,
     track: FloatArray,
 ) -> bool:
     """Write the time derivative of ``state`` (6,) into ``rates`` (6,); ``contact`` (8,) and ``track`` (4,) are filled.
 
-    ``contact[7]`` is the roll rate. Return whether y - d lies inside the contact table.
+    ``forced`` (3,) is added to the accelerations; ``contact[7]`` is the roll rate. Return whether y - d lies inside
+    the contact table.
     """
     track_at(coefficients, grid, s, track)
     inside = look_up(table, grid, state[0] - track[0], track[2], contact)
-    contact[7] = contact[5] * (state[1] - speed * track[1]) + contact[6] * speed * track[3]
-    equations(c, speed, state, contact, rates)
+    if speed < STANDSTILL:
+        contact[7] = 0.0
+        at_rest(c, state, rates)
+    else:
+        contact[7] = contact[5] * (state[1] - speed * track[1]) + contact[6] * speed * track[3]
+        equations(c, speed, state, contact, rates)
+        rates[1] += forced[0]
+        rates[3] += forced[1]
+    rates[5] += forced[2]
     return inside
+
+
+@_compiled
+def at_rest(c: Constants, state: FloatArray, rates: FloatArray) -> None:
+    """Write the time derivative of ``state`` (6,) of a wheelset that stands, with the mass swinging on its spring."""
+    rates[:] = 0.0
+    rates[4], rates[5] = state[5], -(c.ky * (state[4] - state[0]) + c.fy * state[5]) / c.suspended
 
 
 @_compiled
@@ -182,20 +200,27 @@ def runge_kutta(
     s: float,
     h: float,
     state: FloatArray,
+    forced: FloatArray,
+    forced_slope: FloatArray,
     stages: FloatArray,
     contact: FloatArray,
     track: FloatArray,
 ) -> None:
-    """Advance ``state`` by ``h`` s from distance ``s``; speed rises by ``slope``; ``stages[0]`` holds the rates now."""
+    """Advance ``state`` by ``h`` s from distance ``s``; ``stages[0]`` holds the rates now.
+
+    Speed rises by ``slope``, what is ``forced`` (3,) by ``forced_slope`` (3,); ``forced`` is left as it is at the end.
+    """
     k1, k2, k3, k4, trial = stages[0], stages[1], stages[2], stages[3], stages[4]
     middle, after = speed + 0.5 * slope * h, speed + slope * h
     s_middle, s_after = s + 0.25 * h * (speed + middle), s + 0.5 * h * (speed + after)
+    forced += 0.5 * h * forced_slope
     advance(state, 0.5 * h, k1, trial)
-    derivatives(c, table, coefficients, grid, middle, s_middle, trial, k2, contact, track)
+    derivatives(c, table, coefficients, grid, middle, s_middle, trial, forced, k2, contact, track)
     advance(state, 0.5 * h, k2, trial)
-    derivatives(c, table, coefficients, grid, middle, s_middle, trial, k3, contact, track)
+    derivatives(c, table, coefficients, grid, middle, s_middle, trial, forced, k3, contact, track)
+    forced += 0.5 * h * forced_slope
     advance(state, h, k3, trial)
-    derivatives(c, table, coefficients, grid, after, s_after, trial, k4, contact, track)
+    derivatives(c, table, coefficients, grid, after, s_after, trial, forced, k4, contact, track)
     for k in range(STATES):
         state[k] += h / 6.0 * (k1[k] + 2.0 * k2[k] + 2.0 * k3[k] + k4[k])
 
@@ -208,6 +233,7 @@ def integrate(
     grid: Grid,
     speed: FloatArray,
     distance: FloatArray,
+    path: FloatArray,
     step: float,
     parts: IntArray,
     state: FloatArray,
@@ -215,23 +241,30 @@ def integrate(
 ) -> int:
     """Integrate over ``speed`` (n,) and ``distance`` (n,) every ``step`` s; fill ``out`` (17, n); change ``state``.
 
-    Step i is divided into ``parts[i]`` sub-steps. Return how many samples left the contact table.
+    ``path`` (n, 3) are the accelerations that the path forces. Step i is divided into ``parts[i]`` sub-steps. Return
+    how many samples left the contact table.
     """
-    stages, contact, track = np.empty((5, STATES)), np.empty(LOOKED_UP + 1), np.empty(4)
+    stages, contact, track, forced = np.empty((5, STATES)), np.empty(LOOKED_UP + 1), np.empty(4), np.empty(FORCED)
     outside = 0
     for i in range(len(speed)):
-        if not derivatives(c, table, coefficients, grid, speed[i], distance[i], state, stages[0], contact, track):
+        if speed[i] < STANDSTILL:
+            state[1] = state[3] = 0.0
+        forced[:] = path[i]
+        if not derivatives(
+            c, table, coefficients, grid, speed[i], distance[i], state, forced, stages[0], contact, track
+        ):
             outside += 1
         write_sample(state, stages[0], contact, track, out, i)
         if i == len(speed) - 1:
             break
         slope, h = (speed[i + 1] - speed[i]) / step, step / parts[i]
+        rise = (path[i + 1] - path[i]) / step
         for part in range(parts[i]):
             t = part * h
             v, s = speed[i] + slope * t, distance[i] + (speed[i] + 0.5 * slope * t) * t
             if part > 0:
-                derivatives(c, table, coefficients, grid, v, s, state, stages[0], contact, track)
-            runge_kutta(c, table, coefficients, grid, v, slope, s, h, state, stages, contact, track)
+                derivatives(c, table, coefficients, grid, v, s, state, forced, stages[0], contact, track)
+            runge_kutta(c, table, coefficients, grid, v, slope, s, h, state, forced, rise, stages, contact, track)
     return outside
 
 
@@ -253,7 +286,7 @@ def sub_steps(speed: FloatArray, step: float, rate_at_1: float, limit: float) ->
 
     ``rate_at_1`` is the creep rate at 1 m/s; it falls with speed.
     """
-    slowest = np.minimum(speed[1:], speed[:-1])
+    slowest = np.maximum(np.minimum(speed[1:], speed[:-1]), STANDSTILL)
     return np.maximum(1, np.ceil(rate_at_1 * step / (limit * slowest))).astype(np.int64)
 
 

@@ -1,4 +1,4 @@
-"""The track as it truly is: lateral alignment and gauge deviation along a section."""
+"""The track as it truly is: lateral alignment, gauge deviation and curves along a section."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from scipy.interpolate import CubicSpline
 
 from estimation.arrays import FloatArray, frozen_array
 from estimation.errors import InputError, ParameterError, ScenarioError
+from ingest.simulator.curves import Curve, Curves, laid_out
 from ingest.simulator.spectra import synthesise
-from ingest.track_file import COLUMNS, FEWEST_POINTS, read_track_columns
+from ingest.track_file import COLUMNS, FEWEST_POINTS, LAYOUT_COLUMNS, read_layout_columns, read_track_columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,9 +23,12 @@ class TrackTruth:
     s: FloatArray  # (n,) m, uniform
     alignment: FloatArray  # (n,) m, d, positive to the left
     gauge_deviation: FloatArray  # (n,) m, actual minus nominal gauge
+    curves: Curves | None = None  # on the same grid; None: straight
 
     def __post_init__(self) -> None:
         n = len(self.s)
+        if self.curves is not None and len(self.curves.curvature) != n:
+            raise ParameterError(f"{len(self.curves.curvature)} points, the grid has {n}", field="curves")
         for name in ("s", "alignment", "gauge_deviation"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
         if n < FEWEST_POINTS:
@@ -59,6 +63,7 @@ class TrackRecipe:
     gauge_std: float = 0.0
     gauge_offset: float = 0.0
     wavelengths: tuple[float, float] = (3.0, 70.0)
+    curves: tuple[Curve, ...] = ()
 
 
 def make_track(recipe: TrackRecipe, seed: np.random.SeedSequence) -> TrackTruth:
@@ -80,11 +85,12 @@ def make_track(recipe: TrackRecipe, seed: np.random.SeedSequence) -> TrackTruth:
         wavelengths=recipe.wavelengths,
         rng=gauge_rng,
     )
-    return TrackTruth(recipe.interval * np.arange(len(alignment), dtype=np.float64), alignment, gauge)
+    s = recipe.interval * np.arange(len(alignment), dtype=np.float64)
+    return TrackTruth(s, alignment, gauge, laid_out(recipe.curves, s) if recipe.curves else None)
 
 
 def read_track(path: Path, interval: float | None = None) -> TrackTruth:
-    """Read a recorded track (CSV with header ``s_m, alignment_mm, gauge_deviation_mm``).
+    """Read a recorded track (CSV with header ``s_m, alignment_mm, gauge_deviation_mm``, and curves where it has them).
 
     Distances must increase; uneven spacing is resampled by cubic spline every ``interval`` m (the median spacing
     unless given).
@@ -96,6 +102,7 @@ def read_track(path: Path, interval: float | None = None) -> TrackTruth:
     """
     try:
         table = read_track_columns(path)
+        layout = read_layout_columns(path)
     except InputError as error:
         raise ScenarioError(error.reason, file=error.file, line=error.line, field=error.field) from error
     s = table[:, 0]
@@ -107,10 +114,17 @@ def read_track(path: Path, interval: float | None = None) -> TrackTruth:
         values = table[:, 1:]
     else:
         values = CubicSpline(s, table[:, 1:])(grid)
-    return TrackTruth(grid, values[:, 0], values[:, 1])
+    curves = None
+    if layout is not None:
+        curves = Curves(np.interp(grid, s, layout[:, 1]), np.interp(grid, s, layout[:, 2]))
+    return TrackTruth(grid, values[:, 0], values[:, 1], curves)
 
 
 def write_track(path: Path, track: TrackTruth) -> None:
-    """Write a track as CSV, as ``read_track`` reads it (mm with 6 decimals)."""
-    table = np.column_stack([track.s, 1e3 * track.alignment, 1e3 * track.gauge_deviation])
-    np.savetxt(path, table, fmt=("%.3f", "%.6f", "%.6f"), delimiter=",", header=",".join(COLUMNS), comments="")
+    """Write a track as CSV, as ``read_track`` reads it (mm and 1/km with 6 decimals)."""
+    columns, header = [track.s, 1e3 * track.alignment, 1e3 * track.gauge_deviation], list(COLUMNS)
+    if track.curves is not None:
+        columns += [1e3 * track.curves.curvature, 1e3 * track.curves.cant]
+        header += LAYOUT_COLUMNS
+    form = ("%.3f", *["%.6f"] * (len(columns) - 1))
+    np.savetxt(path, np.column_stack(columns), fmt=form, delimiter=",", header=",".join(header), comments="")

@@ -201,7 +201,7 @@ def test_leaving_the_contact_table_is_counted() -> None:
 
 @pytest.mark.parametrize(
     ("speed", "start", "field"),
-    [(0.2, 0.0, "speed"), (math.nan, 0.0, "speed"), (20.0, -1.0, "start"), (20.0, 90.0, "start")],
+    [(-0.2, 0.0, "speed"), (math.nan, 0.0, "speed"), (20.0, -1.0, "start"), (20.0, 90.0, "start")],
 )
 def test_impossible_runs_are_refused(speed: float, start: float, field: str) -> None:
     with pytest.raises(ParameterError) as refused:
