@@ -37,7 +37,7 @@ class SignalParameters:
     shortest_stretch_s: float = 10.0
     trimmed_s: float = 1.0  # at each end of a stretch, where the high-pass sees one side only
     least_speed_m_s: float = 8.0
-    sharpest_curvature: float = 1e-4  # 1/m
+    sharpest_curvature: float = 5e-5  # 1/m: shifts the wheelset by a third of a bin at conicity 0.2
     highest_cant: float = 0.02  # m
     curve_margin: float = 30.0  # m kept from sharper curves; positions and registers are off by some
     least_used: float = 0.1  # of a window's samples
@@ -102,7 +102,7 @@ def motion(
         part = slice(start, stop)
         known = np.asarray(usable.samples[part])
         fast = without_slow_part(
-            _integrated(window, d, known, part), _distance(window, known, part), known, longest, parameters.design
+            _integrated(window, d, known, part), distance_run(window, known, part), known, longest, parameters.design
         )
         for name, values in zip(_INTEGRATED, fast, strict=True):
             signals[name][part] = values
@@ -238,7 +238,7 @@ def _running_integral(values: FloatArray, dt: float) -> FloatArray:
     return result
 
 
-def _distance(window: Window, known: BoolArray, part: slice) -> FloatArray:
+def distance_run(window: Window, known: BoolArray, part: slice) -> FloatArray:
     """Distance run in the stretch, (n,) m, ascending from zero; where a sample is missing, interpolated."""
     speed = _bridged(window.speed[part], known)
     return np.asarray(_running_integral(speed[None, :], window.sample_interval_s)[0])

@@ -59,7 +59,7 @@ def gate(quality: WindowQuality, track_section: str | None, settings: Estimation
     if quality.coverage < gates.least_coverage:
         return Refusal(f"{quality.coverage:.0%} of the samples, {gates.least_coverage:.0%} are needed")
     if quality.clipped > gates.most_clipped:
-        return Refusal(f"{quality.clipped:.1%} of the samples are clipped")
+        return Refusal(f"{quality.clipped:.1%} of the samples are clipped, at most {gates.most_clipped:.0%} may be")
     if track_section is None:
         return Refusal("the track section is not known")
     if quality.position_quality < gates.least_position_quality:

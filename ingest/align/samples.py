@@ -124,3 +124,11 @@ def _spans(tick: IntArray, after: IntArray, until: IntArray) -> BoolArray:
     np.add.at(edges, np.searchsorted(tick, after, side="right"), 1)
     np.add.at(edges, np.searchsorted(tick, until, side="right"), -1)
     return np.cumsum(edges[:-1]) > 0
+
+
+def widened(flags: BoolArray, slot: IntArray, reach: int) -> BoolArray:
+    """Return which samples (n,) at ``slot`` (n,), ascending, lie within ``reach`` slots of one that is flagged."""
+    counted = np.concatenate([[0], np.cumsum(flags)])
+    first = np.searchsorted(slot, slot - reach, side="left")
+    last = np.searchsorted(slot, slot + reach, side="right")
+    return np.asarray(counted[last] > counted[first])

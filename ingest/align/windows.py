@@ -18,12 +18,15 @@ from estimation.ports import Mounting, VehicleRecord
 from estimation.types import ACCELERATIONS, Window, WindowQuality
 from ingest.align.counts import AlignCounts
 from ingest.align.motion import NO_SECTION, GridMotion, VehicleMotion, vehicle_motion
-from ingest.align.samples import NodeSamples, node_samples
+from ingest.align.samples import NodeSamples, node_samples, widened
 from ingest.align.ticks import TickedValues
 from ingest.catalogue import ACCELERATION, Catalogue, resolution
 
 LEAST_PRESENCE = 0.2
 """Share of a window that frames of its node must be there for."""
+
+CLIPPING_GUARD_S = 0.04
+"""What lies this near to a clipped sample is left out with it: the sensor's filter has spread what was cut off."""
 
 MOVING_M_S = 0.5
 """A window in which the vehicle never ran faster is no running time."""
@@ -137,6 +140,7 @@ def _window(
         return WindowCounts(windows_without_odometer=1)
     slot = (t_ns - extent[0]) // samples.interval_ns
     good = node.block.valid[span].all(axis=1) & ~np.isnan(motion.speed[slot])
+    good &= ~widened(node.clipped[span], slot, round(CLIPPING_GUARD_S * 1e9 / samples.interval_ns))
     section, distance = _place(motion, slot[good], lookup, lookup.vehicle.axle_offsets_m[axle - 1])
     if section is not None:
         good &= ~np.isnan(distance[slot])

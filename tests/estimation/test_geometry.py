@@ -130,7 +130,7 @@ def test_a_table_of_other_parameters_is_refused() -> None:
     [
         ({"sensor_fault": True}, "fault"),
         ({"coverage": 0.1}, "10%"),
-        ({"clipped": 0.05}, "clipped"),
+        ({"clipped": 0.15}, "15.0% of the samples are clipped, at most 10% may be"),
         ({"position_quality": 0.0}, "position"),
     ],
 )

@@ -12,6 +12,7 @@ from estimation.types import Window
 from ingest import catalogue as kinds
 from ingest.align.ticks import place
 from ingest.align.windows import (
+    CLIPPING_GUARD_S,
     Lookup,
     MountedWindow,
     WindowCounts,
@@ -84,9 +85,19 @@ def test_quality_tells_of_gaps_clipping_and_invalid_values() -> None:
     quality = next(w for w in found if w.axle == 1 and w.start_ns == START_NS + 7 * SECOND_NS).quality
     assert (quality.gaps, quality.longest_gap_s) == (2, 0.2)
     assert (quality.invalid, quality.clipped) == (50 / 2500, 25 / 2500)
-    assert quality.coverage == 1.0 - 75 / 2500
+    guarded = 2 * round(CLIPPING_GUARD_S * SECOND_NS / INTERVAL_NS)
+    assert quality.coverage == 1.0 - (75 + guarded) / 2500
     assert (quality.speed_min_m_s, quality.speed_max_m_s) == (20.0, 20.0)
     assert not quality.sensor_fault
+
+
+def test_a_second_with_the_clipping_bit_is_left_out() -> None:
+    bit = (Run(seconds=25.0).ticks * INTERVAL_NS == START_NS + 12 * SECOND_NS).astype(float)
+    found, _ = windows(Run(seconds=25.0, changes={(kinds.STATUS, 1): {"lateral_clipped": bit}}))
+    (hit,) = (w for w in found if w.axle == 1 and w.quality.clipped > 0)
+    assert hit.quality.clipped == pytest.approx(0.1, abs=0.001)
+    assert hit.quality.coverage == pytest.approx(0.9 - 2 * CLIPPING_GUARD_S / 10.0, abs=0.001)
+    assert np.isnan(hit.lateral_acceleration[~hit.valid]).all()
 
 
 def padded(values: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
