@@ -21,6 +21,7 @@ class AlertKind(StrEnum):
     WHEEL_ASYMMETRY = "wheel_asymmetry"
     NO_DATA = "no_data"
     SENSOR_FAULT = "sensor_fault"
+    IDENTITY = "identity"
 
 
 class AlertScope(StrEnum):

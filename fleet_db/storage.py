@@ -57,7 +57,7 @@ class SqlUnitOfWork:
         self.tables = BinTableStore(connection, self.changes)
         self.geometries = GeometryStore(connection, self.changes)
         self.trends = TrendStore(connection)
-        self.alerts = AlertStore(connection, self.writing)
+        self.alerts = AlertStore(connection, self.writing, self.changes)
         self.jobs = JobRunStore(connection)
         self.idempotency = IdempotencyStore(connection)
 

@@ -114,6 +114,7 @@ LIMIT_UNITS: dict[AlertKind, str] = {
     AlertKind.WHEEL_ASYMMETRY: "mm",
     AlertKind.NO_DATA: "days",
     AlertKind.SENSOR_FAULT: "1",
+    AlertKind.IDENTITY: "1",
 }
 
 

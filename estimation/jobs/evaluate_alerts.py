@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from estimation.alert_transitions import close, transition
 from estimation.alerts import Alert, AlertEventKind, Transition
+from estimation.identity import IdentityEvent
+from estimation.jobs.identities import new_events
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.raise_alerts import raise_in_fleet
 from estimation.ports import UnitOfWork, WheelsetRecord, WindowRecord
@@ -24,7 +27,9 @@ def run(context: JobContext) -> Mapping[str, int]:
     that ends early raises what it has found; what it has not stored the next run finds again.
     """
     with context.storage.read() as unit:
-        serials = [wheelset.serial for wheelset in unit.registry.wheelsets()]
+        wheelsets = unit.registry.wheelsets()
+        serials = [wheelset.serial for wheelset in wheelsets]
+        identities = new_events(unit, wheelsets, context.setting(RuleBook).identity.parameters)
         fleets = [fleet.code for fleet in unit.registry.fleets()]
     counts: Counter[str] = Counter(dict.fromkeys(("wheelsets", *(kind.value for kind in AlertEventKind)), 0))
     found: list[Transition] = []
@@ -32,7 +37,7 @@ def run(context: JobContext) -> Mapping[str, int]:
         for done, serial in enumerate(serials):
             context.checkpoint(done, len(serials))
             with context.storage.write() as unit:
-                events, to_raise = _evaluate(unit, serial, context)
+                events, to_raise = _evaluate(unit, serial, context, identities.get(serial))
             counts.update(kind.value for kind in events)
             found += to_raise
             counts["wheelsets"] += 1
@@ -45,10 +50,12 @@ def run(context: JobContext) -> Mapping[str, int]:
     return dict(counts)
 
 
-def _evaluate(unit: UnitOfWork, serial: str, context: JobContext) -> tuple[list[AlertEventKind], list[Transition]]:
+def _evaluate(
+    unit: UnitOfWork, serial: str, context: JobContext, identity: IdentityEvent | None
+) -> tuple[list[AlertEventKind], list[Transition]]:
     """Store what changes on the open alerts of a wheelset; return the events of that, and what is to be raised."""
     book, now_ns = context.setting(RuleBook), context.clock.now_ns()
-    facts = _facts(unit, unit.registry.wheelset(serial), book)
+    facts = replace(_facts(unit, unit.registry.wheelset(serial), book), identity=identity)
     events: list[AlertEventKind] = []
     to_raise: list[Transition] = []
     ended = overtaken(facts, book)

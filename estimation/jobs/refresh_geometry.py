@@ -9,8 +9,10 @@ from dataclasses import dataclass, replace
 
 from estimation import bins, geometry
 from estimation.errors import DamagedError
+from estimation.jobs.identities import latest_break
 from estimation.jobs.job import Job, JobContext
 from estimation.ports import GeometryRecord, UnitOfWork, WheelsetRecord, WindowRecord
+from estimation.rules.identity import Break
 from estimation.settings import EstimationSettings
 from estimation.types import BinTable
 
@@ -80,14 +82,16 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
 
     Only the tables that such a geometry needs are read, so that new windows cost themselves and not the history. A
     geometry whose windows are all gone (refused since, or of another baseline now) is followed by an empty one. The
-    current geometry is that of the newest baseline with windows.
+    current geometry is that of the newest baseline with windows. What lies on both sides of a break of the wheelset's
+    identity is never merged, and what cannot be told to lie on either side is left out.
     """
     settings = context.setting(EstimationSettings)
     records: list[GeometryRecord] = []
     newest: tuple[Baseline, list[_Entry]] | None = None
+    broken = latest_break(unit, serial)
     for baseline in baselines(unit.registry.wheelset(serial)):
         index = unit.tables.index(serial, baseline.from_ns, baseline.to_ns)
-        entries = [entry for entry in index if entry[1] == settings.bins.key]
+        entries = _apart([entry for entry in index if entry[1] == settings.bins.key], broken)
         records += _intervals(unit, serial, baseline, entries, context)
         if entries:
             newest = baseline, entries
@@ -95,7 +99,7 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     if current is not None and (newest is None or newest[0].number < current.baseline):
         records.append(_emptied(current, context))
     elif newest is not None:
-        near = _remembered(newest[1], settings.half_life_km)
+        near = _remembered(_since(newest[1], broken), settings.half_life_km)
         table = bins.merge_with_mileage(_tables(unit, near), settings.half_life_km, settings.bins)
         records.append(_record(newest[0], None, near, table, context))
     return records
@@ -114,6 +118,19 @@ def _intervals(
             table = bins.merge_all([table for _, table in _tables(unit, part)], settings.bins)
             records.append(_record(baseline, interval, part, table, context))
     return records + [_emptied(record, context) for interval, record in stored.items() if interval not in parts]
+
+
+def _apart(entries: Sequence[_Entry], broken: Break | None) -> list[_Entry]:
+    """Return the entries that lie before or after a break."""
+    if broken is None:
+        return list(entries)
+    return [e for e in entries if e[0].start_ns < broken.before_ns or e[0].start_ns >= broken.after_ns]
+
+
+def _since(entries: Sequence[_Entry], broken: Break | None) -> Sequence[_Entry]:
+    """Return the entries after a break; all where there are none."""
+    after = [entry for entry in entries if broken is not None and entry[0].start_ns >= broken.after_ns]
+    return after or entries
 
 
 def _emptied(record: GeometryRecord, context: JobContext) -> GeometryRecord:

@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
+from estimation.jobs.identities import latest_break, unbroken
 from estimation.jobs.job import Job, JobContext
 from estimation.ports import GeometryRecord, TrendRecord, UnitOfWork, WheelsetRecord
 from estimation.rules.book import RuleBook
@@ -31,7 +32,8 @@ def _refresh(context: JobContext, wheelset: WheelsetRecord) -> str:
     params, baseline = context.setting(TrendParameters), len(wheelset.reprofilings)
     with context.storage.read() as unit:
         limit = _limit(unit, wheelset, context.setting(RuleBook))
-        records = unit.geometries.intervals(wheelset.serial, baseline)
+        since = latest_break(unit, wheelset.serial)
+        records = unbroken(unit.geometries.intervals(wheelset.serial, baseline), since)
         latest = unit.trends.latest(wheelset.serial)
     if limit is None:
         return "without_limit"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from estimation.rules.book import (
     AlertDelays,
     ConicityLimitRule,
+    IdentityRule,
     LimitForecastRule,
     NoDataRule,
     RuleBook,
@@ -14,6 +15,7 @@ from estimation.rules.book import (
     WheelAsymmetryRule,
 )
 from estimation.rules.conicity_limit import conicity_limit_finding
+from estimation.rules.identity import Break, identity_finding
 from estimation.rules.limit_forecast import limit_forecast_finding
 from estimation.rules.loading import load_rules
 from estimation.rules.no_data import no_data_finding
@@ -23,7 +25,9 @@ from estimation.rules.wheel_asymmetry import Asymmetry, asymmetry_of, wheel_asym
 __all__ = [
     "AlertDelays",
     "Asymmetry",
+    "Break",
     "ConicityLimitRule",
+    "IdentityRule",
     "LimitForecastRule",
     "NoDataRule",
     "RuleBook",
@@ -33,6 +37,7 @@ __all__ = [
     "WheelAsymmetryRule",
     "asymmetry_of",
     "conicity_limit_finding",
+    "identity_finding",
     "limit_forecast_finding",
     "load_rules",
     "no_data_finding",

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from estimation.alerts import AlertKind
+from estimation.identity import IdentityParameters
 
 ANY_CLASS = "*"
 
@@ -125,6 +126,15 @@ class SensorFaultRule:
 
 
 @dataclass(frozen=True, slots=True)
+class IdentityRule:
+    """A wheelset is not the one on file, or not the way round; its alert stands until its mounting is corrected."""
+
+    enabled: bool = True
+    delays: AlertDelays = field(default_factory=AlertDelays)
+    parameters: IdentityParameters = field(default_factory=IdentityParameters)
+
+
+@dataclass(frozen=True, slots=True)
 class StormRule:
     """How many new alerts of one kind in one fleet become one fleet alert."""
 
@@ -141,6 +151,7 @@ class RuleBook:
     wheel_asymmetry: WheelAsymmetryRule = field(default_factory=WheelAsymmetryRule)
     no_data: NoDataRule = field(default_factory=NoDataRule)
     sensor_fault: SensorFaultRule = field(default_factory=SensorFaultRule)
+    identity: IdentityRule = field(default_factory=IdentityRule)
     storm: StormRule = field(default_factory=StormRule)
 
     def delays_of(self, kind: AlertKind) -> AlertDelays:
@@ -153,7 +164,7 @@ class RuleBook:
 
     def _rule(
         self, kind: AlertKind
-    ) -> ConicityLimitRule | LimitForecastRule | WheelAsymmetryRule | NoDataRule | SensorFaultRule:
+    ) -> ConicityLimitRule | LimitForecastRule | WheelAsymmetryRule | NoDataRule | SensorFaultRule | IdentityRule:
         match kind:
             case AlertKind.CONICITY_LIMIT:
                 return self.conicity_limit
@@ -165,3 +176,5 @@ class RuleBook:
                 return self.no_data
             case AlertKind.SENSOR_FAULT:
                 return self.sensor_fault
+            case AlertKind.IDENTITY:
+                return self.identity

@@ -6,15 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from estimation.alerts import Alert, AlertKind, Finding
+from estimation.identity import IdentityEvent
 from estimation.ports import GeometryRecord, TrendRecord, VehicleRecord, WheelsetRecord, WindowRecord, WindowState
 from estimation.rules.book import RuleBook
 from estimation.rules.conicity_limit import conicity_limit_finding
+from estimation.rules.identity import corrected, identity_finding
 from estimation.rules.limit_forecast import limit_forecast_finding
 from estimation.rules.no_data import no_data_finding
 from estimation.rules.sensor_fault import sensor_fault_finding
 from estimation.rules.wheel_asymmetry import asymmetry_of, wheel_asymmetry_finding
 from estimation.types import Status
 
+NOT_THE_ONE = "the wheelset is not the one on file, or not the way round"
 WEAR_KINDS = (AlertKind.CONICITY_LIMIT, AlertKind.LIMIT_FORECAST, AlertKind.WHEEL_ASYMMETRY)
 
 
@@ -28,6 +31,7 @@ class WheelsetFacts:
     trend: TrendRecord | None  # latest
     windows: Sequence[WindowRecord]  # the latest of the mounting in service
     open_alerts: Sequence[Alert] = ()
+    identity: IdentityEvent | None = None  # found since its last break
 
 
 def overtaken(facts: WheelsetFacts, book: RuleBook) -> list[tuple[Alert, str, int]]:
@@ -42,6 +46,8 @@ def overtaken(facts: WheelsetFacts, book: RuleBook) -> list[tuple[Alert, str, in
             found.append((alert, "taken out of service", alert.last_seen_ns))
         elif mounting.from_ns > alert.opened_ns:
             found.append((alert, "wheelset exchanged", mounting.from_ns))
+        elif corrected(alert, mounting):
+            found.append((alert, "mounting corrected", alert.last_seen_ns))
         elif not book.enabled(alert.kind):
             found.append((alert, "rule switched off", alert.last_seen_ns))
     return found
@@ -59,8 +65,21 @@ def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]
     serial = wheelset.serial
     silent = no_data_finding(book.no_data, serial, last_usable_ns(facts), mounting.from_ns, now_ns)
     fault = sensor_fault_finding(book.sensor_fault, serial, facts.windows, mounting.from_ns)
-    blind = _blind(facts, silent, fault)
-    return [f for f in (silent, fault, *_wear(facts, book, blind)) if book.enabled(f.kind)]
+    named = _identity(facts, book)
+    blind = _blind(facts, silent, fault) or ("" if named is None else NOT_THE_ONE)
+    told = (silent, fault, *_wear(facts, book, blind), *([named] if named is not None else []))
+    return [f for f in told if book.enabled(f.kind)]
+
+
+def _identity(facts: WheelsetFacts, book: RuleBook) -> Finding | None:
+    """Return what stands against the wheelset's identity, unless the mounting has been corrected since."""
+    mounting = facts.wheelset.mounting
+    if mounting is None or not book.enabled(AlertKind.IDENTITY):
+        return None
+    standing = next((a for a in facts.open_alerts if a.kind is AlertKind.IDENTITY), None)
+    if standing is not None and (corrected(standing, mounting) or mounting.from_ns > standing.opened_ns):
+        standing = None
+    return identity_finding(facts.identity, mounting, standing)
 
 
 def last_usable_ns(facts: WheelsetFacts) -> int | None:

@@ -99,8 +99,8 @@ def _filled(default: _Rule, table: object, path: Path, place: str) -> _Rule:
             raise InputError(f"unknown key; there are {', '.join(sorted(known))}", file=path, field=where)
         if key == "bands":
             values[key] = _bands(value, path, where)
-        elif key == "delays":
-            values[key] = _filled(default.delays, value, path, where)  # type: ignore[attr-defined]
+        elif key in ("delays", "parameters"):
+            values[key] = _filled(getattr(default, key), value, path, where)
         else:
             values[key] = _checked(getattr(default, key), key, value, path, where)
     return replace(default, **values)  # type: ignore[type-var]

@@ -11,6 +11,7 @@ from sqlalchemy import Connection, Select, insert, select, update
 
 from estimation.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, AlertScope, Condition, Severity
 from estimation.errors import ConflictError, NotFoundError
+from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import AlertEventRow, AlertRow
 from fleet_db.rows import table_of
@@ -29,6 +30,7 @@ class AlertStore:
 
     connection: Connection
     writing: bool
+    changes: Changes
 
     def open(self, wheelset: str, kind: AlertKind) -> Alert | None:
         """Return the open alert of a kind, if there is one."""
@@ -140,6 +142,8 @@ class AlertStore:
         ]
         for row in rows:
             self.connection.execute(insert(EVENTS).values(**row))
+        if events and saved.kind is AlertKind.IDENTITY and saved.wheelset is not None:
+            self.changes.note(saved.wheelset)  # what its geometry is made of begins anew
         return saved
 
     def _told(self, alert: Alert) -> bool:
