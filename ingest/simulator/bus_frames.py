@@ -105,14 +105,14 @@ def _master(catalogue: Catalogue, ticks: _Ticks) -> Iterator[FrameBatch]:
 
 def _vehicle_node(catalogue: Catalogue, section: SectionPlan, run: VehicleRun, ticks: _Ticks) -> Iterator[FrameBatch]:
     stride = round(1e-9 * ticks.interval_ns / STEP)
-    north = run.distance / _METRES_PER_DEGREE * np.sqrt(0.5)
+    north = run.told / _METRES_PER_DEGREE * np.sqrt(0.5)
     east = north / np.cos(np.deg2rad(section.latitude))
     signals: dict[str, dict[str, npt.NDArray[np.float64] | float]] = {
-        kinds.MOTION: {"speed": run.speed, "odometer": run.odometer + run.distance - run.distance[0]},
+        kinds.MOTION: {"speed": run.speed, "odometer": run.odometer + run.told - run.told[0]},
         kinds.PLACE: {"latitude": section.latitude + north, "longitude": section.longitude + east},
         kinds.POSITION: {
             "track_section": float(section.number),
-            "distance": run.distance,
+            "distance": run.told,
             "position_quality": 1.0,
         },
         kinds.HEARTBEAT: {"state": float(OPERATIONAL)},

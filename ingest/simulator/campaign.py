@@ -15,7 +15,7 @@ from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
 from ingest.simulator.track import TrackTruth, make_track, read_track
 from ingest.simulator.wear import gauge_grid, wear_at, worn_contact
 
-_TRACK, _SPEED, _SENSOR, _OFFSETS, BUS, SURVEY = range(6)
+_TRACK, _SPEED, _SENSOR, _OFFSETS, BUS, SURVEY, _POSITION = range(7)
 """First word of the key of each random stream, so that no two share one."""
 
 
@@ -29,10 +29,11 @@ class VehicleRun:
     odometer: float  # m, at the start
     speed: FloatArray  # (n,) m/s
     distance: FloatArray  # (n,) m along the section, of the reference
+    told: FloatArray  # (n,) m, what the vehicle says of it
 
     def __post_init__(self) -> None:
         n = len(self.speed)
-        for name in ("speed", "distance"):
+        for name in ("speed", "distance", "told"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
 
 
@@ -62,21 +63,30 @@ def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, cam
     rng = np.random.default_rng(seed_of(scenario, _SPEED, scenario.vehicles.index(vehicle), campaign))
     speed = _speed(scenario, rng)
     run = float(travelled(speed, 0.0)[-1])
-    first = float(track.s[0]) + vehicle.axle_offsets[-1] + 1.0
+    first = float(track.s[0]) + vehicle.axle_offsets[-1] + 1.0 + scenario.position.offset
     room = float(track.s[-1]) - 1.0 - first - run
     if room < 0.0:
         raise ScenarioError(
             f"campaign {campaign + 1} of {vehicle.code} needs {run:.0f} m, the section has {track.length:.0f} m",
             field="sessions.minutes_each",
         )
+    distance = travelled(speed, first + min(room, scenario.sessions.start_within) * float(rng.uniform()))
     return VehicleRun(
         vehicle=vehicle,
         campaign=campaign,
         start_ns=scenario.start_ns(vehicle, campaign),
         odometer=scenario.odometer(campaign),
         speed=speed,
-        distance=travelled(speed, first + room * float(rng.uniform())),
+        distance=distance,
+        told=_told(scenario, vehicle, campaign, distance),
     )
+
+
+def _told(scenario: Scenario, vehicle: VehiclePlan, campaign: int, distance: FloatArray) -> FloatArray:
+    """Return the positions (n,) that a vehicle tells: off by an offset and a scale error of this run."""
+    rng = np.random.default_rng(seed_of(scenario, _POSITION, scenario.vehicles.index(vehicle), campaign))
+    offset, scale = rng.uniform(-1.0, 1.0, 2) * (scenario.position.offset, scenario.position.scale)
+    return np.asarray(distance + offset + scale * (distance - distance[0]))
 
 
 def wheelset_motion(

@@ -78,6 +78,7 @@ class SectionPlan:
     file: Path | None
     survey_alignment_std: float  # m: error of the alignment that is on file, as the registry tells it
     survey_gauge_std: float  # m
+    surveyed: bool  # whether a survey is on file at all
     latitude: float  # deg, of the section's start
     longitude: float
 
@@ -101,6 +102,15 @@ class Sessions:
     distance_between: float  # m
     first_odometer: float  # m
     distance_per_day: float  # m
+    start_within: float  # m, of the begin of the section: where runs begin; inf for all of it
+
+
+@dataclass(frozen=True, slots=True)
+class PositionErrors:
+    """How far the positions that a vehicle tells are off: uniform up to these, one draw per run."""
+
+    offset: float  # m
+    scale: float  # share of the distance run
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +139,7 @@ class Scenario:
     speed: SpeedRange
     sessions: Sessions
     bus: BusPlan
+    position: PositionErrors
     vehicles: tuple[VehiclePlan, ...]
 
     def vehicle(self, code: str) -> VehiclePlan:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import fields
 from importlib.resources import as_file, files
@@ -16,6 +17,7 @@ from ingest.simulator.scenario import (
     BusPlan,
     Fault,
     FaultKind,
+    PositionErrors,
     Scenario,
     SectionPlan,
     Sessions,
@@ -98,6 +100,7 @@ def _scenario(root: TomlTable) -> Scenario:
         speed=speed,
         sessions=sessions,
         bus=_bus(root.table("bus")),
+        position=_position(root.table("position")),
         vehicles=vehicles,
     )
 
@@ -131,6 +134,7 @@ def _section(table: TomlTable) -> SectionPlan:
         file=file,
         survey_alignment_std=MM * table.number("survey_alignment_std_mm", 0.0),
         survey_gauge_std=MM * table.number("survey_gauge_std_mm", 0.0),
+        surveyed=table.flag("surveyed", default=True),
         latitude=table.number("latitude_deg", 51.5, low=-90.0, high=90.0),
         longitude=table.number("longitude_deg", -0.2, low=-180.0, high=180.0),
     )
@@ -203,9 +207,19 @@ def _sessions(table: TomlTable) -> Sessions:
         distance_between=KM * table.number("km_between", above=True),
         first_odometer=KM * table.number("first_odometer_km", 0.0),
         distance_per_day=KM * table.number("km_per_day", 400.0, above=True),
+        start_within=table.number("start_within_m") if table.has("start_within_m") else math.inf,
     )
     table.end()
     return sessions
+
+
+def _position(table: TomlTable) -> PositionErrors:
+    plan = PositionErrors(
+        offset=table.number("largest_offset_m", 0.0, high=1000.0),
+        scale=table.number("largest_scale_percent", 0.0, high=10.0) / 100.0,
+    )
+    table.end()
+    return plan
 
 
 def _bus(table: TomlTable) -> BusPlan:

@@ -17,7 +17,7 @@ import numpy as np
 from estimation.alerts import JsonValue
 from estimation.arrays import FloatArray
 from ingest.simulator.campaign import failed
-from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
+from ingest.simulator.scenario import Scenario, SectionPlan, VehiclePlan, WheelsetPlan
 from ingest.simulator.track import TrackTruth, write_track
 from ingest.simulator.wear import GeometryTruth, WearState, wear_at
 
@@ -45,10 +45,11 @@ def iso_time(t_ns: int) -> str:
 
 
 def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: TrackTruth) -> Path:
-    """Write the registry and the surveyed track into ``folder``; return the registry's path."""
+    """Write the registry and, if there is one, the surveyed track into ``folder``; return the registry's path."""
     section = scenario.section
     track_file = f"{section.code.lower()}.csv"
-    write_track(folder / track_file, survey)
+    if section.surveyed:
+        write_track(folder / track_file, survey)
     content: dict[str, JsonValue] = {
         "format": REGISTRY_FORMAT,
         "fleets": [{"code": scenario.fleet_code, "name": scenario.fleet_name}],
@@ -63,22 +64,7 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
             for item in plan.wheelsets
             for odometer in item.reprofilings
         ],
-        "track_sections": [
-            {
-                "code": section.code,
-                "number": section.number,
-                "name": section.name,
-                "rail_profile": section.rail_profile,
-                "rail_inclination": section.inclination,
-                "nominal_gauge_mm": 1e3 * section.nominal_gauge,
-                "length_m": track.length,
-                "alignment": {
-                    "file": track_file,
-                    "alignment_std_mm": 1e3 * section.survey_alignment_std,
-                    "gauge_deviation_std_mm": 1e3 * section.survey_gauge_std,
-                },
-            }
-        ],
+        "track_sections": [_section(section, track.length, track_file)],
     }
     return write_json(folder / REGISTRY_FILE, content)
 
@@ -133,6 +119,25 @@ def _survey_error(n: int, std: float, interval: float, rng: np.random.Generator)
         return np.zeros(n)
     window = np.hanning(max(3, round(4.0 / interval)))
     return np.asarray(std * np.convolve(white, window / np.sqrt((window**2).sum()), mode="same"))
+
+
+def _section(section: SectionPlan, length: float, track_file: str) -> JsonValue:
+    told: dict[str, JsonValue] = {
+        "code": section.code,
+        "number": section.number,
+        "name": section.name,
+        "rail_profile": section.rail_profile,
+        "rail_inclination": section.inclination,
+        "nominal_gauge_mm": 1e3 * section.nominal_gauge,
+        "length_m": length,
+    }
+    if section.surveyed:
+        told["alignment"] = {
+            "file": track_file,
+            "alignment_std_mm": 1e3 * section.survey_alignment_std,
+            "gauge_deviation_std_mm": 1e3 * section.survey_gauge_std,
+        }
+    return told
 
 
 def _vehicle(scenario: Scenario, plan: VehiclePlan) -> JsonValue:

@@ -21,9 +21,9 @@ from ingest.catalogue import default_catalogue
 from ingest.codec import Decoded, decode
 from ingest.logs import read_log
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_motion, wheelset_record
-from ingest.simulator.fleet import FleetReport, run_fleet, simulate_campaign
+from ingest.simulator.fleet import FleetReport, prepare, run_fleet, simulate_campaign
 from ingest.simulator.live import speak
-from ingest.simulator.scenario import Scenario
+from ingest.simulator.scenario import PositionErrors, Scenario
 from ingest.simulator.scenario_file import read_scenario
 from ingest.simulator.sensors import Channel
 
@@ -202,3 +202,31 @@ def test_a_vehicle_speaks_its_frames_on_a_live_bus(scenario: Scenario) -> None:
     for message, identifier, data, length in zip(heard, batch.arbitration_id, batch.data, batch.dlc, strict=True):
         assert message is not None
         assert (message.arbitration_id, bytes(message.data)) == (identifier, data[:length].tobytes())
+
+
+def test_positions_told_are_off_by_one_offset_and_scale_a_run_and_nothing_else_is(scenario: Scenario) -> None:
+    errors = replace(scenario, position=PositionErrors(20.0, 1e-3))
+    vehicle, track = scenario.vehicles[0], scenario_track(scenario)
+    near = replace(errors, sessions=replace(errors.sessions, start_within=10.0))
+    runs = [vehicle_run(near, track, vehicle, campaign) for campaign in (0, 1)]
+    assert abs(runs[0].distance[0] - runs[1].distance[0]) < 10.0
+    drawn = []
+    for run in runs:
+        scale, offset = np.polyfit(run.distance - run.distance[0], run.told - run.distance, 1)
+        assert abs(offset) < 20.0
+        assert abs(scale) < 1e-3
+        np.testing.assert_allclose(run.told, run.distance + offset + scale * (run.distance - run.distance[0]))
+        drawn.append((offset, scale))
+    assert drawn[0] != drawn[1]
+    exact = vehicle_run(scenario, track, vehicle, 0)
+    np.testing.assert_array_equal(exact.told, exact.distance)
+    decoded = frames_of(near)[1].messages[0x390]
+    told = decoded.column("distance")
+    assert abs(told[0] - runs[0].told[0]) < 0.5
+
+
+def test_a_section_that_nobody_surveyed_is_registered_without_an_alignment(scenario: Scenario, tmp_path: Path) -> None:
+    path = prepare(replace(scenario, section=replace(scenario.section, surveyed=False)), tmp_path)
+    (section,) = json.loads(path.read_text())["track_sections"]
+    assert "alignment" not in section
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
