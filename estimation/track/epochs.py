@@ -26,7 +26,9 @@ class AlignmentSettings:
     pass_step: float = 0.2  # m, grid on which passes are kept
     trusted_offset: float = 5.0  # m: positions on a recorded section are believed as far as this
     same_share: float = 0.5  # of its std by which an alignment may differ and still be the same
+    same_least: float = 0.03e-3  # m, of a difference or a std that matters: the geometry cannot tell
     same_std: float = 0.7  # times the std before: more certain than that is another alignment
+    same_scale: float = 0.01  # of a scale that is left open and that matters
     same_coverage: float = 0.02  # of the section that is known now and was not
 
 
@@ -48,8 +50,9 @@ def material(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettin
         return False
     difference = np.sqrt(np.mean((new.alignment - old.alignment)[both] ** 2))
     std, std_now = (np.sqrt(np.mean(one.alignment_std[both] ** 2)) for one in (old, new))
-    scale = max(old.scale_std - new.scale_std, 0.0) * float(np.std(new.alignment[both]))
-    return bool(difference > settings.same_share * std or std_now < settings.same_std * std or scale > std)
+    more_certain = std > settings.same_least and std_now < settings.same_std * std
+    scale_known = old.scale_std > settings.same_scale and new.scale_std < settings.same_std * old.scale_std
+    return bool(difference > max(settings.same_share * std, settings.same_least) or more_certain or scale_known)
 
 
 def life(wheelset: WheelsetRecord, record: WindowRecord, interval_km: float) -> str:
@@ -86,5 +89,10 @@ def reduced(item: Pass, name: str, step: float) -> Pass:
     first, displacement, difference = gridded(item, step)
     at = (first + np.arange(len(displacement))) * step
     return replace(
-        item, wheelset=name, at=np.asarray(at, dtype=np.float64), displacement=displacement, difference=difference
+        item,
+        wheelset=name,
+        at=np.asarray(at, dtype=np.float64),
+        displacement=displacement,
+        difference=difference,
+        elastic=None if item.elastic is None else np.interp(at, item.at, item.elastic),
     )

@@ -39,7 +39,7 @@ class SectionParameters:
     panel: PanelParameters = field(default_factory=PanelParameters)
     positions: PositionParameters = field(default_factory=PositionParameters)
     rounds: int = 8  # of positions and panel at most
-    settled: float = 0.05  # m: positions that move less have converged
+    settled: float = 0.1  # m: positions that move less have converged
     pass_std: float = 0.15e-3  # m of y - d - h(R) of a pass, before it is known
     stray: float = 2.0  # times the median residual of the other journeys
     stray_least: float = 0.4e-3  # m
@@ -162,12 +162,30 @@ def _settle(grouped: Grouped, known: _Known | None, p: SectionParameters) -> _Se
         at = [item for journey, members in grouped.items() for item in corrected(members, corrections[journey])]
         state = update(init(p.panel), at)
         solution = result(state if known is None else _with_evidence(state, known, noise, p))
-        noise = max(solution.report.residual_rms, 0.1 * p.pass_std)
+        noise = max(_residual_of_passes(state, solution), 0.1 * p.pass_std)
         if moved < p.settled or rounds == p.rounds:
             return _Settled(state, solution, corrections, rounds, moved)
         better = refine(grouped, corrections, solution, p.panel, anchored=known is not None)
         moved = max(_apart(corrections[journey], better[journey], members) for journey, members in grouped.items())
         corrections = better
+
+
+def _residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
+    """Return the rms of y - d - h(R) over the passes alone, m, what they have shaped d and h by taken off."""
+    c = solution.curves[0].reshape(len(state.wheelsets), -1)
+    d = np.nan_to_num(solution.alignment)
+    count = np.where(np.isfinite(solution.alignment), state.passes, 0)
+    rest = state.displacement - np.einsum("wk,wkn->n", c, state.functions)
+    squares = (
+        state.square.sum()
+        - 2.0 * np.einsum("wk,gwk->", c, state.cross)
+        + np.einsum("wj,gwjk,wk->", c, state.gram, c)
+        - 2.0 * float(d @ rest)
+        + float(count @ (d * d))
+    )
+    own = state.passes[count > 0] / np.maximum(solution.passes[count > 0], 1.0)  # share of d that the passes made
+    freedom = max(float(count.sum()) - float(own.sum()) - c.size, 1.0)
+    return float(np.sqrt(max(float(squares), 0.0) / freedom))
 
 
 def _apart(first: Correction, second: Correction, members: Sequence[Pass]) -> float:
@@ -275,7 +293,7 @@ def _report(
         reason=reason,
         converged=settled.moved < p.settled,
         rounds=settled.rounds,
-        residual_rms_m=solution.report.residual_rms,
+        residual_rms_m=_residual_of_passes(settled.state, solution),
         moved_m=settled.moved,
         passes=sum(item.passes for item in told if item.used),
         wheelsets=len(solution.wheelsets),
