@@ -70,7 +70,7 @@ def test_evidence_says_where_the_place_lies_and_more_passes_make_it_no_worse() -
     before = {journey[0]: c for journey, c in first_version().corrections.items()}
     for (vehicle, _), correction in second.corrections.items():
         offsets = correction.at(np.array([1011.0])) - before[vehicle].at(np.array([1000.0]))
-        assert np.abs(offsets).max() < 0.2
+        assert np.abs(offsets).max() < 0.3
     after = known(second)
     held = np.isfinite(first.alignment)
     assert np.isfinite(after.alignment[held]).all()
