@@ -7,6 +7,7 @@ vehicle's clock, ``received_ns`` on ours, ``recorded_ns`` in commit order. Axes:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -154,6 +155,42 @@ ACCELERATIONS = ("lateral_acceleration", "yaw_acceleration", "roll_acceleration"
 
 
 @dataclass(frozen=True, slots=True)
+class WheelFunctions:
+    """Radius of each wheel against its own lateral position, positive towards the flange, up to a constant.
+
+    With x = y - d and the gauge deviation e, rL - rR = left(x - e/2) - right(-x - e/2); linear between knots.
+    """
+
+    knots: FloatArray  # (k,) m, increasing
+    left: FloatArray  # (k,) m
+    right: FloatArray  # (k,) m
+
+    def __post_init__(self) -> None:
+        for name in ("knots", "left", "right"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (len(self.knots),), name=name))
+
+    def difference(self, displacement: FloatArray, gauge_deviation: FloatArray) -> FloatArray:
+        """Return rL - rR (n,), m, at y - d (n,) and gauge deviation (n,), m."""
+        half = 0.5 * gauge_deviation
+        left = np.interp(displacement - half, self.knots, self.left)
+        return np.asarray(left - np.interp(-displacement - half, self.knots, self.right))
+
+    def gauge_effect(self, displacement: FloatArray, gauge_deviation: FloatArray) -> FloatArray:
+        """Return by how much rL - rR (n,), m, differs from that at nominal gauge."""
+        nominal = self.difference(displacement, np.zeros_like(displacement))
+        return np.asarray(self.difference(displacement, gauge_deviation) - nominal)
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What the passes of a section say besides its alignment, for those who passed it."""
+
+    stiffness_ratio: Mapping[str, float]  # by vehicle: true yaw stiffness over creep coefficient, of the assumed one
+    stiffness_ratio_std: float  # largest of them
+    wheels: Mapping[str, WheelFunctions]  # by wheelset, where gauge varies
+
+
+@dataclass(frozen=True, slots=True)
 class TrackAlignment:
     """What is known of a track section: lateral alignment and gauge deviation against distance, each with its std."""
 
@@ -169,7 +206,8 @@ class TrackAlignment:
     source: str = RECORDED  # or FLEET
     cut_off: float = np.inf  # m; longer wavelengths are not in ``alignment``
     scale_std: float = 0.0  # relative, of a common stretch of y - d that the alignment leaves open
-    gauge_known: bool = True  # False: ``gauge_deviation`` is zero for want of knowledge, its std what is expected
+    gauge_known: bool = True  # False: from the passes alone, or zero for want of knowledge; see its std
+    findings: Findings | None = None  # of a fleet
 
     def __post_init__(self) -> None:
         n = len(self.s)

@@ -5,15 +5,19 @@ difference R(y - d) and d belongs to the place. With h_w = sum_j c_wj phi_j (hat
 and c: d is the mean over the passes, c follows from what the passes have apart. No start, no rounds, one minimum; and
 because R is measured far better than y, the regression of y on R is the one that its noise does not flatten.
 Everything is compared after the same high-pass.
+
+Two more columns per wheelset are linear too: the elastic part of R, whose coefficient says by how much the assumed
+ratio of yaw stiffness to creep coefficient is off; and, where the gauge deviation e(s) is given, hats of R times e and
+times its square, h(R, e) = h0(R) + e h1(R) + e^2 h2(R), because gauge moves each wheel against its own rail.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.arrays import FloatArray, IntArray
+from estimation.arrays import BoolArray, FloatArray, IntArray
 from estimation.errors import ParameterError
 from estimation.track.local_filter import smoother, trusted, without_slow_part
 from estimation.track.passes import Pass, gridded
@@ -23,18 +27,22 @@ from estimation.track.passes import Pass, gridded
 class PanelParameters:
     """Grid, filter and functions of the panel."""
 
-    step: float = 0.5  # m
+    step: float = 1.0  # m
     length: float = 12_000.0  # m of the section
     cut_off: float = 30.0  # m
+    difference_cut_off: float = 120.0  # m, of R before h is applied to it: h is not linear, so R must be whole
     reach: float = 2.5e-3  # m of R that the hat functions span, both ways
     hats: int = 41
+    gauge: FloatArray | None = field(default=None, compare=False)  # (points,) m, deviation; None: none is modelled
+    gauge_hats: int = 21
+    gauge_unit: float = 2e-3  # m
     groups: int = 12  # of the jackknife, dealt along the section
     block: float = 250.0  # m
     roughness: float = 1e-3  # of h, relative to the data
     least_passes: int = 3  # at a place
 
     def __post_init__(self) -> None:
-        for name in ("step", "length", "cut_off", "reach", "block"):
+        for name in ("step", "length", "cut_off", "difference_cut_off", "reach", "block", "gauge_unit"):
             if not getattr(self, name) > 0:
                 raise ParameterError(f"{getattr(self, name)!r} is not positive", field=name)
 
@@ -47,6 +55,21 @@ class PanelParameters:
     def knots(self) -> FloatArray:
         """Knots (hats,) of R, m."""
         return np.linspace(-self.reach, self.reach, self.hats)
+
+    @property
+    def gauge_knots(self) -> FloatArray:
+        """Knots (gauge_hats,) of R, m, of h1 and h2."""
+        return np.linspace(-self.reach, self.reach, self.gauge_hats)
+
+    @property
+    def columns(self) -> int:
+        """Unknowns per wheelset: h0, then h1 and h2 where gauge is modelled, then the elastic part."""
+        return self.hats + (0 if self.gauge is None else 2 * self.gauge_hats) + 1
+
+    @property
+    def reach_points(self) -> int:
+        """Grid points at each end of a pass that the two filters cannot say anything of."""
+        return (len(smoother(self.cut_off, self.step)) + len(smoother(self.difference_cut_off, self.step))) // 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +93,7 @@ class PanelState:
 
 def init(parameters: PanelParameters) -> PanelState:
     """Return the empty state."""
-    g, k, n = parameters.groups, parameters.hats, parameters.points
+    g, k, n = parameters.groups, parameters.columns, parameters.points
     return PanelState(
         parameters,
         (),
@@ -98,8 +121,9 @@ def update(state: PanelState, passes: list[Pass]) -> PanelState:
         if columns is None:
             continue
         w, (at, B, y, R) = wheelsets.index(item.wheelset), columns
-        for group in np.unique(groups_of(at, state.parameters)):
-            mine = groups_of(at, state.parameters) == group
+        dealt = groups_of(at, state.parameters)
+        for group in np.unique(dealt):
+            mine = dealt == group
             gram[group, w] += B[:, mine] @ B[:, mine].T
             cross[group, w] += B[:, mine] @ y[mine]
             square[group] += y[mine] @ y[mine]
@@ -127,24 +151,66 @@ def groups_of(at: IntArray, parameters: PanelParameters) -> IntArray:
 
 
 def filtered(item: Pass, parameters: PanelParameters) -> tuple[IntArray, FloatArray, FloatArray, FloatArray] | None:
-    """Return grid points (m,), filtered hats (k, m), y (m,) and R (m,) of a pass; None where it is too short.
+    """Return grid points (m,), filtered columns (k, m), y (m,) and R (m,) of a pass; None where it is too short.
 
-    Hats and R change their sign where the wheelset's left wheel runs on the section's right rail.
+    Columns and R change their sign where the wheelset's left wheel runs on the section's right rail.
     """
+    felt = on_grid(item, parameters)
+    if felt is None:
+        return None
     weights = smoother(parameters.cut_off, parameters.step)
+    rows = np.concatenate([columns(felt, parameters), felt.displacement[None, :], felt.difference[None, :]])
+    rows = without_slow_part(rows, weights)[:, felt.inside]
+    return felt.points[felt.inside], item.side * rows[:-2], rows[-2], item.side * rows[-1]
+
+
+@dataclass(frozen=True, slots=True)
+class OnGrid:
+    """A pass on the grid of the section; ``inside`` where both filters see enough of it."""
+
+    points: IntArray  # (m,)
+    displacement: FloatArray  # (m,) y, m, slow part meaningless
+    difference: FloatArray  # (m,) R, m, without what is longer than ``difference_cut_off``
+    elastic: FloatArray  # (m,) m
+    certain: BoolArray  # (m,) where R is
+    inside: BoolArray  # (m,)
+
+
+def on_grid(item: Pass, parameters: PanelParameters) -> OnGrid | None:
+    """Return a pass on the grid, R high-passed once; None where it is too short or off the section."""
     first, displacement, difference = gridded(item, parameters.step)
     points = np.arange(first, first + len(displacement))
-    if len(points) <= 2 * len(weights):
+    if len(points) <= 2 * parameters.reach_points + 1:
         return None
-    R = without_slow_part(difference, weights)
-    certain = trusted(np.ones(len(points), dtype=np.bool_), weights)
-    twice = trusted(certain, weights)  # the hats of the filtered R are filtered themselves
-    inside = twice & (points >= 0) & (points < parameters.points)
+    long = smoother(parameters.difference_cut_off, parameters.step)
+    certain = trusted(np.ones(len(points), dtype=np.bool_), long)
+    inside = trusted(certain, smoother(parameters.cut_off, parameters.step))
+    inside &= (points >= 0) & (points < parameters.points)
     if not inside.any():
         return None
-    B = without_slow_part(hat_functions(np.where(certain, R, 0.0), parameters.knots), weights)
-    y = without_slow_part(displacement, weights)
-    return points[inside], item.side * B[:, inside], y[inside], item.side * R[inside]
+    elastic = (
+        np.zeros(len(points)) if item.elastic is None else np.interp(points * parameters.step, item.at, item.elastic)
+    )
+    R, E = without_slow_part(np.stack([difference, elastic]), long)
+    return OnGrid(points, displacement, np.where(certain, R, 0.0), np.where(certain, E, 0.0), certain, inside)
+
+
+def columns(felt: OnGrid, parameters: PanelParameters) -> FloatArray:
+    """Return the functions (k, m) of a pass that its displacement is a sum of, before the filter."""
+    R = felt.difference
+    rows = [hat_functions(R, parameters.knots)]
+    if parameters.gauge is not None:
+        coarse = hat_functions(R, parameters.gauge_knots)
+        e = gauge_at(felt.points, parameters) / parameters.gauge_unit
+        rows += [coarse * e, coarse * e**2]
+    return np.concatenate([*rows, felt.elastic[None, :]])
+
+
+def gauge_at(points: IntArray, parameters: PanelParameters) -> FloatArray:
+    """Return the gauge deviation (m,) at grid points, m; zero off the section."""
+    assert parameters.gauge is not None
+    on = (points >= 0) & (points < parameters.points)
+    return np.where(on, parameters.gauge[np.clip(points, 0, parameters.points - 1)], 0.0)
 
 
 def hat_functions(R: FloatArray, knots: FloatArray) -> FloatArray:

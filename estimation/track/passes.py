@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.arrays import BoolArray, FloatArray, frozen_array
 from estimation.signals import SignalParameters, running_integrals, stretches
-from estimation.types import Window
+from estimation.track.fusion import Felt, FusionParameters, fused
+from estimation.types import ACCELERATIONS, Window
 from estimation.vehicle import VehicleParameters
 
 
@@ -16,9 +18,9 @@ from estimation.vehicle import VehicleParameters
 class Pass:
     """Lateral displacement and rolling radius difference of a wheelset against distance, slow parts meaningless.
 
-    The displacement is the section's, positive to the left of increasing distance; the difference is the wheelset's, its
-    left wheel less its right one. Where the wheelset's left wheel runs on the section's right rail ``side`` is -1, and
-    y = d - h(R) instead of y = d + h(R).
+    The displacement is the section's, positive to the left of increasing distance; the difference is the wheelset's,
+    its left wheel less its right one. Where the wheelset's left wheel runs on the section's right rail ``side`` is -1,
+    and y = d - h(R) instead of y = d + h(R).
     """
 
     wheelset: str
@@ -28,11 +30,14 @@ class Pass:
     displacement: FloatArray  # (n,) y, m
     difference: FloatArray  # (n,) R, m, measured without knowledge of the track
     side: int = 1  # or -1
+    elastic: FloatArray | None = None  # (n,) m, part of R that scales with yaw stiffness over creep coefficient
 
     def __post_init__(self) -> None:
         n = len(self.at)
         for name in ("at", "displacement", "difference"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+        if self.elastic is not None:
+            object.__setattr__(self, "elastic", frozen_array(self.elastic, (n,), name="elastic"))
 
 
 def gridded(item: Pass, step: float) -> tuple[int, FloatArray, FloatArray]:
@@ -69,40 +74,110 @@ def passes(
     for start, stop in stretches(np.asarray(usable), window, parameters):
         part = slice(start, stop)
         known = np.asarray(usable[part])
-        y, R = _felt(window, known, part, vehicle)
         at = np.interp(np.arange(stop - start), np.flatnonzero(known), window.distance[part][known])
         steps = np.diff(at)
         direction = 1 if steps.min() > 0 else -1 if steps.max() < 0 else 0
-        if direction and np.isfinite(y).all() and np.isfinite(R).all():
-            mounted = -1 if mounted_reversed else 1
-            along = slice(None, None, direction)
-            found.append(
-                Pass(
-                    window.wheelset,
-                    window.vehicle,
-                    window.start_ns,
-                    at[along],
-                    direction * y[along],
-                    mounted * R[along],
-                    direction * mounted,
-                )
-            )
+        if direction:
+            felt = _felt(window, known, part, vehicle, np.asarray(direction * at))
+            found += _placed(window, felt, vehicle, direction, -1 if mounted_reversed else 1)
     return found
 
 
-def _felt(window: Window, known: BoolArray, part: slice, p: VehicleParameters) -> tuple[FloatArray, FloatArray]:
-    """Return y and the measured R (Eq. 2 solved for rL - rR with S = 2 r0, the small contact angle term left out)."""
+def joined(windows: Iterable[Window]) -> Iterator[Window]:
+    """Yield the windows of one wheelset in order of time, those that follow each other without a pause as one.
+
+    Long wavelengths need long stretches: what is near the end of a window is lost to the filters, what is near a seam
+    is not.
+    """
+    run: list[Window] = []
+    for window in windows:
+        if run and not _follows(run[-1], window):
+            yield _as_one(run)
+            run = []
+        run.append(window)
+    if run:
+        yield _as_one(run)
+
+
+def _follows(first: Window, second: Window) -> bool:
+    return (
+        second.start_ns == first.start_ns + first.length_ns
+        and (second.wheelset, second.vehicle, second.axle) == (first.wheelset, first.vehicle, first.axle)
+        and second.track_section == first.track_section
+        and second.sample_interval_s == first.sample_interval_s
+        and len(first.valid) == round(first.length_ns * 1e-9 / first.sample_interval_s)
+    )
+
+
+def _as_one(run: list[Window]) -> Window:
+    if len(run) == 1:
+        return run[0]
+    lateral, yaw, roll, mass, speed, distance, valid = (
+        np.concatenate([getattr(window, name) for window in run])
+        for name in (*ACCELERATIONS, "speed", "distance", "valid")
+    )
+    return replace(
+        run[0],
+        length_ns=sum(window.length_ns for window in run),
+        lateral_acceleration=lateral,
+        yaw_acceleration=yaw,
+        roll_acceleration=roll,
+        mass_lateral_acceleration=mass,
+        speed=speed,
+        distance=distance,
+        valid=valid,
+    )
+
+
+def _placed(window: Window, felt: Felt, vehicle: VehicleParameters, direction: int, mounted: int) -> list[Pass]:
+    """Return the pass of one stretch, along the section's own direction."""
+    if not (np.isfinite(felt.displacement).all() and np.isfinite(felt.difference).all()):
+        return []
+    grid = fused(felt, vehicle, FusionParameters())
+    if len(grid.run) < 2:  # noqa: PLR2004 - a pass has a length
+        return []
+    along = slice(None, None, direction)
+    return [
+        Pass(
+            window.wheelset,
+            window.vehicle,
+            window.start_ns,
+            direction * grid.run[along],
+            direction * grid.displacement[along],
+            mounted * grid.difference[along],
+            direction * mounted,
+            mounted * grid.elastic[along],
+        )
+    ]
+
+
+def _felt(window: Window, known: BoolArray, part: slice, p: VehicleParameters, run: FloatArray) -> Felt:
+    """Return y, the measured R (Eq. 2 solved for rL - rR with S = 2 r0, the contact angle terms left out) and psi."""
     accelerations, rates, displacements = running_integrals(window, known, part)
     V = np.interp(np.arange(len(known)), np.flatnonzero(known), window.speed[part][known])
-    y, ψ = displacements[0], displacements[1]
-    dy, dψ, dφ = rates[0], rates[1], rates[2]
+    y, ψ, φ = displacements[:3]
+    dy, dψ, dφ = rates[:3]
     f11, f23, l = p.longitudinal_creep_coefficient, p.lateral_spin_creep_coefficient, p.half_contact_distance  # noqa: E741 - the paper's l
+    rolling_velocity = dy + p.nominal_radius * dφ
+    elastic = p.yaw_inertia * accelerations[1] + p.yaw_stiffness * ψ + p.yaw_damping * dψ
     moment = (
-        p.yaw_inertia * accelerations[1]
+        elastic
         + (p.pitch_inertia * V / p.nominal_radius) * dφ
         + (2 * l**2 * f11 / V) * dψ
-        + p.yaw_stiffness * ψ
-        + p.yaw_damping * dψ
-        - (2 * f23 / V) * (dy + p.nominal_radius * dφ - V * ψ)
+        - (2 * f23 / V) * (rolling_velocity - V * ψ)
     )
-    return y, np.asarray(-moment * p.nominal_radius / (l * f11))
+    force = (
+        p.wheelset_mass * accelerations[0]
+        + (2 * f23 / V) * dψ
+        + p.load * φ
+        + p.suspended_mass * accelerations[3]  # what the suspension takes up
+    )
+    per_moment = -p.nominal_radius / (l * f11)
+    return Felt(
+        run=run,
+        speed=V,
+        displacement=y,
+        difference=np.asarray(per_moment * moment),
+        elastic=np.asarray(per_moment * elastic),
+        yaw=np.asarray(rolling_velocity / V + force / (2 * p.lateral_creep_coefficient)),
+    )

@@ -32,6 +32,7 @@ class PositionParameters:
 
     largest_offset: float = 45.0  # m, searched both ways
     pause_s: float = 300.0  # a longer pause between windows of a vehicle begins a new journey
+    piece: float = 800.0  # m of a pass that is compared at a time
     least_correlation: float = 0.4
 
 
@@ -169,16 +170,25 @@ def _lags(
     panel: PanelParameters,
     parameters: PositionParameters,
 ) -> list[tuple[float, float]]:
-    """Return (middle, offset) in m of the passes of a journey that have a clear one."""
-    found = [_lag(item, reference, panel, parameters) for item in corrected(members, correction)]
-    return [lag for lag in found if lag is not None]
+    """Return (middle, offset) in m of the pieces of a journey's passes that have a clear one.
+
+    In pieces, because over a long pass an error of the scale moves the two ends against each other.
+    """
+    weights = smoother(panel.cut_off, panel.step)
+    found = []
+    for item in corrected(members, correction):
+        points, y = _filtered_displacement(item, weights, panel)
+        pieces = max(round(len(points) * panel.step / parameters.piece), 1)
+        parts = [part for part in np.array_split(np.arange(len(points)), pieces) if len(part)]
+        lags = [_lag(points[part], y[part], reference, panel, parameters) for part in parts]
+        found += [lag for lag in lags if lag is not None]
+    return found
 
 
 def _lag(
-    item: Pass, reference: FloatArray, panel: PanelParameters, parameters: PositionParameters
+    points: np.ndarray, y: FloatArray, reference: FloatArray, panel: PanelParameters, parameters: PositionParameters
 ) -> tuple[float, float] | None:
-    """Return (middle of the pass, its offset) in m, from the peak of the correlation; None without a clear one."""
-    points, y = _filtered_displacement(item, smoother(panel.cut_off, panel.step), panel)
+    """Return (middle of the piece, its offset) in m, from the peak of the correlation; None without a clear one."""
     reach = int(parameters.largest_offset / panel.step)
     if len(points) < 4 * reach:
         return None

@@ -9,11 +9,13 @@ from scipy import linalg
 
 from estimation.arrays import BoolArray, FloatArray, IntArray
 from estimation.jackknife import jackknife_std
-from estimation.track.panel import PanelState, groups_of
+from estimation.track.panel import PanelParameters, PanelState, groups_of
 from estimation.types import Status
 
 LEAST_DIVERSITY = 0.15
 LEAST_WHEELSETS = 2
+GAUGE_RIDGE = 1e-4  # of h1 and h2 per knot, relative to the data of a knot of h0
+ELASTIC_PRIOR = 2e-7  # m2: variance of a pass over that of the coefficient of the elastic part
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +38,7 @@ class PanelSolution:
     report: PanelReport
     wheelsets: tuple[str, ...]
     knots: FloatArray  # (k,) R, m
-    curves: FloatArray  # (1 + g, w, k) h(R) = y - d, m: from all data, then with each group left out
+    curves: FloatArray  # (1 + g, w, c) h(R) = y - d, m, and further columns: from all data, then without each group
     weight: FloatArray  # (w, k) how much of the data each knot has seen, in samples
     alignment: FloatArray  # (n,) high-passed d, m; NaN where too few passes
     alignment_std: FloatArray  # (n,) m
@@ -46,7 +48,7 @@ class PanelSolution:
 def result(state: PanelState) -> PanelSolution:
     """Return what the passes so far say of the section and of the wheelsets that passed it."""
     p = state.parameters
-    w, k = len(state.wheelsets), p.hats
+    w, k = len(state.wheelsets), p.columns
     enough = state.passes >= p.least_passes
     group = groups_of(np.arange(p.points), p)
     normal = np.empty((p.groups, w * k, w * k))
@@ -60,7 +62,7 @@ def result(state: PanelState) -> PanelSolution:
         per_pass = np.where(enough[mine], share[mine], 1.0 / np.maximum(state.passes[mine], 1))
         normal[g] = linalg.block_diag(*state.gram[g]) - (G * per_pass) @ G.T
         right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[mine])
-    curves = _curves(normal, right, w, p.roughness)
+    curves = _curves(normal, right, w, p)
     alignments = np.stack([(state.displacement - curve.reshape(-1) @ stacked) * share for curve in curves])
     residual = _residual_rms(state, curves[0], normal, right)
     mean_passes = float(state.passes[state.passes > 0].mean()) if (state.passes > 0).any() else 0.0
@@ -71,31 +73,42 @@ def result(state: PanelState) -> PanelSolution:
         wheelsets=state.wheelsets,
         knots=p.knots,
         curves=curves,
-        weight=np.einsum("gwkk->wk", state.gram),
+        weight=np.einsum("gwkk->wk", state.gram)[:, : p.hats],
         alignment=np.where(enough, alignments[0], np.nan),
         alignment_std=np.where(enough, std, np.nan),
         passes=state.passes,
     )
 
 
-def _curves(normal: FloatArray, right: FloatArray, w: int, roughness: float) -> FloatArray:
+def _curves(normal: FloatArray, right: FloatArray, w: int, p: PanelParameters) -> FloatArray:
     """Solve for all data and with each group left out; curves pass through zero at R = 0."""
     if w == 0:
         return np.zeros((1 + len(normal), 0, 1))
     total, total_right = normal.sum(axis=0), right.sum(axis=0)
-    k = len(total) // w
-    scale = np.trace(total) / len(total)
-    bend = np.diff(np.eye(k), 2, axis=0)
-    penalty = scale * (roughness * bend.T @ bend + 1e-6 * np.ones((k, k)) / k + 1e-9 * np.eye(k))
-    prior = linalg.block_diag(*[penalty] * w)
+    prior = linalg.block_diag(*[_prior(np.diag(total).reshape(w, -1)[:, : p.hats].mean(), p)] * w)
     curves = [
-        linalg.solve(total - left_out + prior, total_right - left_right, assume_a="sym").reshape(w, k)
+        linalg.solve(total - left_out + prior, total_right - left_right, assume_a="sym").reshape(w, p.columns)
         for left_out, left_right in zip(
             [np.zeros_like(total), *normal], [np.zeros_like(total_right), *right], strict=True
         )
     ]
-    centre = k // 2
-    return np.stack([curve - curve[:, [centre]] for curve in curves])
+    for curve in curves:
+        curve[:, : p.hats] -= curve[:, [p.hats // 2]]
+    return np.stack(curves)
+
+
+def _prior(scale: float, p: PanelParameters) -> FloatArray:
+    """Return the normal matrix (c, c) of what is known of one wheelset's columns beforehand."""
+    blocks = [scale * (_rough(p.hats, p.roughness) + 1e-6 * np.ones((p.hats, p.hats)) / p.hats)]
+    if p.gauge is not None:
+        k = p.gauge_hats
+        blocks += [scale * (_rough(k, 3 * p.roughness) + GAUGE_RIDGE * np.eye(k))] * 2
+    return linalg.block_diag(*blocks, np.full((1, 1), ELASTIC_PRIOR))
+
+
+def _rough(k: int, roughness: float) -> FloatArray:
+    bend = np.diff(np.eye(k), 2, axis=0)
+    return np.asarray(roughness * bend.T @ bend + 1e-9 * np.eye(k))
 
 
 def _residual_rms(state: PanelState, curve: FloatArray, normal: FloatArray, right: FloatArray) -> float:

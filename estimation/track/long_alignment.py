@@ -1,0 +1,53 @@
+"""The alignment down to long wavelengths, once the wheelsets' curves are known.
+
+The curves come from short wavelengths, where sensors are quiet. With them every pass gives the alignment by itself,
+d = y - h(R), through a longer filter; the mean over the passes weighs each by what its speed makes of the drift of its
+lateral sensor, twice integrated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.arrays import FloatArray, IntArray
+from estimation.track.local_filter import smoother, trusted, without_slow_part
+from estimation.track.panel import PanelParameters, columns, on_grid
+from estimation.track.passes import Pass
+from estimation.track.solution import PanelSolution
+
+
+@dataclass(frozen=True, slots=True)
+class LongAlignment:
+    """Mean of y - h(R) over the passes, high-passed at ``cut_off`` only."""
+
+    cut_off: float  # m
+    alignment: FloatArray  # (n,) m, zero where no pass
+    std: FloatArray  # (n,) m, of the mean, from the spread of the passes
+    passes: IntArray  # (n,)
+
+
+def long_alignment(
+    passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters, cut_off: float
+) -> LongAlignment:
+    """Return the alignment from ``passes`` with the curves of ``solution``."""
+    weights = smoother(cut_off, panel.step)
+    total, square, count = np.zeros(panel.points), np.zeros(panel.points), np.zeros(panel.points, dtype=np.int64)
+    for item in passes:
+        felt = on_grid(item, panel)
+        if felt is None or item.wheelset not in solution.wheelsets:
+            continue
+        curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
+        own = without_slow_part(felt.displacement - item.side * (curve @ columns(felt, panel)), weights)
+        inside = trusted(felt.certain, weights) & (felt.points >= 0) & (felt.points < panel.points)
+        at = felt.points[inside]
+        total[at] += own[inside]
+        square[at] += own[inside] ** 2
+        count[at] += 1
+    shared = np.maximum(count, 1)
+    mean = total / shared
+    several = count > 1
+    spread = (square - count * mean**2)[several].sum() / max(float((count - 1)[several].sum()), 1.0)
+    return LongAlignment(cut_off, mean, np.sqrt(max(spread, 0.0) / shared), count)
