@@ -23,12 +23,13 @@ from estimation.ports import (
     VehicleRecord,
     WheelsetRecord,
 )
-from estimation.types import Status, TrackAlignment
+from estimation.types import Status, TrackAlignment, TrackLayout
 from ingest.json_fields import Fields, read_json
-from ingest.track_file import read_track_columns, uniform_distance
+from ingest.track_file import LAYOUT_COLUMNS, read_layout_columns, read_track_columns, uniform_distance
 
 FORMAT = "treadwatch-registry-1"
 MOST_AXLES = 8
+LEAST_LAID_OUT = 0.5  # of a section that its layout must reach
 _T = TypeVar("_T")
 
 
@@ -43,6 +44,7 @@ class RegistryContents:
     reprofilings: tuple[Reprofiling, ...]
     sections: tuple[TrackSectionRecord, ...]
     alignments: tuple[TrackAlignment, ...]
+    layouts: tuple[TrackLayout, ...]
 
 
 def load_registry(path: Path, unit_of_work: UnitOfWork) -> RegistryContents:
@@ -63,7 +65,16 @@ def load_registry(path: Path, unit_of_work: UnitOfWork) -> RegistryContents:
     _store(path, "reprofilings", contents.reprofilings, registry.add_reprofiling)
     _store(path, "track_sections", contents.sections, tracks.add_section)
     _store(path, "track_sections", contents.alignments, tracks.add_alignment)
+    _store(path, "track_sections", contents.layouts, lambda layout: _add_layout(unit_of_work, layout))
     return contents
+
+
+def _add_layout(unit_of_work: UnitOfWork, layout: TrackLayout) -> None:
+    """Store a layout; where it is another than before, let the windows of the section be estimated again."""
+    before = unit_of_work.tracks.layout(layout.section)
+    version = unit_of_work.tracks.add_layout(layout)
+    if before is None or before.version != version:
+        unit_of_work.windows.requeue_section(layout.section)
 
 
 def read_registry(path: Path) -> RegistryContents:
@@ -71,7 +82,7 @@ def read_registry(path: Path) -> RegistryContents:
     root = read_json(path)
     if root.text("format") != FORMAT:
         raise root.fail(f"must be {FORMAT!r}", "format")
-    sections, alignments = _sections(root, path)
+    sections, alignments, layouts = _sections(root, path)
     contents = RegistryContents(
         fleets=_each(root, "fleets", _fleet),
         vehicles=_each(root, "vehicles", _vehicle),
@@ -80,6 +91,7 @@ def read_registry(path: Path) -> RegistryContents:
         reprofilings=_each(root, "reprofilings", _reprofiling),
         sections=sections,
         alignments=alignments,
+        layouts=layouts,
     )
     root.end()
     return contents
@@ -155,8 +167,10 @@ def _reprofiling(fields: Fields) -> Reprofiling:
     )
 
 
-def _sections(root: Fields, path: Path) -> tuple[tuple[TrackSectionRecord, ...], tuple[TrackAlignment, ...]]:
-    sections, alignments = [], []
+def _sections(
+    root: Fields, path: Path
+) -> tuple[tuple[TrackSectionRecord, ...], tuple[TrackAlignment, ...], tuple[TrackLayout, ...]]:
+    sections, alignments, layouts = [], [], []
     for fields in root.objects("track_sections"):
         section = TrackSectionRecord(
             code=fields.text("code"),
@@ -167,13 +181,34 @@ def _sections(root: Fields, path: Path) -> tuple[tuple[TrackSectionRecord, ...],
             nominal_gauge_m=1e-3 * fields.number("nominal_gauge_mm", low=500.0, high=2000.0),
             length_m=fields.number("length_m", low=1.0),
         )
-        known = fields.optional_object("alignment")
+        known, curves = fields.optional_object("alignment"), fields.optional_object("layout")
         fields.end()
         sections.append(section)
+        layout = None
         if known is not None:
             alignments.append(_alignment(known, section.code, path.parent))
+            layout = _layout(path.parent / known.text("file"), section)
             known.end()
-    return tuple(sections), tuple(alignments)
+        if curves is not None:
+            file = path.parent / curves.text("file")
+            curves.end()
+            layout = _layout(file, section)
+            if layout is None:
+                raise InputError(f"no such column; expected s_m, {', '.join(LAYOUT_COLUMNS)}", file=file, line=1)
+        if layout is not None:
+            layouts.append(layout)
+    return tuple(sections), tuple(alignments), tuple(layouts)
+
+
+def _layout(file: Path, section: TrackSectionRecord) -> TrackLayout | None:
+    columns = read_layout_columns(file)
+    if columns is None:
+        return None
+    last = float(columns[-1, 0])
+    if last < LEAST_LAID_OUT * section.length_m or last > section.length_m / LEAST_LAID_OUT:
+        reason = f"ends at {last:g} m, section {section.code!r} has {section.length_m:g} m; another unit or section?"
+        raise InputError(reason, file=file, field="s_m")
+    return TrackLayout(section.code, 0, *columns.T)
 
 
 def _alignment(fields: Fields, section: str, folder: Path) -> TrackAlignment:

@@ -1,4 +1,4 @@
-"""Track sections and versions of their alignment."""
+"""Track sections, versions of their alignment and of their layout."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from sqlalchemy import Connection, Select, and_, func, insert, select
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.ports import AlignmentRecord, TrackReport, TrackSectionRecord, WindowPosition
-from estimation.types import RECORDED, Status, TrackAlignment
+from estimation.types import RECORDED, Status, TrackAlignment, TrackLayout
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import TrackAlignmentRow, TrackReportRow, TrackSectionRow, TrackVersionRow, WindowPositionRow
 from fleet_db.packed.alignment import pack_alignment, unpack_alignment
 from fleet_db.rows import null_if_nan, table_of, upsert
+from fleet_db.stores.layouts import find_layout, newest_version, store_layout
 
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
 REPORTS, POSITIONS = table_of(TrackReportRow), table_of(WindowPositionRow)
@@ -180,6 +181,28 @@ class TrackStore:
     def put_position(self, position: WindowPosition) -> bool:
         """Store where a window was, in the place of what was known; return whether that has changed."""
         return upsert(self.connection, POSITIONS, asdict(position))
+
+    def layout(self, section: str, version: int | None = None) -> TrackLayout | None:
+        """Return one version of the layout of a section, or the newest; None where there is none."""
+        return find_layout(self.connection, section, version)
+
+    def layout_version(self, section: str) -> int | None:
+        """Return the newest version of the layout of a section without reading it; None where there is none."""
+        return newest_version(self.connection, section)
+
+    def add_layout(self, layout: TrackLayout) -> int:
+        """Store a layout as the next version of its section and return that; ``layout.version`` is not read.
+
+        The content of the newest version again changes nothing and returns its version.
+
+        Raises
+        ------
+        NotFoundError
+            The section is unknown.
+        """
+        serialise(self.connection, Subject.TRACKS)
+        self.section(layout.section)
+        return store_layout(self.connection, layout)
 
     def _sections(self, statement: Select[Any]) -> Sequence[TrackSectionRecord]:
         return [TrackSectionRecord(*row) for row in self.connection.execute(statement)]

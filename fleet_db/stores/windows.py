@@ -117,6 +117,14 @@ class WindowStore:
             self.mark(record.wheelset, record.start_ns, WindowState.PENDING, "")
         return len(found)
 
+    def requeue_section(self, track_section: str) -> int:
+        """Let every window of a section wait again; return how many did not."""
+        settled = (WINDOWS.c.track_section == track_section, WINDOWS.c.state != WindowState.PENDING.value)
+        found = self._records(select(WINDOWS).where(*settled))
+        for record in found:
+            self.mark(record.wheelset, record.start_ns, WindowState.PENDING, "")
+        return len(found)
+
     def load(self, wheelset: str, start_ns: int) -> Window:
         """Return a window with its samples.
 

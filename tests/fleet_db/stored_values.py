@@ -30,6 +30,7 @@ from estimation.types import (
     Forecast,
     Status,
     TrackAlignment,
+    TrackLayout,
     WearTrend,
     WheelsetGeometry,
     Window,
@@ -46,6 +47,13 @@ ALERT = Alert(
     0, "F-1", "WS-1", AlertKind.CONICITY_LIMIT, Severity.WARNING, Condition.ACTIVE, 10, 10, 1, 0.9,
     {"value": 0.31, "windows": [1, 2], "limit": None}, "reprofile", 0.3, 0.25,
 )  # fmt: skip
+
+
+def layout(seed: int) -> TrackLayout:
+    """Return a layout with a curve, different for every seed."""
+    s = np.array([0.0, 100.25 + seed, 180.5, 700.0, 780.125])
+    curvature, cant = np.array([0.0, 0.0, 1 / 800, 1 / 800, 0.0]), np.array([0.0, 0.0, 0.08, 0.08, -0.0])
+    return TrackLayout("S-7", 0, s, curvature, cant)
 
 
 def same(first: object, second: object) -> bool:

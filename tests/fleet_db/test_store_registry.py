@@ -155,3 +155,18 @@ def test_alignments_are_versions(fleet: SqlStorage) -> None:
         assert unit.tracks.alignment("S-7", 4) is None
     with pytest.raises(NotFoundError), fleet.write() as unit:
         unit.tracks.add_alignment(replace(first, section="S-8"))
+
+
+def test_layouts_are_versions(fleet: SqlStorage) -> None:
+    first, second = make.layout(1), make.layout(2)
+    with fleet.write() as unit:
+        unit.tracks.add_section(make.SECTION)
+        assert unit.tracks.layout("S-7") is None
+        assert unit.tracks.layout_version("S-7") is None
+        assert [unit.tracks.add_layout(one) for one in (first, first, second, first)] == [1, 1, 2, 3]
+    with fleet.read() as unit:
+        assert make.same(unit.tracks.layout("S-7", 2), replace(second, version=2))
+        assert make.same(unit.tracks.layout("S-7"), replace(first, version=3))
+        assert unit.tracks.layout_version("S-7") == 3
+    with pytest.raises(NotFoundError), fleet.write() as unit:
+        unit.tracks.add_layout(replace(first, section="S-8"))

@@ -215,3 +215,20 @@ def test_the_unknown_is_named(fleet: SqlStorage) -> None:
         unit.tables.put("WS-1", 5, make.bin_table(), None, "")
     with fleet.read() as unit:
         assert unit.windows.counts() == {"pending": 0, "estimated": 0, "refused": 0}
+
+
+def test_every_window_of_a_section_can_wait_again(fleet: SqlStorage) -> None:
+    put(fleet, 0, 1, 2)  # the third waits already
+    estimate(fleet, 0)
+    first, second = (make.window(index) for index in range(2))
+    with fleet.write() as unit:
+        unit.windows.mark("WS-1", second.start_ns, WindowState.REFUSED, "in a curve")
+        section = first.track_section
+        assert section is not None
+        assert unit.windows.requeue_section("S-other") == 0
+        settled = [w for w in (first, second) if w.track_section == section]
+        assert unit.windows.requeue_section(section) == len(settled)
+        assert unit.windows.requeue_section(section) == 0
+        found = unit.windows.get("WS-1", first.start_ns)
+        assert found is not None
+        assert (found.state, found.reason) == (WindowState.PENDING, "")
