@@ -8,7 +8,15 @@ from estimation import bins
 from estimation.settings import EstimationSettings
 from estimation.signals import Refusal, motion
 from estimation.track.positions import Correction
-from estimation.types import BinTable, TrackAlignment, Window, WindowQuality
+from estimation.types import BinTable, TrackAlignment, TrackLayout, Window, WindowQuality
+from estimation.window_checks import (
+    against_its_axes,
+    as_the_wheelset_sees,
+    direction,
+    position_jumps,
+    told,
+    unmoved,
+)
 
 NO_ALIGNMENT = "the alignment of the track section is not known"
 
@@ -19,6 +27,9 @@ def tabulate_window(
     settings: EstimationSettings,
     correction: Correction | None = None,
     misplaced: str = "",
+    *,
+    mounted_reversed: bool = False,
+    layout: TrackLayout | None = None,
 ) -> BinTable | Refusal:
     """Return the bin table of ``window`` on ``track``, or why the window is refused.
 
@@ -34,6 +45,10 @@ def tabulate_window(
         From the measured positions to the true ones; None where they are believed.
     misplaced
         Why the position is not certain; empty where it is.
+    mounted_reversed
+        The wheelset's left wheel is on the vehicle's right-hand side.
+    layout
+        Curves of the section, which are left out; None where none is on file.
     """
     refused = gate(window.quality, window.track_section, settings)
     if refused is not None:
@@ -42,13 +57,27 @@ def tabulate_window(
         return Refusal(NO_ALIGNMENT)
     if misplaced:
         return Refusal(misplaced)
+    refused = _against(window, settings)
+    if refused is not None:
+        return refused
+    window, track = as_the_wheelset_sees(window, track, direction(window), mounted_reversed=mounted_reversed)
     if correction is not None:
         window = replace(window, distance=correction.at(window.distance))
-    moved = motion(window, track, settings.signals)
+    moved = motion(window, track, settings.signals, layout)
     if isinstance(moved, Refusal):
         return moved
     table = bins.tabulate(moved, settings.bins)
     return table if table.samples else Refusal("no sample inside the bins")
+
+
+def _against(window: Window, settings: EstimationSettings) -> Refusal | None:
+    """Return what a window says against itself; None where nothing."""
+    reason = unmoved(window, settings.signals)
+    if not reason and direction(window) == 0:
+        reason = "the vehicle runs both ways along the section"
+    reason = reason or "; ".join(told(position_jumps(window, settings.signals)))
+    reason = reason or against_its_axes(window, settings.signals)
+    return Refusal(reason) if reason else None
 
 
 def gate(quality: WindowQuality, track_section: str | None, settings: EstimationSettings) -> Refusal | None:

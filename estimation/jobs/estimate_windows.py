@@ -17,7 +17,7 @@ from estimation.ports import AlignmentRecord, UnitOfWork, WindowPosition, Window
 from estimation.settings import EstimationSettings
 from estimation.signals import Refusal
 from estimation.track.positions import Correction
-from estimation.types import FLEET, BinTable, TrackAlignment
+from estimation.types import FLEET, BinTable, TrackAlignment, TrackLayout
 from estimation.window_table import NO_ALIGNMENT, tabulate_window
 
 
@@ -51,6 +51,8 @@ class _Work:
     record: WindowRecord
     track: TrackAlignment | None
     position: WindowPosition | None
+    mounted_reversed: bool = False
+    layout: TrackLayout | None = None
 
 
 def _requeue(unit: UnitOfWork, settings: EstimationSettings, in_force: Mapping[str, AlignmentRecord]) -> int:
@@ -73,10 +75,17 @@ def _compute(
         def alignment(section: str | None) -> TrackAlignment | None:
             return unit.tracks.alignment(section) if section is not None else None
 
+        @lru_cache
+        def layout(section: str | None) -> TrackLayout | None:
+            return unit.tracks.layout(section) if section is not None else None
+
         found = []
         for record in unit.windows.ready(settings.batch, waiting):
             position = unit.tracks.position(record.wheelset, record.start_ns)
-            work = _Work(record, alignment(record.track_section), position)
+            mounting = unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
+            turned = mounting is not None and mounting.reversed
+            section = record.track_section
+            work = _Work(record, alignment(section), position, turned, layout(section))
             found.append((work, _outcome(unit, work, settings)))
         return found
 
@@ -88,9 +97,17 @@ def _outcome(unit: UnitOfWork, work: _Work, settings: EstimationSettings) -> Bin
         return Refusal(str(error))  # names the file; the other windows go on
     position = work.position
     if position is None or position.content_digest != work.record.content_digest:
-        return tabulate_window(window, work.track, settings)
+        return tabulate_window(window, work.track, settings, mounted_reversed=work.mounted_reversed, layout=work.layout)
     correction = Correction(position.offset_m, position.scale, position.middle_m)
-    return tabulate_window(window, work.track, settings, correction, position.reason)
+    return tabulate_window(
+        window,
+        work.track,
+        settings,
+        correction,
+        position.reason,
+        mounted_reversed=work.mounted_reversed,
+        layout=work.layout,
+    )
 
 
 def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Refusal) -> str:
@@ -100,6 +117,8 @@ def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Refusal) -> str:
         return "changed_meanwhile"  # still pending: the next batch takes it
     if unit.tracks.position(record.wheelset, record.start_ns) != work.position:
         return "changed_meanwhile"
+    if _layout_version(unit, record.track_section) != (work.layout.version if work.layout is not None else None):
+        return "changed_meanwhile"
     if isinstance(outcome, Refusal):
         unit.windows.mark(record.wheelset, record.start_ns, WindowState.REFUSED, outcome.reason)
         return "refused"
@@ -107,3 +126,7 @@ def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Refusal) -> str:
     unit.tables.put(record.wheelset, record.start_ns, outcome, version, record.content_digest)
     unit.windows.mark(record.wheelset, record.start_ns, WindowState.ESTIMATED, "")
     return "estimated"
+
+
+def _layout_version(unit: UnitOfWork, section: str | None) -> int | None:
+    return unit.tracks.layout_version(section) if section is not None else None

@@ -34,6 +34,13 @@ def mountings_of(connection: Connection, wheelset: str) -> Sequence[Mounting]:
     return [to_mounting(row) for row in connection.execute(statement)]
 
 
+def reversed_on_file(connection: Connection, record: Mounting) -> bool | None:
+    """Return which way round the mounting of the same wheelset and start is on file; None where there is none."""
+    key = and_(MOUNTINGS.c.wheelset == record.wheelset, MOUNTINGS.c.from_ns == record.from_ns)
+    found = connection.execute(select(MOUNTINGS.c.reversed).where(key)).first()
+    return None if found is None else bool(found.reversed)
+
+
 def add_mounting(connection: Connection, record: Mounting, axles: int) -> bool:
     """Store a mounting on a vehicle of so many axles; return whether anything changed.
 

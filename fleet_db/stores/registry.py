@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, select
+from sqlalchemy import Connection, Row, Select, select, update
 
 from estimation.errors import NotFoundError
-from estimation.ports import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.ports import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord, WindowState
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import FleetRow, ReprofilingRow, VehicleRow, WheelsetRow
+from fleet_db.models import FleetRow, ReprofilingRow, VehicleRow, WheelsetRow, WindowRow
 from fleet_db.rows import table_of, upsert
-from fleet_db.stores.mountings import MOUNTINGS, add_mounting, mounting_at, mountings_of, to_mounting
+from fleet_db.stores.mountings import MOUNTINGS, add_mounting, mounting_at, mountings_of, reversed_on_file, to_mounting
 
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
-REPROFILINGS = table_of(ReprofilingRow)
+REPROFILINGS, WINDOWS = table_of(ReprofilingRow), table_of(WindowRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +132,8 @@ class RegistryStore:
     def add_mounting(self, record: Mounting) -> None:
         """Add a mounting, or change the one of the same wheelset and start (to end it, for one).
 
+        Where it is the way round that changes, its windows wait to be estimated again.
+
         Raises
         ------
         NotFoundError
@@ -143,8 +145,11 @@ class RegistryStore:
         """
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
+        was_reversed = reversed_on_file(self.connection, record)
         if add_mounting(self.connection, record, self.vehicle(record.vehicle).axles):
             self.changes.note(record.wheelset)
+            if was_reversed not in (None, record.reversed):
+                self._estimate_again(record)
 
     def add_reprofiling(self, record: Reprofiling) -> None:
         """Add a visit to the lathe, or change the one of the same wheelset and time.
@@ -158,6 +163,15 @@ class RegistryStore:
         self._known_wheelset(record.wheelset)
         if upsert(self.connection, REPROFILINGS, asdict(record)):
             self.changes.note(record.wheelset)
+
+    def _estimate_again(self, record: Mounting) -> None:
+        """Let the windows of a mounting wait again."""
+        within = [WINDOWS.c.wheelset == record.wheelset, WINDOWS.c.start_ns >= record.from_ns]
+        if record.to_ns is not None:
+            within.append(WINDOWS.c.start_ns < record.to_ns)
+        pending = {"state": WindowState.PENDING.value, "reason": ""}
+        estimated = WINDOWS.c.state == WindowState.ESTIMATED.value
+        self.connection.execute(update(WINDOWS).where(*within, estimated).values(**pending))
 
     def _vehicles(self, statement: Select[Any]) -> Sequence[VehicleRecord]:
         rows = self.connection.execute(statement.order_by(VEHICLES.c.code)).mappings()

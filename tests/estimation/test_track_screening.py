@@ -48,8 +48,8 @@ BAD: dict[str, tuple[Callable[[Pass], Pass], str]] = {
                         "not of this section"),
     "axes reversed": (lambda p: replace(p, displacement=-p.displacement, difference=-p.difference), "mirror image"),
     "another unit": (lambda p: replace(p, displacement=1e3 * p.displacement), "times that of"),
-    "too short": (lambda p: replace(p, at=p.at[:90], displacement=p.displacement[:90], difference=p.difference[:90]),
-                  "too short"),
+    "too short": (lambda p: replace(p, at=p.at[:30], displacement=p.displacement[:30], difference=p.difference[:30],
+                                    elastic=None), "too short"),
 }  # fmt: skip
 
 
@@ -140,10 +140,11 @@ def test_the_other_direction_tells_the_same_alignment_and_the_same_wheelset() ->
     solved = result(update(init(replace(PANEL, length=13_000.0, reach=1.0e-3)), apart))
     for name in ("W0", "W2"):
         here, there = solved.wheelsets.index(name), solved.wheelsets.index(f"{name} turned")
-        seen = (solved.weight[here] > 100) & (solved.weight[there] > 100)
-        assert seen.sum() > 4
-        difference = (solved.curves[0, here] - solved.curves[0, there])[seen]
-        assert np.abs(difference).max() < 0.1 * np.ptp(solved.curves[0, here][seen])
+        k = len(solved.knots)
+        seen = (solved.weight[here, :k] > 50) & (solved.weight[there, :k] > 50)
+        assert seen.sum() >= 3
+        first, second = (solved.curves[0, number, :k][seen] for number in (here, there))
+        assert np.abs(first - second).max() < 0.1 * np.ptp(first)
 
 
 def test_a_wheelset_mounted_reversed_has_its_own_left_wheel_left() -> None:
