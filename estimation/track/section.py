@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.arrays import FloatArray
-from estimation.track.local_filter import smoother, trusted, without_slow_part
-from estimation.track.panel import PanelParameters, PanelState, filtered, groups_of, init, update
+from estimation.track.evidence import Evidence, on_grid, with_evidence
+from estimation.track.panel import PanelParameters, PanelState, filtered, init, update
 from estimation.track.passes import Pass
 from estimation.track.positions import (
     Correction,
@@ -63,18 +63,6 @@ class SectionEstimate:
 
 
 @dataclass(frozen=True, slots=True)
-class _Known:
-    """Evidence on the grid: filtered alignment (n,), zero where there is none, and its std (n,), inf there."""
-
-    alignment: FloatArray
-    std: FloatArray
-    passes: FloatArray
-    gauge: FloatArray
-    gauge_std: FloatArray
-    gauge_known: bool
-
-
-@dataclass(frozen=True, slots=True)
 class _Settled:
     state: PanelState  # without the evidence
     solution: PanelSolution
@@ -103,7 +91,7 @@ def estimate_section(
     grouped: Grouped = journeys(passes, parameters.positions)
     if not grouped:
         return SectionEstimate(None, nothing("no pass", named), {}, None)
-    known = None if evidence is None else _known(evidence, parameters.panel)
+    known = None if evidence is None else on_grid(evidence, parameters.panel)
     reason = _nothing_to_tell(grouped, parameters) if known is None else ""
     if reason:
         return SectionEstimate(None, nothing(reason, named), {}, None)
@@ -136,7 +124,7 @@ def _nothing_to_tell(grouped: Grouped, p: SectionParameters) -> str:
 
 
 def _without_strays(
-    grouped: Grouped, known: _Known | None, p: SectionParameters
+    grouped: Grouped, known: Evidence | None, p: SectionParameters
 ) -> tuple[_Settled, dict[Journey, str], dict[Journey, float]]:
     """Settle, leave out what agrees with nothing, and settle again until all that is left agrees."""
     kept = dict(grouped)
@@ -152,7 +140,7 @@ def _without_strays(
         kept = {journey: members for journey, members in kept.items() if journey not in found}
 
 
-def _settle(grouped: Grouped, known: _Known | None, p: SectionParameters) -> _Settled:
+def _settle(grouped: Grouped, known: Evidence | None, p: SectionParameters) -> _Settled:
     """Solve the panel and put the journeys where it says, in turn, until none moves."""
     anchor = known.alignment if known is not None else None
     corrections = correlate(grouped, p.panel, p.positions, anchor)
@@ -161,7 +149,7 @@ def _settle(grouped: Grouped, known: _Known | None, p: SectionParameters) -> _Se
         rounds += 1
         at = [item for journey, members in grouped.items() for item in corrected(members, corrections[journey])]
         state = update(init(p.panel), at)
-        solution = result(state if known is None else _with_evidence(state, known, noise, p))
+        solution = result(state if known is None else with_evidence(state, known, noise, p.most_weight))
         noise = max(_residual_of_passes(state, solution), 0.1 * p.pass_std)
         if moved < p.settled or rounds == p.rounds:
             return _Settled(state, solution, corrections, rounds, moved)
@@ -192,44 +180,6 @@ def _apart(first: Correction, second: Correction, members: Sequence[Pass]) -> fl
     """Return by how much two corrections differ at the ends of a journey, m."""
     ends = np.array([min(item.at[0] for item in members), max(item.at[-1] for item in members)])
     return float(np.abs(first.at(ends) - second.at(ends)).max())
-
-
-def _known(evidence: TrackAlignment, panel: PanelParameters) -> _Known:
-    """Return ``evidence`` as the panel sees it: on its grid, after its high-pass if it has not been through one."""
-    grid = np.arange(panel.points) * panel.step
-    certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
-    inside = np.interp(grid, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
-    d = np.interp(grid, evidence.s, np.where(certain, evidence.alignment, 0.0))
-    std = np.interp(grid, evidence.s, np.where(certain, evidence.alignment_std, 0.0))
-    if not np.isfinite(evidence.cut_off):
-        weights = smoother(panel.cut_off, panel.step)
-        inside = trusted(np.asarray(inside), weights)
-        d = without_slow_part(d, weights)
-    passes = np.interp(grid, evidence.s, evidence.passes.astype(np.float64))
-    return _Known(
-        np.where(inside, d, 0.0),
-        np.where(inside, std, np.inf),
-        np.where(inside, np.rint(passes), 0.0),
-        np.interp(grid, evidence.s, evidence.gauge_deviation),
-        np.interp(grid, evidence.s, evidence.gauge_deviation_std),
-        evidence.gauge_known,
-    )
-
-
-def _with_evidence(state: PanelState, known: _Known, noise: float, p: SectionParameters) -> PanelState:
-    """Return the sums with the evidence added as a pass of R = 0, as heavy as its variance makes it."""
-    with np.errstate(divide="ignore"):
-        weight = np.minimum((noise / known.std) ** 2, p.most_weight)
-    d = known.alignment
-    group = groups_of(np.arange(p.panel.points), p.panel)
-    square = state.square + np.bincount(group, weights=weight * d * d, minlength=p.panel.groups)
-    return replace(
-        state,
-        parameters=replace(state.parameters, least_passes=1),
-        displacement=state.displacement + weight * d,
-        passes=state.passes + weight,
-        square=square,
-    )
 
 
 def _residuals(grouped: Grouped, settled: _Settled, panel: PanelParameters) -> dict[Journey, float]:
@@ -273,11 +223,12 @@ def _report(
     grouped: Grouped,
     strays: Mapping[Journey, str],
     residuals: Mapping[Journey, float],
-    known: _Known | None,
+    known: Evidence | None,
     p: SectionParameters,
 ) -> LoopReport:
-    solution = settled.solution
-    of_panel = result(settled.state).report if known is not None else solution.report
+    solution, state = settled.solution, settled.state
+    passed = state.passes > 0
+    of_panel = solution.report
     status, reason = of_panel.status, of_panel.reason
     if known is not None and np.isfinite(known.std).any():
         status, reason = Status.ESTIMATED, ""
@@ -297,12 +248,22 @@ def _report(
         moved_m=settled.moved,
         passes=sum(item.passes for item in told if item.used),
         wheelsets=len(solution.wheelsets),
-        mean_passes=of_panel.passes,
-        diversity=of_panel.diversity,
+        mean_passes=float(state.passes[passed].mean()) if passed.any() else 0.0,
+        diversity=_diversity(state),
         covered=float(np.isfinite(solution.alignment).mean()),
         alignment_std_m=float(np.median(solution.alignment_std[certain])) if certain.any() else float("nan"),
         journeys=tuple(told),
     )
+
+
+def _diversity(state: PanelState) -> float:
+    """Return the std of R between the passes of a place over the std of R."""
+    several = state.passes > 1
+    count = state.passes[several]
+    sums, squares = state.difference[0, several], state.difference[1, several]
+    within = float((squares - sums**2 / count).sum() / max(int((count - 1).sum()), 1))
+    total = float(squares.sum() / max(int(count.sum()), 1))
+    return float(np.sqrt(max(within, 0.0) / total)) if total > 0 else 0.0
 
 
 def _journey(
@@ -322,7 +283,7 @@ def _journey(
     )
 
 
-def _alignment(section: str, settled: _Settled, known: _Known | None, p: SectionParameters) -> TrackAlignment:
+def _alignment(section: str, settled: _Settled, known: Evidence | None, p: SectionParameters) -> TrackAlignment:
     """Return the solution as an alignment, NaN where it is not known; places that nobody passed stay as they were."""
     solution, seen = settled.solution, settled.state.passes
     d, std, before = solution.alignment, solution.alignment_std, np.zeros(p.panel.points)

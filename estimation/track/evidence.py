@@ -1,0 +1,62 @@
+"""What was known of a section before an epoch, as the panel takes it: one more pass of a wheelset with R = 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.arrays import FloatArray
+from estimation.track.local_filter import smoother, trusted, without_slow_part
+from estimation.track.panel import PanelParameters, PanelState, groups_of
+from estimation.types import TrackAlignment
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Evidence on the grid: filtered alignment (n,), zero where there is none, and its std (n,), inf there."""
+
+    alignment: FloatArray
+    std: FloatArray
+    passes: FloatArray
+    gauge: FloatArray
+    gauge_std: FloatArray
+    gauge_known: bool
+
+
+def on_grid(evidence: TrackAlignment, panel: PanelParameters) -> Evidence:
+    """Return ``evidence`` as the panel sees it: on its grid, after its high-pass if it has not been through one."""
+    grid = np.arange(panel.points) * panel.step
+    certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
+    inside = np.interp(grid, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
+    d = np.interp(grid, evidence.s, np.where(certain, evidence.alignment, 0.0))
+    std = np.interp(grid, evidence.s, np.where(certain, evidence.alignment_std, 0.0))
+    if not np.isfinite(evidence.cut_off):
+        weights = smoother(panel.cut_off, panel.step)
+        inside = trusted(np.asarray(inside), weights)
+        d = without_slow_part(d, weights)
+    passes = np.interp(grid, evidence.s, evidence.passes.astype(np.float64))
+    return Evidence(
+        np.where(inside, d, 0.0),
+        np.where(inside, std, np.inf),
+        np.where(inside, np.rint(passes), 0.0),
+        np.interp(grid, evidence.s, evidence.gauge_deviation),
+        np.interp(grid, evidence.s, evidence.gauge_deviation_std),
+        evidence.gauge_known,
+    )
+
+
+def with_evidence(state: PanelState, known: Evidence, noise: float, most_weight: float) -> PanelState:
+    """Return the sums with the evidence added, as heavy as its variance makes it against the ``noise`` (m) of a pass."""
+    with np.errstate(divide="ignore"):
+        weight = np.minimum((noise / known.std) ** 2, most_weight)
+    d = known.alignment
+    group = groups_of(np.arange(state.parameters.points), state.parameters)
+    square = state.square + np.bincount(group, weights=weight * d * d, minlength=state.parameters.groups)
+    return replace(
+        state,
+        parameters=replace(state.parameters, least_passes=1),
+        displacement=state.displacement + weight * d,
+        passes=state.passes + weight,
+        square=square,
+    )
