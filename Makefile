@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test check lint bench bench-track clean
+.PHONY: demo test check lint bench bench-track bench-estimation clean
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	@echo "building the virtual environment in $(VENV) (about a minute)"
@@ -33,6 +33,9 @@ check: lint test
 
 bench-track: $(VENV)/.dev
 	$(BIN)/python -m bench track
+
+bench-estimation: $(VENV)/.dev
+	$(BIN)/python -m bench section $(ARGS)
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m bench $(ARGS)

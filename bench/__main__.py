@@ -1,4 +1,4 @@
-"""Run the benchmarks and print one table: ``python -m bench [name ...]``."""
+"""Run the benchmarks and print one table: ``python -m bench [name ...]``; ``section`` has options of its own."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ NAMES = ("contact", "estimation", "recursion", "decoding", "simulator")
 
 def main() -> int:
     """Run what was asked for, or all; return 1 when a row falls short."""
+    if sys.argv[1:2] == ["section"]:
+        return int(import_module("bench.section").main(sys.argv[2:]))
     wanted = sys.argv[1:] or NAMES
     console = Console()
     table = Table("what", "measured", "reach", "met", title="treadwatch bench", title_justify="left", show_lines=True)

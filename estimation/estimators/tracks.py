@@ -43,10 +43,12 @@ class TrackKnowledge:
 
     def _correction(self, window: Window) -> Correction | None:
         assert self.found is not None
-        for journey in self.found.report.journeys:
-            if journey.vehicle == window.vehicle and journey.from_ns <= window.start_ns <= journey.to_ns:
-                return self.found.corrections.get((journey.vehicle, journey.from_ns))
-        return None
+        began = [
+            journey.from_ns
+            for journey in self.found.report.journeys
+            if journey.vehicle == window.vehicle and journey.from_ns <= window.start_ns
+        ]
+        return self.found.corrections.get((window.vehicle, max(began))) if began else None
 
 
 def straight_track(section: str, length: float) -> TrackAlignment:

@@ -42,6 +42,7 @@ _HOUR_NS = 3_600 * NANOSECONDS
 class WheelsetTruth:
     """The true geometry of a wheelset at nominal gauge, and where it runs."""
 
+    number: int  # from 0
     serial: str
     vehicle: str
     axle: int  # from 1
@@ -110,10 +111,9 @@ class SectionRun:
             No such wheelset.
         """
         truth = self.truth(serial)
-        number = self.wheelsets.index(truth)
-        with np.load(wheelset_file(self.folder, number)) as stored:
+        with np.load(wheelset_file(self.folder, truth.number)) as stored:
             for journey in range(self.scenario.passes):
-                yield from self._journey(truth, number, journey, stored[f"counts_{journey}"])
+                yield from self._journey(truth, journey, stored[f"counts_{journey}"])
 
     def all_windows(self) -> Iterator[Window]:
         """Yield the windows of all wheelsets."""
@@ -150,11 +150,11 @@ class SectionRun:
             gauge_known=gauge_known,
         )
 
-    def _journey(self, truth: WheelsetTruth, number: int, journey: int, counts: RawCounts) -> Iterator[Window]:
+    def _journey(self, truth: WheelsetTruth, journey: int, counts: RawCounts) -> Iterator[Window]:
         scenario, resolution = self.scenario, Resolution.of_the_bus()
-        vehicle, axle, stride = number % scenario.vehicles, number // scenario.vehicles, scenario.sensors.stride
+        vehicle, stride = truth.number % scenario.vehicles, scenario.sensors.stride
         speed = journey_speed(scenario, self.seed, vehicle, journey)
-        true = travelled(speed, axle_start(axle))[::stride]
+        true = travelled(speed, axle_start(truth.axle - 1))[::stride]
         speed = np.rint(speed[::stride] / resolution.speed) * resolution.speed
         error = self.position_error(vehicle, journey)
         distance = true + error.offset + error.scale * (true - 0.5 * scenario.length)
@@ -247,6 +247,7 @@ def _truth(scenario: SectionScenario, seed: int, number: int, folder: Path) -> W
     with np.load(wheelset_file(folder, number)) as stored:
         x, R = stored["displacement"], stored["difference"]
         return WheelsetTruth(
+            number=number,
             serial=f"W{number:02d}",
             vehicle=f"V{vehicle}",
             axle=number // scenario.vehicles + 1,

@@ -1,0 +1,147 @@
+"""The accuracy table of unknown track: ``python -m bench section [--seeds 0-19] [--rows known,unknown] ...``.
+
+Every row is a section scenario file; every seed of a row goes the product's own way from windows to published numbers.
+Two processes share the seeds. Results are written as JSON after every seed, so that nothing is lost on the way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+import traceback
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from bench.section_table import LIMITS, scaling_table, summary_table
+from ingest.simulator.section_file import builtin_section_scenarios, load_section_scenario
+from ingest.simulator.section_run import simulate_section
+
+NO_INFORMATION = "no_information"
+WORKERS = 2
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run what was asked for; return 1 when a row falls short."""
+    options = _options(arguments)
+    console = Console(width=None if Console().is_terminal else 200)
+    results: dict[str, Any] = {"cases": [], "failures": [], "scaling": []}
+    _write(options.out, results)  # now, not after an hour
+    variants = {"both": (False, True), "none": (False,), "only": (True,)}[options.parameter_errors]
+    tasks = [(seed, tuple(options.rows), variants, options.keep) for seed in options.seeds]
+    began = time.monotonic()
+    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+        futures = {pool.submit(seed_cases, *task): task[0] for task in tasks}
+        for done, future in enumerate(as_completed(futures), start=1):
+            cases, failures = future.result()
+            results["cases"] += cases
+            results["failures"] += failures
+            _write(options.out, results)
+            passed = time.monotonic() - began
+            console.print(
+                f"seed {futures[future]} done, {done} of {len(futures)}, {passed / 60:.1f} min", highlight=False
+            )
+            for case in cases:
+                console.print("  " + spoken(case), highlight=False)
+            for failure in failures:
+                console.print(f"  FAILED {failure['row']} seed {failure['seed']}: {failure['error']}", highlight=False)
+    if options.scaling:
+        from bench.section_scaling import scaling  # noqa: PLC0415 - only where asked for
+
+        for size in scaling(options.keep):
+            results["scaling"].append(size)
+            _write(options.out, results)
+            console.print(f"  {size['passes']} passes: {size['seconds']:.1f} s, {size['peak_mib']:.0f} MiB")
+    console.print(summary_table(results["cases"]))
+    if results["scaling"]:
+        console.print(scaling_table(results["scaling"]))
+    console.print(f"wrote {options.out}", highlight=False)
+    return 1 if results["failures"] or not all_met(results["cases"]) else 0
+
+
+def seed_cases(
+    seed: int, rows: tuple[str, ...], variants: tuple[bool, ...], keep: Path | None
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the scores of all rows for one seed, and what failed; runs in a process of its own."""
+    from bench.section_case import score  # noqa: PLC0415 - compiled code is loaded where it runs
+
+    cases, failures = [], []
+    with tempfile.TemporaryDirectory(prefix="treadwatch-section-") as folder:
+        for drawn in variants:
+            for row in rows:
+                if drawn and row == NO_INFORMATION:
+                    continue
+                scenario = replace(load_section_scenario(row), errors_drawn=drawn)
+                try:
+                    run = simulate_section(scenario, seed, keep or Path(folder), workers=1)
+                    cases.append(score(run).as_json())
+                except Exception as error:  # noqa: BLE001 - one row that fails must not cost the hour before it
+                    told = "".join(traceback.format_exception(error)[-2:])
+                    failures.append({"row": row, "seed": seed, "drawn": drawn, "error": repr(error), "trace": told})
+    return cases, failures
+
+
+def spoken(case: dict[str, Any]) -> str:
+    """Return one case in a line."""
+    errors = [item["error"] for item in case["wheelsets"] if item["error"] is not None]
+    published = sum(item["conicity"]["published"] for item in case["wheelsets"])
+    covered = sum(item["conicity"]["covered"] for item in case["wheelsets"])
+    name = case["row"] + (" with parameter errors" if case["drawn"] else "")
+    line = f"{name}, {case['pair']}: "
+    line += f"error mean {sum(errors) / len(errors):.4f}, worst {max(errors):.4f}" if errors else "nothing estimated"
+    if published:
+        line += f", {covered}/{published} intervals cover"
+    if case["alignment"] is not None:
+        line += f", alignment {1e3 * case['alignment']['band']:.3f} mm"
+    if case["reason"]:
+        line += f" ({case['reason']})"
+    return line + f", {sum(case['seconds']):.0f} s"
+
+
+def all_met(cases: Sequence[dict[str, Any]]) -> bool:
+    """Whether every row that was run reaches its numbers."""
+    from bench.section_table import summaries  # noqa: PLC0415 - beside its use
+
+    return all(item.met for item in summaries(cases))
+
+
+def _write(path: Path, results: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(results, indent=1), encoding="utf-8")
+
+
+def _options(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m bench section", description=__doc__)
+    parser.add_argument("--seeds", type=_seeds, default=list(range(20)), help="as 0-19 or 0,3,7; default 0-19")
+    parser.add_argument("--rows", type=_rows, default=list(LIMITS), help=f"of {', '.join(LIMITS)}; default all")
+    parser.add_argument(
+        "--parameter-errors", choices=("both", "none", "only"), default="both", help="run rows without, with, or both"
+    )
+    parser.add_argument("--no-scaling", dest="scaling", action="store_false", help="leave time and memory out")
+    parser.add_argument("--workers", type=int, default=WORKERS, help="processes")
+    parser.add_argument("--keep", type=Path, default=None, help="folder that keeps simulations (60 MB each)")
+    parser.add_argument("--out", type=Path, default=Path("bench-results/section.json"), help="JSON file to write")
+    return parser.parse_args(arguments)
+
+
+def _seeds(text: str) -> list[int]:
+    seeds: list[int] = []
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        seeds += range(int(first), int(last or first) + 1)
+    return seeds
+
+
+def _rows(text: str) -> list[str]:
+    rows, known = text.split(","), builtin_section_scenarios()
+    for row in rows:
+        if row not in known:
+            raise argparse.ArgumentTypeError(f"{row!r} is none of {', '.join(known)}")
+    return rows

@@ -1,0 +1,92 @@
+"""The alignment that the fleet has found against the true one, in a band of wavelengths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.arrays import BoolArray, FloatArray
+from estimation.restored_alignment import restored
+from estimation.track.local_filter import smoother, without_slow_part
+from estimation.types import TrackAlignment
+from ingest.simulator.section_run import SectionRun
+
+BAND = (3.0, 60.0)  # m of wavelength
+ENDS = 300.0  # m of the section that are left out at each end
+NORMAL = 1.959964
+STEPS = 6  # of the fit of place and stretch
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentScore:
+    """Error of the alignment; SD in m."""
+
+    band: float  # 3-60 m of wavelength
+    filtered: float  # as published, against the truth behind the same filter
+    signal: float  # SD of the true alignment in the band
+    published: int  # places
+    covered: int  # of these, by the 95 % interval
+    known: float  # share of the section
+
+
+def alignment_score(run: SectionRun, found: TrackAlignment) -> AlignmentScore:
+    """Return the error of ``found``, its place and stretch as a whole fitted: nobody can tell these."""
+    grid, step = found.s, float(found.s[1] - found.s[0])
+    inner = (grid > ENDS) & (grid < grid[-1] - ENDS) & np.isfinite(found.alignment)
+    own = np.isfinite(found.cut_off)
+    weights = smoother(found.cut_off, step) if own else None
+
+    def truth(s: FloatArray) -> FloatArray:
+        return np.interp(s, run.track.s, run.track.alignment)
+
+    def filtered(values: FloatArray) -> FloatArray:
+        return values if weights is None else without_slow_part(values, weights)
+
+    place = _fitted(run, found, inner, lambda s: filtered(truth(s)))
+    error = (found.alignment - filtered(truth(place)))[inner]
+    true_band = in_band(truth(place), step)
+    fullest = restored(found)
+    known = np.isfinite(fullest)
+    whole = np.interp(grid, grid[known], fullest[known])
+    inside = np.abs(error - error.mean()) <= NORMAL * found.alignment_std[inner]
+    return AlignmentScore(
+        band=float((in_band(whole, step) - true_band)[inner & known].std()),
+        filtered=float(error.std()),
+        signal=float(true_band[inner].std()),
+        published=int(inner.sum()),
+        covered=int(inside.sum()),
+        known=float(np.isfinite(found.alignment).mean()),
+    )
+
+
+def _fitted(
+    run: SectionRun, found: TrackAlignment, inner: BoolArray, truth: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """Return the true place (n,), m, of every grid point: that of the mean journey, then by least squares."""
+    scenario, grid = run.scenario, found.s
+    centre = 0.5 * scenario.length
+    errors = [run.position_error(v, j) for v in range(scenario.vehicles) for j in range(scenario.passes)]
+    offset, scale = (float(np.mean([getattr(error, name) for error in errors])) for name in ("offset", "scale"))
+    if not (scenario.position_offset or scenario.position_scale):
+        return grid
+    for _ in range(STEPS):
+        place = grid - offset - scale * (grid - centre)
+        d = truth(place)
+        slope = np.gradient(d, grid)
+        design = np.column_stack([slope, slope * (grid - centre)])[inner]
+        moved, stretched = np.linalg.lstsq(design, (d - found.alignment)[inner], rcond=None)[0]
+        offset, scale = offset + float(moved), scale + float(stretched)
+    return np.asarray(grid - offset - scale * (grid - centre))
+
+
+def in_band(values: FloatArray, step: float) -> FloatArray:
+    """Return ``values`` (n,) without what lies outside ``BAND``; within ``ENDS`` of its ends it is faded out."""
+    n = len(values)
+    fade = np.clip(np.arange(n) * step / (0.5 * ENDS), 0.0, 1.0)
+    window = np.sin(0.5 * np.pi * fade) ** 2 * np.sin(0.5 * np.pi * fade[::-1]) ** 2
+    spectrum = np.fft.rfft((values - values.mean()) * window)
+    wavenumber = np.fft.rfftfreq(n, step)
+    keep = (wavenumber >= 1.0 / BAND[1]) & (wavenumber <= 1.0 / BAND[0])
+    return np.fft.irfft(np.where(keep, spectrum, 0.0), n)

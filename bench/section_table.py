@@ -1,0 +1,162 @@
+"""The accuracy table: rows summed over seeds and wheelsets, against the numbers to reach."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+LIMITS: Mapping[str, float | None] = {  # 95th percentile of the conicity error; None: nothing may be estimated
+    "known": 0.01,
+    "unknown": 0.02,
+    "unknown_position": 0.025,
+    "gauge_1mm_unknown": 0.03,
+    "gauge_2mm_known": 0.03,
+    "gauge_2mm_unknown": 0.05,
+    "no_information": None,
+}
+COVERAGE = (0.92, 0.98)
+ALIGNMENT = 0.06e-3  # m SD, constant gauge
+LEAST_INTERVALS = 100  # before a share of them says anything
+
+
+@dataclass(frozen=True, slots=True)
+class RowSummary:
+    """One row of the table, with or without parameter errors."""
+
+    row: str
+    drawn: bool
+    seeds: int
+    wheelsets: int
+    estimated: int  # wheelsets with a conicity
+    median: float
+    p95: float
+    bias: float  # mean signed error
+    coverage: Mapping[str, tuple[int, int]]  # kind -> (published, covered)
+    given: float  # share of the amplitudes
+    alignment: float  # m SD in the band, median over seeds; NaN where it was known
+    alignment_filtered: float  # m SD, as published
+    false_estimated: int  # wheelsets or alignments that were estimated where nothing may be
+    seconds: float  # median, passes to geometry
+
+    @property
+    def met(self) -> bool:
+        """Whether the row reaches its numbers; the alignment where it is asked for."""
+        limit = LIMITS.get(self.row)
+        if limit is None:
+            return self.false_estimated == 0
+        published, covered = self.coverage["conicity"]
+        covers = published > 0 and COVERAGE[0] <= covered / published <= COVERAGE[1]
+        aligned = self.row not in {"unknown", "unknown_position"} or self.alignment <= ALIGNMENT
+        return self.p95 <= limit and covers and aligned
+
+
+KINDS = {
+    "conicity": "conicity",
+    "difference": "R per bin",
+    "other_bins": "S, A, D per bin",
+    "nonlinearity": "NP",
+    "zero_crossing": "zero crossing",
+}
+
+
+def summaries(cases: Sequence[Mapping[str, Any]]) -> list[RowSummary]:
+    """Return the rows in the order of the table."""
+    names = [*LIMITS, *sorted({case["row"] for case in cases} - set(LIMITS))]
+    keys = [(row, drawn) for drawn in (False, True) for row in names]
+    found = []
+    for row, drawn in keys:
+        mine = [case for case in cases if (case["row"], case["drawn"]) == (row, drawn)]
+        if mine:
+            found.append(_summary(row, drawn, mine))
+    return found
+
+
+def _summary(row: str, drawn: bool, cases: Sequence[Mapping[str, Any]]) -> RowSummary:  # noqa: FBT001 - part of a key
+    wheelsets = [item for case in cases for item in case["wheelsets"]]
+    errors = [item["error"] for item in wheelsets if item["error"] is not None]
+    signed = [item["signed"] for item in wheelsets if item["signed"] is not None]
+    coverage = {
+        kind: (sum(item[kind]["published"] for item in wheelsets), sum(item[kind]["covered"] for item in wheelsets))
+        for kind in KINDS
+    }
+    aligned = [case["alignment"] for case in cases if case["alignment"] is not None]
+    coverage["alignment"] = (sum(a["published"] for a in aligned), sum(a["covered"] for a in aligned))
+    asked = sum(len(item["amplitudes"]) for item in wheelsets)
+    estimated = len(errors) + sum(case["status"] == "estimated" for case in cases)
+    return RowSummary(
+        row=row,
+        drawn=drawn,
+        seeds=len(cases),
+        wheelsets=len(wheelsets),
+        estimated=len(errors),
+        median=float(np.median(errors)) if errors else math.nan,
+        p95=float(np.quantile(errors, 0.95)) if errors else math.nan,
+        bias=float(np.mean(signed)) if signed else math.nan,
+        coverage=coverage,
+        given=coverage["conicity"][0] / asked if asked else 0.0,
+        alignment=float(np.median([a["band"] for a in aligned])) if aligned else math.nan,
+        alignment_filtered=float(np.median([a["filtered"] for a in aligned])) if aligned else math.nan,
+        false_estimated=estimated if LIMITS.get(row, 1.0) is None else 0,
+        seconds=float(np.median([sum(case["seconds"]) for case in cases])),
+    )
+
+
+def summary_table(cases: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table for a terminal."""
+    table = Table(
+        "row", "seeds", "median", "95th", "reach", "bias", "given", "conicity", "R bins", "S, A, D", "NP", "zero",
+        "alignment", "d 3-60 m (as published)", "s", "met",
+        title="equivalent conicity, mean absolute error over 1-3 mm; share of 95 % intervals that cover (of how many)",
+        title_justify="left",
+    )  # fmt: skip
+    for item in summaries(cases):
+        limit = LIMITS.get(item.row)
+        table.add_row(
+            item.row + (" + errors" if item.drawn else ""),
+            str(item.seeds),
+            _number(item.median, 4),
+            _number(item.p95, 4),
+            f"{limit:g}" if limit is not None else f"none estimated: {item.false_estimated}",
+            _number(item.bias, 4),
+            f"{item.given:.0%}",
+            *(_share(item.coverage[kind]) for kind in (*KINDS, "alignment")),
+            f"{_number(1e3 * item.alignment, 3)} ({_number(1e3 * item.alignment_filtered, 3)}) mm",
+            f"{item.seconds:.0f}",
+            "yes" if item.met else "NO",
+        )
+    return table
+
+
+def scaling_table(sizes: Sequence[Mapping[str, Any]]) -> Table:
+    """Return time and memory by number of passes."""
+    table = Table(
+        "passes", "passes s", "alignment s", "forward s", "total s", "s per pass", "peak MiB", "of these to begin with",
+        title="12 km, one core: processor time and memory", title_justify="left",
+    )  # fmt: skip
+    for size in sizes:
+        table.add_row(
+            str(size["passes"]),
+            *(f"{value:.1f}" for value in size["parts"]),
+            f"{size['seconds']:.1f}",
+            f"{size['seconds'] / size['passes']:.2f}",
+            f"{size['peak_mib']:.0f}",
+            f"{size['base_mib']:.0f}",
+        )
+    return table
+
+
+def _share(count: tuple[int, int]) -> str:
+    published, covered = count
+    if not published:
+        return "-"
+    shown = f"{100 * covered / published:.1f} %" if published >= LEAST_INTERVALS else f"{covered}/{published}"
+    return f"{shown} ({published})" if published >= LEAST_INTERVALS else shown
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
