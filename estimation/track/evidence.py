@@ -23,6 +23,11 @@ class Evidence:
     gauge_std: FloatArray
     gauge_known: bool
 
+    @property
+    def lies(self) -> bool:
+        """Whether it says of any place how that lies; it may speak of the gauge alone."""
+        return bool(np.isfinite(self.std).any())
+
 
 def on_grid(evidence: TrackAlignment, panel: PanelParameters) -> Evidence:
     """Return ``evidence`` as the panel sees it: on its grid, after its high-pass if it has not been through one."""
@@ -47,7 +52,7 @@ def on_grid(evidence: TrackAlignment, panel: PanelParameters) -> Evidence:
 
 
 def with_evidence(state: PanelState, known: Evidence, noise: float, most_weight: float) -> PanelState:
-    """Return the sums with the evidence added, as heavy as its variance makes it against the ``noise`` (m) of a pass."""
+    """Return the sums with the evidence added, as heavy as its variance makes it against a pass's ``noise`` (m)."""
     with np.errstate(divide="ignore"):
         weight = np.minimum((noise / known.std) ** 2, most_weight)
     d = known.alignment

@@ -58,11 +58,12 @@ def find(
     """
     panel = replace(settings.section.panel, length=section.length_m)
     parameters = replace(settings.section, panel=panel)
-    on_record = in_force is not None and in_force.source == RECORDED
+    recording = in_force is not None and in_force.source == RECORDED
+    on_record = recording and in_force is not None and bool(np.isfinite(in_force.alignment).any())
     screened = screen(passes, in_force, replace(settings.screening, positions=parameters.positions))
     if in_force is not None and on_record:
         return _beside_recording(section.code, screened, in_force, parameters, judge=judge)
-    evidence = in_force if in_force is not None and in_force.cut_off == parameters.reaches else None
+    evidence = in_force if in_force is not None and (recording or in_force.cut_off == parameters.reaches) else None
     estimate = estimate_section(section.code, screened.used, evidence, parameters)
     made = estimate.alignment is not None
     return Finding(
@@ -81,7 +82,7 @@ def _beside_recording(
             if not judgement.usable:
                 told = f"not used: {judgement.reason}"
                 return Finding(blind, blind.alignment, True, False, screened.outcomes, told)  # noqa: FBT003 - made, not trusted
-            verdict = judgement.reason or "agrees with what the fleet has felt"
+            verdict = None if judgement.reason else "agrees with what the fleet has felt"
     estimate = estimate_section(section, screened.used, recorded, parameters)
     if estimate.alignment is not None and better(estimate.alignment, recorded):
         return Finding(estimate, estimate.alignment, True, False, screened.outcomes, verdict)  # noqa: FBT003 - the same

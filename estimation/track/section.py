@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.arrays import FloatArray
 from estimation.track.evidence import Evidence, on_grid, with_evidence
 from estimation.track.panel import PanelParameters, PanelState, filtered, init, update
 from estimation.track.passes import Pass
@@ -92,7 +91,7 @@ def estimate_section(
     if not grouped:
         return SectionEstimate(None, nothing("no pass", named), {}, None)
     known = None if evidence is None else on_grid(evidence, parameters.panel)
-    reason = _nothing_to_tell(grouped, parameters) if known is None else ""
+    reason = _nothing_to_tell(grouped, parameters) if known is None or not known.lies else ""
     if reason:
         return SectionEstimate(None, nothing(reason, named), {}, None)
     settled, strays, residuals = _without_strays(grouped, known, parameters)
@@ -142,7 +141,8 @@ def _without_strays(
 
 def _settle(grouped: Grouped, known: Evidence | None, p: SectionParameters) -> _Settled:
     """Solve the panel and put the journeys where it says, in turn, until none moves."""
-    anchor = known.alignment if known is not None else None
+    lies = known is not None and known.lies
+    anchor = known.alignment if known is not None and lies else None
     corrections = correlate(grouped, p.panel, p.positions, anchor)
     noise, moved, rounds = p.pass_std, np.inf, 0
     while True:
@@ -153,7 +153,7 @@ def _settle(grouped: Grouped, known: Evidence | None, p: SectionParameters) -> _
         noise = max(_residual_of_passes(state, solution), 0.1 * p.pass_std)
         if moved < p.settled or rounds == p.rounds:
             return _Settled(state, solution, corrections, rounds, moved)
-        better = refine(grouped, corrections, solution, p.panel, anchored=known is not None)
+        better = refine(grouped, corrections, solution, p.panel, anchored=lies)
         moved = max(_apart(corrections[journey], better[journey], members) for journey, members in grouped.items())
         corrections = better
 
@@ -230,7 +230,7 @@ def _report(
     passed = state.passes > 0
     of_panel = solution.report
     status, reason = of_panel.status, of_panel.reason
-    if known is not None and np.isfinite(known.std).any():
+    if known is not None and known.lies:
         status, reason = Status.ESTIMATED, ""
     if status is Status.ESTIMATED and len(strays) == len(grouped):
         status, reason = Status.UNESTIMATED, "no journey agrees with another: " + next(iter(strays.values()))
