@@ -43,10 +43,37 @@ def get_track_section(request: Request, joined: Joined, code: Code, _held: IfNon
 def get_alignment(
     request: Request, joined: Joined, code: Code, version: Version = None, _held: IfNoneMatch = None
 ) -> Response:
-    """Return what is known of the section's alignment and gauge."""
+    """Return what is known of the section's alignment and gauge, and how it was found."""
     with joined.storage.read() as unit:
         unit.tracks.section(code)
         found = unit.tracks.alignment(code, version)
+        if found is None:
+            what = code if version is None else f"{code} version {version}"
+            raise NotFoundError("alignment of track section", what)
+        (record,) = unit.tracks.versions(code, found.version - 1, 1)
+        report = unit.tracks.report(code, found.version)
+    return answer(request, tracks.alignment(found, record, report))
+
+
+@router.get("/{code}/alignments", response_model=Page[tracks.AlignmentSummary], responses=described(400, 404))
+def list_alignments(
+    request: Request, joined: Joined, code: Code, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
+) -> Response:
+    """List the versions of the section's alignment, oldest first, without their columns."""
+    filters = {"section": code}
+    after = cursors.decode_number(operation(request), filters, cursor)
+    with joined.storage.read() as unit:
+        unit.tracks.section(code)
+        found = unit.tracks.versions(code, after, limit + 1)
+    return answer_page(request, filters, limit, found, lambda record: record.version, tracks.alignment_summary)
+
+
+@router.get("/{code}/alignment-report", response_model=tracks.AlignmentReport, responses=described(404))
+def get_alignment_report(request: Request, joined: Joined, code: Code, _held: IfNoneMatch = None) -> Response:
+    """Return what the last run of the alignment job found of the section, also where it found nothing."""
+    with joined.storage.read() as unit:
+        unit.tracks.section(code)
+        found = unit.tracks.report(code)
     if found is None:
-        raise NotFoundError("alignment of track section", code if version is None else f"{code} version {version}")
-    return answer(request, tracks.alignment(found))
+        raise NotFoundError("alignment report yet of track section", code)
+    return answer(request, tracks.report(found))

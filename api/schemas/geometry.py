@@ -119,6 +119,10 @@ def geometry(record: GeometryRecord) -> Geometry:
             "wheelset": own,
             "trend": f"{own}/trend",
             "windows": f"{own}/windows",
+            **{
+                f"alignment:{section}": f"/v1/track-sections/{segment(section)}/alignment?version={version}"
+                for section, version in sorted(record.track_versions.items())
+            },
         },
     )
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from pydantic import Field
 
-from api.schemas.common import Links, Representation, finite_list
+from api.schemas.common import Links, Representation, finite, finite_list
 from api.schemas.registry import segment
-from estimation.ports import TrackSectionRecord
+from api.times import Timestamp, to_rfc3339
+from estimation.ports import AlignmentRecord, TrackReport, TrackSectionRecord
 from estimation.types import Status, TrackAlignment
 
 MM = 1000.0
@@ -25,19 +29,83 @@ class TrackSection(Representation):
     links: Links
 
 
-class Alignment(Representation):
-    """Lateral alignment and gauge deviation along a section, column by column."""
+class Journey(Representation):
+    """Windows of one vehicle on one run over the section.
+
+    They were at `told + offset + scale (told - middle)`.
+    """
+
+    vehicle: str
+    measured_from: Timestamp
+    passes: int
+    offset_m: float | None
+    scale_1: float | None
+    middle_m: float | None
+    residual_rms_mm: float | None
+    used: bool
+    reason: str | None
+
+
+class AlignmentReport(Representation):
+    """What a run of the alignment job found of a section, and from what."""
+
+    section: str
+    version: int | None = Field(description="In force after that run; null where there is none yet.")
+    made_version: bool = Field(description="Whether that run made the version.")
+    status: Status
+    reason: str | None
+    recorded_at: Timestamp
+    n_windows: int
+    passes: int
+    wheelsets: int = Field(description="Lives of profiles, by mileage interval.")
+    mean_passes_1: float | None = Field(description="Per place that has any.")
+    diversity_1: float | None = Field(description="How far the passes of a place differ: 0 tells nothing.")
+    covered_1: float | None = Field(description="Share of the section whose alignment is known.")
+    converged: bool
+    rounds: int
+    moved_m: float | None = Field(description="By which the last round moved a position at most.")
+    residual_rms_mm: float | None
+    alignment_std_mm: float | None = Field(description="Median along the section.")
+    evidence: list[str] = Field(description="What was known besides the passes.")
+    recording: str | None = Field(description="What the fleet says of the recording in force, where it could tell.")
+    refused_windows: dict[str, int] = Field(description="Windows without a pass, by reason.")
+    journeys: list[Journey]
+    code_version: str
+    links: Links
+
+
+class AlignmentVersion(Representation):
+    """A version of what is known of a section, without its columns."""
 
     section: str
     version: int
     status: Status
+    source: str = Field(description="`recorded` or `fleet`.", examples=["fleet"])
+    cut_off_m: float | None = Field(description="Longer wavelengths are not in it; null where all are.")
+    scale_std_1: float | None = Field(description="Relative, of a common stretch that it leaves open.")
+    gauge_known: bool
+    same_since_version: int = Field(description="It differs from this one by less than that left unknown.")
+    recorded_at: Timestamp | None
+    links: Links
+
+
+class Alignment(AlignmentVersion):
+    """Lateral alignment and gauge deviation along a section, column by column; null where not known."""
+
     position_m: list[float]
     alignment_mm: list[float | None] = Field(description="Positive to the left.")
     alignment_std_mm: list[float | None]
     gauge_deviation_mm: list[float | None]
     gauge_deviation_std_mm: list[float | None]
     passes: list[int] = Field(description="Passes behind each value; 0 where a recording car measured it.")
-    links: Links
+    report: AlignmentReport | None = Field(description="Of the run that made it; null of a recording.")
+
+
+class AlignmentSummary(AlignmentVersion):
+    """A version in the list of versions."""
+
+    points: int
+    alignment_std_mm: float | None = Field(description="Median along the section; null of a recording.")
 
 
 def section(record: TrackSectionRecord) -> TrackSection:
@@ -51,22 +119,115 @@ def section(record: TrackSectionRecord) -> TrackSection:
         rail_inclination_1=record.rail_inclination,
         nominal_gauge_mm=record.nominal_gauge_m * MM,
         length_m=record.length_m,
-        links={"self": own, "alignment": f"{own}/alignment"},
+        links={
+            "self": own,
+            "alignment": f"{own}/alignment",
+            "alignments": f"{own}/alignments",
+            "alignment_report": f"{own}/alignment-report",
+        },
     )
 
 
-def alignment(record: TrackAlignment) -> Alignment:
+def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackReport | None) -> Alignment:
     """Return the representation of an alignment."""
-    own = f"/v1/track-sections/{segment(record.section)}"
     return Alignment(
+        **_version(record),
+        position_m=[float(s) for s in found.s],
+        alignment_mm=finite_list(found.alignment, MM),
+        alignment_std_mm=finite_list(found.alignment_std, MM),
+        gauge_deviation_mm=finite_list(found.gauge_deviation, MM),
+        gauge_deviation_std_mm=finite_list(found.gauge_deviation_std, MM),
+        passes=[int(n) for n in found.passes],
+        report=None if made_by is None else report(made_by),
+    )
+
+
+def alignment_summary(record: AlignmentRecord) -> AlignmentSummary:
+    """Return the representation of a version without its columns."""
+    return AlignmentSummary(
+        **_version(record), points=record.points, alignment_std_mm=finite(record.alignment_std_m, MM)
+    )
+
+
+def report(record: TrackReport) -> AlignmentReport:
+    """Return the representation of what a run found."""
+    own = f"/v1/track-sections/{segment(record.section)}"
+    told = record.report
+    in_force = {} if record.version is None else {"alignment": _path(record.section, record.version)}
+    return AlignmentReport(
         section=record.section,
         version=record.version,
+        made_version=record.made,
         status=record.status,
-        position_m=[float(s) for s in record.s],
-        alignment_mm=finite_list(record.alignment, MM),
-        alignment_std_mm=finite_list(record.alignment_std, MM),
-        gauge_deviation_mm=finite_list(record.gauge_deviation, MM),
-        gauge_deviation_std_mm=finite_list(record.gauge_deviation_std, MM),
-        passes=[int(n) for n in record.passes],
-        links={"self": f"{own}/alignment?version={record.version}", "section": own},
+        reason=record.reason or None,
+        recorded_at=to_rfc3339(record.recorded_ns),
+        n_windows=record.windows,
+        residual_rms_mm=_scaled(told.get("residual_rms_m"), MM),
+        alignment_std_mm=_scaled(told.get("alignment_std_m"), MM),
+        mean_passes_1=_scaled(told.get("mean_passes")),
+        diversity_1=_scaled(told.get("diversity")),
+        covered_1=_scaled(told.get("covered")),
+        journeys=[_journey(item) for item in _listed(told.get("journeys"))],
+        code_version=record.code_version,
+        links={"self": f"{own}/alignment-report", "section": own, **in_force},
+        **_as_stored(told),
     )
+
+
+_AS_STORED: dict[str, Any] = {
+    "passes": 0,
+    "wheelsets": 0,
+    "converged": False,
+    "rounds": 0,
+    "moved_m": None,
+    "evidence": [],
+    "recording": None,
+    "refused_windows": {},
+}
+
+
+def _as_stored(told: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: told.get(name, missing) for name, missing in _AS_STORED.items()}
+
+
+def _journey(told: dict[str, Any]) -> Journey:
+    return Journey(
+        vehicle=told["vehicle"],
+        measured_from=to_rfc3339(told["from_ns"]),
+        passes=told["passes"],
+        offset_m=told["offset_m"],
+        scale_1=told["scale_1"],
+        middle_m=told["middle_m"],
+        residual_rms_mm=_scaled(told["residual_rms_m"], MM),
+        used=told["used"],
+        reason=told["reason"] or None,
+    )
+
+
+def _listed(value: object) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
+def _scaled(value: object, scale: float = 1.0) -> float | None:
+    return finite(value, scale) if isinstance(value, int | float) else None
+
+
+def _path(section: str, version: int) -> str:
+    return f"/v1/track-sections/{segment(section)}/alignment?version={version}"
+
+
+def _version(record: AlignmentRecord) -> dict[str, Any]:
+    """Return what every representation of a version says."""
+    own = f"/v1/track-sections/{segment(record.section)}"
+    return {
+        "section": record.section,
+        "version": record.version,
+        "status": record.status,
+        "source": record.source,
+        "cut_off_m": finite(record.cut_off_m),
+        "scale_std_1": finite(record.scale_std),
+        "gauge_known": record.gauge_known,
+        "same_since_version": record.same_since,
+        "recorded_at": None if record.recorded_ns is None else to_rfc3339(record.recorded_ns),
+        "links": {"self": _path(record.section, record.version), "section": own, "alignments": f"{own}/alignments"},
+    }

@@ -13,12 +13,14 @@ from estimation.ports import (
     Mounting,
     Reprofiling,
     Storage,
+    TrackReport,
     TrackSectionRecord,
     TrendRecord,
     VehicleRecord,
     WheelsetRecord,
 )
 from estimation.types import (
+    FLEET,
     BinStatus,
     BinValues,
     Estimate,
@@ -178,6 +180,42 @@ def raised(storage: Storage, serial: str, kind: AlertKind = AlertKind.CONICITY_L
         return unit.alerts.save(alert(serial, kind, fleet), [AlertEventKind.RAISED], RECORDED)
 
 
+def track_report(section: str, version: int | None, status: Status) -> TrackReport:
+    """Return what a run of the alignment job found, with numbers that are none."""
+    journey = {
+        "vehicle": "V-1",
+        "from_ns": START,
+        "to_ns": START + DAY,
+        "passes": 4,
+        "offset_m": -12.5,
+        "scale_1": 5e-4,
+        "middle_m": 2500.0,
+        "residual_rms_m": 0.125e-3,
+        "used": True,
+        "reason": "",
+    }
+    stranger = journey | {"vehicle": "V-2", "residual_rms_m": None, "used": False, "reason": "agrees with no other"}
+    told = {
+        "passes": 4,
+        "wheelsets": 4,
+        "mean_passes": 2.5,
+        "diversity": 0.25,
+        "covered": 0.75,
+        "converged": version is not None,
+        "rounds": 4,
+        "moved_m": None,
+        "residual_rms_m": 0.1e-3,
+        "alignment_std_m": None,
+        "evidence": ["fleet version 2"] if version else [],
+        "recording": None,
+        "refused_windows": {"the sensor reports a fault": 2},
+        "journeys": [journey, stranger],
+    }
+    reason = "" if version else "the passes are too alike"
+    made = version is not None
+    return TrackReport(section, version, made, status, reason, 10, "d" * 64, "0.1.0+test", told, RECORDED + 9)
+
+
 def populate(storage: Storage) -> None:
     """Store everything."""
     with storage.write() as unit:
@@ -197,6 +235,12 @@ def populate(storage: Storage) -> None:
         status = Status.ESTIMATED
         known = TrackAlignment("S-1", 0, np.arange(4) * 0.5, deviations, std, -deviations, std, passes, status)
         unit.tracks.add_alignment(known)
+        found = replace(known, section="S-3", source=FLEET, cut_off=60.0, scale_std=0.0125, gauge_known=False)
+        for version, same_since in ((1, None), (2, 1), (3, 1)):
+            found = replace(found, alignment=found.alignment * 0.5)
+            unit.tracks.add_alignment(found, same_since=same_since, recorded_ns=RECORDED + version)
+        unit.tracks.add_report(track_report("S-3", 3, Status.ESTIMATED))
+        unit.tracks.add_report(track_report("S-2", None, Status.UNESTIMATED))
         for index in range(WINDOWS):
             unit.windows.put(window(index), 9000.0 + index, RECORDED + index)
         unit.geometries.put(geometry_record(RECORDED, 0.1875))

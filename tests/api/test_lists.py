@@ -30,6 +30,7 @@ LISTS = [
     "/v1/jobs",
     "/v1/jobs/estimate_windows/runs",
     "/v1/track-sections",
+    "/v1/track-sections/S-3/alignments",
 ]
 
 

@@ -44,7 +44,9 @@ def test_every_link_of_every_resource_can_be_followed(client: httpx.Client) -> N
             continue
         seen.add(path)
         response = client.get(path)
-        if path.endswith(("/geometry", "/trend", "/alignment")) and not path.startswith("/v1/wheelsets/WS-000"):
+        if path.endswith(("/geometry", "/trend", "/alignment", "/alignment-report")) and not path.startswith(
+            "/v1/wheelsets/WS-000"
+        ):
             assert response.status_code in {200, 404}
         else:
             assert response.status_code == 200, path
@@ -156,6 +158,40 @@ def test_a_track_section_has_its_alignment(client: httpx.Client) -> None:
     assert get(client, alignment["links"]["self"]) == alignment
     assert client.get("/v1/track-sections/S-1/alignment?version=9").status_code == 404
     assert client.get("/v1/track-sections/S-2/alignment").status_code == 404
+
+
+def test_an_alignment_of_the_fleet_says_how_it_was_found_and_what_it_leaves_open(client: httpx.Client) -> None:
+    section = get(client, "/v1/track-sections/S-3")
+    alignment = get(client, section["links"]["alignment"])
+    assert (alignment["version"], alignment["same_since_version"], alignment["source"]) == (3, 1, "fleet")
+    assert (alignment["cut_off_m"], alignment["scale_std_1"], alignment["gauge_known"]) == (60.0, 0.0125, False)
+    assert alignment["recorded_at"] == "2025-07-25T15:06:40.123456792Z"
+    report = alignment["report"]
+    assert report == get(client, section["links"]["alignment_report"])
+    assert report["evidence"] == ["fleet version 2"]
+    assert report["residual_rms_mm"] == pytest.approx(0.1)
+    assert report["moved_m"] is None
+    assert report["refused_windows"] == {"the sensor reports a fault": 2}
+    used, stranger = report["journeys"]
+    assert (used["offset_m"], used["scale_1"], used["residual_rms_mm"], used["reason"]) == (-12.5, 5e-4, 0.125, None)
+    assert (stranger["used"], stranger["reason"]) == (False, "agrees with no other")
+    versions = get(client, section["links"]["alignments"])["items"]
+    assert [one["version"] for one in versions] == [1, 2, 3]
+    assert versions[2]["alignment_std_mm"] == 0.5
+    assert get(client, versions[0]["links"]["self"])["report"] is None
+
+
+def test_a_section_that_tells_nothing_says_why(client: httpx.Client) -> None:
+    assert client.get("/v1/track-sections/S-2/alignment").status_code == 404
+    report = get(client, "/v1/track-sections/S-2/alignment-report")
+    assert (report["status"], report["version"]) == ("unestimated", None)
+    assert report["reason"] == "the passes are too alike"
+    assert client.get("/v1/track-sections/S-1/alignment-report").status_code == 404
+
+
+def test_a_geometry_leads_to_the_alignment_it_was_estimated_with(client: httpx.Client) -> None:
+    links = get(client, "/v1/wheelsets/WS-000/geometry")["links"]
+    assert get(client, links["alignment:S-1"])["version"] == 1
 
 
 def test_mountings_and_vehicles_are_found_by_what_runs_where(client: httpx.Client) -> None:
