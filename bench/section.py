@@ -20,7 +20,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.section_table import LIMITS, scaling_table, summary_table
+from bench.section_table import LIMITS, scaling_table, summaries, summary_table
 from ingest.simulator.section_file import builtin_section_scenarios, load_section_scenario
 from ingest.simulator.section_run import simulate_section
 
@@ -32,10 +32,15 @@ def main(arguments: Sequence[str]) -> int:
     """Run what was asked for; return 1 when a row falls short."""
     options = _options(arguments)
     console = Console(width=None if Console().is_terminal else 200)
-    results: dict[str, Any] = {"cases": [], "failures": [], "scaling": []}
+    results = _before(options)
+    if options.print_only:
+        _show(console, results)
+        return 0
     _write(options.out, results)  # now, not after an hour
     variants = {"both": (False, True), "none": (False,), "only": (True,)}[options.parameter_errors]
-    tasks = [(seed, tuple(options.rows), variants, options.keep) for seed in options.seeds]
+    have = {(case["row"], case["seed"], case["drawn"]) for case in results["cases"]}
+    wanted = [(drawn, seed, _missing(options.rows, seed, drawn, have)) for drawn in variants for seed in options.seeds]
+    tasks = [(seed, drawn, rows, options.keep) for drawn, seed, rows in wanted if rows]
     began = time.monotonic()
     with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
         futures = {pool.submit(seed_cases, *task): task[0] for task in tasks}
@@ -46,46 +51,63 @@ def main(arguments: Sequence[str]) -> int:
             _write(options.out, results)
             passed = time.monotonic() - began
             console.print(
-                f"seed {futures[future]} done, {done} of {len(futures)}, {passed / 60:.1f} min", highlight=False
+                f"seed {futures[future]} done, {done} of {len(futures)} tasks, {passed / 60:.1f} min", highlight=False
             )
             for case in cases:
                 console.print("  " + spoken(case), highlight=False)
             for failure in failures:
                 console.print(f"  FAILED {failure['row']} seed {failure['seed']}: {failure['error']}", highlight=False)
-    if options.scaling:
+    if options.scaling and not results["scaling"]:
         from bench.section_scaling import scaling  # noqa: PLC0415 - only where asked for
 
         for size in scaling(options.keep):
             results["scaling"].append(size)
             _write(options.out, results)
             console.print(f"  {size['passes']} passes: {size['seconds']:.1f} s, {size['peak_mib']:.0f} MiB")
-    console.print(summary_table(results["cases"]))
-    if results["scaling"]:
-        console.print(scaling_table(results["scaling"]))
+    _show(console, results)
     console.print(f"wrote {options.out}", highlight=False)
     return 1 if results["failures"] or not all_met(results["cases"]) else 0
 
 
 def seed_cases(
-    seed: int, rows: tuple[str, ...], variants: tuple[bool, ...], keep: Path | None
+    seed: int,
+    drawn: bool,  # noqa: FBT001 - part of a task
+    rows: Sequence[str],
+    keep: Path | None,
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the scores of all rows for one seed, and what failed; runs in a process of its own."""
+    """Return the scores of ``rows`` for one seed, and what failed; runs in a process of its own."""
     from bench.section_case import score  # noqa: PLC0415 - compiled code is loaded where it runs
 
     cases, failures = [], []
     with tempfile.TemporaryDirectory(prefix="treadwatch-section-") as folder:
-        for drawn in variants:
-            for row in rows:
-                if drawn and row == NO_INFORMATION:
-                    continue
-                scenario = replace(load_section_scenario(row), errors_drawn=drawn)
-                try:
-                    run = simulate_section(scenario, seed, keep or Path(folder), workers=1)
-                    cases.append(score(run).as_json())
-                except Exception as error:  # noqa: BLE001 - one row that fails must not cost the hour before it
-                    told = "".join(traceback.format_exception(error)[-2:])
-                    failures.append({"row": row, "seed": seed, "drawn": drawn, "error": repr(error), "trace": told})
+        for row in rows:
+            scenario = replace(load_section_scenario(row), errors_drawn=drawn)
+            try:
+                run = simulate_section(scenario, seed, keep or Path(folder), workers=1)
+                cases.append(score(run).as_json())
+            except Exception as error:  # noqa: BLE001 - one row that fails must not cost the hour before it
+                told = "".join(traceback.format_exception(error)[-2:])
+                failures.append({"row": row, "seed": seed, "drawn": drawn, "error": repr(error), "trace": told})
     return cases, failures
+
+
+def _missing(rows: Sequence[str], seed: int, drawn: bool, have: set[tuple[str, int, bool]]) -> list[str]:  # noqa: FBT001 - as above
+    """Return the rows that are still to do; a section without information has no variant with errors."""
+    return [row for row in rows if (row, seed, drawn) not in have and not (drawn and row == NO_INFORMATION)]
+
+
+def _before(options: argparse.Namespace) -> dict[str, Any]:
+    """Return what was found before, where the run goes on from there."""
+    if not (options.resume or options.print_only):
+        return {"cases": [], "failures": [], "scaling": []}
+    stored = json.loads(options.out.read_text(encoding="utf-8"))
+    return {"cases": stored["cases"], "failures": [], "scaling": stored["scaling"]}
+
+
+def _show(console: Console, results: dict[str, Any]) -> None:
+    console.print(summary_table(results["cases"]))
+    if results["scaling"]:
+        console.print(scaling_table(results["scaling"]))
 
 
 def spoken(case: dict[str, Any]) -> str:
@@ -107,8 +129,6 @@ def spoken(case: dict[str, Any]) -> str:
 
 def all_met(cases: Sequence[dict[str, Any]]) -> bool:
     """Whether every row that was run reaches its numbers."""
-    from bench.section_table import summaries  # noqa: PLC0415 - beside its use
-
     return all(item.met for item in summaries(cases))
 
 
@@ -125,6 +145,8 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
         "--parameter-errors", choices=("both", "none", "only"), default="both", help="run rows without, with, or both"
     )
     parser.add_argument("--no-scaling", dest="scaling", action="store_false", help="leave time and memory out")
+    parser.add_argument("--resume", action="store_true", help="keep what --out holds, and do what it lacks")
+    parser.add_argument("--print-only", action="store_true", help="print the table of what --out holds")
     parser.add_argument("--workers", type=int, default=WORKERS, help="processes")
     parser.add_argument("--keep", type=Path, default=None, help="folder that keeps simulations (60 MB each)")
     parser.add_argument("--out", type=Path, default=Path("bench-results/section.json"), help="JSON file to write")

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from estimation.arrays import FloatArray, frozen_array
+from estimation.arrays import BoolArray, FloatArray, frozen_array
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
 from estimation.errors import NotFoundError
 from estimation.types import Status, TrackAlignment, Window, WindowQuality
@@ -152,10 +153,9 @@ class SectionRun:
 
     def _journey(self, truth: WheelsetTruth, journey: int, counts: RawCounts) -> Iterator[Window]:
         scenario, resolution = self.scenario, Resolution.of_the_bus()
-        vehicle, stride = truth.number % scenario.vehicles, scenario.sensors.stride
-        speed = journey_speed(scenario, self.seed, vehicle, journey)
-        true = travelled(speed, axle_start(truth.axle - 1))[::stride]
-        speed = np.rint(speed[::stride] / resolution.speed) * resolution.speed
+        vehicle = truth.number % scenario.vehicles
+        speed, run = _course(scenario, self.seed, vehicle, journey)
+        true = run + axle_start(truth.axle - 1)
         error = self.position_error(vehicle, journey)
         distance = true + error.offset + error.scale * (true - 0.5 * scenario.length)
         values = counts * np.array(resolution.accelerations)
@@ -187,6 +187,16 @@ class SectionRun:
             )
 
 
+@lru_cache(maxsize=64)  # some megabytes each; the wheelsets of a vehicle share it
+def _course(scenario: SectionScenario, seed: int, vehicle: int, journey: int) -> tuple[FloatArray, FloatArray]:
+    """Return speed, as the bus carries it, and distance run (n,) at the samples of the sensors."""
+    resolution, stride = Resolution.of_the_bus(), scenario.sensors.stride
+    speed = journey_speed(scenario, seed, vehicle, journey)
+    counted = np.rint(speed[::stride] / resolution.speed) * resolution.speed
+    run = travelled(speed, 0.0)[::stride]
+    return frozen_array(counted, (len(counted),), name="speed"), frozen_array(run, (len(run),), name="distance")
+
+
 @dataclass(frozen=True, slots=True)
 class _Filled:
     """A window's arrays at full length."""
@@ -194,7 +204,7 @@ class _Filled:
     accelerations: FloatArray  # (4, n)
     speed: FloatArray  # (n,)
     distance: FloatArray  # (n,)
-    valid: np.ndarray  # (n,)
+    valid: BoolArray  # (n,)
 
 
 def _window(values: FloatArray, speed: FloatArray, distance: FloatArray, length: float, n: int) -> _Filled:
@@ -209,7 +219,7 @@ def _window(values: FloatArray, speed: FloatArray, distance: FloatArray, length:
     return _Filled(padded[:4], padded[4], padded[5], on)
 
 
-def _quality(valid: np.ndarray, speed: FloatArray, rate_hz: int) -> WindowQuality:
+def _quality(valid: BoolArray, speed: FloatArray, rate_hz: int) -> WindowQuality:
     edges = np.flatnonzero(np.diff(np.concatenate([[True], valid, [True]]).astype(np.int8)))
     gaps = edges[1::2] - edges[::2]
     return WindowQuality(
