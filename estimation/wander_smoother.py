@@ -21,7 +21,7 @@ from estimation.arrays import BoolArray, FloatArray
 
 ORDER = 3  # of the derivative that is white
 DEGREE = 3  # of the spline's pieces
-KNOTS_PER_CUT_OFF = 12  # twice as many change what is left of a signal by less than a thousandth
+KNOTS_PER_CUT_OFF = 12  # twice as many change what is left of a wave by less than a hundredth of it
 
 
 def without_wander(
