@@ -1,0 +1,304 @@
+"""The alignment job on a real store: epochs become versions, once; windows wait for it no longer than they must."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from section_runs import RUNS, windows
+from smooth_wheelset import alignment, track
+from sqlalchemy import update
+
+from estimation.jobs.catalogue import job_named
+from estimation.jobs.job import Job, JobContext, run_job
+from estimation.ports import (
+    FleetRecord,
+    JobRun,
+    Mounting,
+    Storage,
+    TrackReport,
+    TrackSectionRecord,
+    VehicleRecord,
+    WheelsetRecord,
+    WindowState,
+)
+from estimation.track.epochs import AlignmentSettings, material
+from estimation.types import FLEET, RECORDED, Status, TrackAlignment, Window
+from estimation.window_table import NO_ALIGNMENT
+from fleet_db.models import TrackAlignmentRow
+from fleet_db.rows import table_of
+from fleet_db.storage import SqlStorage
+
+LENGTH = 2900.0
+DAY_NS = 86_400 * 10**9
+NAMES = [f"W{number}" for number in range(len(RUNS))]
+
+
+@dataclass(slots=True)
+class Clock:
+    at_ns: int = 10**15
+
+    def now_ns(self) -> int:
+        self.at_ns += 1_000_000
+        return self.at_ns
+
+
+def register(storage: Storage, sections: Sequence[str] = ("S1",)) -> None:
+    with storage.write() as unit:
+        unit.registry.add_fleet(FleetRecord("F", "Fleet"))
+        for number, code in enumerate(sections, start=1):
+            unit.tracks.add_section(TrackSectionRecord(code, number, "Section", "56E1", 0.05, 1.435, LENGTH))
+        for name in NAMES:
+            unit.registry.add_vehicle(VehicleRecord(name.replace("W", "V"), "F", "metro", 1, 40.0, (0.0,)))
+            unit.registry.add_wheelset(WheelsetRecord(name, "F", "P8", 0.45, None))
+            unit.registry.add_mounting(Mounting(name, name.replace("W", "V"), 1, 0, None, 0.0, 0.0))
+
+
+def put(
+    storage: Storage, numbers: Sequence[int], *, day: int = 0, offset: float = 0.0, section: str = "S1"
+) -> list[Window]:
+    """Store the windows of some runs, as told by odometers that are ``offset`` m off."""
+    found = [
+        replace(
+            window,
+            start_ns=window.start_ns + day * DAY_NS,
+            distance=window.distance + offset,
+            track_section=section,
+        )
+        for number in numbers
+        for window in windows(number)
+    ]
+    with storage.write() as unit:
+        for window in found:
+            unit.windows.put(window, 10.0 + day, 1)
+    return found
+
+
+def run(storage: Storage, name: str, *settings: object, stop_after: int | None = None) -> JobRun:
+    left = [stop_after]
+
+    def stopping() -> bool:
+        if left[0] is None:
+            return False
+        left[0] -= 1
+        return left[0] < 0
+
+    job: Job = job_named(name)
+    return run_job(job, JobContext(storage, Clock(), "test", stopping=stopping, settings=settings), "cli")
+
+
+def counts(storage: Storage, name: str, *settings: object) -> Mapping[str, int]:
+    done = run(storage, name, *settings)
+    assert done.outcome == "succeeded", done.error
+    return done.counts
+
+
+def report(storage: Storage, section: str = "S1") -> TrackReport:
+    with storage.read() as unit:
+        found = unit.tracks.report(section)
+    assert found is not None
+    return found
+
+
+def in_force(storage: Storage, section: str = "S1") -> TrackAlignment:
+    with storage.read() as unit:
+        found = unit.tracks.alignment(section)
+    assert found is not None
+    return found
+
+
+def surveyed(factor: float = 1.0) -> TrackAlignment:
+    known = alignment(track(1))
+    part = known.s <= LENGTH
+    n = int(part.sum())
+    return replace(
+        known,
+        version=0,
+        s=known.s[part],
+        alignment=factor * known.alignment[part],
+        alignment_std=np.full(n, 0.05e-3),
+        gauge_deviation=np.zeros(n),
+        gauge_deviation_std=np.zeros(n),
+        passes=np.zeros(n, dtype=np.int64),
+    )
+
+
+def test_an_epoch_becomes_a_version_once_and_its_windows_are_estimated_on_it(storage: SqlStorage) -> None:
+    register(storage)
+    put(storage, range(6))
+    first = counts(storage, "refresh_alignment")
+    assert (first["versions"], first["windows"]) == (1, 12)
+    found = in_force(storage)
+    assert (found.version, found.source, found.gauge_known) == (1, FLEET, False)
+    told = report(storage)
+    assert (told.version, told.made, told.status) == (1, True, Status.ESTIMATED)
+    assert counts(storage, "estimate_windows")["estimated"] == 12
+    with storage.read() as unit:
+        assert {version for _, _, version in unit.tables.index("W0", 0, None)} == {1}
+    again = counts(storage, "refresh_alignment")
+    assert (again["versions"], again["unchanged"]) == (0, 1)
+    assert report(storage) == told
+    assert counts(storage, "estimate_windows") == {"estimated": 0, "refused": 0, "changed_meanwhile": 0, "requeued": 0}
+
+
+def test_the_next_epoch_is_put_where_the_last_version_lies_and_waits_until_it_is(sqlite_storage: SqlStorage) -> None:
+    storage = sqlite_storage
+    register(storage)
+    put(storage, range(6))
+    counts(storage, "refresh_alignment")
+    counts(storage, "estimate_windows")
+    first = in_force(storage)
+    put(storage, [1, 4, 5], day=3, offset=14.0)
+    assert counts(storage, "estimate_windows")["estimated"] == 0  # nobody has looked where they were
+    assert counts(storage, "refresh_alignment")["windows"] == 6
+    with storage.read() as unit:
+        positions = [unit.tracks.position("W4", window.start_ns) for window in unit.windows.list("W4", DAY_NS)]
+        record = unit.tracks.in_force("S1")
+    assert record is not None
+    assert (record.version, record.same_since) in {(2, 1), (2, 2)}
+    assert report(storage).report["evidence"] == ["fleet version 1"]
+    for position in positions:
+        assert position is not None
+        shift = position.offset_m + position.scale * (1000.0 - position.middle_m)
+        assert shift == pytest.approx(-14.0, abs=1.5)
+    held = np.isfinite(first.alignment)
+    assert np.isfinite(in_force(storage).alignment[held]).all()
+    done = counts(storage, "estimate_windows")
+    assert done["requeued"] == (0 if record.same_since == 1 else 12)
+    assert done["estimated"] == 6 + done["requeued"]
+
+
+def test_what_one_wheelset_could_not_tell_is_told_together_with_those_that_come_later(
+    sqlite_storage: SqlStorage,
+) -> None:
+    storage = sqlite_storage
+    register(storage)
+    put(storage, [0])
+    assert counts(storage, "refresh_alignment")["unestimated"] == 1
+    told = report(storage)
+    assert (told.version, told.status) == (None, Status.UNESTIMATED)
+    assert "one wheelset alone" in told.reason
+    assert counts(storage, "estimate_windows")["refused"] == 2
+    with storage.read() as unit:
+        assert {window.reason for window in unit.windows.list("W0")} == {NO_ALIGNMENT}
+    assert counts(storage, "refresh_alignment")["unchanged"] == 1
+    assert report(storage).report_id == told.report_id
+    put(storage, range(1, 6))
+    assert counts(storage, "refresh_alignment")["windows"] == 12
+    assert counts(storage, "estimate_windows")["estimated"] == 12
+    with storage.read() as unit:
+        assert {window.state for window in unit.windows.list("W0")} == {WindowState.ESTIMATED}
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1.0, None), (1e3, "millimetres"), (-1.0, "mirror image")])
+def test_a_recording_is_kept_unless_the_fleet_contradicts_it(
+    sqlite_storage: SqlStorage, factor: float, said: str | None
+) -> None:
+    storage = sqlite_storage
+    register(storage)
+    with storage.write() as unit:
+        unit.tracks.add_alignment(surveyed(factor))
+    put(storage, range(6))
+    counts(storage, "refresh_alignment")
+    told = report(storage)
+    if said is None:
+        assert (in_force(storage).version, in_force(storage).source) == (1, RECORDED)
+        assert told.report["recording"] == "agrees with what the fleet has felt"
+        with storage.read() as unit:
+            position = unit.tracks.position("W0", windows(0)[0].start_ns)
+        assert position is not None
+        assert (position.offset_m, position.scale, position.reason) == (0.0, 0.0, "")
+    else:
+        assert (in_force(storage).version, in_force(storage).source) == (2, FLEET)
+        assert said in str(told.report["recording"])
+        with storage.write() as unit:  # what is registered again at the next start does not come back
+            assert unit.tracks.add_alignment(surveyed(factor)) == 1
+        assert in_force(storage).version == 2
+
+
+def test_one_section_that_fails_does_not_keep_the_others(sqlite_storage: SqlStorage) -> None:
+    storage = sqlite_storage
+    register(storage, ("S0", "S1"))
+    with storage.write() as unit:
+        unit.tracks.add_alignment(replace(surveyed(), section="S0"))
+        unit.connection.execute(update(table_of(TrackAlignmentRow)).values(packed=b"no alignment"))
+    put(storage, range(6))
+    put(storage, [0], day=1, section="S0")
+    done = run(storage, "refresh_alignment")
+    assert done.outcome == "failed"
+    assert "alignment 1 of track section 'S0'" in str(done.error)
+    assert in_force(storage).version == 1
+
+
+def test_a_run_that_is_stopped_stores_nothing_half_and_the_next_does_the_rest(sqlite_storage: SqlStorage) -> None:
+    storage = sqlite_storage
+    register(storage)
+    put(storage, range(6))
+    stopped = run(storage, "refresh_alignment", stop_after=5)
+    assert (stopped.outcome, stopped.counts) == ("abandoned", {"done": 5, "total": 12})
+    with storage.read() as unit:
+        assert unit.tracks.in_force("S1") is None
+        assert unit.tracks.report("S1") is None
+        assert len(unit.windows.unplaced("S1", 100)) == 12
+    assert counts(storage, "refresh_alignment")["versions"] == 1
+
+
+def test_more_windows_than_an_epoch_holds_are_several_epochs(sqlite_storage: SqlStorage) -> None:
+    storage = sqlite_storage
+    register(storage)
+    put(storage, range(6))
+    put(storage, [0, 2], day=1)
+    done = counts(storage, "refresh_alignment", AlignmentSettings(most_windows=12))
+    assert (done["windows"], done["versions"]) == (16, 2)
+
+
+def test_a_window_that_is_found_elsewhere_is_estimated_again(sqlite_storage: SqlStorage) -> None:
+    storage = sqlite_storage
+    register(storage)
+    found = put(storage, range(6))
+    counts(storage, "refresh_alignment")
+    counts(storage, "estimate_windows")
+    moved = replace(found[0], distance=found[0].distance + 9.0)
+    with storage.write() as unit:
+        unit.windows.put(moved, 10.0, 2)
+    assert counts(storage, "estimate_windows")["estimated"] == 0
+    counts(storage, "refresh_alignment")
+    with storage.read() as unit:
+        position = unit.tracks.position(moved.wheelset, moved.start_ns)
+    assert position is not None
+    assert counts(storage, "estimate_windows")["estimated"] >= 1
+
+
+def test_only_what_matters_is_another_alignment() -> None:
+    settings = AlignmentSettings()
+    n = 2000
+    rng = np.random.default_rng(1)
+    d, zero = 1e-3 * rng.standard_normal(n), np.zeros(n)
+    std = np.full(n, 0.1e-3)
+    old = TrackAlignment(
+        "S1",
+        1,
+        np.arange(n) * 1.0,
+        d,
+        std,
+        zero,
+        zero,
+        np.full(n, 5),
+        Status.ESTIMATED,
+        FLEET,
+        60.0,
+        0.0,
+        False,  # noqa: FBT003 - the gauge is not known
+    )
+    hole = np.where(np.arange(n) < 100, np.nan, d)
+    assert not material(old, replace(old, version=2), settings)
+    assert not material(old, replace(old, alignment=d + 0.04e-3), settings)
+    assert material(old, replace(old, alignment=d + 0.06e-3), settings)
+    assert material(old, replace(old, alignment_std=0.6 * std), settings)
+    assert material(replace(old, alignment=hole), old, settings)
+    assert material(old, replace(old, cut_off=np.inf), settings)
+    assert material(replace(old, scale_std=0.03), replace(old, scale_std=0.01), settings)
+    sure = replace(old, alignment_std=0.1 * std)
+    assert not material(sure, replace(sure, alignment=d + 0.02e-3, alignment_std=0.01 * std), settings)
