@@ -106,15 +106,18 @@ def _positions(
         for item in members
     }
     held = {_window(item) for item in used}
-    against = {_window(item): outcome.reason for item, outcome in judged if outcome.status is PassStatus.REFUSED}
-    against = {**epoch.refused, **{key: reason for key, reason in against.items() if key not in held}}
+    against = {_window(item): outcome for item, outcome in judged if outcome.reason and _window(item) not in held}
+    spoken = {key for key, outcome in against.items() if outcome.status is PassStatus.REFUSED}
+    reasons = {**epoch.refused, **{key: outcome.reason for key, outcome in against.items()}}
     strays = {(told.vehicle, told.from_ns): told.reason for told in finding.estimate.report.journeys if not told.used}
     found = []
     for record in epoch.records:
         key = (record.wheelset, record.start_ns)
         plain = WindowPosition(record.wheelset, record.start_ns, record.content_digest, version)
-        if key in against and (key in epoch.refused or finding.alignment is not None):
-            found.append(plain if finding.trusted else replace(plain, reason=against[key]))
+        if key in reasons and (key in epoch.refused or finding.alignment is not None):
+            # on a recording a window needs no pass, unless its pass speaks against it
+            believed = finding.trusted and key not in spoken
+            found.append(plain if believed else replace(plain, reason=reasons[key]))
         elif finding.alignment is not None and key in held:
             found.append(_corrected(plain, journey_of[record.vehicle, record.start_ns], finding, strays, settings))
     return found

@@ -28,6 +28,7 @@ class PassStatus(StrEnum):
 
     USED = "used"
     REFUSED = "refused"
+    TOO_SHORT = "too short"  # for the filter: of no use here, and nothing is said against it
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,14 +105,13 @@ def screen(
         refused[i] = f"its position is {abs(apart):.0f} m away from the rest of its journey"
     return Screened(
         tuple(item for i, item in enumerate(passes) if i not in refused),
-        tuple(outcome(item, refused.get(i, "")) for i, item in enumerate(passes)),
+        tuple(_outcome(item, refused.get(i, ""), short=i not in heard) for i, item in enumerate(passes)),
         contradicted_known,
     )
 
 
-def outcome(item: Pass, refusal: str) -> PassOutcome:
-    """Return the outcome of a pass; it is used where there is no reason against it."""
-    status = PassStatus.REFUSED if refusal else PassStatus.USED
+def _outcome(item: Pass, refusal: str, *, short: bool) -> PassOutcome:
+    status = PassStatus.TOO_SHORT if short else PassStatus.REFUSED if refusal else PassStatus.USED
     return PassOutcome(item.wheelset, item.vehicle, item.start_ns, status, refusal)
 
 

@@ -132,7 +132,7 @@ class RegistryStore:
     def add_mounting(self, record: Mounting) -> None:
         """Add a mounting, or change the one of the same wheelset and start (to end it, for one).
 
-        Where it is the way round that changes, its windows wait to be estimated again.
+        Where it is new, or its way round changes, windows that there are of it already wait to be estimated again.
 
         Raises
         ------
@@ -148,7 +148,7 @@ class RegistryStore:
         was_reversed = reversed_on_file(self.connection, record)
         if add_mounting(self.connection, record, self.vehicle(record.vehicle).axles):
             self.changes.note(record.wheelset)
-            if was_reversed not in (None, record.reversed):
+            if was_reversed is not record.reversed:
                 self._estimate_again(record)
 
     def add_reprofiling(self, record: Reprofiling) -> None:
