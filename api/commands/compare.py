@@ -61,6 +61,7 @@ def compare(
     numbers = report.as_json(studies, plan.name)
     text = orjson.dumps(numbers, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE).decode()
     (out / "comparison.json").write_text(text, encoding="utf-8")
+    (out / "comparison.md").write_text(report.markdown(studies), encoding="utf-8")
     save_comparison(studies, out / "comparison.png")
     if as_json:
         typer.echo(text, nl=False)
@@ -69,7 +70,7 @@ def compare(
     console.print(report.table(studies))
     for sentence in report.words(studies):
         console.print(sentence, highlight=False, soft_wrap=True)
-    console.print(f"wrote comparison.png, comparison.json to {out}", highlight=False, soft_wrap=True)
+    console.print(f"wrote comparison.png, comparison.md, comparison.json to {out}", highlight=False, soft_wrap=True)
 
 
 def _columns() -> tuple[ProgressColumn, ...]:

@@ -48,6 +48,22 @@ def table(studies: Sequence[PairStudy]) -> Table:
     return shown
 
 
+def markdown(studies: Sequence[PairStudy]) -> str:
+    """Return the same as a Markdown table."""
+    head = ("pair", "track", "estimator", "median", "95th percentile", "intervals that cover", "estimated", "seconds")
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * 3 + " ---: |" * (len(head) - 3)]
+    named = titles()
+    for study in studies:
+        for score in study.scores:
+            estimated = score.estimated / score.amplitudes if score.amplitudes else math.nan
+            cells = (
+                score.pair, TOLD[score.told], named[score.estimator], _figure(score.median), _figure(score.p95),
+                _share(score.coverage), _share(estimated), f"{score.seconds:.1f}",
+            )  # fmt: skip
+            lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def words(studies: Sequence[PairStudy]) -> list[str]:
     """Return one sentence for each pair and each thing told: who comes nearest, and by how much."""
     said = []

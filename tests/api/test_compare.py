@@ -121,6 +121,9 @@ def test_a_tiny_section_is_compared_printed_and_drawn(tmp_path: Path) -> None:
     assert known[PRODUCT]["median_error"] < 0.02 < known["linear"]["median_error"]
     assert all(sentence in shown.output for sentence in figures["words"])
     assert (out / "comparison.png").read_bytes().startswith(b"\x89PNG")
+    rows = (out / "comparison.md").read_text().splitlines()
+    assert len(rows) == 2 + len(figures["pairs"][0]["scores"])
+    assert len({row.count("|") for row in rows}) == 1
     again = CliRunner().invoke(build(["compare"]), [*arguments, "--json"])
     printed = json.loads(again.stdout)
     assert printed["words"] == figures["words"]

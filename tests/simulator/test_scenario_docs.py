@@ -16,7 +16,11 @@ INGEST = Path(__file__).parents[2] / "ingest"
 
 @pytest.mark.parametrize(
     ("source", "document"),
-    [("simulator/scenario_file.py", "scenarios.md"), ("registry_file.py", "registry.md")],
+    [
+        ("simulator/scenario_file.py", "scenarios.md"),
+        ("simulator/section_file.py", "compare.md"),
+        ("registry_file.py", "registry.md"),
+    ],
 )
 def test_every_key_is_documented(source: str, document: str) -> None:
     asked = r"\.(?:text|integer|number|flag|numbers|moment_ns|optional_moment_ns|table|tables|objects|optional_object)"
