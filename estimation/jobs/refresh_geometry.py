@@ -187,7 +187,10 @@ def _record(
 ) -> GeometryRecord:
     settings = context.setting(EstimationSettings)
     windows = [entry[0] for entry in entries]
-    versions = {w.track_section: v for w, _, v in entries if w.track_section is not None and v is not None}
+    versions: dict[str, int] = {}
+    for window, _, version in entries:
+        if window.track_section is not None and version is not None:
+            versions[window.track_section] = max(version, versions.get(window.track_section, 0))
     return GeometryRecord(
         wheelset=windows[0].wheelset,
         baseline=baseline.number,
