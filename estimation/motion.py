@@ -8,6 +8,8 @@ import numpy as np
 
 from estimation.arrays import BoolArray, FloatArray, IntArray, frozen_array
 
+NOT_SIGNALS = frozenset({"valid", "block", "band_limited", "stiffness_ratio", "gauge_effect"})
+
 
 @dataclass(frozen=True, slots=True)
 class Motion:
@@ -17,6 +19,9 @@ class Motion:
     same filter), so that offsets carry no meaning; without, they are absolute. Samples that are not ``valid`` are
     passed over. ``block`` numbers the stretches of some seconds from which standard deviations are computed; -1
     where a sample belongs to none.
+
+    ``stiffness_ratio`` is the vehicle's yaw stiffness over creep coefficient, of the assumed one, where that has been
+    learnt; ``gauge_effect`` what the gauge deviation adds to rL - rR, where that is known.
     """
 
     speed: FloatArray  # (n,) V, m/s
@@ -33,15 +38,19 @@ class Motion:
     valid: BoolArray  # (n,)
     block: IntArray  # (n,)
     band_limited: bool
+    stiffness_ratio: float = 1.0
+    gauge_effect: FloatArray | None = None  # (n,) m
 
     def __post_init__(self) -> None:
         n = len(self.valid)
         for item in fields(self):
-            if item.name not in {"valid", "block", "band_limited"}:
+            if item.name not in NOT_SIGNALS:
                 array = frozen_array(getattr(self, item.name), (n,), name=item.name)
                 object.__setattr__(self, item.name, array)
         object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
         object.__setattr__(self, "block", frozen_array(self.block, (n,), np.int64, name="block"))
+        if self.gauge_effect is not None:
+            object.__setattr__(self, "gauge_effect", frozen_array(self.gauge_effect, (n,), name="gauge_effect"))
 
     def __len__(self) -> int:
         return len(self.valid)

@@ -11,7 +11,7 @@ parameters, at S = 2 r0: regressed like the target, they give the derivative of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,8 +35,12 @@ class Regression:
 
 
 def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
-    """Return regressors and targets of Eq. 1 and Eq. 2 for every sample of ``motion``."""
-    p = parameters
+    """Return regressors and targets of Eq. 1 and Eq. 2 for every sample of ``motion``.
+
+    What is known of the vehicle's stiffness ratio and of the gauge is taken into account.
+    """
+    creep = parameters.longitudinal_creep_coefficient / motion.stiffness_ratio
+    p = replace(parameters, longitudinal_creep_coefficient=creep)
     f11, f22, f23 = p.longitudinal_creep_coefficient, p.lateral_creep_coefficient, p.lateral_spin_creep_coefficient
     f33, r0, l = p.spin_creep_coefficient, p.nominal_radius, p.half_contact_distance  # noqa: E741 - the paper's l
     V, ψ, dψ, ddψ = motion.speed, motion.yaw, motion.yaw_rate, motion.yaw_acceleration
@@ -59,9 +63,10 @@ def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
     gyroscopic = (p.pitch_inertia * V / r0) * motion.roll_rate
     z2 = yaw_inertia + gyroscopic + creep + 2 * f33 * dψ / V + yaw_spring + p.yaw_damping * dψ + yaw_spin
     c = np.full(len(motion), -l * f11 / r0)
+    moment = z2 if motion.gauge_effect is None else np.asarray(z2 - c * motion.gauge_effect)
     return Regression(
         np.column_stack([x1, x2]),
         np.column_stack([z1, (2 * f22 / V) * rolling_slip, spin, inertia, weight, spring, damper]),
         np.column_stack([(l * p.load / 2) * ψ, c]),
-        np.column_stack([z2, creep - z2, yaw_spring, yaw_inertia, yaw_spin]),
+        np.column_stack([moment, creep - moment, yaw_spring, yaw_inertia, yaw_spin]),
     )

@@ -16,13 +16,14 @@ from scipy.interpolate import CubicSpline
 from estimation.arrays import BoolArray, FloatArray
 from estimation.errors import ParameterError
 from estimation.high_pass import HighPass, without_slow_part
-from estimation.motion import Motion
+from estimation.motion import NOT_SIGNALS, Motion
 from estimation.restored_alignment import restored
 from estimation.types import ACCELERATIONS, TrackAlignment, TrackLayout, Window
 from estimation.usable_samples import CurveLimits, Usable, usable_samples
 
 NANOSECONDS = 1_000_000_000
 FEWEST_POINTS = 4  # of a spline
+WHOLE = 2.0  # times the wavelength that is looked at: an alignment that reaches further holds it unchanged
 SPLINE_MARGIN = 20  # points of the stored alignment beyond the window, so that the spline's ends do not matter
 
 
@@ -86,7 +87,8 @@ def motion(
     layout
         Curves of the section, which are passed over; None where none is on file.
     """
-    d = _alignment_at(window.distance, track)
+    longest = min(parameters.longest_wavelength, track.cut_off)
+    d = _alignment_at(window.distance, track, longest)
     limits = parameters.curve_limits
     usable = usable_samples(window, np.isfinite(d), layout, parameters.least_speed_m_s, limits)
     if not usable.samples.any():
@@ -94,10 +96,9 @@ def motion(
     dt = window.sample_interval_s
     runs = stretches(usable.samples, window, parameters, round(parameters.modelled_gap_s / dt))
     n = len(window.valid)
-    signals = {item.name: np.full(n, np.nan) for item in fields(Motion) if item.name not in _NOT_SIGNALS}
+    signals = {item.name: np.full(n, np.nan) for item in fields(Motion) if item.name not in NOT_SIGNALS}
     valid = np.zeros(n, dtype=np.bool_)
     trim = round(parameters.trimmed_s / dt)
-    longest = min(parameters.longest_wavelength, track.cut_off)
     for start, stop in runs:
         part = slice(start, stop)
         known = np.asarray(usable.samples[part])
@@ -113,10 +114,23 @@ def motion(
     seconds = window.start_ns / NANOSECONDS + np.arange(n) * dt
     block = np.floor(seconds / parameters.block_s).astype(np.int64)
     signals["speed"] = np.where(window.speed > 0, window.speed, np.nan)
-    return Motion(**signals, valid=valid, block=block, band_limited=True)
+    ratio, effect = _found(window, track, signals["displacement"])
+    return Motion(**signals, valid=valid, block=block, band_limited=True, stiffness_ratio=ratio, gauge_effect=effect)
 
 
-_NOT_SIGNALS = frozenset({"valid", "block", "band_limited"})
+def _found(window: Window, track: TrackAlignment, displacement: FloatArray) -> tuple[float, FloatArray | None]:
+    """Return what the section's passes say of this vehicle's stiffness, and of the gauge under this wheelset."""
+    if track.findings is None:
+        return 1.0, None
+    ratio = track.findings.stiffness_ratio.get(window.vehicle, 1.0)
+    wheels = track.findings.wheels.get(window.wheelset)
+    if wheels is None:
+        return ratio, None
+    e = np.interp(window.distance, track.s, track.gauge_deviation)
+    x, known = displacement, np.isfinite(displacement) & np.isfinite(e)
+    return ratio, np.where(known, wheels.gauge_effect(np.where(known, x, 0.0), np.where(known, e, 0.0)), 0.0)
+
+
 _INTEGRATED = (
     "displacement",
     "lateral_velocity",
@@ -142,7 +156,7 @@ def _too_little(
     return None
 
 
-def _alignment_at(distance: FloatArray, track: TrackAlignment) -> FloatArray:
+def _alignment_at(distance: FloatArray, track: TrackAlignment, longest: float) -> FloatArray:
     """Return d (n,) by a cubic spline through the stored alignment; NaN off the section and where it is not known."""
     d = np.full(len(distance), np.nan)
     with np.errstate(invalid="ignore"):
@@ -152,7 +166,8 @@ def _alignment_at(distance: FloatArray, track: TrackAlignment) -> FloatArray:
     at = distance[on_track]
     first = max(int(np.searchsorted(track.s, at.min())) - SPLINE_MARGIN, 0)
     last = int(np.searchsorted(track.s, at.max())) + SPLINE_MARGIN
-    s, alignment = track.s[first:last], restored(track)[first:last]
+    whole = track.alignment if track.cut_off >= WHOLE * longest else restored(track)
+    s, alignment = track.s[first:last], whole[first:last]
     known = np.isfinite(alignment)
     if known.sum() < FEWEST_POINTS:
         return d

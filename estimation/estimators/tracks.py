@@ -14,7 +14,7 @@ from estimation.motion import Motion
 from estimation.settings import EstimationSettings
 from estimation.signals import Refusal, motion
 from estimation.track.epochs import AlignmentSettings, reduced
-from estimation.track.passes import Pass, passes
+from estimation.track.passes import Pass, joined, passes
 from estimation.track.positions import Correction
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.types import Status, TrackAlignment, Window
@@ -62,7 +62,7 @@ def section_passes(windows: Iterable[Window], settings: EstimationSettings, alig
     """Return the passes of ``windows``, as the alignment of their section is found from them."""
     return [
         reduced(item, item.wheelset, alignment.pass_step)
-        for window in windows
+        for window in joined(windows)
         for item in passes(window, settings.vehicle, settings.signals)
     ]
 
@@ -77,26 +77,17 @@ def fleet_knowledge(
     found
         Passes of the section.
     evidence
-        What is known beforehand. Where it holds no alignment (all NaN) but the gauge, the gauge is taken over.
+        What is known beforehand: the alignment, or, where that is all NaN, the gauge alone.
     section, length
         Its code, and its length, m.
     settings
         Of the alignment.
     """
     parameters = replace(settings.section, panel=replace(settings.section.panel, length=length))
-    told = evidence is not None and bool(np.isfinite(evidence.alignment).any())
-    estimate = estimate_section(section, found, evidence if told else None, parameters)
+    estimate = estimate_section(section, found, evidence, parameters)
     if estimate.alignment is None:
         return estimate.report.reason
-    track = estimate.alignment
-    if evidence is not None and not told:
-        track = replace(
-            track,
-            gauge_deviation=np.interp(track.s, evidence.s, evidence.gauge_deviation),
-            gauge_deviation_std=np.interp(track.s, evidence.s, evidence.gauge_deviation_std),
-            gauge_known=evidence.gauge_known,
-        )
-    return TrackKnowledge(track, estimate)
+    return TrackKnowledge(estimate.alignment, estimate)
 
 
 def motions(windows: Iterable[Window], knowledge: TrackKnowledge, settings: EstimationSettings) -> Iterator[Motion]:

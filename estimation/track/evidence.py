@@ -29,15 +29,15 @@ class Evidence:
         return bool(np.isfinite(self.std).any())
 
 
-def on_grid(evidence: TrackAlignment, panel: PanelParameters) -> Evidence:
-    """Return ``evidence`` as the panel sees it: on its grid, after its high-pass if it has not been through one."""
+def on_grid(evidence: TrackAlignment, panel: PanelParameters, cut_off: float) -> Evidence:
+    """Return ``evidence`` on the grid of the panel, high-passed at ``cut_off`` (m) if it has not been there."""
     grid = np.arange(panel.points) * panel.step
     certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
     inside = np.interp(grid, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
     d = np.interp(grid, evidence.s, np.where(certain, evidence.alignment, 0.0))
     std = np.interp(grid, evidence.s, np.where(certain, evidence.alignment_std, 0.0))
-    if not np.isfinite(evidence.cut_off):
-        weights = smoother(panel.cut_off, panel.step)
+    if evidence.cut_off != cut_off:
+        weights = smoother(cut_off, panel.step)
         inside = trusted(np.asarray(inside), weights)
         d = without_slow_part(d, weights)
     passes = np.interp(grid, evidence.s, evidence.passes.astype(np.float64))

@@ -98,7 +98,7 @@ def _seen(item: Pass, solution: PanelSolution, panel: PanelParameters, weights: 
 def _slope(felt: OnGrid, curve: FloatArray, panel: PanelParameters) -> FloatArray:
     """Return dh/de (m,) = h1 + 2 e h2."""
     k, k1 = panel.hats, panel.gauge_hats
-    coarse = hat_functions(felt.difference, panel.gauge_knots)
+    coarse = hat_functions(np.clip(felt.difference, -panel.reach, panel.reach), panel.gauge_knots)
     e = gauge_at(felt.points, panel) / panel.gauge_unit
     return np.asarray((curve[k : k + k1] @ coarse + 2 * e * (curve[k + k1 : k + 2 * k1] @ coarse)) / panel.gauge_unit)
 

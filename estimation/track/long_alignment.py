@@ -25,7 +25,7 @@ class LongAlignment:
 
     cut_off: float  # m
     alignment: FloatArray  # (n,) m, zero where no pass
-    std: FloatArray  # (n,) m, of the mean, from the spread of the passes
+    pass_std: float  # m, of one pass, from the spread of the passes
     passes: IntArray  # (n,)
 
 
@@ -50,4 +50,4 @@ def long_alignment(
     mean = total / shared
     several = count > 1
     spread = (square - count * mean**2)[several].sum() / max(float((count - 1)[several].sum()), 1.0)
-    return LongAlignment(cut_off, mean, np.sqrt(max(spread, 0.0) / shared), count)
+    return LongAlignment(cut_off, mean, float(np.sqrt(max(spread, 0.0))), count)

@@ -31,7 +31,7 @@ class PanelParameters:
     length: float = 12_000.0  # m of the section
     cut_off: float = 30.0  # m
     difference_cut_off: float = 120.0  # m, of R before h is applied to it: h is not linear, so R must be whole
-    reach: float = 2.5e-3  # m of R that the hat functions span, both ways
+    reach: float = 4.0e-3  # m of R that the hat functions span, both ways; further out is flange contact, and h flat
     hats: int = 41
     gauge: FloatArray | None = field(default=None, compare=False)  # (points,) m, deviation; None: none is modelled
     gauge_hats: int = 21
@@ -54,12 +54,12 @@ class PanelParameters:
     @property
     def knots(self) -> FloatArray:
         """Knots (hats,) of R, m."""
-        return np.linspace(-self.reach, self.reach, self.hats)
+        return _knots(self.reach, self.hats)
 
     @property
     def gauge_knots(self) -> FloatArray:
         """Knots (gauge_hats,) of R, m, of h1 and h2."""
-        return np.linspace(-self.reach, self.reach, self.gauge_hats)
+        return _knots(self.reach, self.gauge_hats)
 
     @property
     def columns(self) -> int:
@@ -89,6 +89,11 @@ class PanelState:
     displacement: FloatArray  # (n,) sum over passes of the filtered y
     passes: IntArray  # (n,)
     difference: FloatArray  # (2, n) sums of the filtered R and of its square
+
+
+def _knots(reach: float, count: int) -> FloatArray:
+    """Return knots (count,), closer together around zero, where contact jumps are small and data many."""
+    return np.asarray(reach * np.sinh(np.linspace(-1.5, 1.5, count)) / np.sinh(1.5))
 
 
 def init(parameters: PanelParameters) -> PanelState:
@@ -197,7 +202,7 @@ def on_grid(item: Pass, parameters: PanelParameters) -> OnGrid | None:
 
 def columns(felt: OnGrid, parameters: PanelParameters) -> FloatArray:
     """Return the functions (k, m) of a pass that its displacement is a sum of, before the filter."""
-    R = felt.difference
+    R = np.clip(felt.difference, -parameters.reach, parameters.reach)
     rows = [hat_functions(R, parameters.knots)]
     if parameters.gauge is not None:
         coarse = hat_functions(R, parameters.gauge_knots)

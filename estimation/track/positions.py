@@ -189,6 +189,14 @@ def _lag(
     points: np.ndarray, y: FloatArray, reference: FloatArray, panel: PanelParameters, parameters: PositionParameters
 ) -> tuple[float, float] | None:
     """Return (middle of the piece, its offset) in m, from the peak of the correlation; None without a clear one."""
+    found = _peak(points, y, reference, panel, parameters)
+    return None if found is None or found[2] < parameters.least_correlation else found[:2]
+
+
+def _peak(
+    points: np.ndarray, y: FloatArray, reference: FloatArray, panel: PanelParameters, parameters: PositionParameters
+) -> tuple[float, float, float] | None:
+    """Return (middle of the piece, m, its offset, m, the correlation there); None where it is too short."""
     reach = int(parameters.largest_offset / panel.step)
     if len(points) < 4 * reach:
         return None
@@ -198,15 +206,32 @@ def _lag(
     part = padded[low + base : high + base]
     products = signal.correlate(part, y, mode="valid")
     energy = np.convolve(part * part, np.ones(len(y)), mode="valid")
-    scores = products / np.sqrt(np.maximum(energy, 1e-30) * (y @ y))
+    scores = products / np.sqrt(np.maximum(energy, 1e-30) * max(float(y @ y), 1e-30))
     k = int(np.argmax(scores))
-    if scores[k] < parameters.least_correlation:
-        return None
     shift = float(k - reach)
     if 0 < k < len(scores) - 1:
         a, b, c = scores[k - 1 : k + 2]
         shift += 0.5 * (a - c) / (a - 2 * b + c)
-    return 0.5 * (points[0] + points[-1]) * panel.step, shift * panel.step
+    return 0.5 * (points[0] + points[-1]) * panel.step, shift * panel.step, float(scores[k])
+
+
+def compared(
+    found: FloatArray, reference: FloatArray, panel: PanelParameters, parameters: PositionParameters
+) -> tuple[Correction, float]:
+    """Return how ``found`` (n,) must be moved to lie on ``reference`` (n,), and the mean correlation of its pieces."""
+    pieces = np.array_split(np.arange(panel.points), max(round(panel.length / (2 * parameters.piece)), 1))
+    peaks = [_peak(part, found[part], reference, panel, parameters) for part in pieces]
+    met = [peak for peak in peaks if peak is not None]
+    if not met:
+        return Correction(middle=0.5 * panel.length), 0.0
+    score = float(np.mean([peak[2] for peak in met]))
+    return _fitted(Correction(middle=0.5 * panel.length), [peak[:2] for peak in met]), score
+
+
+def moved_along(first: Correction, second: Correction) -> Correction:
+    """Return the correction that does what ``first`` and then ``second`` do, both small."""
+    at = first.middle - second.middle
+    return replace(first, offset=first.offset + second.offset + second.scale * at, scale=first.scale + second.scale)
 
 
 def _fitted(correction: Correction, lags: Sequence[tuple[float, float]]) -> Correction:

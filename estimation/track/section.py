@@ -12,23 +12,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.track.evidence import Evidence, on_grid, with_evidence
-from estimation.track.panel import PanelParameters, PanelState, filtered, init, update
+from estimation.track.evidence import Evidence, on_grid
+from estimation.track.findings import findings
+from estimation.track.long_alignment import long_alignment
+from estimation.track.panel import PanelParameters, PanelState, filtered
 from estimation.track.passes import Pass
-from estimation.track.positions import (
-    Correction,
-    Journey,
-    PositionParameters,
-    corrected,
-    correlate,
-    journeys,
-    refine,
-)
+from estimation.track.positions import Correction, Journey, PositionParameters, journeys
 from estimation.track.report import JourneyReport, LoopReport, nothing
-from estimation.track.solution import LEAST_WHEELSETS, PanelSolution, result
+from estimation.track.settling import Grouped, Settled, SettlingParameters, settle
+from estimation.track.solution import LEAST_WHEELSETS, PanelSolution
 from estimation.types import FLEET, Status, TrackAlignment
-
-Grouped = Mapping[Journey, Sequence[Pass]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,18 +30,11 @@ class SectionParameters:
 
     panel: PanelParameters = field(default_factory=PanelParameters)
     positions: PositionParameters = field(default_factory=PositionParameters)
-    rounds: int = 8  # of positions and panel at most
-    settled: float = 0.1  # m: positions that move less have converged
-    pass_std: float = 0.15e-3  # m of y - d - h(R) of a pass, before it is known
+    settling: SettlingParameters = field(default_factory=SettlingParameters)
+    reaches: float = 120.0  # m, longest wavelength that the alignment holds
     stray: float = 2.0  # times the median residual of the other journeys
     stray_least: float = 0.4e-3  # m
-    most_weight: float = 1000.0  # of evidence, in passes
-    gauge_std: float = 1e-3  # m, expected of a gauge that nobody knows
-
-    @property
-    def reaches(self) -> float:
-        """Longest wavelength, m, that the alignment holds."""
-        return self.panel.cut_off
+    gauge_std: float = 1e-3  # m, expected of a gauge that nobody knows and that does not show
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,15 +45,6 @@ class SectionEstimate:
     report: LoopReport
     corrections: Mapping[Journey, Correction]  # of the journeys that were used
     solution: PanelSolution | None
-
-
-@dataclass(frozen=True, slots=True)
-class _Settled:
-    state: PanelState  # without the evidence
-    solution: PanelSolution
-    corrections: dict[Journey, Correction]
-    rounds: int
-    moved: float
 
 
 def estimate_section(
@@ -90,7 +67,7 @@ def estimate_section(
     grouped: Grouped = journeys(passes, parameters.positions)
     if not grouped:
         return SectionEstimate(None, nothing("no pass", named), {}, None)
-    known = None if evidence is None else on_grid(evidence, parameters.panel)
+    known = None if evidence is None else on_grid(evidence, parameters.panel, parameters.panel.cut_off)
     reason = _nothing_to_tell(grouped, parameters) if known is None or not known.lies else ""
     if reason:
         return SectionEstimate(None, nothing(reason, named), {}, None)
@@ -99,7 +76,7 @@ def estimate_section(
     report = replace(report, evidence=named)
     if report.status is not Status.ESTIMATED:
         return SectionEstimate(None, report, {}, settled.solution)
-    alignment = _alignment(section, settled, known, parameters)
+    alignment = _alignment(section, settled, evidence, parameters)
     certain = np.isfinite(alignment.alignment)
     report = replace(
         report,
@@ -124,14 +101,14 @@ def _nothing_to_tell(grouped: Grouped, p: SectionParameters) -> str:
 
 def _without_strays(
     grouped: Grouped, known: Evidence | None, p: SectionParameters
-) -> tuple[_Settled, dict[Journey, str], dict[Journey, float]]:
+) -> tuple[Settled, dict[Journey, str], dict[Journey, float]]:
     """Settle, leave out what agrees with nothing, and settle again until all that is left agrees."""
     kept = dict(grouped)
     strays: dict[Journey, str] = {}
     residuals: dict[Journey, float] = {}
     while True:
-        settled = _settle(kept, known, p)
-        residuals |= _residuals(kept, settled, p.panel)
+        settled = settle(kept, known, p.panel, p.positions, p.settling)
+        residuals |= _residuals(settled, p.positions)
         found = _strays({journey: residuals[journey] for journey in kept}, settled.corrections, p)
         strays |= found
         if not found or len(found) == len(kept):
@@ -139,57 +116,14 @@ def _without_strays(
         kept = {journey: members for journey, members in kept.items() if journey not in found}
 
 
-def _settle(grouped: Grouped, known: Evidence | None, p: SectionParameters) -> _Settled:
-    """Solve the panel and put the journeys where it says, in turn, until none moves."""
-    lies = known is not None and known.lies
-    anchor = known.alignment if known is not None and lies else None
-    corrections = correlate(grouped, p.panel, p.positions, anchor)
-    noise, moved, rounds = p.pass_std, np.inf, 0
-    while True:
-        rounds += 1
-        at = [item for journey, members in grouped.items() for item in corrected(members, corrections[journey])]
-        state = update(init(p.panel), at)
-        solution = result(state if known is None else with_evidence(state, known, noise, p.most_weight))
-        noise = max(_residual_of_passes(state, solution), 0.1 * p.pass_std)
-        if moved < p.settled or rounds == p.rounds:
-            return _Settled(state, solution, corrections, rounds, moved)
-        better = refine(grouped, corrections, solution, p.panel, anchored=lies)
-        moved = max(_apart(corrections[journey], better[journey], members) for journey, members in grouped.items())
-        corrections = better
-
-
-def _residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
-    """Return the rms of y - d - h(R) over the passes alone, m, what they have shaped d and h by taken off."""
-    c = solution.curves[0].reshape(len(state.wheelsets), -1)
-    d = np.nan_to_num(solution.alignment)
-    count = np.where(np.isfinite(solution.alignment), state.passes, 0)
-    rest = state.displacement - np.einsum("wk,wkn->n", c, state.functions)
-    squares = (
-        state.square.sum()
-        - 2.0 * np.einsum("wk,gwk->", c, state.cross)
-        + np.einsum("wj,gwjk,wk->", c, state.gram, c)
-        - 2.0 * float(d @ rest)
-        + float(count @ (d * d))
-    )
-    own = state.passes[count > 0] / np.maximum(solution.passes[count > 0], 1.0)  # share of d that the passes made
-    freedom = max(float(count.sum()) - float(own.sum()) - c.size, 1.0)
-    return float(np.sqrt(max(float(squares), 0.0) / freedom))
-
-
-def _apart(first: Correction, second: Correction, members: Sequence[Pass]) -> float:
-    """Return by how much two corrections differ at the ends of a journey, m."""
-    ends = np.array([min(item.at[0] for item in members), max(item.at[-1] for item in members)])
-    return float(np.abs(first.at(ends) - second.at(ends)).max())
-
-
-def _residuals(grouped: Grouped, settled: _Settled, panel: PanelParameters) -> dict[Journey, float]:
+def _residuals(settled: Settled, positions: PositionParameters) -> dict[Journey, float]:
     """Return the rms of y - d - h(R) of every journey, m; NaN where it covers nothing that is known."""
     found = {}
     d = settled.solution.alignment
-    for journey, members in grouped.items():
+    for journey, members in journeys(settled.passes, positions).items():
         squares, count = 0.0, 0
-        for item in corrected(members, settled.corrections[journey]):
-            columns = filtered(item, panel)
+        for item in members:
+            columns = filtered(item, settled.panel)
             if columns is None:
                 continue
             at, B, y, _ = columns
@@ -219,7 +153,7 @@ def _strays(
 
 
 def _report(
-    settled: _Settled,
+    settled: Settled,
     grouped: Grouped,
     strays: Mapping[Journey, str],
     residuals: Mapping[Journey, float],
@@ -242,9 +176,9 @@ def _report(
     return LoopReport(
         status=status,
         reason=reason,
-        converged=settled.moved < p.settled,
+        converged=settled.moved < p.settling.settled,
         rounds=settled.rounds,
-        residual_rms_m=_residual_of_passes(settled.state, solution),
+        residual_rms_m=settled.noise,
         moved_m=settled.moved,
         passes=sum(item.passes for item in told if item.used),
         wheelsets=len(solution.wheelsets),
@@ -283,29 +217,38 @@ def _journey(
     )
 
 
-def _alignment(section: str, settled: _Settled, known: Evidence | None, p: SectionParameters) -> TrackAlignment:
+def _alignment(section: str, settled: Settled, evidence: TrackAlignment | None, p: SectionParameters) -> TrackAlignment:
     """Return the solution as an alignment, NaN where it is not known; places that nobody passed stay as they were."""
-    solution, seen = settled.solution, settled.state.passes
-    d, std, before = solution.alignment, solution.alignment_std, np.zeros(p.panel.points)
-    gauge, gauge_std, gauge_known = np.zeros(p.panel.points), np.full(p.panel.points, p.gauge_std), False
-    if known is not None:
-        held, before = np.isfinite(known.std), known.passes
-        certain = held | (seen >= p.panel.least_passes)
-        stays = held & ((seen == 0) | ~np.isfinite(d))
-        d = np.where(stays, known.alignment, np.where(certain, d, np.nan))
-        std = np.where(stays, known.std, np.where(certain, std, np.nan))
-        gauge, gauge_std, gauge_known = known.gauge, known.gauge_std, known.gauge_known
+    found = long_alignment(settled.passes, settled.solution, settled.panel, p.reaches)
+    known = _nothing_known(p) if evidence is None else on_grid(evidence, p.panel, p.reaches)
+    with np.errstate(divide="ignore"):
+        weight = np.minimum((found.pass_std / known.std) ** 2, p.settling.most_weight)
+    total = found.passes + weight
+    shared = np.maximum(total, 1e-12)
+    d = (found.passes * found.alignment + weight * known.alignment) / shared
+    common = np.where(np.isfinite(settled.solution.common_std), settled.solution.common_std, 0.0)
+    std = np.hypot(common * found.passes / shared, found.pass_std / np.sqrt(shared))
+    certain = (found.passes >= p.panel.least_passes) | np.isfinite(known.std)
+    told = findings(settled, gauge_estimated=not known.gauge_known)
+    gauge = known.gauge if told.gauge is None else told.gauge
+    gauge_std = known.gauge_std if told.gauge_std is None else told.gauge_std
     return TrackAlignment(
         section=section,
         version=0,
         s=np.asarray(np.arange(p.panel.points) * p.panel.step, dtype=np.float64),
-        alignment=d,
-        alignment_std=std,
+        alignment=np.where(certain, d, np.nan),
+        alignment_std=np.where(certain, std, np.nan),
         gauge_deviation=gauge,
         gauge_deviation_std=gauge_std,
-        passes=np.rint(seen + before).astype(np.int64),
+        passes=np.rint(found.passes + known.passes).astype(np.int64),
         status=Status.ESTIMATED,
         source=FLEET,
         cut_off=p.reaches,
-        gauge_known=gauge_known,
+        gauge_known=known.gauge_known and told.gauge is None,
+        findings=told.findings,
     )
+
+
+def _nothing_known(p: SectionParameters) -> Evidence:
+    zero = np.zeros(p.panel.points)
+    return Evidence(zero, np.full_like(zero, np.inf), zero, zero, np.full_like(zero, p.gauge_std), gauge_known=False)

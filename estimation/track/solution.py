@@ -42,11 +42,12 @@ class PanelSolution:
     weight: FloatArray  # (w, k) how much of the data each knot has seen, in samples
     alignment: FloatArray  # (n,) high-passed d, m; NaN where too few passes
     alignment_std: FloatArray  # (n,) m
+    common_std: FloatArray  # (n,) m, the share of it that the curves' uncertainty makes
     passes: IntArray  # (n,)
 
 
-def result(state: PanelState) -> PanelSolution:
-    """Return what the passes so far say of the section and of the wheelsets that passed it."""
+def result(state: PanelState, *, std: bool = True) -> PanelSolution:
+    """Return what the passes so far say of the section and of the wheelsets that passed it; quicker without std."""
     p = state.parameters
     w, k = len(state.wheelsets), p.columns
     enough = state.passes >= p.least_passes
@@ -62,11 +63,12 @@ def result(state: PanelState) -> PanelSolution:
         per_pass = np.where(enough[mine], share[mine], 1.0 / np.maximum(state.passes[mine], 1))
         normal[g] = linalg.block_diag(*state.gram[g]) - (G * per_pass) @ G.T
         right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[mine])
-    curves = _curves(normal, right, w, p)
+    curves = _curves(normal, right, w, p, std=std)
     alignments = np.stack([(state.displacement - curve.reshape(-1) @ stacked) * share for curve in curves])
     residual = _residual_rms(state, curves[0], normal, right)
     mean_passes = float(state.passes[state.passes > 0].mean()) if (state.passes > 0).any() else 0.0
-    std = np.hypot(jackknife_std(alignments), residual * np.sqrt(share))
+    common = jackknife_std(alignments)
+    certainty = np.hypot(common, residual * np.sqrt(share))
     report = _report(state, enough, mean_passes, residual)
     return PanelSolution(
         report=report,
@@ -75,12 +77,13 @@ def result(state: PanelState) -> PanelSolution:
         curves=curves,
         weight=np.einsum("gwkk->wk", state.gram)[:, : p.hats],
         alignment=np.where(enough, alignments[0], np.nan),
-        alignment_std=np.where(enough, std, np.nan),
+        alignment_std=np.where(enough, certainty, np.nan),
+        common_std=np.where(enough, common, np.nan),
         passes=state.passes,
     )
 
 
-def _curves(normal: FloatArray, right: FloatArray, w: int, p: PanelParameters) -> FloatArray:
+def _curves(normal: FloatArray, right: FloatArray, w: int, p: PanelParameters, *, std: bool) -> FloatArray:
     """Solve for all data and with each group left out; curves pass through zero at R = 0."""
     if w == 0:
         return np.zeros((1 + len(normal), 0, 1))
@@ -89,7 +92,9 @@ def _curves(normal: FloatArray, right: FloatArray, w: int, p: PanelParameters) -
     curves = [
         linalg.solve(total - left_out + prior, total_right - left_right, assume_a="sym").reshape(w, p.columns)
         for left_out, left_right in zip(
-            [np.zeros_like(total), *normal], [np.zeros_like(total_right), *right], strict=True
+            [np.zeros_like(total), *(normal if std else ())],
+            [np.zeros_like(total_right), *(right if std else ())],
+            strict=True,
         )
     ]
     for curve in curves:

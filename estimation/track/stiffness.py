@@ -63,6 +63,8 @@ def refined(
         steps = numerator / max(squares[vehicle], 1e-12)
         before = ratios.get(vehicle, Ratio())
         data_std = float(jackknife_std(steps[:, None])[0])
+        if not np.isfinite(data_std):
+            data_std = 0.0  # not computed in this round
         worth = PRIOR_STD**2 / (PRIOR_STD**2 + data_std**2)
         value = 1.0 + worth * (before.value + float(steps[0]) - 1.0)
         result[vehicle] = Ratio(float(np.clip(value, 0.5, 1.5)), float(np.sqrt(worth) * data_std))

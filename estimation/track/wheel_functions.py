@@ -22,7 +22,7 @@ from estimation.types import WheelFunctions
 
 KNOTS = np.linspace(-9e-3, 9e-3, 73)  # m
 ROUGHNESS = 1e-4  # relative to the data
-FACTORS = (-2.0, -1.4, -1.0, -0.7, -0.5, 0.5, 0.7, 1.0, 1.4, 2.0)
+FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,17 +88,25 @@ def fitted(seen: Mapping[str, Places], factor: float) -> dict[str, WheelFunction
 
 
 def gauge_factor(seen: Mapping[str, Places], most: int = 6) -> float:
-    """Return what estimated gauge deviations are to be multiplied with: wheels that fit best tell sign and size."""
+    """Return what estimated gauge deviations are to be multiplied with: wheels that fit best tell the size.
+
+    The sign is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is
+    taken from what wheels are, steeper towards the flange.
+    """
     some = [one for _, one in sorted(seen.items())][:: max(len(seen) // most, 1)][:most]
 
     def misfit(factor: float) -> float:
         return sum(fit(one, factor)[1] for one in some)
 
     best = min(FACTORS, key=misfit)
-    found = minimize_scalar(
-        misfit,
-        bounds=(min(0.6 * best, 1.6 * best), max(0.6 * best, 1.6 * best)),
-        method="bounded",
-        options={"xatol": 0.02},
-    )
-    return float(np.asarray(found.x))
+    found = minimize_scalar(misfit, bounds=(0.6 * best, 1.6 * best), method="bounded", options={"xatol": 0.03})
+    factor = float(np.asarray(found.x))
+    return factor if sum(_steepening(fit(one, factor)[0], one) for one in some) >= 0 else -factor
+
+
+def _steepening(wheels: WheelFunctions, seen: Places) -> float:
+    """Return how much steeper the wheels are towards the flange than away from it."""
+    far = float(np.quantile(np.abs(seen.displacement), 0.9))
+    both = wheels.left + wheels.right
+    out, middle, back = np.interp([far, 0.0, -far], wheels.knots, both)
+    return float(out - 2 * middle + back)
