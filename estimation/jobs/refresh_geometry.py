@@ -11,7 +11,7 @@ from estimation import bins, geometry
 from estimation.errors import DamagedError
 from estimation.jobs.identities import latest_break
 from estimation.jobs.job import Job, JobContext
-from estimation.ports import GeometryRecord, UnitOfWork, WheelsetRecord, WindowRecord
+from estimation.ports import GeometryRecord, Mounting, UnitOfWork, WheelsetRecord, WindowRecord
 from estimation.rules.identity import Break
 from estimation.settings import EstimationSettings
 from estimation.types import BinTable
@@ -89,9 +89,13 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     records: list[GeometryRecord] = []
     newest: tuple[Baseline, list[_Entry]] | None = None
     broken = latest_break(unit, serial)
+    turned = [mounting for mounting in unit.registry.mountings(serial) if mounting.reversed]
     for baseline in baselines(unit.registry.wheelset(serial)):
         index = unit.tables.index(serial, baseline.from_ns, baseline.to_ns)
-        entries = _apart([entry for entry in index if entry[1] == settings.bins.key], broken)
+        entries = _apart(
+            [_mounted(entry, turned) for entry in index if entry[1] == settings.bins.key],
+            broken,
+        )
         records += _intervals(unit, serial, baseline, entries, context)
         if entries:
             newest = baseline, entries
@@ -118,6 +122,14 @@ def _intervals(
             table = bins.merge_all([table for _, table in _tables(unit, part)], settings.bins)
             records.append(_record(baseline, interval, part, table, context))
     return records + [_emptied(record, context) for interval, record in stored.items() if interval not in parts]
+
+
+def _mounted(entry: _Entry, turned: Sequence[Mounting]) -> _Entry:
+    """Return the entry with its key saying that the wheelset was mounted the other way round, where it was."""
+    at_ns = entry[0].start_ns
+    if any(m.from_ns <= at_ns and (m.to_ns is None or at_ns < m.to_ns) for m in turned):
+        return entry[0], f"{entry[1]} reversed", entry[2]
+    return entry
 
 
 def _apart(entries: Sequence[_Entry], broken: Break | None) -> list[_Entry]:

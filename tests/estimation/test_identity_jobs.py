@@ -1,0 +1,160 @@
+"""Wheelsets swapped in the registry, or turned round, through the real store and jobs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from smooth_wheelset import SmoothTable, alignment, mems_windows, track
+from test_bad_input_jobs import run_jobs
+
+from estimation.alerts import AlertKind
+from estimation.ports import FleetRecord, Mounting, Storage, TrackSectionRecord, VehicleRecord, WheelsetRecord
+from estimation.types import TrackAlignment, WheelsetGeometry, Window
+from estimation.vehicle import VehicleParameters
+from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
+
+LENGTH = 2600.0
+SECONDS, SPEED, WINDOW_S = 120, 20.0, 40
+VISITS, EVENT = 4, 2  # visits of a thousand kilometres, and the first one after the mistake
+VISIT_NS = 10**13
+WHEELS = {"A": (0.05, 20.0), "B": (0.14, 0.0), "C": (0.09, 0.0)}  # cone, unevenness of the left tread in 1/m
+
+
+@dataclass(frozen=True)
+class UnevenTable(SmoothTable):
+    """A left wheel whose tread is hollow by as much more; ``turned`` exchanges the sides."""
+
+    uneven: float = 0.0
+    turned: bool = False
+
+    def left(self, x: np.ndarray) -> np.ndarray:
+        return self._right(-x) if self.turned else self._left(x)
+
+    def right(self, x: np.ndarray) -> np.ndarray:
+        return self._left(-x) if self.turned else self._right(x)
+
+    def _left(self, x: np.ndarray) -> np.ndarray:
+        return super().left(x) + self.uneven * x**2
+
+    def _right(self, x: np.ndarray) -> np.ndarray:
+        return super().right(x)
+
+
+@cache
+def motion(name: str, *, turned: bool) -> WheelsetMotion:
+    cone, uneven = WHEELS[name]
+    table = UnevenTable(cone, uneven, turned)
+    return simulate_wheelset(VehicleParameters(), table, track(1), np.full(SECONDS * 1000, SPEED), 10.0)
+
+
+@cache
+def visit(name: str, number: int, *, turned: bool = False) -> tuple[Window, ...]:
+    """Return the windows of a visit, felt with other noise each time."""
+    found = mems_windows(motion(name, turned=turned), seed=1000 * number + ord(name), length_s=WINDOW_S)
+    return tuple(replace(w, start_ns=w.start_ns + (number + 1) * VISIT_NS, track_section="S1") for w in found)
+
+
+def known() -> TrackAlignment:
+    full = alignment(track(1))
+    part = full.s <= LENGTH
+    arrays = ("s", "alignment", "alignment_std", "gauge_deviation", "gauge_deviation_std", "passes")
+    cut = {name: getattr(full, name)[part] for name in arrays}
+    return replace(full, **(cut | {"alignment_std": np.full(int(part.sum()), 0.05e-3)}))
+
+
+def deployed(storage: Storage, lives: Mapping[str, Sequence[Sequence[Window]]]) -> None:
+    """Register, then put the windows of every visit and run the jobs after each."""
+    with storage.write() as unit:
+        unit.registry.add_fleet(FleetRecord("F", "Fleet"))
+        unit.tracks.add_section(TrackSectionRecord("S1", 1, "Section", "56E1", 0.05, 1.435, LENGTH))
+        unit.tracks.add_alignment(known())
+        for name in WHEELS:
+            unit.registry.add_vehicle(VehicleRecord(name, "F", "metro", 1, 40.0, (0.0,)))
+            unit.registry.add_wheelset(WheelsetRecord(name, "F", "P8", 0.45, None))
+            unit.registry.add_mounting(Mounting(name, name, 1, 0, None, 0.0, 0.0))
+    for number in range(VISITS):
+        with storage.write() as unit:
+            for name, visits in lives.items():
+                for window in visits[number]:
+                    unit.windows.put(replace(window, wheelset=name, vehicle=name), 1000.0 * number + 500.0, 1)
+        run_jobs(storage)
+    run_jobs(storage)
+
+
+def honest() -> dict[str, list[tuple[Window, ...]]]:
+    return {name: [visit(name, number) for number in range(VISITS)] for name in WHEELS}
+
+
+def current(storage: Storage, name: str) -> WheelsetGeometry:
+    with storage.read() as unit:
+        record = unit.geometries.current(name)
+    assert record is not None
+    return record.geometry
+
+
+def mistakes(storage: Storage) -> dict[str | None, tuple[object, object]]:
+    with storage.read() as unit:
+        found = [alert for alert in unit.alerts.all_open() if alert.kind is AlertKind.IDENTITY]
+    return {alert.wheelset: (alert.evidence["mistake"], alert.evidence["partner"]) for alert in found}
+
+
+@pytest.fixture(scope="module")
+def without(new_sqlite_storage: Callable[[], Storage]) -> Storage:
+    storage = new_sqlite_storage()
+    deployed(storage, honest())
+    return storage
+
+
+def same_curve(first: WheelsetGeometry, second: WheelsetGeometry, within: float) -> bool:
+    values = [one.rolling_radius_difference.value for one in (first, second)]
+    centre = 0.5 * (first.bin_edges[1:] + first.bin_edges[:-1])
+    both = np.isfinite(values[0] + values[1]) & (np.abs(centre) < 2.5e-3)
+    assert both.sum() >= 8
+    return bool(np.abs((values[0] - values[1])[both]).max() <= within)
+
+
+def test_nothing_is_said_against_those_who_are_what_they_are(without: Storage) -> None:
+    assert mistakes(without) == {}
+
+
+def test_two_swapped_wheelsets_are_reported_and_not_averaged(sqlite_storage: Storage, without: Storage) -> None:
+    lives = honest()
+    lives["A"], lives["B"] = (lives[one][:EVENT] + lives[other][EVENT:] for one, other in (("A", "B"), ("B", "A")))
+    deployed(sqlite_storage, lives)
+    assert mistakes(sqlite_storage) == {"A": ("swapped", "B"), "B": ("swapped", "A")}
+    for one, other in (("A", "B"), ("B", "A")):
+        now = current(sqlite_storage, one)
+        assert now.windows == (VISITS - EVENT) * SECONDS // WINDOW_S
+        assert same_curve(now, current(without, other), 0.03e-3)  # whole, not a mixture
+        with sqlite_storage.read() as unit:
+            kinds = {alert.kind for alert in unit.alerts.all_open(one)}
+            trend = unit.trends.latest(one)
+        assert not kinds & {AlertKind.CONICITY_LIMIT, AlertKind.LIMIT_FORECAST, AlertKind.WHEEL_ASYMMETRY}
+        assert trend is not None
+        assert len(trend.trend.value) == VISITS - EVENT
+    assert same_curve(current(sqlite_storage, "C"), current(without, "C"), 1e-12)
+
+
+def test_a_wheelset_turned_round_is_reported_and_as_before_when_that_is_on_file(
+    sqlite_storage: Storage, without: Storage
+) -> None:
+    lives = honest()
+    lives["A"] = [visit("A", number, turned=number >= EVENT) for number in range(VISITS)]
+    deployed(sqlite_storage, lives)
+    assert mistakes(sqlite_storage) == {"A": ("reversed", None)}
+    turned = current(sqlite_storage, "A")
+    assert not same_curve(turned, current(without, "A"), 0.03e-3)
+    for name in ("B", "C"):
+        assert same_curve(current(sqlite_storage, name), current(without, name), 1e-12)
+    with sqlite_storage.write() as unit:  # what the workshop had not written down
+        then = (EVENT + 1) * VISIT_NS
+        unit.registry.add_mounting(Mounting("A", "A", 1, 0, then, 0.0, 0.0))
+        unit.registry.add_mounting(Mounting("A", "A", 1, then, None, 2500.0, 2500.0, reversed=True))
+    run_jobs(sqlite_storage)
+    run_jobs(sqlite_storage)
+    assert mistakes(sqlite_storage) == {}
+    assert same_curve(current(sqlite_storage, "A"), current(without, "A"), 0.03e-3)
