@@ -15,14 +15,15 @@ import numpy as np
 
 from estimation.errors import DamagedError, StoppedError, TreadwatchError
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.store_alignment import Epoch, store
+from estimation.jobs.store_alignment import Epoch, EpochPasses, WindowKey, store
 from estimation.ports import TrackSectionRecord, UnitOfWork, WindowRecord
 from estimation.settings import EstimationSettings
 from estimation.track.epochs import AlignmentSettings, bounded, epoch_digest, life, reduced
 from estimation.track.examination import examine
+from estimation.track.joined_windows import following, joined
 from estimation.track.passes import Pass
 from estimation.track.recordings import find
-from estimation.types import TrackAlignment
+from estimation.types import TrackAlignment, Window
 from estimation.window_table import gate
 
 _COUNTS = ("sections", "windows", "passes", "versions", "kept", "unestimated", "unchanged", "changed_meanwhile")
@@ -77,17 +78,17 @@ def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counte
     if not waiting.records or digest == waiting.looked_at:
         counts["unchanged"] += 1
         return False
-    found, refused = _passes(context, waiting)
-    left = [record for record in waiting.records if (record.wheelset, record.start_ns) not in refused]
+    epoch_passes = _passes(context, waiting)
+    left = [record for record in waiting.records if (record.wheelset, record.start_ns) not in epoch_passes.refused]
     digest = epoch_digest(left, version, context.code_version)  # of what the next run would find again
-    epoch = Epoch(section, waiting.records, waiting.in_force, digest, found, refused)
+    epoch = Epoch(section, waiting.records, waiting.in_force, digest, epoch_passes)
     settings = context.setting(AlignmentSettings)
-    finding = find(section, found, waiting.in_force, settings, judge=not waiting.judged)
+    finding = find(section, epoch_passes.found, waiting.in_force, settings, judge=not waiting.judged)
     with context.storage.write() as unit:
         outcome = store(unit, epoch, finding, context)
     counts[outcome] += 1
     counts["windows"] += len(waiting.records)
-    counts["passes"] += len(found)
+    counts["passes"] += len(epoch_passes.found)
     return outcome in {"versions", "kept"}
 
 
@@ -110,28 +111,52 @@ def _waiting(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext)
     )
 
 
-def _passes(context: JobContext, waiting: _Waiting) -> tuple[list[Pass], dict[tuple[str, int], str]]:
-    """Return the passes of the windows, and the reasons of windows that hold none; one window at a time in memory."""
+def _passes(context: JobContext, waiting: _Waiting) -> EpochPasses:
+    """Return the passes of the windows, and the reasons of windows that hold none; a few windows at a time in memory.
+
+    Windows that follow each other are one pass, for its ends are lost to the filter.
+    """
     settings, step = context.setting(EstimationSettings), context.setting(AlignmentSettings).pass_step
     found: list[Pass] = []
-    refused: dict[tuple[str, int], str] = {}
-    for done, (record, name) in enumerate(zip(waiting.records, waiting.lives, strict=True)):
-        context.checkpoint(done, len(waiting.records))
+    members: dict[WindowKey, tuple[WindowKey, ...]] = {}
+    refused: dict[WindowKey, str] = {}
+    clean = []
+    for record, name in zip(waiting.records, waiting.lives, strict=True):
         gated = gate(record.quality, record.track_section, settings)
-        made, reason = ((), gated.reason) if gated is not None else _examined(context, record, settings)
-        found += [reduced(item, name, step) for item in made]
-        if not made:
-            refused[record.wheelset, record.start_ns] = reason
-    return found, refused
+        if gated is None:
+            clean.append((record, name))
+        else:
+            refused[record.wheelset, record.start_ns] = gated.reason
+    keys = [((r.vehicle, r.axle, name), r.start_ns, r.start_ns + r.length_ns) for r, name in clean]
+    done = len(refused)
+    for group in following(clean, keys):
+        context.checkpoint(done, len(waiting.records))
+        done += len(group)
+        for serials, made, reason in _examined(context, [record for record, _ in group], settings):
+            found += [reduced(item, group[0][1], step) for item in made]
+            members[serials[0]] = serials
+            if not made:
+                refused |= dict.fromkeys(serials, reason)
+    return EpochPasses(found, members, refused)
 
 
-def _examined(context: JobContext, record: WindowRecord, settings: EstimationSettings) -> tuple[Sequence[Pass], str]:
+def _examined(
+    context: JobContext, records: Sequence[WindowRecord], settings: EstimationSettings
+) -> list[tuple[tuple[WindowKey, ...], Sequence[Pass], str]]:
+    """Return windows that follow each other, their passes, and why there is none."""
+    windows: list[Window] = []
+    found: list[tuple[tuple[WindowKey, ...], Sequence[Pass], str]] = []
     with context.storage.read() as unit:
-        mounting = unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
-        try:
-            window = unit.windows.load(record.wheelset, record.start_ns)
-        except DamagedError as error:
-            return (), str(error)  # names the file; the other windows go on
+        mounting = unit.registry.mounting_at(records[0].vehicle, records[0].axle, records[0].start_ns)
+        for record in records:
+            try:
+                windows.append(unit.windows.load(record.wheelset, record.start_ns))
+            except DamagedError as error:  # names the file; the other windows go on
+                found.append((((record.wheelset, record.start_ns),), (), str(error)))
     turned = mounting is not None and mounting.reversed
-    examined = examine(window, settings, mounted_reversed=turned)
-    return examined.passes, examined.outcome.reason
+    keys = [(w.sample_interval_s, w.start_ns, w.start_ns + w.length_ns) for w in windows]
+    for group in following(windows, keys):
+        examined = examine(joined(group), settings, mounted_reversed=turned)
+        serials = tuple((window.wheelset, window.start_ns) for window in group)
+        found.append((serials, examined.passes, examined.outcome.reason))
+    return found

@@ -24,6 +24,21 @@ from estimation.track.recordings import Finding
 from estimation.track.screening import PassStatus
 from estimation.types import Status, TrackAlignment
 
+WindowKey = tuple[str, int]  # wheelset, start
+
+
+@dataclass(frozen=True, slots=True)
+class EpochPasses:
+    """Passes, the windows that each was made of (by its wheelset and start), and why others hold none."""
+
+    found: Sequence[Pass]
+    members: Mapping[WindowKey, Sequence[WindowKey]]
+    refused: Mapping[WindowKey, str]
+
+    def windows(self, item: Pass) -> Sequence[WindowKey]:
+        """Return the windows of a pass, which bears the name of a life of its wheelset."""
+        return self.members[item.wheelset.rsplit("#", 2)[0], item.start_ns]
+
 
 @dataclass(frozen=True, slots=True)
 class Epoch:
@@ -33,8 +48,7 @@ class Epoch:
     records: Sequence[WindowRecord]
     before: TrackAlignment | None
     digest: str
-    passes: Sequence[Pass]
-    refused: Mapping[tuple[str, int], str]
+    passes: EpochPasses
 
 
 def store(unit: UnitOfWork, epoch: Epoch, finding: Finding, context: JobContext) -> str:
@@ -71,7 +85,7 @@ def _next_version(unit: UnitOfWork, epoch: Epoch, alignment: TrackAlignment, con
 
 def _report(unit: UnitOfWork, epoch: Epoch, finding: Finding, version: int | None, context: JobContext) -> None:
     told = finding.estimate.report
-    extra: dict[str, JsonValue] = {"recording": finding.recording, "refused_windows": _counted(epoch.refused)}
+    extra: dict[str, JsonValue] = {"recording": finding.recording, "refused_windows": _counted(epoch.passes.refused)}
     unit.tracks.add_report(
         TrackReport(
             section=epoch.section.code,
@@ -98,34 +112,30 @@ def _positions(
     epoch: Epoch, finding: Finding, version: int | None, settings: AlignmentSettings
 ) -> Sequence[WindowPosition]:
     """Return where the windows were, as far as it has been found."""
-    judged = list(zip(epoch.passes, finding.outcomes, strict=True))
+    judged = list(zip(epoch.passes.found, finding.outcomes, strict=True))
     used = [item for item, outcome in judged if outcome.status is PassStatus.USED]
     journey_of = {
-        (item.vehicle, item.start_ns): journey
+        key: journey
         for journey, members in journeys(used, settings.section.positions).items()
         for item in members
+        for key in epoch.passes.windows(item)
     }
-    held = {_window(item) for item in used}
-    against = {_window(item): outcome for item, outcome in judged if outcome.reason and _window(item) not in held}
+    told = [(key, outcome) for item, outcome in judged for key in epoch.passes.windows(item) if outcome.reason]
+    against = {key: outcome for key, outcome in told if key not in journey_of}
     spoken = {key for key, outcome in against.items() if outcome.status is PassStatus.REFUSED}
-    reasons = {**epoch.refused, **{key: outcome.reason for key, outcome in against.items()}}
-    strays = {(told.vehicle, told.from_ns): told.reason for told in finding.estimate.report.journeys if not told.used}
+    reasons = {**epoch.passes.refused, **{key: outcome.reason for key, outcome in against.items()}}
+    strays = {(one.vehicle, one.from_ns): one.reason for one in finding.estimate.report.journeys if not one.used}
     found = []
     for record in epoch.records:
         key = (record.wheelset, record.start_ns)
         plain = WindowPosition(record.wheelset, record.start_ns, record.content_digest, version)
-        if key in reasons and (key in epoch.refused or finding.alignment is not None):
+        if key in reasons and (key in epoch.passes.refused or finding.alignment is not None):
             # on a recording a window needs no pass, unless its pass speaks against it
             believed = finding.trusted and key not in spoken
             found.append(plain if believed else replace(plain, reason=reasons[key]))
-        elif finding.alignment is not None and key in held:
-            found.append(_corrected(plain, journey_of[record.vehicle, record.start_ns], finding, strays, settings))
+        elif finding.alignment is not None and key in journey_of:
+            found.append(_corrected(plain, journey_of[key], finding, strays, settings))
     return found
-
-
-def _window(item: Pass) -> tuple[str, int]:
-    """Return wheelset and start of the window of a pass, which bears the name of a life of that wheelset."""
-    return item.wheelset.rsplit("#", 2)[0], item.start_ns
 
 
 def _corrected(

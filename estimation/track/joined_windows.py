@@ -1,0 +1,70 @@
+"""Windows that follow each other without a break, joined: what is filtered along the track is lost at two ends only."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from estimation.types import ACCELERATIONS, Window, WindowQuality
+
+Item = TypeVar("Item")
+MOST = 4  # windows; the pass of a longer run is cut, so that a window that comes late changes little
+
+
+def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = MOST) -> list[list[Item]]:
+    """Return the items in groups that follow each other without a break.
+
+    Parameters
+    ----------
+    items
+        In any order.
+    keys
+        Of each item: what it must share with the one before, its start and its end, ns.
+    most
+        Items in a group.
+    """
+    order = sorted(range(len(items)), key=lambda i: (str(keys[i][0]), keys[i][1]))
+    groups: list[list[Item]] = []
+    last: tuple[Hashable, int] | None = None
+    for i in order:
+        shared, start, end = keys[i]
+        if last == (shared, start) and len(groups[-1]) < most:
+            groups[-1].append(items[i])
+        else:
+            groups.append([items[i]])
+        last = shared, end
+    return groups
+
+
+def joined(windows: Sequence[Window]) -> Window:
+    """Return windows that follow each other as one; the quality is the worst of each measure, shares are means."""
+    first = windows[0]
+    if len(windows) == 1:
+        return first
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(window, name) for window in windows])
+        for name in (*ACCELERATIONS, "speed", "distance", "valid")
+    }
+    return replace(
+        first,
+        length_ns=sum(window.length_ns for window in windows),
+        quality=_quality([window.quality for window in windows]),
+        **arrays,
+    )
+
+
+def _quality(parts: Sequence[WindowQuality]) -> WindowQuality:
+    return WindowQuality(
+        coverage=float(np.mean([part.coverage for part in parts])),
+        longest_gap_s=max(part.longest_gap_s for part in parts),
+        gaps=sum(part.gaps for part in parts),
+        clipped=float(np.mean([part.clipped for part in parts])),
+        invalid=float(np.mean([part.invalid for part in parts])),
+        speed_min_m_s=min(part.speed_min_m_s for part in parts),
+        speed_max_m_s=max(part.speed_max_m_s for part in parts),
+        position_quality=min(part.position_quality for part in parts),
+        sensor_fault=any(part.sensor_fault for part in parts),
+    )
