@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test check lint bench bench-track bench-estimation clean
+.PHONY: demo test check lint bench bench-estimation clean
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	@echo "building the virtual environment in $(VENV) (about a minute)"
@@ -30,9 +30,6 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 
 check: lint test
-
-bench-track: $(VENV)/.dev
-	$(BIN)/python -m bench track
 
 bench-estimation: $(VENV)/.dev
 	$(BIN)/python -m bench section $(ARGS)
