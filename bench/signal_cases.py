@@ -31,7 +31,7 @@ GOOD = WindowQuality(1.0, 0.0, 0, 0.0, 0.0, 5.0, 25.0, 1.0, sensor_fault=False)
 NODE = SensorNode(  # 100 ug per root hertz, angular channels at twice that, offsets, drift
     Channel(1e-3, 0.2, 1e-3), Channel(2e-3, 0.2, 1e-3), Channel(2e-3, 0.2, 1e-3), Channel(1e-3, 0.2, 1e-3)
 )
-LIMIT = 1.0  # m/s2, of the lateral channel where it clips
+LIMIT = 2.5  # m/s2, of the lateral channel where it clips
 GAPS_S = (0.008, 0.032, 0.1)
 GAPS_PER_MINUTE = 6
 COURSES = ("constant", "mixed", "stops", "gaps", "clipping", "curves")

@@ -153,7 +153,12 @@ def _true(run: Run, number: int, parameters: SignalParameters) -> FloatArray:
         part = slice(start, stop)
         distance = distance_run(window, usable[part], part)
         result[:, part] = without_slow_part(
-            true[:, part], distance, usable[part], parameters.longest_wavelength, parameters.design
+            true[:, part],
+            distance,
+            usable[part],
+            parameters.longest_wavelength,
+            parameters.design,
+            parameters.bridged_samples,
         )
     return result
 

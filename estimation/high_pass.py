@@ -25,7 +25,12 @@ class HighPass(StrEnum):
 
 
 def without_slow_part(
-    signals: FloatArray, distance: FloatArray, known: BoolArray, longest: float, design: HighPass = HighPass.SMOOTHER
+    signals: FloatArray,
+    distance: FloatArray,
+    known: BoolArray,
+    longest: float,
+    design: HighPass = HighPass.SMOOTHER,
+    bridged: int = 0,
 ) -> FloatArray:
     """Return ``signals`` (m, n) without what varies more slowly along the track than ``longest``.
 
@@ -37,13 +42,15 @@ def without_slow_part(
         (n,) m run since the start of the stretch, not decreasing.
     known
         (n,) samples that were measured. After a gap the rates are off by a constant that nobody knows and the
-        displacements by a straight line: both are taken out for every gap.
+        displacements by a straight line: both are taken out for every modelled gap.
     longest
         Cut-off wavelength, m.
     design
         Which filter.
+    bridged
+        Gaps of up to so many samples are not modelled: straight lines bridge them well enough.
     """
-    removed = np.concatenate([_line_and_parabola(len(distance)), _after_gaps(known)])
+    removed = np.concatenate([_line_and_parabola(len(distance)), _after_gaps(known, bridged)])
     if design is HighPass.SMOOTHER:
         return without_wander(signals, distance, known, longest, removed)
     basis = np.concatenate([slow_basis(distance, longest), removed])
@@ -73,11 +80,18 @@ def _line_and_parabola(n: int) -> FloatArray:
     return np.stack([t, 1.5 * t * t - 0.5])
 
 
-def _after_gaps(known: BoolArray) -> FloatArray:
-    """Return (2 g, n): for each gap a step and the line that rises after it."""
-    last = np.flatnonzero(known[:-1] & ~known[1:])
-    next_ = np.flatnonzero(~known[:-1] & known[1:]) + 1
+def modelled_gaps(known: BoolArray, bridged: int) -> list[tuple[int, int]]:
+    """Return the gaps ``[first, behind)`` between known samples that are longer than ``bridged`` samples."""
+    edges = np.flatnonzero(np.diff(known.astype(np.int8))) + 1
+    first, behind = edges[~known[edges]], edges[known[edges]]
+    behind = behind[behind > first[0]] if len(first) else behind
+    return [(int(a), int(b)) for a, b in zip(first, behind, strict=False) if a > 0 and b - a > bridged]
+
+
+def _after_gaps(known: BoolArray, bridged: int) -> FloatArray:
+    """Return (2 g, n): for each modelled gap a step and the line that rises after it."""
+    gaps = modelled_gaps(known, bridged)
     t = np.arange(len(known))
-    steps = [(t >= at).astype(np.float64) for at in next_]
-    lines = [np.maximum(t - 0.5 * (a + b), 0.0) / len(known) for a, b in zip(last, next_, strict=True)]
+    steps = [(t >= behind).astype(np.float64) for _, behind in gaps]
+    lines = [np.maximum(t - 0.5 * (first - 1 + behind), 0.0) / len(known) for first, behind in gaps]
     return np.array([*steps, *lines]).reshape(-1, len(known))

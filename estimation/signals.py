@@ -8,14 +8,15 @@ favours neither.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from estimation.arrays import BoolArray, FloatArray
 from estimation.errors import ParameterError
-from estimation.high_pass import HighPass, without_slow_part
+from estimation.felt_curves import lean
+from estimation.high_pass import HighPass, modelled_gaps, without_slow_part
 from estimation.motion import NOT_SIGNALS, Motion
 from estimation.restored_alignment import restored
 from estimation.types import ACCELERATIONS, TrackAlignment, TrackLayout, Window
@@ -35,12 +36,14 @@ class SignalParameters:
     design: HighPass = HighPass.SMOOTHER
     bridged_samples: int = 3  # gaps up to this long are bridged for the integrals, never used as samples
     modelled_gap_s: float = 0.25  # gaps up to this long do not end a stretch of motion: their integrals are solved for
+    gap_margin_s: float = 0.5  # on both sides of a modelled gap, where that takes some of the motion too
     shortest_stretch_s: float = 10.0
     trimmed_s: float = 1.0  # at each end of a stretch, where the high-pass sees one side only
     least_speed_m_s: float = 8.0
     sharpest_curvature: float = 5e-5  # 1/m: shifts the wheelset by a third of a bin at conicity 0.2
     highest_cant: float = 0.02  # m
     curve_margin: float = 30.0  # m kept from sharper curves; positions and registers are off by some
+    most_lean: float = 0.1  # m/s2, change of the slow lateral acceleration that drift makes on straight track too
     least_used: float = 0.1  # of a window's samples
     block_s: float = 20.0
 
@@ -91,31 +94,61 @@ def motion(
     d = _alignment_at(window.distance, track, longest)
     limits = parameters.curve_limits
     usable = usable_samples(window, np.isfinite(d), layout, parameters.least_speed_m_s, limits)
-    if not usable.samples.any():
-        return Refusal(f"no sample can be used: {usable.causes}")
+    refusal = _unusable(window, usable, layout, parameters)
+    if refusal is not None:
+        return refusal
     dt = window.sample_interval_s
     runs = stretches(usable.samples, window, parameters, round(parameters.modelled_gap_s / dt))
-    n = len(window.valid)
-    signals = {item.name: np.full(n, np.nan) for item in fields(Motion) if item.name not in NOT_SIGNALS}
-    valid = np.zeros(n, dtype=np.bool_)
-    trim = round(parameters.trimmed_s / dt)
-    for start, stop in runs:
-        part = slice(start, stop)
-        known = np.asarray(usable.samples[part])
-        fast = without_slow_part(
-            _integrated(window, d, known, part), distance_run(window, known, part), known, longest, parameters.design
-        )
-        for name, values in zip(_INTEGRATED, fast, strict=True):
-            signals[name][part] = values
-        valid[start + trim : stop - trim] = usable.samples[start + trim : stop - trim]
+    signals, valid = _filtered(window, d, usable.samples, runs, replace(parameters, longest_wavelength=longest))
     refusal = _too_little(valid, runs, usable, parameters)
     if refusal is not None:
         return refusal
-    seconds = window.start_ns / NANOSECONDS + np.arange(n) * dt
+    seconds = window.start_ns / NANOSECONDS + np.arange(len(valid)) * dt
     block = np.floor(seconds / parameters.block_s).astype(np.int64)
     signals["speed"] = np.where(window.speed > 0, window.speed, np.nan)
     ratio, effect = _found(window, track, signals["displacement"])
     return Motion(**signals, valid=valid, block=block, band_limited=True, stiffness_ratio=ratio, gauge_effect=effect)
+
+
+def _unusable(
+    window: Window, usable: Usable, layout: TrackLayout | None, parameters: SignalParameters
+) -> Refusal | None:
+    if not usable.samples.any():
+        return Refusal(f"no sample can be used: {usable.causes}")
+    leaning = lean(window, usable.samples) if layout is None else 0.0
+    if leaning > parameters.most_lean:
+        return Refusal(
+            f"a curve is felt and no layout is on file: the slow lateral acceleration changes by {leaning:.2f} m/s2,"
+            f" at most {parameters.most_lean:g} may be drift"
+        )
+    return None
+
+
+def _filtered(
+    window: Window, d: FloatArray, usable: BoolArray, runs: list[tuple[int, int]], parameters: SignalParameters
+) -> tuple[dict[str, FloatArray], BoolArray]:
+    """Return the signals of a motion by name, NaN outside the stretches, and which samples of them count (n,)."""
+    n, dt = len(usable), window.sample_interval_s
+    signals = {item.name: np.full(n, np.nan) for item in fields(Motion) if item.name not in NOT_SIGNALS}
+    valid = np.zeros(n, dtype=np.bool_)
+    trim, margin = round(parameters.trimmed_s / dt), round(parameters.gap_margin_s / dt)
+    for start, stop in runs:
+        part = slice(start, stop)
+        known = np.asarray(usable[part])
+        fast = without_slow_part(
+            _integrated(window, d, known, part),
+            distance_run(window, known, part),
+            known,
+            parameters.longest_wavelength,
+            parameters.design,
+            parameters.bridged_samples,
+        )
+        for name, values in zip(_INTEGRATED, fast, strict=True):
+            signals[name][part] = values
+        valid[start + trim : stop - trim] = usable[start + trim : stop - trim]
+        for first, behind in modelled_gaps(known, parameters.bridged_samples):
+            valid[max(start + first - margin, 0) : start + behind + margin] = False
+    return signals, valid
 
 
 def _found(window: Window, track: TrackAlignment, displacement: FloatArray) -> tuple[float, FloatArray | None]:
