@@ -47,7 +47,7 @@ def alignment_score(run: SectionRun, found: TrackAlignment) -> AlignmentScore:
     place = _fitted(run, found, inner, lambda s: filtered(truth(s)))
     error = (found.alignment - filtered(truth(place)))[inner]
     true_band = in_band(truth(place), step)
-    fullest = restored(found)
+    fullest = found.alignment if found.cut_off >= 2.0 * BAND[1] else restored(found)
     known = np.isfinite(fullest)
     whole = np.interp(grid, grid[known], fullest[known])
     inside = np.abs(error - error.mean()) <= NORMAL * found.alignment_std[inner]

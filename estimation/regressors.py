@@ -63,10 +63,10 @@ def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
     gyroscopic = (p.pitch_inertia * V / r0) * motion.roll_rate
     z2 = yaw_inertia + gyroscopic + creep + 2 * f33 * dψ / V + yaw_spring + p.yaw_damping * dψ + yaw_spin
     c = np.full(len(motion), -l * f11 / r0)
-    moment = z2 if motion.gauge_effect is None else np.asarray(z2 - c * motion.gauge_effect)
+    at_nominal_gauge = z2 if motion.gauge_effect is None else z2 - c * motion.gauge_effect
     return Regression(
         np.column_stack([x1, x2]),
         np.column_stack([z1, (2 * f22 / V) * rolling_slip, spin, inertia, weight, spring, damper]),
         np.column_stack([(l * p.load / 2) * ψ, c]),
-        np.column_stack([moment, creep - moment, yaw_spring, yaw_inertia, yaw_spin]),
+        np.column_stack([at_nominal_gauge, creep - at_nominal_gauge, yaw_spring, yaw_inertia, yaw_spin]),
     )

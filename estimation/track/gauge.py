@@ -23,7 +23,7 @@ from estimation.track.passes import Pass
 from estimation.track.solution import PanelSolution
 
 FEWEST_PASSES = 6  # at a place, to tell two functions of it
-STEPS = 25  # of conjugate gradients
+STEPS = 14  # of conjugate gradients
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from estimation.arrays import BoolArray, FloatArray, IntArray
 from estimation.errors import ParameterError
@@ -34,7 +35,7 @@ class PanelParameters:
     reach: float = 4.0e-3  # m of R that the hat functions span, both ways; further out is flange contact, and h flat
     hats: int = 41
     gauge: FloatArray | None = field(default=None, compare=False)  # (points,) m, deviation; None: none is modelled
-    gauge_hats: int = 21
+    gauge_hats: int = 15
     gauge_unit: float = 2e-3  # m
     groups: int = 12  # of the jackknife, dealt along the section
     block: float = 250.0  # m
@@ -85,7 +86,7 @@ class PanelState:
     gram: FloatArray  # (g, w, k, k)
     cross: FloatArray  # (g, w, k)
     square: FloatArray  # (g,) sum of y^2
-    functions: FloatArray  # (w, k, n) sum over passes of the filtered hats
+    functions: npt.NDArray[np.float32]  # (w, k, n) sum over passes of the filtered columns
     displacement: FloatArray  # (n,) sum over passes of the filtered y
     passes: IntArray  # (n,)
     difference: FloatArray  # (2, n) sums of the filtered R and of its square
@@ -105,7 +106,7 @@ def init(parameters: PanelParameters) -> PanelState:
         np.zeros((g, 0, k, k)),
         np.zeros((g, 0, k)),
         np.zeros(g),
-        np.zeros((0, k, n)),
+        np.zeros((0, k, n), dtype=np.float32),
         np.zeros(n),
         np.zeros(n, dtype=np.int64),
         np.zeros((2, n)),
@@ -164,9 +165,31 @@ def filtered(item: Pass, parameters: PanelParameters) -> tuple[IntArray, FloatAr
     if felt is None:
         return None
     weights = smoother(parameters.cut_off, parameters.step)
-    rows = np.concatenate([columns(felt, parameters), felt.displacement[None, :], felt.difference[None, :]])
-    rows = without_slow_part(rows, weights)[:, felt.inside]
-    return felt.points[felt.inside], item.side * rows[:-2], rows[-2], item.side * rows[-1]
+    # single precision: half the time, and columns have no drift that would use it up
+    shapes = columns(felt, parameters).astype(np.float32)
+    B = without_slow_part(shapes, weights.astype(np.float32))[:, felt.inside]
+    y, R = without_slow_part(np.stack([felt.displacement, felt.difference]), weights)[:, felt.inside]
+    return felt.points[felt.inside], item.side * B, y, item.side * R
+
+
+def unexplained(item: Pass, curve: FloatArray, parameters: PanelParameters) -> tuple[IntArray, FloatArray] | None:
+    """Return grid points (m,) and the filtered y - h(R) (m,) of a pass, m; None where it is too short.
+
+    Parameters
+    ----------
+    item
+        The pass.
+    curve
+        (columns,) coefficients of its wheelset.
+    parameters
+        Of the panel.
+    """
+    felt = on_grid(item, parameters)
+    if felt is None:
+        return None
+    rest = felt.displacement - item.side * (curve @ columns(felt, parameters))
+    filtered_rest = without_slow_part(rest, smoother(parameters.cut_off, parameters.step))
+    return felt.points[felt.inside], filtered_rest[felt.inside]
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from scipy import signal
 
 from estimation.arrays import FloatArray
 from estimation.track.local_filter import smoother, without_slow_part
-from estimation.track.panel import PanelParameters, filtered
+from estimation.track.panel import PanelParameters, unexplained
 from estimation.track.passes import Pass, gridded
 from estimation.track.solution import PanelSolution
 
@@ -122,12 +122,11 @@ def refine(
         correction = corrections[journey]
         normal, right = 1e-12 * np.eye(2), np.zeros(2)
         for item in corrected(members, correction):
-            columns = filtered(item, panel)
-            if columns is None:
+            rest = unexplained(item, solution.curves[0, solution.wheelsets.index(item.wheelset)], panel)
+            if rest is None:
                 continue
-            at, B, y, _ = columns
-            curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
-            residual = (y - curve @ B - np.nan_to_num(solution.alignment[at])) * certain[at]
+            at, own = rest
+            residual = (own - np.nan_to_num(solution.alignment[at])) * certain[at]
             design = np.stack([slope[at], slope[at] * (at * panel.step - correction.middle)]) * certain[at]
             normal += design @ design.T
             right += design @ residual

@@ -15,7 +15,7 @@ import numpy as np
 from estimation.track.evidence import Evidence, on_grid
 from estimation.track.findings import findings
 from estimation.track.long_alignment import long_alignment
-from estimation.track.panel import PanelParameters, PanelState, filtered
+from estimation.track.panel import PanelParameters, PanelState, unexplained
 from estimation.track.passes import Pass
 from estimation.track.positions import Correction, Journey, PositionParameters, journeys
 from estimation.track.report import JourneyReport, LoopReport, nothing
@@ -123,12 +123,12 @@ def _residuals(settled: Settled, positions: PositionParameters) -> dict[Journey,
     for journey, members in journeys(settled.passes, positions).items():
         squares, count = 0.0, 0
         for item in members:
-            columns = filtered(item, settled.panel)
-            if columns is None:
-                continue
-            at, B, y, _ = columns
             curve = settled.solution.curves[0, settled.solution.wheelsets.index(item.wheelset)]
-            rest = (y - curve @ B - d[at])[np.isfinite(d[at])]
+            own = unexplained(item, curve, settled.panel)
+            if own is None:
+                continue
+            at, values = own
+            rest = (values - d[at])[np.isfinite(d[at])]
             squares, count = squares + float(rest @ rest), count + len(rest)
         found[journey] = float(np.sqrt(squares / count)) if count else float("nan")
     return found

@@ -38,7 +38,7 @@ class SettlingParameters:
     pass_std: float = 0.15e-3  # m of y - d - h(R) of a pass, before it is known
     most_weight: float = 1000.0  # of evidence, in passes
     gauge: GaugePrior = field(default_factory=GaugePrior)
-    gauge_rounds: int = 9
+    gauge_rounds: int = 8
     gauge_trial: int = 2  # rounds after which the gauge must have explained something
     gauge_explains: float = 0.1  # of the residual's rms, for the gauge to be taken as varying
 

@@ -61,7 +61,8 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
         mine = np.flatnonzero((group == g) & (state.passes > 0))
         G = stacked[:, mine]
         per_pass = np.where(enough[mine], share[mine], 1.0 / np.maximum(state.passes[mine], 1))
-        normal[g] = linalg.block_diag(*state.gram[g]) - (G * per_pass) @ G.T
+        root = G * np.sqrt(per_pass).astype(np.float32)
+        normal[g] = linalg.block_diag(*state.gram[g]) - root @ root.T
         right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[mine])
     curves = _curves(normal, right, w, p, std=std)
     alignments = np.stack([(state.displacement - curve.reshape(-1) @ stacked) * share for curve in curves])

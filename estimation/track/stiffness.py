@@ -19,6 +19,7 @@ from estimation.track.passes import Pass
 from estimation.track.solution import PanelSolution
 
 PRIOR_STD = 0.15  # of the ratio, relative
+DAMPING = 0.6  # of a step: position and ratio are refined at once, and each would make up for the other's error
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,7 @@ def refined(
         if not np.isfinite(data_std):
             data_std = 0.0  # not computed in this round
         worth = PRIOR_STD**2 / (PRIOR_STD**2 + data_std**2)
-        value = 1.0 + worth * (before.value + float(steps[0]) - 1.0)
+        value = 1.0 + worth * (before.value + DAMPING * float(steps[0]) - 1.0)
         result[vehicle] = Ratio(float(np.clip(value, 0.5, 1.5)), float(np.sqrt(worth) * data_std))
     return result
 
