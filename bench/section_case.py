@@ -7,7 +7,7 @@ jobs do it. Everything that is counted or measured is returned as plain numbers.
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from bench.section_alignment import AlignmentScore, alignment_score
 from estimation import bins, geometry
 from estimation.arrays import FloatArray
 from estimation.estimators.tracks import TrackKnowledge, fleet_knowledge, section_passes
+from estimation.geometry import ParameterUncertainty
 from estimation.settings import EstimationSettings
 from estimation.signals import Refusal
 from estimation.track.epochs import AlignmentSettings
@@ -121,7 +122,9 @@ def _geometry(
         table = tabulate_window(window, knowledge.track, settings, correction)
         if not isinstance(table, Refusal):
             tables.append(table)
-    return geometry.estimate(bins.merge_all(tables, settings.bins), settings.bins, settings.geometry)
+    assumed = settings.geometry.uncertainty if run.scenario.errors_drawn else ParameterUncertainty(0.0, 0.0, 0.0)
+    shape = replace(settings.geometry, uncertainty=assumed.on([knowledge.track]))
+    return geometry.estimate(bins.merge_all(tables, settings.bins), settings.bins, shape)
 
 
 def wheelset_score(found: WheelsetGeometry, truth: WheelsetTruth) -> WheelsetScore:

@@ -51,6 +51,9 @@ class CurveEstimates:
     zero_crossing: Estimate
 
 
+_Row = tuple[FloatArray, FloatArray]  # displacement (k,), rolling radius difference (k,)
+
+
 def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> CurveEstimates:
     """Return conicity by amplitude, NP (1/mm) and the zero crossing, each with its interval or its reason."""
     amplitude = np.array(parameters.amplitudes)
@@ -62,8 +65,15 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
         return CurveEstimates(amplitude, (unknown,) * len(amplitude), parameters.headline, unknown, unknown, unknown)
     rows = _rows(curve, run)
     values = np.stack([equivalent_conicity(x, difference, amplitude) for x, difference in rows])
+    steepness = _steepness(rows[0], amplitude)
+    resolution = curve.error.resolution(float(curve.edges[1] - curve.edges[0]))
     conicity = tuple(
-        _estimate(values[:, k], groups, curve.count, f"amplitude {1e3 * a:g} mm is not covered")
+        _estimate(
+            np.append(values[:, k], values[0, k] + steepness[k] * resolution),
+            groups,
+            curve.count,
+            f"amplitude {1e3 * a:g} mm is not covered",
+        )
         for k, a in enumerate(amplitude)
     )
     headline, headline_amplitude = _headline(amplitude, conicity, parameters)
@@ -73,6 +83,13 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     nonlinearity = _estimate(per_mm, groups, curve.count, f"amplitude {1e3 * ends[1]:g} mm is not covered")
     crossing = _zero_crossing(rows, curve, groups)
     return CurveEstimates(amplitude, conicity, headline_amplitude, headline, nonlinearity, crossing)
+
+
+def _steepness(row: _Row, amplitude: FloatArray) -> FloatArray:
+    """Return the slope of conicity over amplitude (a,), 1/m: the steepest within 0.1 mm."""
+    x, difference = row
+    around = np.stack([equivalent_conicity(x, difference, amplitude + shift) for shift in (-1e-4, 0.0, 1e-4)])
+    return np.nan_to_num(np.abs(np.diff(around, axis=0)).max(axis=0) / 1e-4)
 
 
 def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:
@@ -86,9 +103,6 @@ def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:
     run = np.zeros(len(usable), dtype=np.bool_)
     run[left + 1 : right] = True
     return run if run.sum() >= FEWEST_NODES else None
-
-
-_Row = tuple[FloatArray, FloatArray]  # displacement (k,), rolling radius difference (k,)
 
 
 def _rows(curve: CurveReplicates, run: BoolArray) -> list[_Row]:

@@ -24,12 +24,21 @@ class DisplacementError:
     excess: float  # share
     scale: float  # share, std
 
+    def resolution(self, width: float) -> float:
+        """Return the std, m, with which bins of ``width`` (m) place a contact jump: the error, and a quarter of one."""
+        return float(np.hypot(self.std, 0.25 * width))
+
     @staticmethod
-    def of(std: float, centre: FloatArray, samples: FloatArray, *, integrated: bool) -> DisplacementError:
-        """Return the error for displacements distributed as ``samples`` (b,) over bins at ``centre`` (b,), m."""
+    def of(
+        std: float, centre: FloatArray, samples: FloatArray, *, integrated: bool, scale: float = 0.0
+    ) -> DisplacementError:
+        """Return the error for displacements distributed as ``samples`` (b,) over bins at ``centre`` (b,), m.
+
+        ``scale`` is the relative std of a stretch that is left open besides that of the integration.
+        """
         variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
         excess = min(std**2 / variance, MOST_EXCESS) if variance > 0 else 0.0
-        return DisplacementError(std, excess, SCALE_UNCERTAINTY if integrated else 0.0)
+        return DisplacementError(std, excess, float(np.hypot(SCALE_UNCERTAINTY if integrated else 0.0, scale)))
 
     def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
         """Return the curve averaged over a normal error of x (three-point Gauss-Hermite); straight beyond its ends."""

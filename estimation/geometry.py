@@ -7,7 +7,8 @@ carries. A number whose total standard deviation is not well below what is known
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from estimation.curve import CurveParameters, CurveReplicates, curve_estimates
 from estimation.displacement_error import DisplacementError
 from estimation.jackknife import jackknife_std
 from estimation.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS
-from estimation.types import BinStatus, BinTable, BinValues, WheelsetGeometry
+from estimation.types import BinStatus, BinTable, BinValues, TrackAlignment, WheelsetGeometry
 
 FEWEST_GROUPS = 4
 FEWEST_BINS = 5
@@ -37,6 +38,17 @@ class ParameterUncertainty:
     stiffness: float = 0.05
     mass: float = 0.025
     ratio: float | None = None
+    displacement: float = 0.0  # of a common stretch of y - d that the alignment leaves open
+
+    def on(self, tracks: Iterable[TrackAlignment]) -> ParameterUncertainty:
+        """Return what is left unknown of a geometry that rests on these alignments, with what they have taught."""
+        used = list(tracks)
+        learnt = [track.findings.stiffness_ratio_std for track in used if track.findings is not None]
+        return replace(
+            self,
+            ratio=max(learnt) if learnt and len(learnt) == len(used) else self.ratio,
+            displacement=max((track.scale_std for track in used), default=self.displacement),
+        )
 
     def lateral(self) -> FloatArray:
         """(6,) relative stds in the order of LATERAL_TARGETS after z1."""
@@ -100,7 +112,7 @@ def estimate(table: BinTable, bins: BinParameters, parameters: GeometryParameter
     unc = parameters.uncertainty
     centre = 0.5 * (table.edges[:-1] + table.edges[1:])
     noise = _displacement_noise(replicates, few | jump, bins)
-    error = DisplacementError.of(noise, centre, samples, integrated=bins.band_limited)
+    error = DisplacementError.of(noise, centre, samples, integrated=bins.band_limited, scale=unc.displacement)
     hidden = _Hidden(few, jump, centre, error, parameters.informative)
     S = _combination(replicates.lateral[:, :, 0], unc.lateral(), hidden, parameters.prior_radius)
     D = _combination(replicates.lateral[:, :, 2], unc.lateral(), hidden, parameters.prior_angle)

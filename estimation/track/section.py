@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.track.evidence import Evidence, on_grid
-from estimation.track.findings import findings
+from estimation.track.findings import Told, findings
 from estimation.track.long_alignment import long_alignment
 from estimation.track.panel import PanelParameters, PanelState, unexplained
 from estimation.track.passes import Pass
@@ -31,6 +31,8 @@ class SectionParameters:
     panel: PanelParameters = field(default_factory=PanelParameters)
     positions: PositionParameters = field(default_factory=PositionParameters)
     settling: SettlingParameters = field(default_factory=SettlingParameters)
+    stretch: float = 0.007  # relative std of y - d as a whole that passes leave open, blocks of data cannot show it
+    stretch_per_gauge: float = 15.0  # 1/m, the same for each metre of std that is left of an estimated gauge
     reaches: float = 120.0  # m, longest wavelength that the alignment holds
     stray: float = 2.0  # times the median residual of the other journeys
     stray_least: float = 0.4e-3  # m
@@ -244,9 +246,16 @@ def _alignment(section: str, settled: Settled, evidence: TrackAlignment | None, 
         status=Status.ESTIMATED,
         source=FLEET,
         cut_off=p.reaches,
+        scale_std=_stretch(told, p),
         gauge_known=known.gauge_known and told.gauge is None,
         findings=told.findings,
     )
+
+
+def _stretch(told: Told, p: SectionParameters) -> float:
+    """Return the relative std of a common stretch of y - d; what is left of the gauge adds to it."""
+    left = 0.0 if told.gauge_std is None else float(np.median(told.gauge_std))
+    return float(np.hypot(p.stretch, p.stretch_per_gauge * left))
 
 
 def _nothing_known(p: SectionParameters) -> Evidence:
