@@ -16,6 +16,17 @@ MEAN_S = 5.0  # over which the motion of the wheelset averages out
 LEAST_SHARE = 0.5  # of the samples that a mean needs
 
 
+def felt_curve(window: Window, usable: BoolArray, most_lean: float) -> str:
+    """Return that a curve is felt; empty where the lean (:func:`lean`) changes by no more than ``most_lean``, m/s2."""
+    leaning = lean(window, usable)
+    if leaning <= most_lean:
+        return ""
+    return (
+        f"a curve is felt and no layout is on file: the slow lateral acceleration changes by {leaning:.2f} m/s2,"
+        f" at most {most_lean:g} may be drift"
+    )
+
+
 def lean(window: Window, usable: BoolArray) -> float:
     """Return by how much the slow lateral acceleration of wheelset and mass together changes in a window, m/s2.
 

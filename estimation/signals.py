@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from estimation.arrays import BoolArray, FloatArray
 from estimation.errors import ParameterError
-from estimation.felt_curves import lean
+from estimation.felt_curves import felt_curve
 from estimation.high_pass import HighPass, modelled_gaps, without_slow_part
 from estimation.motion import NOT_SIGNALS, Motion
 from estimation.restored_alignment import restored
@@ -115,13 +115,8 @@ def _unusable(
 ) -> Refusal | None:
     if not usable.samples.any():
         return Refusal(f"no sample can be used: {usable.causes}")
-    leaning = lean(window, usable.samples) if layout is None else 0.0
-    if leaning > parameters.most_lean:
-        return Refusal(
-            f"a curve is felt and no layout is on file: the slow lateral acceleration changes by {leaning:.2f} m/s2,"
-            f" at most {parameters.most_lean:g} may be drift"
-        )
-    return None
+    felt = felt_curve(window, usable.samples, parameters.most_lean) if layout is None else ""
+    return Refusal(felt) if felt else None
 
 
 def _filtered(

@@ -18,6 +18,8 @@ from estimation.jobs.job import Job, JobContext
 from estimation.jobs.store_alignment import Epoch, EpochPasses, WindowKey, store
 from estimation.ports import TrackSectionRecord, UnitOfWork, WindowRecord
 from estimation.settings import EstimationSettings
+from estimation.signals import Refusal
+from estimation.straight_part import straight_part
 from estimation.track.epochs import AlignmentSettings, bounded, epoch_digest, life, reduced
 from estimation.track.examination import examine
 from estimation.track.joined_windows import following, joined
@@ -148,11 +150,17 @@ def _examined(
     found: list[tuple[tuple[WindowKey, ...], Sequence[Pass], str]] = []
     with context.storage.read() as unit:
         mounting = unit.registry.mounting_at(records[0].vehicle, records[0].axle, records[0].start_ns)
+        section = records[0].track_section
+        layout = unit.tracks.layout(section) if section is not None else None
         for record in records:
             try:
-                windows.append(unit.windows.load(record.wheelset, record.start_ns))
+                window = straight_part(unit.windows.load(record.wheelset, record.start_ns), layout, settings.signals)
             except DamagedError as error:  # names the file; the other windows go on
-                found.append((((record.wheelset, record.start_ns),), (), str(error)))
+                window = Refusal(str(error))
+            if isinstance(window, Refusal):
+                found.append((((record.wheelset, record.start_ns),), (), window.reason))
+            else:
+                windows.append(window)
     turned = mounting is not None and mounting.reversed
     keys = [(w.sample_interval_s, w.start_ns, w.start_ns + w.length_ns) for w in windows]
     for group in following(windows, keys):

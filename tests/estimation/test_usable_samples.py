@@ -13,6 +13,7 @@ from smooth_wheelset import SmoothTable, alignment, mems_windows, run, track
 from estimation import signals
 from estimation.motion import Motion
 from estimation.restored_alignment import restored
+from estimation.straight_part import straight_part
 from estimation.track.local_filter import smoother, without_slow_part
 from estimation.types import FLEET, TrackAlignment, TrackLayout, Window
 from estimation.usable_samples import CurveLimits, straight
@@ -112,6 +113,27 @@ def test_a_simulated_curve_spoils_the_motion_unless_it_is_on_file() -> None:
             np.concatenate([x - np.polyval(np.polyfit(np.arange(len(x)), x, 1), np.arange(len(x))) for x in rest]).std()
         )
     assert errors[1] < 0.4e-3 < errors[0]
+
+
+def test_passes_keep_to_the_straight_too() -> None:
+    window = mems_windows(run(60), seed=0)[0]
+    middle = float(window.distance[7500])
+    laid = layout((0.0, 0.0, 0.0), (middle, 0.0, 0.0), (middle + 50.0, 1e-3, 0.0), (13_000.0, 1e-3, 0.0))
+    kept = straight_part(window, laid, PARAMETERS)
+    assert isinstance(kept, Window)
+    assert kept.valid.mean() == pytest.approx(0.5, abs=0.04)
+    assert straight_part(window, None, PARAMETERS) is window
+    assert straight_part(window, layout((0.0, 1e-3, 0.0), (13_000.0, 1e-3, 0.0)), PARAMETERS) == signals.Refusal(
+        "the window lies in curves"
+    )
+    leaning = replace(
+        window,
+        lateral_acceleration=window.lateral_acceleration + np.where(window.distance > middle, 0.2, 0.0),
+        mass_lateral_acceleration=window.mass_lateral_acceleration + np.where(window.distance > middle, 0.2, 0.0),
+    )
+    refused = straight_part(leaning, None, PARAMETERS)
+    assert isinstance(refused, signals.Refusal)
+    assert "changes by 0.2" in refused.reason
 
 
 def test_stops_are_left_out_and_do_not_leak_into_the_running() -> None:
