@@ -105,7 +105,7 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     elif newest is not None:
         near = _remembered(_since(newest[1], broken), settings.half_life_km)
         table = bins.merge_with_mileage(_tables(unit, near), settings.half_life_km, settings.bins)
-        records.append(_record(newest[0], None, near, table, context))
+        records.append(_record(unit, newest[0], None, near, table, context))
     return records
 
 
@@ -120,7 +120,7 @@ def _intervals(
     for interval, part in parts.items():
         if interval not in stored or stored[interval].input_digest != _digest(part, context.code_version):
             table = bins.merge_all([table for _, table in _tables(unit, part)], settings.bins)
-            records.append(_record(baseline, interval, part, table, context))
+            records.append(_record(unit, baseline, interval, part, table, context))
     return records + [_emptied(record, context) for interval, record in stored.items() if interval not in parts]
 
 
@@ -191,6 +191,7 @@ def _digest(entries: Sequence[_Entry], code_version: str) -> str:
 
 
 def _record(
+    unit: UnitOfWork,
     baseline: Baseline,
     interval: int | None,
     entries: Sequence[_Entry],
@@ -203,6 +204,10 @@ def _record(
     for window, _, version in entries:
         if window.track_section is not None and version is not None:
             versions[window.track_section] = max(version, versions.get(window.track_section, 0))
+    tracks = [
+        found for code, version in versions.items() if (found := unit.tracks.alignment(code, version)) is not None
+    ]
+    shape = replace(settings.geometry, uncertainty=settings.geometry.uncertainty.on(tracks))
     return GeometryRecord(
         wheelset=windows[0].wheelset,
         baseline=baseline.number,
@@ -210,7 +215,7 @@ def _record(
         mileage_km=_mean_mileage(windows, None if interval is not None else settings.half_life_km),
         from_ns=windows[0].start_ns,
         to_ns=windows[-1].start_ns + windows[-1].length_ns,
-        geometry=geometry.estimate(table, settings.bins, settings.geometry),
+        geometry=geometry.estimate(table, settings.bins, shape),
         input_digest=_digest(entries, context.code_version),
         track_versions=versions,
         parameters=settings.as_json(),

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from estimation.alerts import JsonValue
-from estimation.types import RECORDED, Status, TrackAlignment
+from estimation.types import RECORDED, Findings, Status, TrackAlignment, WheelFunctions
 from fleet_db.packed.numbers import number_to_json, real_from_json
 from fleet_db.packing import pack, unpack
 
@@ -20,7 +22,7 @@ ARRAYS = ("s", "alignment", "alignment_std", "gauge_deviation", "gauge_deviation
 
 def pack_alignment(alignment: TrackAlignment) -> bytes:
     """Return ``alignment`` as one blob, without its version, so that the same content is the same blob."""
-    arrays = {name: getattr(alignment, name) for name in ARRAYS}
+    arrays: dict[str, npt.NDArray[Any]] = {name: getattr(alignment, name) for name in ARRAYS}
     scalars: dict[str, JsonValue] = {"section": alignment.section, "status": str(alignment.status)}
     if (alignment.source, alignment.cut_off, alignment.scale_std, alignment.gauge_known) == (RECORDED, np.inf, 0, True):
         return pack(KIND, OF_RECORDINGS, scalars, arrays)
@@ -30,6 +32,9 @@ def pack_alignment(alignment: TrackAlignment) -> bytes:
         "scale_std": number_to_json(alignment.scale_std),
         "gauge_known": alignment.gauge_known,
     }
+    if alignment.findings is not None:
+        told["findings"], more = _findings_apart(alignment.findings)
+        arrays |= more
     return pack(KIND, VERSION, scalars | told, arrays)
 
 
@@ -43,7 +48,7 @@ def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment
     """
     packed = unpack(blob, KIND, where=where)
     scalars = packed.scalars
-    arrays: dict[str, Any] = dict(packed.arrays)
+    arrays: dict[str, Any] = {name: packed.arrays[name] for name in ARRAYS}
     found = TrackAlignment(section=scalars["section"], version=version, status=Status(scalars["status"]), **arrays)
     if packed.version == OF_RECORDINGS:
         return found
@@ -53,4 +58,25 @@ def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment
         cut_off=real_from_json(scalars["cut_off"]),
         scale_std=real_from_json(scalars["scale_std"]),
         gauge_known=scalars["gauge_known"],
+        findings=_findings(scalars["findings"], packed.arrays) if "findings" in scalars else None,
+    )
+
+
+def _findings_apart(findings: Findings) -> tuple[JsonValue, dict[str, npt.NDArray[Any]]]:
+    """Return findings as JSON and arrays: curves (wheelset, 3, k) of knots, left and right wheel."""
+    names = sorted(findings.wheels)
+    told: JsonValue = {
+        "stiffness_ratio": {name: number_to_json(value) for name, value in sorted(findings.stiffness_ratio.items())},
+        "stiffness_ratio_std": number_to_json(findings.stiffness_ratio_std),
+        "wheels": list[JsonValue](names),
+    }
+    curves = [np.stack([(one := findings.wheels[name]).knots, one.left, one.right]) for name in names]
+    return told, {"wheels": np.stack(curves)} if curves else {}
+
+
+def _findings(told: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Findings:
+    return Findings(
+        stiffness_ratio={name: real_from_json(value) for name, value in told["stiffness_ratio"].items()},
+        stiffness_ratio_std=real_from_json(told["stiffness_ratio_std"]),
+        wheels={name: WheelFunctions(*arrays["wheels"][k]) for k, name in enumerate(told["wheels"])},
     )

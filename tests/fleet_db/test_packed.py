@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from estimation.arrays import FloatArray
 from estimation.errors import StorageError
-from estimation.types import BinTable, Estimate, Forecast, Status
+from estimation.types import FLEET, BinTable, Estimate, Findings, Forecast, Status, WheelFunctions
 from fleet_db.packed.alignment import pack_alignment, unpack_alignment
 from fleet_db.packed.bin_table import pack_bin_table, unpack_bin_table
 from fleet_db.packed.geometry import pack_geometry, unpack_geometry
@@ -94,6 +95,25 @@ def test_geometry_trend_and_alignment_come_back_exactly(seed: int) -> None:
     assert make.same(unpack_geometry(pack_geometry(geometry), where="here"), geometry)
     assert make.same(unpack_trend(pack_trend(trend), where="here"), trend)
     assert make.same(unpack_alignment(pack_alignment(alignment), 0, where="here"), alignment)
+
+
+@pytest.mark.parametrize("wheels", [0, 3])
+def test_what_the_passes_of_a_section_found_comes_back_exactly(wheels: int) -> None:
+    curve = np.linspace(0.0, 1.0, 5)
+    found = Findings(
+        {"V1": 1.01, "V2": 0.93}, 0.004, {f"W{k}": WheelFunctions(curve, curve**k, -curve) for k in range(wheels)}
+    )
+    alignment = replace(
+        make.alignment(1), source=FLEET, cut_off=120.0, scale_std=0.01, gauge_known=False, findings=found
+    )
+    back = unpack_alignment(pack_alignment(alignment), 0, where="here")
+    assert back.findings is not None
+    assert back.findings.stiffness_ratio == found.stiffness_ratio
+    assert back.findings.stiffness_ratio_std == found.stiffness_ratio_std
+    assert back.cut_off == 120.0
+    assert back.findings.wheels.keys() == found.wheels.keys()
+    for name, one in found.wheels.items():
+        assert make.same(back.findings.wheels[name], one)
 
 
 def test_a_date_keeps_its_last_nanosecond() -> None:
