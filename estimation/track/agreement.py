@@ -8,7 +8,7 @@ that of Wilks' lambda with the number of independent samples that their autocorr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
@@ -20,6 +20,7 @@ from estimation.track.passes import Pass, gridded
 from estimation.types import TrackAlignment
 
 MEMORY = 60.0  # m: how far samples of a high-passed signal know of each other
+PIECE = 1000.0  # m
 LEAST_SAMPLES = 8.0  # independent ones, below which nothing is said
 
 
@@ -105,6 +106,9 @@ def _longest(inside: FloatArray) -> tuple[int, int]:
 def agreement(first: Felt, second: Felt, largest_offset: float, least_length: float) -> Agreement:
     """Return what two have in common within ``largest_offset`` m, on at least ``least_length`` m; else ``NOTHING``.
 
+    Where they share much, odometers of other scale drift apart by more than a wavelength; a few pieces of it are then
+    compared, each by itself, and the one that agrees neither most nor least is returned.
+
     Parameters
     ----------
     first
@@ -117,17 +121,33 @@ def agreement(first: Felt, second: Felt, largest_offset: float, least_length: fl
         Of what they share, m.
     """
     step = first.step
-    reach = int(largest_offset / step)
     start, stop = max(first.first, second.first), min(first.last, second.last) + 1
     if (stop - start) * step < least_length:
         return NOTHING
     X = first.signals[:, start - first.first : stop - first.first]
     Z = second.signals[:, start - second.first : stop - second.first]
+    found = [
+        _of_piece(X[:, part], Z[:, part], int(largest_offset / step), step) for part in _pieces(stop - start, step)
+    ]
+    middle = found[len(found) // 2]
+    usual = sorted(found, key=lambda one: one.log10_chance)[len(found) // 2]
+    return replace(usual, shift=middle.shift) if middle.log10_chance <= usual.log10_chance else usual
+
+
+def _pieces(n: int, step: float) -> list[slice]:
+    """Return which parts of ``n`` shared samples are compared."""
+    length = int(PIECE / step)
+    if n <= 2 * length:
+        return [slice(0, n)]
+    starts = [0, (n - length) // 2, n - length]
+    return [slice(start, start + length) for start in starts]
+
+
+def _of_piece(X: FloatArray, Z: FloatArray, reach: int, step: float) -> Agreement:
     X, Z = (signals - signals.mean(axis=1, keepdims=True) for signals in (X, Z))
     reach = min(reach, X.shape[1] // 4)
     squared = _canonical(X, Z, reach)
-    k = int(np.argmax(squared)) - reach
-    return _at_lag(X, Z, k, reach, step)
+    return _at_lag(X, Z, int(np.argmax(squared)) - reach, reach, step)
 
 
 def _canonical(X: FloatArray, Z: FloatArray, reach: int) -> FloatArray:
@@ -138,7 +158,7 @@ def _canonical(X: FloatArray, Z: FloatArray, reach: int) -> FloatArray:
     products = fft.irfft(np.conj(fX)[:, None] * fZ[None], size, axis=2)
     lags = np.arange(-reach, reach + 1)
     cross = np.moveaxis(products[:, :, lags], 2, 0) / (n - np.abs(lags))[:, None, None]
-    inner, outer = np.linalg.pinv(X @ X.T / n), np.linalg.pinv(Z @ Z.T / n)
+    inner, outer = _inverse(X @ X.T / n), _inverse(Z @ Z.T / n)
     M = np.einsum("ab,lbc,cd,led->lae", inner, cross, outer, cross)
     trace = M[:, 0, 0] + M[:, 1, 1]
     determinant = M[:, 0, 0] * M[:, 1, 1] - M[:, 0, 1] * M[:, 1, 0]
@@ -151,9 +171,10 @@ def _at_lag(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> 
     X, Z = (X[:, :n], Z[:, lag:]) if lag >= 0 else (X[:, -lag:], Z[:, :n])
     X, Z = (signals - signals.mean(axis=1, keepdims=True) for signals in (X, Z))
     p, q = len(X), len(Z)
-    all_of = np.cov(np.concatenate([X, Z]))
+    both = np.concatenate([X, Z])
+    all_of = both @ both.T / n
     cross = all_of[:p, p:]
-    M = np.linalg.pinv(all_of[:p, :p]) @ cross @ np.linalg.pinv(all_of[p:, p:]) @ cross.T
+    M = _inverse(all_of[:p, :p]) @ cross @ _inverse(all_of[p:, p:]) @ cross.T
     squared = np.clip(np.linalg.eigvals(M).real, 0.0, 1.0 - 1e-12)
     samples, memory = _independent(X, Z, step)
     if samples < LEAST_SAMPLES:
@@ -161,9 +182,15 @@ def _at_lag(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> 
     wilks = -(samples - 0.5 * (p + q + 3)) * float(np.log1p(-squared).sum())
     searched = max(2 * reach * step / memory, 1.0)
     chance = float(chi2.logsf(wilks, p * q)) / np.log(10.0) + np.log10(searched)
-    regressors = np.concatenate([X[1:], Z])
-    coefficients = np.linalg.lstsq(regressors.T, X[0], rcond=None)[0]
+    coefficients = _inverse(all_of[1:, 1:]) @ all_of[1:, 0]  # of y on R and on the other's signals
     return Agreement(float(np.sqrt(squared.max())), min(chance, 0.0), lag * step, float(coefficients[p - 1]), samples)
+
+
+def _inverse(gram: FloatArray) -> FloatArray:
+    """Return the inverse of a Gram matrix whose signals may be of any size, or nothing at all."""
+    size = np.sqrt(np.diag(gram))
+    size = np.where(size > 0.0, size, 1.0)
+    return np.asarray(np.linalg.inv(gram / np.outer(size, size) + 1e-12 * np.eye(len(gram))) / np.outer(size, size))
 
 
 def _independent(X: FloatArray, Z: FloatArray, step: float) -> tuple[float, float]:
