@@ -23,6 +23,7 @@ from rich.console import Console
 from bench.section_table import LIMITS, scaling_table, summaries, summary_table
 from ingest.simulator.section_file import builtin_section_scenarios, load_section_scenario
 from ingest.simulator.section_run import simulate_section
+from ingest.simulator.section_simulation import simulation_key
 
 NO_INFORMATION = "no_information"
 WORKERS = 2
@@ -39,8 +40,12 @@ def main(arguments: Sequence[str]) -> int:
     _write(options.out, results)  # now, not after an hour
     variants = {"both": (False, True), "none": (False,), "only": (True,)}[options.parameter_errors]
     have = {(case["row"], case["seed"], case["drawn"]) for case in results["cases"]}
-    wanted = [(drawn, seed, _missing(options.rows, seed, drawn, have)) for drawn in variants for seed in options.seeds]
-    tasks = [(seed, drawn, rows, options.keep) for drawn, seed, rows in wanted if rows]
+    tasks = [
+        (seed, drawn, rows, options.keep)
+        for drawn in variants
+        for seed in options.seeds
+        for rows in _sharing(_missing(options.rows, seed, drawn, have), seed)
+    ]
     began = time.monotonic()
     with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
         futures = {pool.submit(seed_cases, *task): task[0] for task in tasks}
@@ -94,6 +99,14 @@ def seed_cases(
 def _missing(rows: Sequence[str], seed: int, drawn: bool, have: set[tuple[str, int, bool]]) -> list[str]:  # noqa: FBT001 - as above
     """Return the rows that are still to do; a section without information has no variant with errors."""
     return [row for row in rows if (row, seed, drawn) not in have and not (drawn and row == NO_INFORMATION)]
+
+
+def _sharing(rows: Sequence[str], seed: int) -> list[list[str]]:
+    """Return the rows in groups that share one simulation."""
+    groups: dict[str, list[str]] = {}
+    for row in rows:
+        groups.setdefault(simulation_key(load_section_scenario(row), seed), []).append(row)
+    return list(groups.values())
 
 
 def _before(options: argparse.Namespace) -> dict[str, Any]:
