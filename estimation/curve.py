@@ -14,6 +14,7 @@ from estimation.types import Estimate
 
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
+REACH = 0.25e-3  # m of amplitude
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +87,10 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
 
 
 def _steepness(row: _Row, amplitude: FloatArray) -> FloatArray:
-    """Return the slope of conicity over amplitude (a,), 1/m: the steepest within 0.1 mm."""
+    """Return the mean slope of conicity over amplitude (a,), 1/m, across half a millimetre; zero at the ends."""
     x, difference = row
-    around = np.stack([equivalent_conicity(x, difference, amplitude + shift) for shift in (-1e-4, 0.0, 1e-4)])
-    return np.nan_to_num(np.abs(np.diff(around, axis=0)).max(axis=0) / 1e-4)
+    below, above = (equivalent_conicity(x, difference, amplitude + shift) for shift in (-REACH, REACH))
+    return np.nan_to_num(np.abs(above - below) / (2 * REACH))
 
 
 def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:

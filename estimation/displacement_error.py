@@ -25,8 +25,8 @@ class DisplacementError:
     scale: float  # share, std
 
     def resolution(self, width: float) -> float:
-        """Return the std, m, with which bins of ``width`` (m) place a contact jump: the error, and a quarter of one."""
-        return float(np.hypot(self.std, 0.25 * width))
+        """Return the std, m, with which bins of ``width`` (m) place a contact jump; a part of the error and of a bin."""
+        return float(0.5 * np.hypot(self.std, 0.25 * width))
 
     @staticmethod
     def of(
