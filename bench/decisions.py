@@ -29,9 +29,10 @@ from estimation import bins, geometry, least_squares
 from estimation.arrays import FloatArray
 from estimation.bins import BinParameters
 from estimation.geometry import GeometryParameters, ParameterUncertainty
+from estimation.high_pass import HighPass, without_slow_part
 from estimation.regressors import REGRESSORS, YAW_TARGETS
 from estimation.settings import EstimationSettings
-from estimation.signals import SignalParameters, slow_basis
+from estimation.signals import SignalParameters
 from estimation.types import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
 from fleet_db.packed.bin_table import pack_bin_table
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_motion, wheelset_record
@@ -40,6 +41,7 @@ from ingest.simulator.scenario_file import load_scenario
 
 SEEDS = (15302, 1, 2)
 LENGTHS_S = (20.0, 60.0, 300.0)
+CUT_OFF = SignalParameters().longest_wavelength
 WELL_FILLED = 1000  # samples in a bin
 CREEP = ("longitudinal_creep_coefficient", "lateral_creep_coefficient", "lateral_spin_creep_coefficient")
 
@@ -81,13 +83,13 @@ def window_lengths(by_length: dict[float, list[Case]]) -> None:
 def cut_offs(cases: Sequence[Case]) -> None:
     """Print what the cut-off wavelength does."""
     print("longest wavelength kept")
-    for wavelength in (20.0, 30.0, 60.0, 120.0, 240.0):
+    for wavelength in (20.0, 30.0, 40.0, 60.0, 120.0):
         signals = SignalParameters(longest_wavelength=wavelength)
         print(f"  {wavelength:g} m: {score(cases, estimated(cases, signals))}")
 
 
 def filters() -> None:
-    """Print the error of the displacement behind the projection and behind a zero-phase Butterworth filter."""
+    """Print the error of the displacement behind smoother, projection and a zero-phase Butterworth filter."""
     print("displacement from the wheelset's lateral acceleration, against the truth behind the same filter")
     found: dict[str, tuple[list[FloatArray], list[FloatArray]]] = {name: ([], []) for name in HIGH_PASS}
     for seed in SEEDS:
@@ -131,19 +133,28 @@ def rms(parts: Sequence[FloatArray]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
+def smoother(values: FloatArray, distance: FloatArray, _dt: float) -> FloatArray:
+    """Return what ``estimation.high_pass`` leaves of ``values``."""
+    return _high_passed(values, distance, HighPass.SMOOTHER)
+
+
 def projection(values: FloatArray, distance: FloatArray, _dt: float) -> FloatArray:
-    """Return what ``estimation.signals`` leaves of ``values``."""
-    basis = slow_basis(distance, 60.0)
-    return np.asarray(values - np.linalg.lstsq(basis.T, values, rcond=None)[0] @ basis)
+    """Return what the other design leaves."""
+    return _high_passed(values, distance, HighPass.PROJECTION)
+
+
+def _high_passed(values: FloatArray, distance: FloatArray, design: HighPass) -> FloatArray:
+    known = np.ones(len(values), dtype=np.bool_)
+    return np.asarray(without_slow_part(values[None, :], distance, known, CUT_OFF, design)[0])
 
 
 def butterworth(values: FloatArray, distance: FloatArray, dt: float) -> FloatArray:
     """Return the rival: the same cut-off at the stretch's mean speed."""
     speed = float(distance[-1]) / (len(distance) * dt)
-    return np.asarray(sosfiltfilt(butter(4, speed / 60.0, "high", fs=1 / dt, output="sos"), values))
+    return np.asarray(sosfiltfilt(butter(4, speed / CUT_OFF, "high", fs=1 / dt, output="sos"), values))
 
 
-HIGH_PASS = {"projection": projection, "Butterworth, 4th order, forward and back": butterworth}
+HIGH_PASS = {"smoother": smoother, "projection": projection, "Butterworth, 4th order, forward and back": butterworth}
 
 
 def groups(cases: Sequence[Case]) -> None:
