@@ -25,7 +25,7 @@ class DisplacementError:
     scale: float  # share, std
 
     def resolution(self, width: float) -> float:
-        """Return the std, m, with which bins of ``width`` (m) place a contact jump; a part of the error and of a bin."""
+        """Return the std, m, with which bins of ``width`` (m) place a contact jump."""
         return float(0.5 * np.hypot(self.std, 0.25 * width))
 
     @staticmethod
