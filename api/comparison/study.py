@@ -13,9 +13,11 @@ import numpy as np
 from estimation.estimators.catalogue import estimators
 from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
 from estimation.estimators.tracks import TrackKnowledge, fleet_knowledge, motions, section_passes, straight_track
+from estimation.geometry import ParameterUncertainty
 from estimation.motion import Motion
 from estimation.settings import EstimationSettings
 from estimation.track.epochs import AlignmentSettings
+from estimation.types import TrackAlignment
 from ingest.simulator.section_run import SECTION, SectionRun, WheelsetTruth
 
 Progress = Callable[[str, int, int], None]  # what, done, of
@@ -94,13 +96,7 @@ def study(run: SectionRun, progress: Progress = lambda _what, _done, _of: None) 
     began = time.perf_counter()
     knowledge, untold = _told(run, settings, alignment, progress)
     track_seconds = time.perf_counter() - began
-    parameters = EstimatorParameters(
-        vehicle=settings.vehicle,
-        uncertainty=settings.geometry.uncertainty,
-        curve=settings.geometry.curve,
-        source=settings.signals.source,
-        band_limited=True,
-    )
+    parameters = {told: _parameters(run, known.track, settings) for told, known in knowledge.items()}
     every = estimators()
     tallies = {(told, item.name): _Tally() for told in knowledge for item in every}
     shown = run.wheelsets[3 * len(run.wheelsets) // 4]
@@ -110,12 +106,24 @@ def study(run: SectionRun, progress: Progress = lambda _what, _done, _of: None) 
         for told, known in knowledge.items():
             moved = list(motions(run.windows(truth.serial), known, settings))
             for item in every:
-                found = tallies[told, item.name].add(item, parameters, moved, truth)
+                found = tallies[told, item.name].add(item, parameters[told], moved, truth)
                 if truth is shown:
                     curves[told, item.name] = found
     scores = tuple(tally.score(run.pair.name, told, name) for (told, name), tally in tallies.items())
     progress(f"{run.pair.name}: estimate", len(run.wheelsets), len(run.wheelsets))
     return PairStudy(run.pair.name, run.seed, scores, untold, track_seconds, Example(shown, curves))
+
+
+def _parameters(run: SectionRun, track: TrackAlignment, settings: EstimationSettings) -> EstimatorParameters:
+    """Return what the estimators assume: the vehicle uncertain where the simulated ones are, and what the track taught."""
+    assumed = settings.geometry.uncertainty if run.scenario.errors_drawn else ParameterUncertainty(0.0, 0.0, 0.0)
+    return EstimatorParameters(
+        vehicle=settings.vehicle,
+        uncertainty=assumed.on([track]),
+        curve=settings.geometry.curve,
+        source=settings.signals.source,
+        band_limited=True,
+    )
 
 
 def _told(
