@@ -127,7 +127,12 @@ def _smooth() -> Wheelset:
 
 def simulate(wheelset: Wheelset, course: str, seed: int) -> Run:
     """Run a wheelset over a course."""
-    track = _track(seed, CURVES if course == "curves" else ())
+    return on_track(wheelset, course, seed, CURVES if course == "curves" else ())
+
+
+def on_track(wheelset: Wheelset, course: str, seed: int, curves: tuple[Curve, ...]) -> Run:
+    """Run a wheelset over a course on a track with ``curves``."""
+    track = _track(seed, curves)
     motion = simulate_wheelset(VehicleParameters(), wheelset.table, track, _speed(course, seed), 50.0)
     if motion.outside:
         raise RuntimeError(f"{wheelset.name} left its contact table {motion.outside} times")

@@ -33,6 +33,7 @@ DESIGNS: Mapping[str, SignalParameters] = {
     "smoother 30 m": replace(SHIPPED, longest_wavelength=30.0),
 }
 IN_FORCE, EARLIER = "smoother 40 m", "projection 60 m"
+ALL = "all"
 NO_LAYOUT = "curves, no layout on file"
 
 
@@ -87,13 +88,13 @@ def _table(found: Sequence[Outcome], course: str) -> Table:
         "cover",
     ):
         table.add_column(name, justify="left" if name in {"wheelset", "design"} else "right")
-    for wheelset in wheelsets():
+    for name in (*(wheelset.name for wheelset in wheelsets()), ALL):
         for design in DESIGNS:
-            here = [i for i in found if (i.course, i.wheelset, i.design) == (course, wheelset.name, design)]
+            here = [i for i in found if (i.course, i.design) == (course, design) and name in {i.wheelset, ALL}]
             y, psi, rate, difference = np.sqrt(np.mean([item.error**2 for item in here], axis=0))
             covered = [c for item in here for c in item.covered]
             table.add_row(
-                wheelset.name,
+                name,
                 design,
                 f"{1e3 * y:.3f}",
                 f"{1e3 * psi:.3f}",
@@ -132,7 +133,7 @@ def _outcome(run: Run, course: str, design: str, parameters: SignalParameters) -
     error = np.sqrt(np.mean(np.concatenate(squares, axis=1), axis=1))
     found = geometry.estimate(bins.merge_all(tables, settings.bins), settings.bins, settings.geometry)
     total = sum(len(window.valid) for window in run.windows)
-    return Outcome(course, run.wheelset, design, error, used / total, *_score(found, run.conicity))
+    return Outcome(course, run.wheelset, design, error, used / total, *score(found, run.conicity))
 
 
 def _measured(moved: Motion, settings: EstimationSettings) -> FloatArray:
@@ -163,7 +164,8 @@ def _true(run: Run, number: int, parameters: SignalParameters) -> FloatArray:
     return result
 
 
-def _score(found: WheelsetGeometry, conicity: FloatArray) -> tuple[float, float, tuple[bool, ...]]:
+def score(found: WheelsetGeometry, conicity: FloatArray) -> tuple[float, float, tuple[bool, ...]]:
+    """Return mean absolute error, mean relative error, and which intervals cover ``conicity`` at ``AMPLITUDES``."""
     errors, bias, covered = [], [], []
     for amplitude, estimate in zip(found.amplitude, found.conicity, strict=True):
         at = np.flatnonzero(np.isclose(AMPLITUDES, amplitude))
