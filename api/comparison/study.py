@@ -115,7 +115,7 @@ def study(run: SectionRun, progress: Progress = lambda _what, _done, _of: None) 
 
 
 def _parameters(run: SectionRun, track: TrackAlignment, settings: EstimationSettings) -> EstimatorParameters:
-    """Return what the estimators assume: the vehicle uncertain where the simulated ones are, and what the track taught."""
+    """Return what estimators assume: vehicles uncertain where the simulated ones are, and what the track taught."""
     assumed = settings.geometry.uncertainty if run.scenario.errors_drawn else ParameterUncertainty(0.0, 0.0, 0.0)
     return EstimatorParameters(
         vehicle=settings.vehicle,

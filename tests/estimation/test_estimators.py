@@ -33,7 +33,7 @@ ALL = pytest.mark.parametrize("estimator", estimators(), ids=lambda item: item.n
 
 def cut(motion: Motion, *at: int) -> list[Motion]:
     edges = [0, *at, len(motion)]
-    names = [item.name for item in fields(Motion) if item.name != "band_limited"]
+    names = [item.name for item in fields(Motion) if isinstance(getattr(motion, item.name), np.ndarray)]
     return [replace(motion, **{name: getattr(motion, name)[a:b] for name in names}) for a, b in pairwise(edges)]
 
 
