@@ -10,7 +10,7 @@ from estimation.arrays import FloatArray, frozen_array
 from estimation.contact.table import ContactTable
 from estimation.errors import ScenarioError
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset, travelled
-from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
+from ingest.simulator.scenario import Scenario, SpeedRange, VehiclePlan, WheelsetPlan
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
 from ingest.simulator.track import TrackTruth, make_track, read_track
 from ingest.simulator.wear import gauge_grid, wear_at, worn_contact
@@ -136,11 +136,19 @@ def seed_of(scenario: Scenario, *key: int) -> np.random.SeedSequence:
 def _speed(scenario: Scenario, rng: np.random.Generator) -> FloatArray:
     """Return a speed (n,) that wanders within the scenario's range: three slow waves, squeezed smoothly into it."""
     plan, n = scenario.speed, round(scenario.sessions.duration / STEP) + 1
-    t = STEP * np.arange(n)
+    t = STEP * np.arange(n, dtype=np.float64)
     wave = np.zeros(n)
     for order in (1.0, 1.7, 2.9):
         wave += (
             rng.uniform(0.5, 1.0) / order * np.sin(2.0 * np.pi * order * t / plan.period + rng.uniform(0, 2 * np.pi))
         )
     middle, half = 0.5 * (plan.lowest + plan.highest), 0.5 * (plan.highest - plan.lowest)
-    return np.asarray(middle + half * np.tanh(wave))
+    return np.minimum(middle + half * np.tanh(wave), _stopping(scenario.speed, np.asarray(t)))
+
+
+def _stopping(plan: SpeedRange, t: FloatArray) -> FloatArray:
+    """Return the speed (n,) that the next and the last stop allow; infinite where there are none."""
+    if plan.stop_every <= 0.0:
+        return np.full(len(t), np.inf)
+    from_stop = np.abs((t % plan.stop_every) - 0.5 * plan.stop_every)  # stops lie in the middle of each round
+    return np.asarray(plan.braking * np.maximum(from_stop - 0.5 * plan.stop, 0.0))

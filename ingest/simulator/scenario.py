@@ -90,6 +90,9 @@ class SpeedRange:
     lowest: float
     highest: float
     period: float  # s, of the slowest wave
+    stop_every: float = 0.0  # s between the middles of two stops; 0 for none
+    stop: float = 30.0  # s of standing
+    braking: float = 0.5  # m/s2, before and after a stop
 
 
 @dataclass(frozen=True, slots=True)

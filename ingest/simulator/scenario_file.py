@@ -12,6 +12,7 @@ from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import WearFamily, wear_course
 from estimation.errors import ParameterError, ProfileError, ScenarioError
 from estimation.vehicle import VehicleParameters
+from ingest.simulator.curves import Curve
 from ingest.simulator.motion import MINIMUM_SPEED
 from ingest.simulator.scenario import (
     BusPlan,
@@ -30,6 +31,7 @@ from ingest.simulator.toml_table import TomlTable, key_lines
 from ingest.simulator.track import TrackRecipe
 
 MM = 1e-3
+SHARPEST_RADIUS = 150.0  # m
 KM = 1e3
 KM_PER_HOUR = 1.0 / 3.6
 MICRO_G = 9.80665e-6
@@ -154,7 +156,26 @@ def _recipe(table: TomlTable) -> TrackRecipe:
         gauge_std=MM * table.number("gauge_std_mm", 0.0, high=20.0),
         gauge_offset=MM * table.number("gauge_offset_mm", 0.0, low=-20.0, high=40.0),
         wavelengths=(shortest, longest),
+        curves=tuple(_curve(item, length) for item in table.optional_tables("curves")),
     )
+
+
+def _curve(table: TomlTable, length: float) -> Curve:
+    radius = table.number("radius_m", low=-1e6, high=1e6)
+    if abs(radius) < SHARPEST_RADIUS:
+        raise table.fail(
+            f"{radius:g} m is no radius; at least {SHARPEST_RADIUS:g} m, negative to the right", "radius_m"
+        )
+    transition = table.number("transition_m", 80.0, above=True)
+    curve = Curve(
+        start=table.number("start_m", high=length),
+        length=table.number("length_m", low=2.0 * transition, high=length, above=True),
+        radius=radius,
+        cant=MM * table.number("cant_mm", 0.0, low=-200.0, high=200.0),
+        transition=transition,
+    )
+    table.end()
+    return curve
 
 
 def sensor_node(table: TomlTable) -> SensorNode:
@@ -195,8 +216,11 @@ def _speed(table: TomlTable) -> SpeedRange:
     lowest = table.number("lowest_m_s", low=2.0 * MINIMUM_SPEED)
     highest = table.number("highest_m_s", low=lowest, high=131.0)
     period = table.number("period_s", 120.0, low=20.0)
+    every = table.number("stop_every_s", 0.0)
+    stop = table.number("stop_s", 30.0)
+    braking = table.number("braking_m_s2", 0.5, high=2.0, above=True)
     table.end()
-    return SpeedRange(lowest, highest, period)
+    return SpeedRange(lowest, highest, period, every, stop, braking)
 
 
 def _sessions(table: TomlTable) -> Sessions:

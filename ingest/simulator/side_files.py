@@ -92,7 +92,7 @@ def write_truth(folder: Path, scenario: Scenario, truths: Sequence[WheelsetTruth
 
 
 def surveyed(scenario: Scenario, track: TrackTruth, seed: np.random.SeedSequence) -> TrackTruth:
-    """Return the track as a recording car would put it on file: the truth and white survey errors.
+    """Return the track as a recording car would put it on file: the truth and white survey errors, curves as built.
 
     The errors are those of the survey's standard deviations, smoothed over some 2 m as a chord does.
     """
@@ -102,6 +102,7 @@ def surveyed(scenario: Scenario, track: TrackTruth, seed: np.random.SeedSequence
         track.s,
         track.alignment + _survey_error(len(track.s), section.survey_alignment_std, track.interval, rng),
         track.gauge_deviation + _survey_error(len(track.s), section.survey_gauge_std, track.interval, rng),
+        track.curves,
     )
 
 

@@ -126,6 +126,11 @@ class TomlTable:
             raise self.fail("must be a table", key)
         return TomlTable(value, self._file, self._lines, (*self._place, key))
 
+    def optional_tables(self, key: str) -> list[TomlTable]:
+        """Return the tables of an array of tables, none where the key is missing."""
+        self._taken.add(key)
+        return self.tables(key) if key in self._values else []
+
     def tables(self, key: str) -> list[TomlTable]:
         """Return the tables of an array of tables, at least one."""
         value = self._take(key, list, None)

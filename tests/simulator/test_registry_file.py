@@ -16,7 +16,7 @@ from estimation.errors import InputError
 from estimation.types import Status
 from fleet_db.storage import SqlStorage
 from ingest.registry_file import load_registry, read_registry
-from ingest.simulator.campaign import scenario_track
+from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.fleet import prepare
 from ingest.simulator.scenario_file import read_scenario
 
@@ -139,3 +139,69 @@ def test_an_uneven_track_file_is_refused(registry: Path) -> None:
     track.write_text("\n".join(lines[:50] + lines[52:]))
     with pytest.raises(InputError, match="evenly spaced"):
         read_registry(registry)
+
+
+CURVE = """
+[[section.curves]]
+start_m = 100.0
+length_m = 300.0
+radius_m = -900.0
+cant_mm = -60.0
+"""
+
+
+@pytest.fixture
+def curved(tmp_path: Path) -> Path:
+    (tmp_path / "small.toml").write_text(SMALL.replace("[speed]", f"{CURVE}\n[speed]\nstop_every_s = 100.0"))
+    return prepare(read_scenario(tmp_path / "small.toml"), tmp_path / "out")
+
+
+def test_the_curves_of_a_track_file_land_in_the_store_as_versions(storage: SqlStorage, curved: Path) -> None:
+    load(storage, curved)
+    load(storage, curved)
+    with storage.read() as unit:
+        first = unit.tracks.layout("S-9")
+    assert first is not None
+    assert first.version == 1
+    assert first.curvature.min() == pytest.approx(-1 / 900, abs=1e-8)
+    assert first.cant.min() == pytest.approx(-0.06)
+    assert not first.curvature[first.s < 95.0].any()
+    (curved.parent / "own.csv").write_text("s_m,curvature_per_km,cant_mm\n0,0,0\n200,0,0\n280,1.25,70\n700,1.25,70\n")
+    content = json.loads(curved.read_text())
+    content["track_sections"][0]["layout"] = {"file": "own.csv"}
+    curved.write_text(json.dumps(content))
+    load(storage, curved)
+    with storage.read() as unit:
+        second = unit.tracks.layout("S-9")
+    assert second is not None
+    assert (second.version, second.curvature.tolist()) == (2, [0.0, 0.0, 1.25e-3, 1.25e-3])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("s_m\n0\n700\n", "no such column"),
+        ("s_m,curvature_per_km,cant_mm\n0,0,0\n0.7,0,0\n", "ends at 0.7 m, section 'S-9' has 700 m"),
+        ("s_m,curvature_per_km,cant_mm\n0,0,0\n700,800,0\n", "are these radii"),
+    ],
+)
+def test_a_layout_that_cannot_be_is_refused(storage: SqlStorage, curved: Path, text: str, words: str) -> None:
+    (curved.parent / "own.csv").write_text(text)
+    content = json.loads(curved.read_text())
+    content["track_sections"][0]["layout"] = {"file": "own.csv"}
+    curved.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=words):
+        load(storage, curved)
+    with storage.read() as unit:
+        assert not unit.tracks.sections()
+
+
+def test_a_scenario_can_stop(tmp_path: Path) -> None:
+    text = SMALL.replace(
+        "lowest_m_s = 15.0", "lowest_m_s = 15.0\nstop_every_s = 12.0\nstop_s = 2.0\nbraking_m_s2 = 1.5"
+    )
+    (tmp_path / "stops.toml").write_text(text)
+    scenario = read_scenario(tmp_path / "stops.toml")
+    run = vehicle_run(scenario, scenario_track(scenario), scenario.vehicles[0], 0)
+    assert (run.speed == 0.0).sum() == pytest.approx(2000, abs=2)
+    assert np.abs(np.diff(run.speed)).max() < 1.6e-3
