@@ -66,15 +66,10 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
         return CurveEstimates(amplitude, (unknown,) * len(amplitude), parameters.headline, unknown, unknown, unknown)
     rows = _rows(curve, run)
     values = np.stack([equivalent_conicity(x, difference, amplitude) for x, difference in rows])
-    steepness = _steepness(rows[0], amplitude)
-    resolution = curve.error.resolution(float(curve.edges[1] - curve.edges[0]))
+    rounded = values[:1] + _rounding(rows[0], amplitude, curve.error.resolution(float(np.diff(curve.edges[:2])[0])))
+    values = np.concatenate([values, rounded])
     conicity = tuple(
-        _estimate(
-            np.append(values[:, k], values[0, k] + steepness[k] * resolution),
-            groups,
-            curve.count,
-            f"amplitude {1e3 * a:g} mm is not covered",
-        )
+        _estimate(values[:, k], groups, curve.count, f"amplitude {1e3 * a:g} mm is not covered")
         for k, a in enumerate(amplitude)
     )
     headline, headline_amplitude = _headline(amplitude, conicity, parameters)
@@ -86,11 +81,14 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     return CurveEstimates(amplitude, conicity, headline_amplitude, headline, nonlinearity, crossing)
 
 
-def _steepness(row: _Row, amplitude: FloatArray) -> FloatArray:
-    """Return the mean slope of conicity over amplitude (a,), 1/m, across half a millimetre; zero at the ends."""
+def _rounding(row: _Row, amplitude: FloatArray, resolution: float) -> FloatArray:
+    """Return what rounding over ``resolution`` (m) changes of the conicity (a,): its bend over amplitude tells.
+
+    Where a contact jump sits inside a bin, bins cannot tell; the conicity just above it depends on that.
+    """
     x, difference = row
-    below, above = (equivalent_conicity(x, difference, amplitude + shift) for shift in (-REACH, REACH))
-    return np.nan_to_num(np.abs(above - below) / (2 * REACH))
+    below, here, above = (equivalent_conicity(x, difference, amplitude + shift) for shift in (-REACH, 0.0, REACH))
+    return np.nan_to_num(0.5 * (below - 2 * here + above) * (resolution / REACH) ** 2)
 
 
 def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:

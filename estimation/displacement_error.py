@@ -13,6 +13,7 @@ import numpy as np
 from estimation.arrays import BoolArray, FloatArray
 
 SCALE_UNCERTAINTY = 0.005  # of a displacement that was integrated and projected
+STRAY = 2.8  # reach of samples that stray over a jump, in std: most come from nearby, the far ones from long errors
 MOST_EXCESS = 0.2  # of the variance of the displacement that its error may make up
 
 
@@ -25,8 +26,8 @@ class DisplacementError:
     scale: float  # share, std
 
     def resolution(self, width: float) -> float:
-        """Return the std, m, with which bins of ``width`` (m) place a contact jump."""
-        return float(0.5 * np.hypot(self.std, 0.25 * width))
+        """Return over what length, m, bins of ``width`` (m) round a curve: the error, and half a bin."""
+        return float(np.hypot(self.std, 0.5 * width))
 
     @staticmethod
     def of(
@@ -71,7 +72,7 @@ class DisplacementError:
         slope = np.gradient(values[smooth], x)
         stretch = slope * x * np.hypot(self.excess, self.scale)
         strayed = np.zeros(len(centre))
-        both = replace(self, std=np.sqrt(2.0) * self.std)  # the value has an error of the same size
+        both = replace(self, std=STRAY * self.std)
         strayed[met] = both.rounded(centre[met], values[met]) - values[met]
         left_unknown[smooth] = np.hypot(stretch, strayed[smooth])
         return left_unknown

@@ -39,9 +39,9 @@ def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
 
     What is known of the vehicle's stiffness ratio and of the gauge is taken into account.
     """
-    creep = parameters.longitudinal_creep_coefficient / motion.stiffness_ratio
-    p = replace(parameters, longitudinal_creep_coefficient=creep)
-    f11, f22, f23 = p.longitudinal_creep_coefficient, p.lateral_creep_coefficient, p.lateral_spin_creep_coefficient
+    f11 = parameters.longitudinal_creep_coefficient / motion.stiffness_ratio
+    p = replace(parameters, longitudinal_creep_coefficient=f11)
+    f22, f23 = p.lateral_creep_coefficient, p.lateral_spin_creep_coefficient
     f33, r0, l = p.spin_creep_coefficient, p.nominal_radius, p.half_contact_distance  # noqa: E741 - the paper's l
     V, ψ, dψ, ddψ = motion.speed, motion.yaw, motion.yaw_rate, motion.yaw_acceleration
     slip = motion.lateral_velocity - V * ψ  # without the roll term, which carries S

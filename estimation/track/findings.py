@@ -11,7 +11,7 @@ from estimation.track.settling import Settled
 from estimation.track.wheel_functions import fitted, gauge_factor, places
 from estimation.types import Findings
 
-LIFE = "#"  # between a wheelset's serial and what tells its lives apart
+LIFE = "#"  # after a wheelset's serial, then the number of its profile and that of its mileage interval
 UNKNOWN_SHARE = 0.6  # of its own std that an estimated gauge deviation may be off by
 
 
@@ -35,9 +35,15 @@ def findings(settled: Settled, *, gauge_estimated: bool) -> Told:
     seen = places(settled.passes, settled.solution, settled.solution.alignment, panel)
     factor = gauge_factor(seen) if gauge_estimated else 1.0
     lives = fitted(seen, factor)
-    wheels = {name.split(LIFE)[0]: lives[name] for name in sorted(lives)}  # of several lives the latest
+    wheels = {_life(name)[0]: lives[name] for name in sorted(lives, key=_life)}  # of several lives the latest
     found = Findings(ratios, std, wheels)
     if not gauge_estimated:
         return Told(found, None, None)
     sized = factor * gauge
     return Told(found, sized, np.full(len(sized), UNKNOWN_SHARE * float(sized.std())))
+
+
+def _life(name: str) -> tuple[str, tuple[int, ...]]:
+    """Return the serial of a wheelset and the numbers of its life, in whose order lives follow each other."""
+    serial, *numbers = name.rsplit(LIFE, 2)
+    return serial, tuple(int(number) for number in numbers)

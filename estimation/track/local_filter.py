@@ -6,11 +6,15 @@ every pass, forgets what lies further away than its reach, and takes out the slo
 
 from __future__ import annotations
 
+from typing import Any, TypeVar
+
 import numpy as np
+import numpy.typing as npt
 from scipy import signal
 
 from estimation.arrays import BoolArray, FloatArray
 
+Precision = TypeVar("Precision", bound=np.floating[Any])
 REACH_IN_WIDTHS = 3.5
 CUT_OFF_IN_WIDTHS = 3.43  # wavelength that is halved over the width of the weights: (1 + u) exp(-u) = 1/2, u = 1.678
 
@@ -35,7 +39,7 @@ def smoother(cut_off: float, step: float) -> FloatArray:
     return np.asarray((a + b * u * u) * weights)
 
 
-def without_slow_part(signals: FloatArray, weights: FloatArray) -> FloatArray:
+def without_slow_part(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) -> npt.NDArray[Precision]:
     """Return ``signals`` (m, n) minus their local fit; the first and last len(weights)//2 samples mean nothing."""
     kernel = weights[None, :] if signals.ndim > 1 else weights
     return np.asarray(signals - signal.oaconvolve(signals, kernel, mode="same", axes=-1))

@@ -156,7 +156,9 @@ def groups_of(at: IntArray, parameters: PanelParameters) -> IntArray:
     return np.asarray((at * parameters.step // parameters.block).astype(np.int64) % parameters.groups)
 
 
-def filtered(item: Pass, parameters: PanelParameters) -> tuple[IntArray, FloatArray, FloatArray, FloatArray] | None:
+def filtered(
+    item: Pass, parameters: PanelParameters
+) -> tuple[IntArray, npt.NDArray[np.float32], FloatArray, FloatArray] | None:
     """Return grid points (m,), filtered columns (k, m), y (m,) and R (m,) of a pass; None where it is too short.
 
     Columns and R change their sign where the wheelset's left wheel runs on the section's right rail.

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import spsolve
 from estimation.arrays import FloatArray, IntArray
 
 ROUNDS = 12
-SCALE = 2e-3  # by which an odometer may be wrong
+SCALE = 1.2e-3  # by which an odometer may differ from the fleet's
 RESOLUTION = 0.3  # m: shifts that fit better than this fit
 LOOSE = 1e-6  # weight of keeping every pass where it is: what links leave open
 

@@ -23,7 +23,7 @@ from estimation.track.positions import (
     refine,
 )
 from estimation.track.solution import PanelSolution, result
-from estimation.track.stiffness import Ratio, adjusted, refined
+from estimation.track.stiffness import Ratio, adjusted, certain, refined
 
 Grouped = Mapping[Journey, Sequence[Pass]]
 
@@ -110,7 +110,8 @@ def _rounds(
         solution = result(_told(state, course, noise), std=last)
         noise = max(residual_of_passes(state, solution), 0.1 * p.pass_std)
         if last:
-            return Settled(panel, state, solution, corrections, ratios, tuple(at), done, float(moved), noise)
+            known = certain(ratios, at, solution, panel)
+            return Settled(panel, state, solution, corrections, known, tuple(at), done, float(moved), noise)
         better = refined(ratios, at, solution, panel)
         changed = max((abs(one.value - ratios.get(v, Ratio()).value) for v, one in better.items()), default=0.0)
         ratios = better
@@ -158,7 +159,7 @@ def _with_unknown_gauge(course: _Course, settled: Settled, rounds: int) -> Settl
             corrections = _refined_positions(course, found.corrections, ratios, solution, panel)
             at = _placed(course.grouped, corrections, ratios)
             found = replace(found, corrections=corrections, ratios=ratios, passes=tuple(at))
-    return found
+    return replace(found, ratios=certain(found.ratios, found.passes, found.solution, found.panel))
 
 
 def _moved_to_gauge(course: _Course, settled: Settled, gauge: FloatArray, positions: PositionParameters) -> Settled:

@@ -19,6 +19,7 @@ from estimation.track.passes import Pass
 from estimation.track.solution import PanelSolution
 
 PRIOR_STD = 0.15  # of the ratio, relative
+SYSTEMATIC_STD = 0.01  # of the ratio, relative: a model of small terms is left, blocks of data cannot show it
 DAMPING = 0.6  # of a step: position and ratio are refined at once, and each would make up for the other's error
 
 
@@ -61,7 +62,9 @@ def refined(
         squares[vehicle] = squares.get(vehicle, 0.0) + slopes[w] ** 2
     result = {}
     for vehicle, numerator in numerators.items():
-        steps = numerator / max(squares[vehicle], 1e-12)
+        if not squares[vehicle] > 0.0:
+            continue  # its passes met nothing
+        steps = numerator / squares[vehicle]
         before = ratios.get(vehicle, Ratio())
         data_std = float(jackknife_std(steps[:, None])[0])
         if not np.isfinite(data_std):
@@ -70,6 +73,17 @@ def refined(
         value = 1.0 + worth * (before.value + DAMPING * float(steps[0]) - 1.0)
         result[vehicle] = Ratio(float(np.clip(value, 0.5, 1.5)), float(np.sqrt(worth) * data_std))
     return result
+
+
+def certain(
+    ratios: Mapping[str, Ratio], passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters
+) -> dict[str, Ratio]:
+    """Return the ratios with which ``passes`` were adjusted, each with its std from the groups of ``solution``."""
+    found = refined(ratios, passes, solution, panel)
+    return {
+        vehicle: replace(ratios.get(vehicle, Ratio()), std=float(np.hypot(one.std, SYSTEMATIC_STD)))
+        for vehicle, one in found.items()
+    }
 
 
 def _slopes(solution: PanelSolution, panel: PanelParameters) -> np.ndarray:

@@ -16,7 +16,7 @@ from estimation.errors import ParameterError
 from estimation.signals import SignalParameters
 from estimation.track.local_filter import smoother, trusted, without_slow_part
 from estimation.track.panel import PanelParameters, PanelState, hat_functions, init, update
-from estimation.track.passes import Pass, gridded, passes
+from estimation.track.passes import Pass, gridded, joined, passes
 from estimation.track.solution import PanelSolution, result
 from estimation.types import Status
 from estimation.vehicle import VehicleParameters
@@ -31,12 +31,12 @@ def fleet_passes(seed: int = 1, alike: bool = False) -> tuple[Pass, ...]:  # noq
     for number, (cone, speed) in enumerate(FLEET):
         cone, speed = (0.10, 20.0) if alike else (cone, speed)  # noqa: PLW2901 - alike on purpose
         m = run(120, seed=seed, cone=cone, speed=speed)
-        for window in mems_windows(m, seed=10 * seed + number):
-            name = f"cone {cone}" + (f" {number}" if alike else "")
-            found += [
-                replace(item, wheelset=name, vehicle=f"{speed:g} m/s")
-                for item in passes(window, VehicleParameters(), SignalParameters())
-            ]
+        (window,) = joined(mems_windows(m, seed=10 * seed + number))
+        name = f"cone {cone}" + (f" {number}" if alike else "")
+        found += [
+            replace(item, wheelset=name, vehicle=f"{speed:g} m/s")
+            for item in passes(window, VehicleParameters(), SignalParameters())
+        ]
     return tuple(found)
 
 
@@ -93,12 +93,13 @@ def test_alignment_and_conicity_come_out_of_unknown_track() -> None:
     grid = np.arange(PARAMETERS.points) * PARAMETERS.step
     truth = track(1)
     true = without_slow_part(np.interp(grid, truth.s, truth.alignment), weights)
-    seen = np.isfinite(solved.alignment) & (grid > 100) & (grid < 1700)
+    seen = np.isfinite(solved.alignment) & (grid > 200) & (grid < 1850)
     error = (solved.alignment - true)[seen]
-    assert seen.sum() > 2500
+    assert seen.sum() > 0.99 * (1650 / PARAMETERS.step)  # two filters, 153 m, are lost at each end of a pass
     assert error.std() < 0.12 * true[seen].std()
     amplitudes = (1.0e-3, 1.5e-3, 2.0e-3)
-    for name, curve, weight in zip(solved.wheelsets, solved.curves[0], solved.weight, strict=True):
+    curves = solved.curves[0, :, : PARAMETERS.hats]
+    for name, curve, weight in zip(solved.wheelsets, curves, solved.weight, strict=True):
         table = SmoothTable(float(name.split()[1]))
         x = table.lateral_displacement
         expected = equivalent_conicity(x, table.left(x) - table.right(x), amplitudes)
@@ -108,13 +109,13 @@ def test_alignment_and_conicity_come_out_of_unknown_track() -> None:
 
 
 @settings(max_examples=8, deadline=None)
-@given(order=st.permutations(range(12)), cut=st.integers(1, 11))
+@given(order=st.permutations(range(6)), cut=st.integers(1, 5))
 def test_any_order_and_grouping_of_the_passes_gives_the_same(order: list[int], cut: int) -> None:
     found = fleet_passes()
     small = PanelParameters(length=2000.0, hats=11, groups=4)
     chosen = [found[i] for i in order]
     state: PanelState = update(update(init(small), chosen[:cut]), chosen[cut:])
-    reference = update(init(small), [found[i] for i in range(12)])
+    reference = update(init(small), [found[i] for i in range(6)])
     places = [state.wheelsets.index(name) for name in reference.wheelsets]
     for name in ("gram", "cross"):
         ours, theirs = getattr(state, name)[:, places], getattr(reference, name)

@@ -1,0 +1,88 @@
+"""The rolling radius difference of a pass holds long wavelengths that the yaw sensor alone has lost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_trapezoid
+from smooth_wheelset import mems_windows, run
+
+from estimation.arrays import FloatArray
+from estimation.signals import SignalParameters
+from estimation.track.local_filter import smoother, without_slow_part
+from estimation.track.passes import Pass, joined, passes
+from estimation.types import Window
+from estimation.vehicle import VehicleParameters
+
+VEHICLE = VehicleParameters()
+
+
+def _pass(window: Window) -> Pass:
+    (found,) = passes(window, VEHICLE, SignalParameters())
+    return found
+
+
+def _by_yaw_sensor(window: Window, at: FloatArray) -> FloatArray:
+    """Return R (n,) by Eq. 2 from the yaw sensor and nothing else, its terms beyond creep and yaw spring left out."""
+    p, dt = VEHICLE, window.sample_interval_s
+    rate = cumulative_trapezoid(window.yaw_acceleration, dx=dt, initial=0.0)
+    yaw = cumulative_trapezoid(rate, dx=dt, initial=0.0)
+    elastic = p.yaw_inertia * window.yaw_acceleration + p.yaw_stiffness * yaw
+    creep = 2 * p.half_contact_distance**2 * p.longitudinal_creep_coefficient / window.speed * rate
+    per_moment = -p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
+    return np.asarray(np.interp(at, window.distance, per_moment * (elastic + creep)))
+
+
+def _rms_between(values: FloatArray, step: float, short: float, long: float) -> float:
+    """Return the rms of the wavelengths from ``short`` to ``long``, away from the ends."""
+    weights, reach = smoother(short, step), smoother(long, step)
+    band = without_slow_part(values, reach) - without_slow_part(values, weights)
+    margin = len(reach) // 2
+    return float(np.sqrt((band[margin:-margin] ** 2).mean()))
+
+
+@pytest.mark.parametrize(("cone", "speed"), [(0.05, 17.0), (0.10, 20.0), (0.16, 23.0)])
+def test_long_waves_of_the_radius_difference_come_out_far_better_than_from_the_yaw_sensor(
+    cone: float, speed: float
+) -> None:
+    motion = run(120, seed=1, cone=cone, speed=speed)
+    (window,) = joined(mems_windows(motion, seed=3))
+    found = _pass(window)
+    step = float(found.at[1] - found.at[0])
+    true = np.interp(found.at, motion.distance, motion.rolling_radius_left - motion.rolling_radius_right)
+    alone = _rms_between(_by_yaw_sensor(window, found.at) - true, step, 20.0, 100.0)
+    ours = _rms_between(found.difference - true, step, 20.0, 100.0)
+    assert ours < alone / 5
+    assert ours < 0.15 * _rms_between(true, step, 20.0, 100.0)
+
+
+def test_short_waves_are_left_to_the_yaw_sensor() -> None:
+    motion = run(120, seed=1, cone=0.10, speed=20.0)
+    (window,) = joined(mems_windows(motion, seed=3))
+    found = _pass(window)
+    step = float(found.at[1] - found.at[0])
+    alone = _by_yaw_sensor(window, found.at)
+    apart = _rms_between(found.difference - alone, step, 1.5, 7.0)
+    assert apart < 0.05 * _rms_between(alone, step, 1.5, 7.0)
+
+
+def test_windows_that_follow_each_other_give_the_pass_of_one_long_window() -> None:
+    motion = run(120, seed=1, cone=0.10, speed=20.0)
+    (whole,) = mems_windows(motion, seed=3, length_s=120)
+    (together,) = joined(mems_windows(motion, seed=3, length_s=30))
+    np.testing.assert_array_equal(together.lateral_acceleration, whole.lateral_acceleration)
+    one, other = _pass(whole), _pass(together)
+    for name in ("at", "displacement", "difference", "elastic"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_windows_are_joined_only_where_nothing_lies_between_them() -> None:
+    cut = mems_windows(run(120, seed=1, cone=0.10, speed=20.0), seed=3, length_s=30)
+    assert [w.length_ns for w in joined([cut[0], cut[1], cut[3]])] == [60_000_000_000, 30_000_000_000]
+    elsewhere = replace(cut[1], track_section="S2")
+    other_axle = replace(cut[1], axle=2)
+    for second in (elsewhere, other_axle):
+        assert [w.length_ns for w in joined([cut[0], second])] == [30_000_000_000] * 2
+    assert list(joined([])) == []

@@ -1,0 +1,80 @@
+"""Yaw stiffness over creep coefficient of every vehicle, learnt from passes over unknown track."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import pytest
+from smooth_wheelset import mems_windows, run
+
+from estimation.signals import SignalParameters
+from estimation.track.findings import findings
+from estimation.track.local_filter import smoother, without_slow_part
+from estimation.track.panel import PanelParameters
+from estimation.track.passes import Pass, joined, passes
+from estimation.track.positions import PositionParameters, journeys
+from estimation.track.settling import Settled, SettlingParameters, settle
+from estimation.track.stiffness import SYSTEMATIC_STD, Ratio, adjusted
+from estimation.vehicle import VehicleParameters
+
+CONES = (0.05, 0.10, 0.16)
+SOFT, RIGHT = 17.0, 23.0  # m/s of the vehicle that is believed 20 % too soft, and of one that is known
+PANEL = PanelParameters(length=2800.0, hats=21)
+
+
+@cache
+def believed(share: float) -> tuple[Pass, ...]:
+    """Return passes of two vehicles with three wheelsets each, one read with ``share`` of its true yaw stiffness."""
+    found: list[Pass] = []
+    truth = VehicleParameters()
+    for number, (speed, cone) in enumerate((speed, cone) for speed in (SOFT, RIGHT) for cone in CONES):
+        vehicle = replace(truth, yaw_stiffness=share * truth.yaw_stiffness) if speed == SOFT else truth
+        (window,) = joined(mems_windows(run(120, seed=1, cone=cone, speed=speed), seed=10 + number))
+        named = replace(window, wheelset=f"{cone} of {speed:g}", vehicle=f"{speed:g}")
+        found += passes(named, vehicle, SignalParameters())
+    return tuple(found)
+
+
+@cache
+def settled(share: float) -> Settled:
+    positions = PositionParameters()
+    return settle(journeys(believed(share), positions), None, PANEL, positions, SettlingParameters())
+
+
+def test_a_vehicle_believed_too_soft_is_found_out_on_unknown_track() -> None:
+    found = settled(0.8).ratios
+    assert found[f"{SOFT:g}"].value == pytest.approx(1 / 0.8, rel=0.02)
+    assert found[f"{RIGHT:g}"].value == pytest.approx(1.0, abs=0.02)
+
+
+def test_the_std_of_a_ratio_covers_its_error_and_is_what_geometry_is_told() -> None:
+    """Without a std the intervals of the geometry would hold the ratio for certain."""
+    one = settled(0.8)
+    truth = {f"{SOFT:g}": 1 / 0.8, f"{RIGHT:g}": 1.0}
+    for vehicle, ratio in one.ratios.items():
+        assert SYSTEMATIC_STD < ratio.std < 0.05
+        assert abs(ratio.value - truth[vehicle]) < 2.5 * ratio.std
+    told = findings(one, gauge_estimated=False).findings
+    assert told.stiffness_ratio_std == max(ratio.std for ratio in one.ratios.values())
+    assert told.stiffness_ratio == {vehicle: ratio.value for vehicle, ratio in one.ratios.items()}
+
+
+def test_an_adjusted_pass_is_that_of_the_vehicle_as_it_is() -> None:
+    """R of the assumed stiffness plus its elastic part in the right proportion is R of the true stiffness."""
+    soft, right = (list(believed(share)[: len(CONES)]) for share in (0.8, 1.0))
+    weights = smoother(PANEL.difference_cut_off, 0.25)
+    inner = slice(len(weights) // 2, -(len(weights) // 2))
+    for before, ours, true in zip(soft, adjusted(soft, {f"{SOFT:g}": Ratio(1 / 0.8)}), right, strict=True):
+        wrong, left = (
+            without_slow_part(item.difference - true.difference, weights)[inner].std() for item in (before, ours)
+        )
+        assert wrong > 0.05 * true.difference.std()
+        assert left < 0.05 * wrong
+
+
+def test_passes_of_vehicles_nothing_is_known_of_stay_as_they_are() -> None:
+    found = list(believed(0.8))
+    assert adjusted(found, {}) == found
+    plain = [replace(item, elastic=None) for item in found]
+    assert adjusted(plain, {f"{SOFT:g}": Ratio(1.25)}) == plain
