@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -15,13 +16,14 @@ from rich.table import Table
 from bench.report import BenchRow
 
 NAMES = ("contact", "estimation", "recursion", "decoding", "simulator")
+LONG = ("signals", "curves")  # of many minutes, run where they are named
 
 
 def main() -> int:
     """Run what was asked for, or all; return 1 when a row falls short."""
     if sys.argv[1:2] == ["section"]:
         return int(import_module("bench.section").main(sys.argv[2:]))
-    wanted = sys.argv[1:] or NAMES
+    wanted = _names() or NAMES
     console = Console()
     table = Table("what", "measured", "reach", "met", title="treadwatch bench", title_justify="left", show_lines=True)
     short = 0
@@ -33,6 +35,25 @@ def main() -> int:
             short += not row.met
     console.print(table)
     return 1 if short else 0
+
+
+def _names() -> list[str]:
+    parser = argparse.ArgumentParser("python -m bench", description="Print accuracy and speed beside what is wanted.")
+    parser.add_argument(
+        "name",
+        nargs="*",
+        type=_name,
+        metavar="name",
+        help=f"default: {', '.join(NAMES)}; of many minutes: {', '.join(LONG)}; 'section --help' tells of another",
+    )
+    names: list[str] = parser.parse_args().name
+    return names
+
+
+def _name(text: str) -> str:
+    if text not in (*NAMES, *LONG):
+        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join((*NAMES, *LONG))}")
+    return text
 
 
 if __name__ == "__main__":

@@ -68,15 +68,16 @@ def score(case: study.Case) -> Score:
             "contact_angle_sum": float(np.abs(truth).min()),
         }.get(name, float(truth.max() - truth.min()))
         errors[name] = error / scale
-    statuses = np.array(
-        [[s is BinStatus.CONTACT_JUMP for s in getattr(case.estimate, name).status] for name in COMBINATIONS]
-    )
-    published = np.array([np.isfinite(getattr(case.estimate, name).value) for name in COMBINATIONS])
+    jumps, published = np.zeros((2, len(COMBINATIONS), len(enough)), dtype=np.bool_)
+    for n, name in enumerate(COMBINATIONS):
+        combination = getattr(case.estimate, name)
+        jumps[n] = [status is BinStatus.CONTACT_JUMP for status in combination.status]
+        published[n] = np.isfinite(combination.value)
     return Score(
         errors,
         int(crossed.sum()),
-        int(statuses.all(axis=0)[crossed].sum()),
-        int(published.any(axis=0)[crossed].sum()),
+        int(jumps[:, crossed].all(axis=0).sum()),
+        int(published[:, crossed].any(axis=0).sum()),
     )
 
 
