@@ -42,7 +42,7 @@ def known(estimate: SectionEstimate) -> TrackAlignment:
 def error(alignment: TrackAlignment, shift: float = 0.0) -> float:
     """Return the std of the error of an alignment over that of the true one."""
     truth = track(1)
-    weights = smoother(PARAMETERS.cut_off, PARAMETERS.step)
+    weights = smoother(alignment.cut_off, PARAMETERS.step)
     true = without_slow_part(np.interp(alignment.s + shift, truth.s, truth.alignment), weights)
     seen = np.isfinite(alignment.alignment) & (alignment.s > 100) & (alignment.s < 1700)
     return float((alignment.alignment - true)[seen].std() / true[seen].std())
@@ -52,7 +52,7 @@ def test_positions_and_alignment_settle_together() -> None:
     found = first_version()
     assert found.report.status is Status.ESTIMATED
     assert found.report.converged
-    assert found.report.moved_m < SECTION.settled
+    assert found.report.moved_m < SECTION.settling.settled
     assert found.report.evidence == ()
     assert all(journey.used for journey in found.report.journeys)
     assert known(found).source == FLEET

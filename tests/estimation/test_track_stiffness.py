@@ -66,11 +66,12 @@ def test_an_adjusted_pass_is_that_of_the_vehicle_as_it_is() -> None:
     weights = smoother(PANEL.difference_cut_off, 0.25)
     inner = slice(len(weights) // 2, -(len(weights) // 2))
     for before, ours, true in zip(soft, adjusted(soft, {f"{SOFT:g}": Ratio(1 / 0.8)}), right, strict=True):
-        wrong, left = (
-            without_slow_part(item.difference - true.difference, weights)[inner].std() for item in (before, ours)
+        wrong, left, whole = (
+            without_slow_part(values, weights)[inner].std()
+            for values in (before.difference - true.difference, ours.difference - true.difference, true.difference)
         )
-        assert wrong > 0.05 * true.difference.std()
-        assert left < 0.05 * wrong
+        assert wrong > 0.08 * whole
+        assert left < 0.1 * wrong  # the long waves come by a gravity term fitted to the wrong R
 
 
 def test_passes_of_vehicles_nothing_is_known_of_stay_as_they_are() -> None:
