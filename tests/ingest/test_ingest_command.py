@@ -95,6 +95,24 @@ def test_a_live_bus_is_received_until_told_to_stop(deployment: SqlStorage, monke
     if problem:
         pytest.skip(problem)
     monkeypatch.setenv("TREADWATCH_WINDOW_LENGTH_S", "4")
+    for _ in range(3):
+        code, said, now_ns, sent = live()
+        if "SYNC comes every" not in said:
+            break  # else the machine was held up for seconds, frames were stamped when it went on: once more
+    assert code == 0, said
+    assert "0 dropped" in said
+    with deployment.read() as unit:
+        chunks = unit.chunks.overlapping(VEHICLE, now_ns - SECOND_NS // 2, now_ns + 60 * SECOND_NS)
+        windows = unit.windows.list("WS-1", now_ns - SECOND_NS // 2)
+    assert len(chunks) >= 3
+    assert sum(chunk.frames for chunk in chunks) == sent
+    # a machine that is held up for more than 100 ms stamps a TIME frame so late that its second is not believed
+    assert 1000 <= sum(chunk.counts["samples"] for chunk in chunks) <= 3000
+    assert windows
+
+
+def live() -> tuple[int, str, int, int]:
+    """Send six seconds to the command; return how it ended, what it said, when the run began, ns, frames sent."""
     command = [sys.executable, "-c", "from api.cli import main; main()", "ingest", "--interface", "udp_multicast"]
     command += ["--channel", GROUP, "--vehicle", VEHICLE, "--chunk-seconds", "2"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as listening:
@@ -102,24 +120,15 @@ def test_a_live_bus_is_received_until_told_to_stop(deployment: SqlStorage, monke
         watchdog = threading.Timer(60.0, listening.kill)
         watchdog.start()
         assert "listening to udp_multicast" in listening.stderr.readline()
-        now_ns = time.time_ns() // SECOND_NS * SECOND_NS
         with open_bus("udp_multicast", GROUP) as bus:
             time.sleep(0.3)
+            now_ns = time.time_ns() // SECOND_NS * SECOND_NS
             sent = send(bus, Run(seconds=6.0, start_ns=now_ns).frames())
         time.sleep(0.3)
         listening.send_signal(signal.SIGTERM)
         _, said = listening.communicate()
         watchdog.cancel()
-    assert listening.returncode == 0, said
-    assert "0 dropped" in said
-    with deployment.read() as unit:
-        chunks = unit.chunks.overlapping(VEHICLE, now_ns - 60 * SECOND_NS, now_ns + 60 * SECOND_NS)
-        counts = unit.windows.counts()
-    assert len(chunks) >= 3
-    assert sum(chunk.frames for chunk in chunks) == sent
-    # a machine that is held up for more than 100 ms stamps a TIME frame so late that its second is not believed
-    assert 1000 <= sum(chunk.counts["samples"] for chunk in chunks) <= 3000
-    assert counts["pending"] >= 2
+    return listening.returncode, said, now_ns, sent
 
 
 def test_migrations_are_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
