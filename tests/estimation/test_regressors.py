@@ -1,0 +1,133 @@
+"""What a motion knows of its vehicle and of the gauge goes into the equations where physics puts it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from smooth_wheelset import SmoothTable, ideal, run, track
+
+from estimation.arrays import FloatArray
+from estimation.geometry import ParameterUncertainty
+from estimation.motion import Motion
+from estimation.regressors import YAW_TARGETS, regression
+from estimation.types import Findings, Status, TrackAlignment
+from estimation.vehicle import VehicleParameters
+from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
+
+BELIEVED = VehicleParameters()
+STIFFER = 1.25  # times as stiff in yaw as believed
+
+
+@cache
+def stiff_run() -> WheelsetMotion:
+    """Return a run of a vehicle that is stiffer in yaw than its registry says."""
+    truth = replace(BELIEVED, yaw_stiffness=STIFFER * BELIEVED.yaw_stiffness)
+    return simulate_wheelset(truth, SmoothTable(0.12), track(1), np.full(40_000, 20.0), 10.0)
+
+
+def difference_left(motion: Motion, m: WheelsetMotion) -> float:
+    """Return the error of rL - rR by the yaw equation, contact angles given, over its std."""
+    equation = regression(motion, BELIEVED)
+    angles, c = equation.yaw.T
+    by_equation = (equation.yaw_targets[:, 0] - (m.contact_angle_left + m.contact_angle_right) * angles) / c
+    true = m.rolling_radius_left - m.rolling_radius_right
+    return float((by_equation - true).std() / true.std())
+
+
+def test_the_stiffness_ratio_learnt_of_a_vehicle_puts_its_radius_difference_right() -> None:
+    """The true equations made the motion; only the inertia, small beside the yaw spring, is scaled along."""
+    motion = ideal(stiff_run())
+    wrong = difference_left(motion, stiff_run())
+    right = difference_left(replace(motion, stiffness_ratio=STIFFER), stiff_run())
+    assert wrong > 0.05
+    assert right < 0.15 * wrong
+    assert difference_left(replace(motion, stiffness_ratio=1 / STIFFER), stiff_run()) > 1.5 * wrong
+
+
+def test_the_stiffness_ratio_goes_with_one_over_the_creep_coefficient() -> None:
+    """Softer creep and stiffer springs answer alike: the ratio means both."""
+    motion = ideal(run(20))
+    softer = replace(BELIEVED, longitudinal_creep_coefficient=BELIEVED.longitudinal_creep_coefficient / STIFFER)
+    ours, theirs = regression(replace(motion, stiffness_ratio=STIFFER), BELIEVED), regression(motion, softer)
+    for name in ("lateral", "lateral_targets", "yaw", "yaw_targets"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-12)
+
+
+def pushed(motion: Motion, addition: FloatArray) -> Motion:
+    """Return the motion with what ``addition`` to rL - rR, m, does to the yaw acceleration by Eq. 2."""
+    p = BELIEVED
+    moment = -(p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius) * addition
+    return replace(motion, yaw_acceleration=motion.yaw_acceleration + moment / p.yaw_inertia)
+
+
+def test_what_a_known_gauge_adds_is_taken_off() -> None:
+    motion = ideal(run(20))
+    addition = 0.2e-3 * np.sin(np.arange(len(motion)) / 300.0)
+    plain = regression(motion, BELIEVED)
+    known = regression(replace(pushed(motion, addition), gauge_effect=addition), BELIEVED)
+    unknown = regression(pushed(motion, addition), BELIEVED)
+    scale = np.abs(plain.yaw_targets[:, 0]).max()
+    np.testing.assert_allclose(known.yaw_targets[:, 0], plain.yaw_targets[:, 0], atol=1e-9 * scale)
+    assert np.abs(unknown.yaw_targets[:, 0] - plain.yaw_targets[:, 0]).max() > 0.01 * scale
+    np.testing.assert_array_equal(known.lateral_targets, plain.lateral_targets)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.2])
+def test_sensitivity_to_longitudinal_creep_is_the_derivative_of_the_radius_difference(ratio: float) -> None:
+    motion = replace(ideal(run(20)), stiffness_ratio=ratio)
+    base = regression(motion, BELIEVED)
+    step = 1e-6
+    changed = replace(BELIEVED, longitudinal_creep_coefficient=BELIEVED.longitudinal_creep_coefficient * (1 + step))
+    moved = regression(motion, changed)
+    value, other = (one.yaw_targets[:, 0] / one.yaw[:, 1] for one in (base, moved))
+    expected = base.yaw_targets[:, YAW_TARGETS.index("longitudinal_creep")] / base.yaw[:, 1]
+    np.testing.assert_allclose((other - value) / step, expected, rtol=1e-3, atol=1e-8)
+
+
+def track_of(std: float | None, scale_std: float = 0.0) -> TrackAlignment:
+    zero = np.zeros(2)
+    found = None if std is None else Findings({"V1": 1.1}, std, {})
+    return TrackAlignment(
+        "S",
+        1,
+        np.arange(2.0),
+        zero,
+        zero,
+        zero,
+        zero,
+        zero.astype(np.int64),
+        Status.ESTIMATED,
+        scale_std=scale_std,
+        findings=found,
+    )
+
+
+def test_a_geometry_is_as_sure_of_the_ratio_as_the_least_sure_of_its_alignments() -> None:
+    believed = ParameterUncertainty()
+    both = believed.on([track_of(0.01, 0.007), track_of(0.03, 0.002)])
+    assert (both.ratio, both.displacement) == (0.03, 0.007)
+    assert (both.creep, both.stiffness, both.mass) == (believed.creep, believed.stiffness, believed.mass)
+    for mixed in ([track_of(0.01), track_of(None)], [track_of(None)], []):
+        assert believed.on(mixed).ratio is None, "one that has taught nothing leaves all open"
+    assert believed.on([]) == believed
+
+
+def test_a_learnt_ratio_stands_for_creep_and_yaw_stiffness_in_the_yaw_equation_alone() -> None:
+    believed = ParameterUncertainty(creep=0.1, stiffness=0.05, mass=0.025)
+    learnt = believed.on([track_of(0.01)])
+    assert dict(zip(YAW_TARGETS[1:], believed.yaw(), strict=True)) == {
+        "longitudinal_creep": 0.1,
+        "yaw_stiffness": 0.05,
+        "yaw_inertia": 0.025,
+        "spin_creep": 0.1,
+    }
+    assert dict(zip(YAW_TARGETS[1:], learnt.yaw(), strict=True)) == {
+        "longitudinal_creep": 0.0,
+        "yaw_stiffness": 0.01,
+        "yaw_inertia": 0.025,
+        "spin_creep": 0.1,
+    }
+    np.testing.assert_array_equal(learnt.lateral(), believed.lateral())
