@@ -8,11 +8,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from estimation.arrays import FloatArray
 from estimation.ports import WheelsetRecord, WindowRecord
 from estimation.track.passes import Pass, gridded
 from estimation.track.screening import ScreeningParameters
 from estimation.track.section import SectionParameters
-from estimation.types import TrackAlignment
+from estimation.types import Findings, TrackAlignment
+
+SAME_GAUGE = 0.8  # correlation of two estimates of one gauge
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,18 +28,21 @@ class AlignmentSettings:
     most_wheelsets: int = 48  # of an epoch, each life of a profile and mileage interval one
     pass_step: float = 0.2  # m, grid on which passes are kept
     trusted_offset: float = 5.0  # m: positions on a recorded section are believed as far as this
-    same_share: float = 0.5  # of its std by which an alignment may differ and still be the same
-    same_least: float = 0.03e-3  # m, of a difference or a std that matters: the geometry cannot tell
+    same_share: float = 1.0  # of its std by which an alignment may differ and still be the same
+    same_least: float = 0.05e-3  # m, of a difference or a std that matters: the geometry cannot tell
+    same_stretch: float = 0.005  # by which an alignment may be a stretched one: that does not average out
     same_std: float = 0.7  # times the std before: more certain than that is another alignment
     same_scale: float = 0.01  # of a scale that is left open and that matters
     same_coverage: float = 0.02  # of the section that is known now and was not
+    same_ratio: float = 0.02  # of a vehicle's stiffness ratio, or its std where that is more
+    same_gauge: float = 0.3e-3  # m, rms: much less than moves a wheel to another part of its profile
 
 
 def material(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettings) -> bool:
     """Whether what was estimated with ``old`` should be estimated again with ``new``.
 
-    It should where ``new`` differs by more than a share of what ``old`` left unknown, is much more certain, reaches
-    further, or knows more of the section.
+    It should where ``new`` differs by more than ``old`` left unknown, is much more certain, reaches further, or knows
+    more of the section; and where it tells another stiffness ratio of a vehicle, or another gauge.
     """
     if old.source != new.source or old.cut_off != new.cut_off or old.gauge_known != new.gauge_known:
         return True
@@ -48,11 +54,59 @@ def material(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettin
     both = before & after
     if not both.any():
         return False
-    difference = np.sqrt(np.mean((new.alignment - old.alignment)[both] ** 2))
+    if _differs(old.findings, new.findings, settings):
+        return True
+    gauge = np.sqrt(np.mean((new.gauge_deviation - old.gauge_deviation)[both] ** 2))
     std, std_now = (np.sqrt(np.mean(one.alignment_std[both] ** 2)) for one in (old, new))
     more_certain = std > settings.same_least and std_now < settings.same_std * std
     scale_known = old.scale_std > settings.same_scale and new.scale_std < settings.same_std * old.scale_std
-    return bool(difference > max(settings.same_share * std, settings.same_least) or more_certain or scale_known)
+    return bool(
+        _moved(old.alignment[both], new.alignment[both], float(std), settings)
+        or gauge > settings.same_gauge
+        or more_certain
+        or scale_known
+    )
+
+
+def _moved(old: FloatArray, new: FloatArray, std: float, settings: AlignmentSettings) -> bool:
+    """Whether two alignments differ by more than averages out."""
+    difference = new - old
+    stretch = abs(float(difference @ old)) / max(float(old @ old), 1e-300)
+    far = float(np.sqrt(np.mean(difference**2))) > max(settings.same_share * std, settings.same_least)
+    return far or stretch > settings.same_stretch
+
+
+def _differs(old: Findings | None, new: Findings | None, settings: AlignmentSettings) -> bool:
+    """Whether two versions tell another stiffness ratio of any vehicle; one that is not told of is as assumed."""
+    if old is None or new is None:
+        return False
+    same = max(settings.same_ratio, old.stiffness_ratio_std)
+    vehicles = old.stiffness_ratio.keys() | new.stiffness_ratio.keys()
+    return any(abs(new.stiffness_ratio.get(one, 1.0) - old.stiffness_ratio.get(one, 1.0)) > same for one in vehicles)
+
+
+def with_findings_before(found: TrackAlignment, before: TrackAlignment | None) -> TrackAlignment:
+    """Return an alignment that also tells what was found of vehicles and wheelsets that this epoch has not met.
+
+    Their windows are estimated again with it as those of the others. What was told of wheels goes with the gauge under
+    them: it stays where the epoch has found that gauge again.
+    """
+    if before is None or before.findings is None or found.findings is None:
+        return found
+    old, new = before.findings, found.findings
+    wheels = dict(new.wheels)
+    if wheels and _alike(before.gauge_deviation, found.gauge_deviation):
+        wheels = {**old.wheels, **wheels}
+    missed = old.stiffness_ratio.keys() - new.stiffness_ratio.keys()
+    std = max(new.stiffness_ratio_std, old.stiffness_ratio_std) if missed else new.stiffness_ratio_std
+    ratios = {**old.stiffness_ratio, **new.stiffness_ratio}
+    return replace(found, findings=Findings(ratios, std, wheels))
+
+
+def _alike(first: FloatArray, second: FloatArray) -> bool:
+    """Whether two gauges are one, sign and all."""
+    powers = float(first @ first) * float(second @ second)
+    return powers > 0.0 and float(first @ second) > SAME_GAUGE * np.sqrt(powers)
 
 
 def life(wheelset: WheelsetRecord, record: WindowRecord, interval_km: float) -> str:

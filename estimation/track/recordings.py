@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.ports import TrackSectionRecord
-from estimation.track.epochs import AlignmentSettings
+from estimation.track.epochs import AlignmentSettings, with_findings_before
 from estimation.track.passes import Pass
 from estimation.track.recorded import judge_recorded
 from estimation.track.screening import PassOutcome, Screened, screen
@@ -65,10 +65,10 @@ def find(
         return _beside_recording(section.code, screened, in_force, parameters, judge=judge)
     evidence = in_force if in_force is not None and (recording or in_force.cut_off == parameters.reaches) else None
     estimate = estimate_section(section.code, screened.used, evidence, parameters)
-    made = estimate.alignment is not None
-    return Finding(
-        estimate, estimate.alignment if made else in_force, made=made, trusted=False, outcomes=screened.outcomes
-    )
+    if estimate.alignment is None:
+        return Finding(estimate, in_force, made=False, trusted=False, outcomes=screened.outcomes)
+    told = with_findings_before(estimate.alignment, in_force)
+    return Finding(estimate, told, made=True, trusted=False, outcomes=screened.outcomes)
 
 
 def _beside_recording(

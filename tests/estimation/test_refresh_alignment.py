@@ -24,8 +24,8 @@ from estimation.ports import (
     WheelsetRecord,
     WindowState,
 )
-from estimation.track.epochs import AlignmentSettings, material
-from estimation.types import FLEET, RECORDED, Status, TrackAlignment, Window
+from estimation.track.epochs import AlignmentSettings, material, with_findings_before
+from estimation.types import FLEET, RECORDED, Findings, Status, TrackAlignment, WheelFunctions, Window
 from estimation.window_table import NO_ALIGNMENT
 from fleet_db.models import TrackAlignmentRow
 from fleet_db.rows import table_of
@@ -294,11 +294,46 @@ def test_only_what_matters_is_another_alignment() -> None:
     )
     hole = np.where(np.arange(n) < 100, np.nan, d)
     assert not material(old, replace(old, version=2), settings)
-    assert not material(old, replace(old, alignment=d + 0.04e-3), settings)
-    assert material(old, replace(old, alignment=d + 0.06e-3), settings)
+    assert not material(old, replace(old, alignment=d + 0.08e-3), settings)
+    assert material(old, replace(old, alignment=d + 0.12e-3), settings)
+    assert not material(old, replace(old, alignment=1.004 * d), settings)
+    assert material(old, replace(old, alignment=1.006 * d), settings)  # does not average out
     assert material(old, replace(old, alignment_std=0.6 * std), settings)
     assert material(replace(old, alignment=hole), old, settings)
     assert material(old, replace(old, cut_off=np.inf), settings)
     assert material(replace(old, scale_std=0.03), replace(old, scale_std=0.01), settings)
     sure = replace(old, alignment_std=0.1 * std)
-    assert not material(sure, replace(sure, alignment=d + 0.02e-3, alignment_std=0.01 * std), settings)
+    assert not material(sure, replace(sure, alignment=d + 0.04e-3, alignment_std=0.01 * std), settings)
+    assert material(sure, replace(sure, alignment=d + 0.06e-3), settings)
+    wide = 1e-3 * rng.standard_normal(n)
+    assert material(old, replace(old, gauge_deviation=wide), settings)
+    assert not material(old, replace(old, gauge_deviation=0.1 * wide), settings)
+    told = replace(old, findings=Findings({"A": 0.96}, 0.01, {}))
+    assert not material(told, replace(old, findings=Findings({"A": 0.975}, 0.01, {})), settings)
+    assert material(told, replace(old, findings=Findings({"A": 0.99}, 0.01, {})), settings)
+    assert material(told, replace(old, findings=Findings({"B": 1.0}, 0.01, {})), settings)
+    doubtful = replace(old, findings=Findings({"A": 0.96}, 0.04, {}))
+    assert not material(doubtful, replace(old, findings=Findings({"A": 0.99}, 0.01, {})), settings)
+
+
+def test_what_was_found_of_those_who_stayed_away_is_kept() -> None:
+    n, rng = 500, np.random.default_rng(1)
+    zero, gauge = np.zeros(n), 1e-3 * rng.standard_normal(n)
+    wheel = WheelFunctions(np.linspace(-5e-3, 5e-3, 3), np.zeros(3), np.zeros(3))
+    base = TrackAlignment(
+        "S1", 1, np.arange(n) * 1.0, zero, zero, gauge, zero, np.full(n, 5), Status.ESTIMATED, FLEET
+    )  # fmt: skip
+    before = replace(base, findings=Findings({"A": 0.9, "B": 1.1}, 0.02, {"A1": wheel, "B1": wheel}))
+    again = replace(base, gauge_deviation=gauge + 0.3e-3 * rng.standard_normal(n))
+    epoch = Findings({"A": 0.95}, 0.01, {"A1": wheel})
+    kept = with_findings_before(replace(again, findings=epoch), before).findings
+    assert kept is not None
+    assert (kept.stiffness_ratio, kept.stiffness_ratio_std) == ({"A": 0.95, "B": 1.1}, 0.02)
+    assert set(kept.wheels) == {"A1", "B1"}
+    other = with_findings_before(replace(base, gauge_deviation=-gauge, findings=epoch), before).findings
+    assert other is not None
+    assert set(other.wheels) == {"A1"}  # the gauge under the others was another one
+    every = replace(epoch, stiffness_ratio={"A": 1.0, "B": 1.0})
+    found = replace(again, findings=every)
+    assert with_findings_before(found, before).findings == replace(every, wheels=kept.wheels)
+    assert with_findings_before(found, None) is found
