@@ -17,6 +17,7 @@ TOLD = {
     Told.NOTHING: "not known (d = 0)",
 }
 LEAST_ESTIMATED = 0.5  # share of the amplitudes that an estimator must estimate to win anything
+OF_USE = 0.05  # error, 95th percentile, beyond which the nearest is not near
 
 
 def titles() -> dict[str, str]:
@@ -27,12 +28,14 @@ def titles() -> dict[str, str]:
 def table(studies: Sequence[PairStudy]) -> Table:
     """Return who gets how near, for a terminal."""
     shown = Table(
-        "pair", "track", "estimator", "median", "95th", "cover", "given", "s",
-        title="Equivalent conicity: mean absolute error over 1-3 mm per wheelset, median and 95th percentile;\n"
-        "share of intervals that cover, of amplitudes that are given; seconds for all wheelsets",
+        "pair", "track", "estimator", "median", "95th", "nearest", "cover", "given", "s",
+        title="Equivalent conicity: mean absolute error over 1-3 mm per wheelset, median and 95th percentile; "
+        "for how many wheelsets it is the nearest; "
+        "share of 95 % intervals that cover, of amplitudes that are given; seconds for all wheelsets",
         title_justify="left",
     )  # fmt: skip
     for study in studies:
+        won = nearest(study)
         for score in study.scores:
             shown.add_row(
                 score.pair,
@@ -40,6 +43,7 @@ def table(studies: Sequence[PairStudy]) -> Table:
                 score.estimator,
                 _figure(score.median),
                 _figure(score.p95),
+                str(won[score.told, score.estimator]),
                 _share(score.coverage),
                 _share(score.estimated / score.amplitudes if score.amplitudes else math.nan),
                 f"{score.seconds:.1f}",
@@ -50,18 +54,35 @@ def table(studies: Sequence[PairStudy]) -> Table:
 
 def markdown(studies: Sequence[PairStudy]) -> str:
     """Return the same as a Markdown table."""
-    head = ("pair", "track", "estimator", "median", "95th percentile", "intervals that cover", "estimated", "seconds")
+    head = (
+        "pair", "track", "estimator", "median", "95th percentile", "nearest for", "intervals that cover", "estimated",
+        "seconds",
+    )  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * 3 + " ---: |" * (len(head) - 3)]
     named = titles()
     for study in studies:
+        won = nearest(study)
         for score in study.scores:
             estimated = score.estimated / score.amplitudes if score.amplitudes else math.nan
             cells = (
                 score.pair, TOLD[score.told], named[score.estimator], _figure(score.median), _figure(score.p95),
-                _share(score.coverage), _share(estimated), f"{score.seconds:.1f}",
+                str(won[score.told, score.estimator]), _share(score.coverage), _share(estimated),
+                f"{score.seconds:.1f}",
             )  # fmt: skip
             lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
+
+
+def nearest(study: PairStudy) -> dict[tuple[Told, str], int]:
+    """Return for how many wheelsets each estimator has the least error among those that were told the same."""
+    found = {(score.told, score.estimator): 0 for score in study.scores}
+    for told in Told:
+        scores = [score for score in study.scores if score.told is told]
+        for k in range(max((len(score.by_wheelset) for score in scores), default=0)):
+            errors = {score.estimator: score.by_wheelset[k] for score in scores if math.isfinite(score.by_wheelset[k])}
+            if errors:
+                found[told, min(errors, key=errors.__getitem__)] += 1
+    return found
 
 
 def words(studies: Sequence[PairStudy]) -> list[str]:
@@ -72,7 +93,7 @@ def words(studies: Sequence[PairStudy]) -> list[str]:
             if told in study.untold:
                 said.append(f"{study.pair}, track {TOLD[told]}: nothing can be told: {study.untold[told]}.")
                 continue
-            said.append(_winner(study.pair, told, [score for score in study.scores if score.told is told]))
+            said.append(_winner(study, told))
     return said
 
 
@@ -94,15 +115,19 @@ def as_json(studies: Sequence[PairStudy], scenario: str) -> dict[str, JsonValue]
     }
 
 
-def _winner(pair: str, told: Told, scores: Sequence[Score]) -> str:
-    named, where = titles(), f"{pair}, track {TOLD[told]}"
+def _winner(study: PairStudy, told: Told) -> str:
+    named, won, where = titles(), nearest(study), f"{study.pair}, track {TOLD[told]}"
+    scores = [score for score in study.scores if score.told is told]
     fit = [score for score in scores if score.errors and score.estimated >= LEAST_ESTIMATED * score.amplitudes]
     if not fit:
         return f"{where}: no estimator estimates half of the amplitudes."
     order = sorted(fit, key=lambda score: score.p95)
     best = order[0]
-    product = next((score for score in fit if score.estimator == PRODUCT), None)
     figures = f"95th percentile {best.p95:.4f}, median {best.median:.4f}"
+    if best.p95 > OF_USE:
+        return f"{where}: nobody comes near; the least wrong are {named[best.estimator]} ({figures})."
+    figures += f", nearest for {won[told, best.estimator]} of {best.wheelsets} wheelsets"
+    product = next((score for score in fit if score.estimator == PRODUCT), None)
     if best is product:
         if len(order) == 1:
             return f"{where}: {named[PRODUCT]} alone estimates half of the amplitudes ({figures})."
@@ -127,7 +152,7 @@ def _score(score: Score) -> dict[str, JsonValue]:
         "estimated": score.estimated,
         "wheelsets": score.wheelsets,
         "seconds": round(score.seconds, 3),
-        "errors": [round(error, 6) for error in score.errors],
+        "errors": [_number(error) for error in score.by_wheelset],
     }
 
 

@@ -38,12 +38,17 @@ class Score:
     pair: str
     told: Told
     estimator: str
-    errors: tuple[float, ...]  # per wheelset with any estimate: mean absolute error over the amplitudes estimated
+    by_wheelset: tuple[float, ...]  # mean absolute error over the amplitudes estimated, NaN without any
     wheelsets: int
     amplitudes: int  # asked for, over all wheelsets
     estimated: int  # of these
     covered: int  # of the estimated: the interval holds the truth
     seconds: float  # of init, update and result, all wheelsets
+
+    @property
+    def errors(self) -> tuple[float, ...]:
+        """Errors of the wheelsets with any estimate."""
+        return tuple(error for error in self.by_wheelset if np.isfinite(error))
 
     @property
     def median(self) -> float:
@@ -170,8 +175,7 @@ class _Tally:
         self._amplitudes += len(truth.amplitude)
         self._estimated += len(compared)
         self._covered += sum(inside for _, inside in compared)
-        if compared:
-            self._errors.append(float(np.mean([abs(error) for error, _ in compared])))
+        self._errors.append(float(np.mean([abs(error) for error, _ in compared])) if compared else float("nan"))
         return found
 
     def score(self, pair: str, told: Told, estimator: str) -> Score:
@@ -180,7 +184,7 @@ class _Tally:
             pair=pair,
             told=told,
             estimator=estimator,
-            errors=tuple(self._errors),
+            by_wheelset=tuple(self._errors),
             wheelsets=self._wheelsets,
             amplitudes=self._amplitudes,
             estimated=self._estimated,

@@ -31,10 +31,11 @@ def save_comparison(studies: Sequence[PairStudy], path: Path) -> None:
     for column, study in enumerate(studies):
         _conicity(grid[0, column], study)
         _errors(grid[1, column], study)
-    for row in grid:
-        top = max(axes.get_ylim()[1] for axes in row)
-        for axes in row:
-            axes.set_ylim(0.0, top)
+    top = max(axes.get_ylim()[1] for axes in grid[0])
+    ends = [axes.get_ylim() for axes in grid[1]]
+    for above, below in grid.T:
+        above.set_ylim(0.0, top)
+        below.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
     handles, names = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=3, frameon=False)
     figure.savefig(path, dpi=110)
@@ -73,7 +74,7 @@ def _arrays(found: CurveEstimate) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _errors(axes: Axes, study: PairStudy) -> None:
-    """Every wheelset's error as a dot, the median as a bar, by what was told of the track."""
+    """Every wheelset's error as a dot, the median as a bar, by what was told of the track; on a scale of ratios."""
     tolds = [told for told in Told if told not in study.untold]
     names = list(titles())
     rng = np.random.default_rng(0)
@@ -83,7 +84,12 @@ def _errors(axes: Axes, study: PairStudy) -> None:
             x = place + 0.2 * (order - 0.5 * (len(names) - 1))
             beside = x + rng.uniform(-0.05, 0.05, len(score.errors))
             axes.plot(beside, score.errors, MARKERS[name], color=COLOURS[name], markersize=3.5, alpha=0.55)
-            axes.hlines(score.median, x - 0.09, x + 0.09, color=COLOURS[name], linewidth=2.5)
+            if score.errors:
+                axes.hlines(score.median, x - 0.09, x + 0.09, color=COLOURS[name], linewidth=2.5)
     axes.set_xticks(range(len(tolds)), [f"track {TOLD[told]}" for told in tolds])
-    axes.set_ylabel("mean error over 1-3 mm; bar: median")
+    axes.set_yscale("log")
+    ticks = [1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.2, 0.5]
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.minorticks_off()
+    axes.set_ylabel("mean error over 1-3 mm, a dot a wheelset; bar: median")
     axes.grid(axis="y", alpha=0.3)

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli import build
-from api.comparison.report import as_json, words
+from api.comparison.report import as_json, nearest, words
 from api.comparison.study import Example, PairStudy, Score, Told, against_truth
 from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import PRODUCT, estimators
@@ -73,17 +73,31 @@ def paired(scores: tuple[Score, ...], untold: dict[Told, str] | None = None) -> 
 
 
 def test_a_baseline_that_wins_is_named() -> None:
-    near, far = (0.01, 0.02), (0.03, 0.05)
+    near, far = (0.01, 0.02), (0.015, 0.05)
     scores = tuple(score(name, Told.KNOWN, near if name == "cubic" else far) for name in NAMES)
     scores += tuple(score(name, Told.FLEET, near if name == PRODUCT else far) for name in NAMES)
     scores += tuple(score(name, Told.NOTHING, (), 0) for name in NAMES)
     known, fleet, nothing = words([paired(scores)])
     assert known.startswith("P8/113A, track known: a baseline wins, piecewise cubic least squares")
     assert "0.0195" in known
-    assert "locally linear bins reach 0.0490" in known
+    assert "locally linear bins reach 0.0483" in known
     assert "locally linear bins win" in fleet
-    assert "follows with 0.0490" in fleet
+    assert "follows with 0.0483" in fleet
+    assert "nearest for 2 of 2 wheelsets" in fleet
     assert "no estimator estimates half of the amplitudes" in nothing
+
+
+def test_where_nobody_comes_near_nobody_wins() -> None:
+    scores = tuple(score(name, Told.NOTHING, (0.12, 0.1 if name == PRODUCT else 0.2)) for name in NAMES)
+    (said,) = words([paired(scores, {Told.KNOWN: "x", Told.FLEET: "y"})])[2:]
+    assert "nobody comes near; the least wrong are locally linear bins" in said
+    assert "win" not in said
+
+
+def test_each_wheelset_has_one_who_is_nearest() -> None:
+    errors = {"bins": (0.01, 0.03), "linear": (0.02, np.nan), "paper": (np.nan, 0.02), "cubic": (np.nan, np.nan)}
+    found = nearest(paired(tuple(score(name, Told.KNOWN, values) for name, values in errors.items())))
+    assert found == {(Told.KNOWN, name): number for name, number in zip(errors, (1, 0, 1, 0), strict=True)}
 
 
 def test_who_estimates_next_to_nothing_does_not_win() -> None:
