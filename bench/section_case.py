@@ -15,7 +15,6 @@ from bench.section_alignment import AlignmentScore, alignment_score
 from estimation import bins, geometry
 from estimation.arrays import FloatArray
 from estimation.estimators.tracks import TrackKnowledge, fleet_knowledge, section_passes
-from estimation.geometry import ParameterUncertainty
 from estimation.settings import EstimationSettings
 from estimation.signals import Refusal
 from estimation.track.epochs import AlignmentSettings
@@ -122,7 +121,7 @@ def _geometry(
         table = tabulate_window(window, knowledge.track, settings, correction)
         if not isinstance(table, Refusal):
             tables.append(table)
-    assumed = settings.geometry.uncertainty if run.scenario.errors_drawn else ParameterUncertainty(0.0, 0.0, 0.0)
+    assumed = settings.geometry.uncertainty if run.scenario.errors_drawn else replace(settings.geometry.uncertainty, ratio=0.0)
     shape = replace(settings.geometry, uncertainty=assumed.on([knowledge.track]))
     return geometry.estimate(bins.merge_all(tables, settings.bins), settings.bins, shape)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from estimation.arrays import BoolArray, FloatArray, IntArray, frozen_array
 
-NOT_SIGNALS = frozenset({"valid", "block", "band_limited", "stiffness_ratio", "gauge_effect"})
+NOT_SIGNALS = frozenset({"valid", "block", "band_limited", "stiffness_ratio"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class Motion:
     where a sample belongs to none.
 
     ``stiffness_ratio`` is the vehicle's yaw stiffness over creep coefficient, of the assumed one, where that has been
-    learnt; ``gauge_effect`` what the gauge deviation adds to rL - rR, where that is known.
+    learnt. Where it is known what the gauge does, ``displacement`` is that at nominal gauge.
     """
 
     speed: FloatArray  # (n,) V, m/s
@@ -39,7 +39,6 @@ class Motion:
     block: IntArray  # (n,)
     band_limited: bool
     stiffness_ratio: float = 1.0
-    gauge_effect: FloatArray | None = None  # (n,) m
 
     def __post_init__(self) -> None:
         n = len(self.valid)
@@ -49,8 +48,6 @@ class Motion:
                 object.__setattr__(self, item.name, array)
         object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
         object.__setattr__(self, "block", frozen_array(self.block, (n,), np.int64, name="block"))
-        if self.gauge_effect is not None:
-            object.__setattr__(self, "gauge_effect", frozen_array(self.gauge_effect, (n,), name="gauge_effect"))
 
     def __len__(self) -> int:
         return len(self.valid)

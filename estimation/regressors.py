@@ -37,7 +37,7 @@ class Regression:
 def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
     """Return regressors and targets of Eq. 1 and Eq. 2 for every sample of ``motion``.
 
-    What is known of the vehicle's stiffness ratio and of the gauge is taken into account.
+    What is known of the vehicle's stiffness ratio is taken into account.
     """
     f11 = parameters.longitudinal_creep_coefficient / motion.stiffness_ratio
     p = replace(parameters, longitudinal_creep_coefficient=f11)
@@ -63,10 +63,9 @@ def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
     gyroscopic = (p.pitch_inertia * V / r0) * motion.roll_rate
     z2 = yaw_inertia + gyroscopic + creep + 2 * f33 * dψ / V + yaw_spring + p.yaw_damping * dψ + yaw_spin
     c = np.full(len(motion), -l * f11 / r0)
-    at_nominal_gauge = z2 if motion.gauge_effect is None else z2 - c * motion.gauge_effect
     return Regression(
         np.column_stack([x1, x2]),
         np.column_stack([z1, (2 * f22 / V) * rolling_slip, spin, inertia, weight, spring, damper]),
         np.column_stack([(l * p.load / 2) * ψ, c]),
-        np.column_stack([at_nominal_gauge, creep - at_nominal_gauge, yaw_spring, yaw_inertia, yaw_spin]),
+        np.column_stack([z2, creep - z2, yaw_spring, yaw_inertia, yaw_spin]),
     )

@@ -74,7 +74,11 @@ class Refusal:
 
 
 def motion(
-    window: Window, track: TrackAlignment, parameters: SignalParameters, layout: TrackLayout | None = None
+    window: Window,
+    track: TrackAlignment,
+    parameters: SignalParameters,
+    layout: TrackLayout | None = None,
+    gauge_shift: FloatArray | None = None,
 ) -> Motion | Refusal:
     """Return the band-limited motion of ``window`` relative to ``track``, or why it cannot be had.
 
@@ -89,9 +93,13 @@ def motion(
         Cut-off wavelength and gates.
     layout
         Curves of the section, which are passed over; None where none is on file.
+    gauge_shift
+        (n,) m, by how much the gauge moves the wheelset, NaN where that cannot be said; None where it is not known.
     """
     longest = min(parameters.longest_wavelength, track.cut_off)
     d = _alignment_at(window.distance, track, longest)
+    if gauge_shift is not None:
+        d += gauge_shift  # it runs as it would at nominal gauge on a track that is aligned so
     limits = parameters.curve_limits
     usable = usable_samples(window, np.isfinite(d), layout, parameters.least_speed_m_s, limits)
     refusal = _unusable(window, usable, layout, parameters)
@@ -106,8 +114,8 @@ def motion(
     seconds = window.start_ns / NANOSECONDS + np.arange(len(valid)) * dt
     block = np.floor(seconds / parameters.block_s).astype(np.int64)
     signals["speed"] = np.where(window.speed > 0, window.speed, np.nan)
-    ratio, effect = _found(window, track, signals["displacement"])
-    return Motion(**signals, valid=valid, block=block, band_limited=True, stiffness_ratio=ratio, gauge_effect=effect)
+    ratio = 1.0 if track.findings is None else track.findings.stiffness_ratio.get(window.vehicle, 1.0)
+    return Motion(**signals, valid=valid, block=block, band_limited=True, stiffness_ratio=ratio)
 
 
 def _unusable(
@@ -144,19 +152,6 @@ def _filtered(
         for first, behind in modelled_gaps(known, parameters.bridged_samples):
             valid[max(start + first - margin, 0) : start + behind + margin] = False
     return signals, valid
-
-
-def _found(window: Window, track: TrackAlignment, displacement: FloatArray) -> tuple[float, FloatArray | None]:
-    """Return what the section's passes say of this vehicle's stiffness, and of the gauge under this wheelset."""
-    if track.findings is None:
-        return 1.0, None
-    ratio = track.findings.stiffness_ratio.get(window.vehicle, 1.0)
-    wheels = track.findings.wheels.get(window.wheelset)
-    if wheels is None:
-        return ratio, None
-    e = np.interp(window.distance, track.s, track.gauge_deviation)
-    x, known = displacement, np.isfinite(displacement) & np.isfinite(e)
-    return ratio, np.where(known, wheels.gauge_effect(np.where(known, x, 0.0), np.where(known, e, 0.0)), 0.0)
 
 
 _INTEGRATED = (

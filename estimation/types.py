@@ -155,30 +155,38 @@ ACCELERATIONS = ("lateral_acceleration", "yaw_acceleration", "roll_acceleration"
 
 
 @dataclass(frozen=True, slots=True)
-class WheelFunctions:
-    """Radius of each wheel against its own lateral position, positive towards the flange, up to a constant.
+class GaugeShift:
+    """Where a gauge deviation puts a wheelset: y - d at a rolling radius difference and a gauge deviation, m.
 
-    With x = y - d and the gauge deviation e, rL - rR = left(x - e/2) - right(-x - e/2); linear between knots.
+    Told as the shift against nominal gauge at the same rolling radius difference: that is measured well, and contact
+    jumps, which move over y - d with the gauge, are steps of it. Linear between the grids, flat beyond them.
     """
 
-    knots: FloatArray  # (k,) m, increasing
-    left: FloatArray  # (k,) m
-    right: FloatArray  # (k,) m
+    difference: FloatArray  # (r,) rL - rR, m, uniform, increasing
+    gauge: FloatArray  # (e,) m, uniform, increasing
+    shift: FloatArray  # (r, e) m
 
     def __post_init__(self) -> None:
-        for name in ("knots", "left", "right"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (len(self.knots),), name=name))
+        for name in ("difference", "gauge"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (len(getattr(self, name)),), name=name))
+        shape = (len(self.difference), len(self.gauge))
+        object.__setattr__(self, "shift", frozen_array(self.shift, shape, name="shift"))
 
-    def difference(self, displacement: FloatArray, gauge_deviation: FloatArray) -> FloatArray:
-        """Return rL - rR (n,), m, at y - d (n,) and gauge deviation (n,), m."""
-        half = 0.5 * gauge_deviation
-        left = np.interp(displacement - half, self.knots, self.left)
-        return np.asarray(left - np.interp(-displacement - half, self.knots, self.right))
+    def at(self, difference: FloatArray, gauge_deviation: FloatArray) -> FloatArray:
+        """Return the shift (n,), m, at rL - rR (n,) and gauge deviation (n,), m."""
+        i, u = _cells(difference, self.difference)
+        j, v = _cells(gauge_deviation, self.gauge)
+        table = self.shift
+        low = (1.0 - v) * table[i, j] + v * table[i, j + 1]
+        high = (1.0 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
+        return np.asarray((1.0 - u) * low + u * high)
 
-    def gauge_effect(self, displacement: FloatArray, gauge_deviation: FloatArray) -> FloatArray:
-        """Return by how much rL - rR (n,), m, differs from that at nominal gauge."""
-        nominal = self.difference(displacement, np.zeros_like(displacement))
-        return np.asarray(self.difference(displacement, gauge_deviation) - nominal)
+
+def _cells(values: FloatArray, grid: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the cell (n,) of a uniform grid in which each value lies, and where in it, 0 to 1."""
+    position = np.clip((values - grid[0]) / (grid[1] - grid[0]), 0.0, len(grid) - 1.0)
+    cell = np.minimum(position.astype(np.int64), len(grid) - 2)
+    return cell, np.asarray(position - cell)
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +195,7 @@ class Findings:
 
     stiffness_ratio: Mapping[str, float]  # by vehicle: true yaw stiffness over creep coefficient, of the assumed one
     stiffness_ratio_std: float  # largest of them
-    wheels: Mapping[str, WheelFunctions]  # by wheelset, where gauge varies
+    gauge_shifts: Mapping[str, GaugeShift]  # by wheelset, where gauge varies
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from estimation import bins
+from estimation.gauge_shift import gauge_shift
 from estimation.settings import EstimationSettings
 from estimation.signals import Refusal, motion
 from estimation.track.positions import Correction
@@ -63,7 +64,8 @@ def tabulate_window(
     window, track = as_the_wheelset_sees(window, track, direction(window), mounted_reversed=mounted_reversed)
     if correction is not None:
         window = replace(window, distance=correction.at(window.distance))
-    moved = motion(window, track, settings.signals, layout)
+    shift = gauge_shift(window, track, settings.vehicle, settings.signals)
+    moved = motion(window, track, settings.signals, layout, shift)
     if isinstance(moved, Refusal):
         return moved
     table = bins.tabulate(moved, settings.bins)

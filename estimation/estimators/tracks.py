@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimation.gauge_shift import gauge_shift
 from estimation.motion import Motion
 from estimation.settings import EstimationSettings
 from estimation.signals import Refusal, motion
@@ -94,6 +95,9 @@ def motions(windows: Iterable[Window], knowledge: TrackKnowledge, settings: Esti
     """Yield the motion of every window relative to the track, as far as it is known; refused windows are left out."""
     for window in windows:
         placed = knowledge.placed(window)
-        moved = None if placed is None else motion(placed, knowledge.track, settings.signals)
-        if moved is not None and not isinstance(moved, Refusal):
+        if placed is None:
+            continue
+        shift = gauge_shift(placed, knowledge.track, settings.vehicle, settings.signals)
+        moved = motion(placed, knowledge.track, settings.signals, gauge_shift=shift)
+        if not isinstance(moved, Refusal):
             yield moved

@@ -88,19 +88,19 @@ def _differs(old: Findings | None, new: Findings | None, settings: AlignmentSett
 def with_findings_before(found: TrackAlignment, before: TrackAlignment | None) -> TrackAlignment:
     """Return an alignment that also tells what was found of vehicles and wheelsets that this epoch has not met.
 
-    Their windows are estimated again with it as those of the others. What was told of wheels goes with the gauge under
-    them: it stays where the epoch has found that gauge again.
+    Their windows are estimated again with it as those of the others. What was told of shifts goes with the gauge that
+    makes them: it stays where the epoch has found that gauge again.
     """
     if before is None or before.findings is None or found.findings is None:
         return found
     old, new = before.findings, found.findings
-    wheels = dict(new.wheels)
-    if wheels and _alike(before.gauge_deviation, found.gauge_deviation):
-        wheels = {**old.wheels, **wheels}
+    shifts = dict(new.gauge_shifts)
+    if shifts and _alike(before.gauge_deviation, found.gauge_deviation):
+        shifts = {**old.gauge_shifts, **shifts}
     missed = old.stiffness_ratio.keys() - new.stiffness_ratio.keys()
     std = max(new.stiffness_ratio_std, old.stiffness_ratio_std) if missed else new.stiffness_ratio_std
     ratios = {**old.stiffness_ratio, **new.stiffness_ratio}
-    return replace(found, findings=Findings(ratios, std, wheels))
+    return replace(found, findings=Findings(ratios, std, shifts))
 
 
 def _alike(first: FloatArray, second: FloatArray) -> bool:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.arrays import FloatArray
 from estimation.track.settling import Settled
-from estimation.track.wheel_functions import fitted, gauge_factor, places
-from estimation.types import Findings
+from estimation.track.wheel_functions import gauge_sign, places, whole_shifts
+from estimation.types import Findings, GaugeShift
 
 LIFE = "#"  # after a wheelset's serial, then the number of its profile and that of its mileage interval
-UNKNOWN_SHARE = 0.6  # of its own std that an estimated gauge deviation may be off by
+UNKNOWN_SHARE = 0.3  # of its own std that an estimated gauge deviation may be off by
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,15 +32,20 @@ def findings(settled: Settled, *, gauge_estimated: bool) -> Told:
     if gauge is None:
         return Told(Findings(ratios, std, {}), None, None)
     panel = settled.panel
-    seen = places(settled.passes, settled.solution, settled.solution.alignment, panel)
-    factor = gauge_factor(seen) if gauge_estimated else 1.0
-    lives = fitted(seen, factor)
-    wheels = {_life(name)[0]: lives[name] for name in sorted(lives, key=_life)}  # of several lives the latest
-    found = Findings(ratios, std, wheels)
+    shifts = whole_shifts(settled.solution, panel)
+    sign = gauge_sign(places(settled.passes, settled.solution, panel)) if gauge_estimated else 1
+    if sign < 0:
+        shifts = {name: _turned(one) for name, one in shifts.items()}
+    latest = {_life(name)[0]: shifts[name] for name in sorted(shifts, key=_life)}  # of several lives the latest
+    found = Findings(ratios, std, latest)
     if not gauge_estimated:
         return Told(found, None, None)
-    sized = factor * gauge
-    return Told(found, sized, np.full(len(sized), UNKNOWN_SHARE * float(sized.std())))
+    return Told(found, sign * gauge, np.full(len(gauge), UNKNOWN_SHARE * float(gauge.std())))
+
+
+def _turned(shift: GaugeShift) -> GaugeShift:
+    """Return what a gauge of the other sign does; the grid is symmetric."""
+    return replace(shift, shift=shift.shift[:, ::-1])
 
 
 def _life(name: str) -> tuple[str, tuple[int, ...]]:

@@ -5,8 +5,9 @@ Over R, unlike over y - d, this is smooth: contact jumps are steps of R and flat
 the small change of e, and for given e it is linear in h: the two are solved in turn, each exactly, d eliminated. One
 place is seen by all passes, so 48 passes tell d and e apart where two would not.
 
-h1 and e have a common factor that this leaves open, with its sign; the wheels' own functions fix it
-(estimation.track.wheel_functions).
+That needs h1 beforehand (estimation.track.gauge_shapes), and ends near where it starts; a search goes on from there
+(estimation.track.gauge_search). h1 and e have a common factor that this leaves open, with its sign; the wheels' own
+functions fix it (estimation.track.wheel_functions).
 """
 
 from __future__ import annotations
@@ -46,12 +47,11 @@ class _Seen:
     slope: FloatArray  # (m,) dh/de
 
 
-def first_guess(solution: PanelSolution, panel: PanelParameters) -> PanelSolution:
-    """Return a solution without gauge with h1 put in: half the gauge deviation, outwards on either side of R = 0."""
-    h0 = solution.curves[:, :, : panel.hats]
-    coarse = np.stack([[np.interp(panel.gauge_knots, panel.knots, curve) for curve in copy] for copy in h0])
-    h1 = 0.35 * panel.gauge_unit * np.tanh(coarse / 1e-3)
-    return replace(solution, curves=np.concatenate([h0, h1, 0 * h1, solution.curves[:, :, -1:]], axis=2))
+def with_effect(solution: PanelSolution, effect: FloatArray, panel: PanelParameters) -> PanelSolution:
+    """Return a solution without gauge with h1 (w, gauge_hats), m for ``panel.gauge_unit`` of gauge, put in."""
+    h0, elastic = solution.curves[:, :, : panel.hats], solution.curves[:, :, -1:]
+    h1 = np.broadcast_to(effect, (len(h0), *effect.shape))
+    return replace(solution, curves=np.concatenate([h0, h1, np.zeros_like(h1), elastic], axis=2))
 
 
 def gauge_step(

@@ -13,6 +13,7 @@ times its square, h(R, e) = h0(R) + e h1(R) + e^2 h2(R), because gauge moves eac
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from estimation.arrays import BoolArray, FloatArray, IntArray
 from estimation.errors import ParameterError
 from estimation.track.local_filter import smoother, trusted, without_slow_part
 from estimation.track.passes import Pass, gridded
+from estimation.types import GaugeShift
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +34,12 @@ class PanelParameters:
     length: float = 12_000.0  # m of the section
     cut_off: float = 30.0  # m
     difference_cut_off: float = 120.0  # m, of R before h is applied to it: h is not linear, so R must be whole
-    reach: float = 4.0e-3  # m of R that the hat functions span, both ways; further out is flange contact, and h flat
+    reach: float = 5.0e-3  # m of R that the hat functions span, both ways; further out is flange contact, and h flat
+    impact: float = 6.0e-3  # m of R; beyond lie flange impacts, hunting and clipped sensors: what is near is left out
     hats: int = 41
     gauge: FloatArray | None = field(default=None, compare=False)  # (points,) m, deviation; None: none is modelled
     gauge_hats: int = 15
+    shifts: Mapping[str, GaugeShift] | None = field(default=None, compare=False)  # of wheelsets, as far as known
     gauge_unit: float = 2e-3  # m
     groups: int = 12  # of the jackknife, dealt along the section
     block: float = 250.0  # m
@@ -43,7 +47,7 @@ class PanelParameters:
     least_passes: int = 3  # at a place
 
     def __post_init__(self) -> None:
-        for name in ("step", "length", "cut_off", "difference_cut_off", "reach", "block", "gauge_unit"):
+        for name in ("step", "length", "cut_off", "difference_cut_off", "reach", "impact", "block", "gauge_unit"):
             if not getattr(self, name) > 0:
                 raise ParameterError(f"{getattr(self, name)!r} is not positive", field=name)
 
@@ -196,13 +200,14 @@ def unexplained(item: Pass, curve: FloatArray, parameters: PanelParameters) -> t
 
 @dataclass(frozen=True, slots=True)
 class OnGrid:
-    """A pass on the grid of the section; ``inside`` where both filters see enough of it."""
+    """A pass on the grid of the section; ``inside`` where both filters see enough of it, and no impact."""
 
     points: IntArray  # (m,)
-    displacement: FloatArray  # (m,) y, m, slow part meaningless
+    displacement: FloatArray  # (m,) y, m, without ``shift``, slow part meaningless
+    shift: FloatArray  # (m,) m, what is known beforehand of what the gauge does to y
     difference: FloatArray  # (m,) R, m, without what is longer than ``difference_cut_off``
     elastic: FloatArray  # (m,) m
-    certain: BoolArray  # (m,) where R is
+    certain: BoolArray  # (m,) where R is, and no impact
     inside: BoolArray  # (m,)
 
 
@@ -214,15 +219,25 @@ def on_grid(item: Pass, parameters: PanelParameters) -> OnGrid | None:
         return None
     long = smoother(parameters.difference_cut_off, parameters.step)
     certain = trusted(np.ones(len(points), dtype=np.bool_), long)
-    inside = trusted(certain, smoother(parameters.cut_off, parameters.step))
-    inside &= (points >= 0) & (points < parameters.points)
-    if not inside.any():
-        return None
     elastic = (
         np.zeros(len(points)) if item.elastic is None else np.interp(points * parameters.step, item.at, item.elastic)
     )
     R, E = without_slow_part(np.stack([difference, elastic]), long)
-    return OnGrid(points, displacement, np.where(certain, R, 0.0), np.where(certain, E, 0.0), certain, inside)
+    certain &= np.abs(R) <= parameters.impact
+    inside = trusted(certain, smoother(parameters.cut_off, parameters.step))
+    inside &= (points >= 0) & (points < parameters.points)
+    if not inside.any():
+        return None
+    R, E = np.where(certain, R, 0.0), np.where(certain, E, 0.0)
+    shift = _shift(item, points, R, parameters)
+    return OnGrid(points, displacement - shift, shift, R, E, certain, inside)
+
+
+def _shift(item: Pass, points: IntArray, R: FloatArray, parameters: PanelParameters) -> FloatArray:
+    known = None if parameters.shifts is None else parameters.shifts.get(item.wheelset)
+    if known is None:
+        return np.zeros(len(points))
+    return item.side * known.at(R, gauge_at(points, parameters))
 
 
 def columns(felt: OnGrid, parameters: PanelParameters) -> FloatArray:

@@ -78,7 +78,7 @@ def passes(
         steps = np.diff(at)
         direction = 1 if steps.min() > 0 else -1 if steps.max() < 0 else 0
         if direction:
-            felt = _felt(window, known, part, vehicle, np.asarray(direction * at))
+            felt = felt_along(window, known, part, vehicle, np.asarray(direction * at))
             found += _placed(window, felt, vehicle, direction, -1 if mounted_reversed else 1)
     return found
 
@@ -151,8 +151,22 @@ def _placed(window: Window, felt: Felt, vehicle: VehicleParameters, direction: i
     ]
 
 
-def _felt(window: Window, known: BoolArray, part: slice, p: VehicleParameters, run: FloatArray) -> Felt:
-    """Return y, the measured R (Eq. 2 solved for rL - rR with S = 2 r0, the contact angle terms left out) and psi."""
+def felt_along(window: Window, known: BoolArray, part: slice, p: VehicleParameters, run: FloatArray) -> Felt:
+    """Return y, the measured R (Eq. 2 solved for rL - rR with S = 2 r0, the contact angle terms left out) and psi.
+
+    Parameters
+    ----------
+    window
+        Measured accelerations and speed.
+    known
+        (m,) which samples of the stretch are usable.
+    part
+        The stretch.
+    p
+        Parameters of Eq. 1 and Eq. 2.
+    run
+        (m,) m, increasing.
+    """
     accelerations, rates, displacements = running_integrals(window, known, part)
     V = np.interp(np.arange(len(known)), np.flatnonzero(known), window.speed[part][known])
     y, ψ, φ = displacements[:3]

@@ -9,7 +9,9 @@ import numpy as np
 
 from estimation.arrays import FloatArray
 from estimation.track.evidence import Evidence, with_evidence
-from estimation.track.gauge import FEWEST_PASSES, GaugePrior, first_guess, gauge_step
+from estimation.track.gauge import FEWEST_PASSES, GaugePrior, gauge_step, with_effect
+from estimation.track.gauge_search import SearchParameters, searched
+from estimation.track.gauge_shapes import effect_from_residuals
 from estimation.track.panel import PanelParameters, PanelState, init, update
 from estimation.track.passes import Pass
 from estimation.track.positions import (
@@ -22,8 +24,9 @@ from estimation.track.positions import (
     moved_along,
     refine,
 )
-from estimation.track.solution import PanelSolution, result
+from estimation.track.solution import PanelSolution, residual_of_passes, result
 from estimation.track.stiffness import Ratio, adjusted, certain, refined
+from estimation.track.wheel_functions import fit, gauge_factor, places, shift_of, whole_shifts, without_common
 
 Grouped = Mapping[Journey, Sequence[Pass]]
 
@@ -38,8 +41,10 @@ class SettlingParameters:
     pass_std: float = 0.15e-3  # m of y - d - h(R) of a pass, before it is known
     most_weight: float = 1000.0  # of evidence, in passes
     gauge: GaugePrior = field(default_factory=GaugePrior)
-    gauge_rounds: int = 8
+    search: SearchParameters = field(default_factory=SearchParameters)
     gauge_trial: int = 2  # rounds after which the gauge must have explained something
+    gauge_searches: int = 2  # rounds of wheels and search after that
+    wheel_rounds: int = 2  # of wheels where the gauge is known
     gauge_explains: float = 0.1  # of the residual's rms, for the gauge to be taken as varying
 
 
@@ -85,12 +90,15 @@ def settle(
     if not (settled.state.passes >= FEWEST_PASSES).any():
         return settled
     if known is None or not known.gauge_known:
-        return _with_unknown_gauge(course, settled, parameters.gauge_rounds)
+        return _with_unknown_gauge(course, settled, parameters.gauge_searches)
     if not lies:
         settled = _moved_to_gauge(course, settled, known.gauge, positions)
         course = replace(course, anchored=True)
-    measured = replace(panel, gauge=known.gauge)
-    return _rounds(course, measured, settled.corrections, settled.ratios, parameters.rounds)
+    measured = replace(settled.panel, gauge=known.gauge, shifts=None)
+    found = _rounds(course, measured, settled.corrections, settled.ratios, parameters.rounds)
+    for _ in range(parameters.wheel_rounds):
+        found = _solved(course, _repositioned(course, found), _with_wheels(found))
+    return _finished(course, found)
 
 
 def _rounds(
@@ -139,55 +147,68 @@ def _refined_positions(
     return refine(stiff, corrections, solution, panel, anchored=course.anchored)
 
 
-def _with_unknown_gauge(course: _Course, settled: Settled, rounds: int) -> Settled:
+def _with_unknown_gauge(course: _Course, settled: Settled, searches: int) -> Settled:
     """Return the solution with a gauge deviation of the place, where that explains the residuals; else as it was."""
     p = course.parameters
+    effect = effect_from_residuals(settled.passes, settled.solution, settled.panel, p.gauge)
     panel = replace(settled.panel, gauge=np.zeros(settled.panel.points))
-    found = replace(settled, panel=panel, solution=first_guess(settled.solution, panel))
-    for number in range(1, rounds + 1):
+    found = replace(settled, panel=panel, solution=with_effect(settled.solution, effect, panel))
+    for number in range(p.gauge_trial):
+        found = _repositioned(course, found) if number else found
         prior = replace(p.gauge, noise=max(min(p.gauge.noise, found.noise), 0.3 * p.gauge.noise))
-        panel = replace(panel, gauge=gauge_step(found.passes, found.solution, panel, prior))
-        last = number == rounds
-        state = update(init(panel), list(found.passes))
-        solution = result(_told(state, course, found.noise), std=last)
-        noise = max(residual_of_passes(state, solution), 0.1 * p.pass_std)
-        found = replace(found, panel=panel, state=state, solution=solution, noise=noise, rounds=settled.rounds + number)
-        if number == p.gauge_trial and noise > (1.0 - p.gauge_explains) * settled.noise:
-            return settled
-        if not last and number >= p.gauge_trial:
-            ratios = refined(found.ratios, found.passes, solution, panel)
-            corrections = _refined_positions(course, found.corrections, ratios, solution, panel)
-            at = _placed(course.grouped, corrections, ratios)
-            found = replace(found, corrections=corrections, ratios=ratios, passes=tuple(at))
-    return replace(found, ratios=certain(found.ratios, found.passes, found.solution, found.panel))
+        gauge = gauge_step(found.passes, found.solution, found.panel, prior)
+        found = _solved(course, found, replace(found.panel, gauge=gauge))
+    if found.noise > (1.0 - p.gauge_explains) * settled.noise:
+        return settled
+    for _ in range(searches):
+        found = _repositioned(course, found)
+        shifts = whole_shifts(found.solution, found.panel)
+        gauge = searched(found.passes, found.solution, found.panel, shifts, p.search)
+        found = _solved(course, found, replace(found.panel, gauge=gauge))
+        found = _solved(course, _repositioned(course, found), _with_wheels(found, sized=True))
+    return _finished(course, found)
+
+
+def _with_wheels(found: Settled, *, sized: bool = False) -> PanelParameters:
+    """Return the panel with what the gauge does by the wheels that fit best, and a gauge ``sized`` by them."""
+    assert found.panel.gauge is not None
+    seen = places(found.passes, found.solution, found.panel)
+    factor = gauge_factor(seen) if sized else 1.0
+    shifts = {name: shift_of(fit(one.calm(), factor)) for name, one in seen.items()}
+    return replace(found.panel, gauge=factor * found.panel.gauge, shifts=without_common(shifts))
+
+
+def _solved(course: _Course, found: Settled, panel: PanelParameters, *, std: bool = False) -> Settled:
+    """Return ``found`` with curves and alignment for ``panel``."""
+    state = update(init(panel), list(found.passes))
+    solution = result(_told(state, course, found.noise), std=std)
+    noise = max(residual_of_passes(state, solution), 0.1 * course.parameters.pass_std)
+    return replace(found, panel=panel, state=state, solution=solution, noise=noise, rounds=found.rounds + 1)
+
+
+def _repositioned(course: _Course, found: Settled) -> Settled:
+    """Return ``found`` with better positions and stiffness ratios, and the passes moved by them."""
+    ratios = refined(found.ratios, found.passes, found.solution, found.panel)
+    corrections = _refined_positions(course, found.corrections, ratios, found.solution, found.panel)
+    moved = max(_apart(found.corrections[j], corrections[j], members) for j, members in course.grouped.items())
+    at = _placed(course.grouped, corrections, ratios)
+    return replace(found, corrections=corrections, ratios=ratios, passes=tuple(at), moved=float(moved))
+
+
+def _finished(course: _Course, found: Settled) -> Settled:
+    """Return ``found`` with standard deviations."""
+    whole = _solved(course, found, found.panel, std=True)
+    return replace(whole, ratios=certain(whole.ratios, whole.passes, whole.solution, whole.panel), rounds=found.rounds)
 
 
 def _moved_to_gauge(course: _Course, settled: Settled, gauge: FloatArray, positions: PositionParameters) -> Settled:
     """Return the fleet moved to where a recorded gauge lies: the gauge that the passes tell is compared with it."""
-    trial = _with_unknown_gauge(course, settled, course.parameters.gauge_trial + 2)
+    trial = _with_unknown_gauge(course, settled, 1)
     if trial.panel.gauge is None:
         return settled  # the gauge hardly shows: then it hardly matters where it lies
     both = [compared(sign * trial.panel.gauge, gauge, trial.panel, positions) for sign in (1.0, -1.0)]
     correction = max(both, key=lambda found: found[1])[0]
     return replace(trial, corrections={j: moved_along(one, correction) for j, one in trial.corrections.items()})
-
-
-def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
-    """Return the rms of y - d - h(R) over the passes alone, m, what they have shaped d and h by taken off."""
-    c = solution.curves[0].reshape(len(state.wheelsets), -1)
-    d = np.nan_to_num(solution.alignment)
-    count = np.where(np.isfinite(solution.alignment), state.passes, 0)
-    rest = state.displacement - np.einsum("wk,wkn->n", c, state.functions)
-    squares = (
-        state.square.sum()
-        - 2.0 * np.einsum("wk,gwk->", c, state.cross)
-        + np.einsum("wj,gwjk,wk->", c, state.gram, c)
-        - 2.0 * float(d @ rest)
-        + float(count @ (d * d))
-    )
-    own = state.passes[count > 0] / np.maximum(solution.passes[count > 0], 1.0)  # share of d that the passes made
-    freedom = max(float(count.sum()) - float(own.sum()) - c.size, 1.0)
-    return float(np.sqrt(max(float(squares), 0.0) / freedom))
 
 
 def _apart(first: Correction, second: Correction, members: Sequence[Pass]) -> float:

@@ -90,6 +90,7 @@ def _curves(normal: FloatArray, right: FloatArray, w: int, p: PanelParameters, *
         return np.zeros((1 + len(normal), 0, 1))
     total, total_right = normal.sum(axis=0), right.sum(axis=0)
     prior = linalg.block_diag(*[_prior(np.diag(total).reshape(w, -1)[:, : p.hats].mean(), p)] * w)
+    prior += _no_common_shift(w, p, 1e2 * float(np.diag(total).max(initial=0.0)))
     curves = [
         linalg.solve(total - left_out + prior, total_right - left_right, assume_a="sym").reshape(w, p.columns)
         for left_out, left_right in zip(
@@ -112,6 +113,18 @@ def _prior(scale: float, p: PanelParameters) -> FloatArray:
     return linalg.block_diag(*blocks, np.full((1, 1), ELASTIC_PRIOR))
 
 
+def _no_common_shift(w: int, p: PanelParameters, strength: float) -> FloatArray:
+    """Return the normal matrix (w c, w c) of the mean of h1(0) and that of h2(0) over the wheelsets being zero.
+
+    A shift of all wheelsets alike in proportion to the gauge deviation, or its square, cannot be told from the track.
+    """
+    if p.gauge is None:
+        return np.zeros((w * p.columns, w * p.columns))
+    middle = p.hats + p.gauge_hats // 2
+    first, second = (np.tile(np.eye(p.columns)[at], w) / w for at in (middle, middle + p.gauge_hats))
+    return np.asarray(strength * (np.outer(first, first) + np.outer(second, second)))
+
+
 def _rough(k: int, roughness: float) -> FloatArray:
     bend = np.diff(np.eye(k), 2, axis=0)
     return np.asarray(roughness * bend.T @ bend + 1e-9 * np.eye(k))
@@ -125,6 +138,24 @@ def _residual_rms(state: PanelState, curve: FloatArray, normal: FloatArray, righ
     squares = within - 2 * c @ right.sum(axis=0) + c @ normal.sum(axis=0) @ c
     freedom = max(float((state.passes[met] - 1).sum()) - len(c), 1.0)
     return float(np.sqrt(max(squares, 0.0) / freedom))
+
+
+def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
+    """Return the rms of y - d - h(R) over the passes alone, m, what they have shaped d and h by taken off."""
+    c = solution.curves[0].reshape(len(state.wheelsets), -1)
+    d = np.nan_to_num(solution.alignment)
+    count = np.where(np.isfinite(solution.alignment), state.passes, 0)
+    rest = state.displacement - np.einsum("wk,wkn->n", c, state.functions)
+    squares = (
+        state.square.sum()
+        - 2.0 * np.einsum("wk,gwk->", c, state.cross)
+        + np.einsum("wj,gwjk,wk->", c, state.gram, c)
+        - 2.0 * float(d @ rest)
+        + float(count @ (d * d))
+    )
+    own = state.passes[count > 0] / np.maximum(solution.passes[count > 0], 1.0)  # share of d that the passes made
+    freedom = max(float(count.sum()) - float(own.sum()) - c.size, 1.0)
+    return float(np.sqrt(max(float(squares), 0.0) / freedom))
 
 
 def _report(state: PanelState, enough: BoolArray, mean_passes: float, residual: float) -> PanelReport:

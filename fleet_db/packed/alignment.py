@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.alerts import JsonValue
-from estimation.types import RECORDED, Findings, Status, TrackAlignment, WheelFunctions
+from estimation.types import RECORDED, Findings, GaugeShift, Status, TrackAlignment
 from fleet_db.packed.numbers import number_to_json, real_from_json
 from fleet_db.packing import pack, unpack
 
@@ -63,20 +63,29 @@ def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment
 
 
 def _findings_apart(findings: Findings) -> tuple[JsonValue, dict[str, npt.NDArray[Any]]]:
-    """Return findings as JSON and arrays: curves (wheelset, 3, k) of knots, left and right wheel."""
-    names = sorted(findings.wheels)
+    """Return findings as JSON and arrays: the grids of what gauge does, and (wheelset, r, e) what it does."""
+    names = sorted(findings.gauge_shifts)
     told: JsonValue = {
         "stiffness_ratio": {name: number_to_json(value) for name, value in sorted(findings.stiffness_ratio.items())},
         "stiffness_ratio_std": number_to_json(findings.stiffness_ratio_std),
-        "wheels": list[JsonValue](names),
+        "gauge_shifts": list[JsonValue](names),
     }
-    curves = [np.stack([(one := findings.wheels[name]).knots, one.left, one.right]) for name in names]
-    return told, {"wheels": np.stack(curves)} if curves else {}
+    if not names:
+        return told, {}
+    shifts = [findings.gauge_shifts[name] for name in names]
+    return told, {
+        "shift_difference": np.stack([one.difference for one in shifts]),
+        "shift_gauge": np.stack([one.gauge for one in shifts]),
+        "shift": np.stack([one.shift for one in shifts]),
+    }
 
 
 def _findings(told: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Findings:
     return Findings(
         stiffness_ratio={name: real_from_json(value) for name, value in told["stiffness_ratio"].items()},
         stiffness_ratio_std=real_from_json(told["stiffness_ratio_std"]),
-        wheels={name: WheelFunctions(*arrays["wheels"][k]) for k, name in enumerate(told["wheels"])},
+        gauge_shifts={
+            name: GaugeShift(arrays["shift_difference"][k], arrays["shift_gauge"][k], arrays["shift"][k])
+            for k, name in enumerate(told["gauge_shifts"])
+        },
     )

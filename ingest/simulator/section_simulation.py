@@ -32,7 +32,7 @@ from ingest.simulator.motion import STEP, simulate_wheelset, travelled
 from ingest.simulator.section_scenario import ProfilePair, SectionScenario
 from ingest.simulator.sensors import draw_offsets, measure
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
-from ingest.simulator.wear import gauge_grid
+from ingest.simulator.wear import GAUGE_STEP, gauge_grid
 
 SIMULATION_VERSION = 1
 MARGIN = 200.0  # m of track beyond both ends
@@ -76,6 +76,7 @@ def simulation_key(scenario: SectionScenario, seed: int) -> str:
         "pair": asdict(scenario.pair(seed)),
         "errors": asdict(scenario.vehicle_errors) if scenario.errors_drawn else None,
         "sensors": asdict(scenario.sensors),
+        **({"gauge_step": GAUGE_STEP} if scenario.gauge_std else {}),
         **{name: getattr(scenario, name) for name in _SHAPING},
     }
     return hashlib.sha256(json.dumps(shaping, sort_keys=True).encode()).hexdigest()[:20]
