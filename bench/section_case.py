@@ -121,7 +121,8 @@ def _geometry(
         table = tabulate_window(window, knowledge.track, settings, correction)
         if not isinstance(table, Refusal):
             tables.append(table)
-    assumed = settings.geometry.uncertainty if run.scenario.errors_drawn else replace(settings.geometry.uncertainty, ratio=0.0)
+    assumed = settings.geometry.uncertainty
+    assumed = assumed if run.scenario.errors_drawn else replace(assumed, ratio=0.0)
     shape = replace(settings.geometry, uncertainty=assumed.on([knowledge.track]))
     return geometry.estimate(bins.merge_all(tables, settings.bins), settings.bins, shape)
 

@@ -25,7 +25,7 @@ from estimation.ports import (
     WindowState,
 )
 from estimation.track.epochs import AlignmentSettings, material, with_findings_before
-from estimation.types import FLEET, RECORDED, Findings, Status, TrackAlignment, WheelFunctions, Window
+from estimation.types import FLEET, RECORDED, Findings, GaugeShift, Status, TrackAlignment, Window
 from estimation.window_table import NO_ALIGNMENT
 from fleet_db.models import TrackAlignmentRow
 from fleet_db.rows import table_of
@@ -319,7 +319,7 @@ def test_only_what_matters_is_another_alignment() -> None:
 def test_what_was_found_of_those_who_stayed_away_is_kept() -> None:
     n, rng = 500, np.random.default_rng(1)
     zero, gauge = np.zeros(n), 1e-3 * rng.standard_normal(n)
-    wheel = WheelFunctions(np.linspace(-5e-3, 5e-3, 3), np.zeros(3), np.zeros(3))
+    wheel = GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.zeros((3, 2)))
     base = TrackAlignment(
         "S1", 1, np.arange(n) * 1.0, zero, zero, gauge, zero, np.full(n, 5), Status.ESTIMATED, FLEET
     )  # fmt: skip
@@ -329,11 +329,11 @@ def test_what_was_found_of_those_who_stayed_away_is_kept() -> None:
     kept = with_findings_before(replace(again, findings=epoch), before).findings
     assert kept is not None
     assert (kept.stiffness_ratio, kept.stiffness_ratio_std) == ({"A": 0.95, "B": 1.1}, 0.02)
-    assert set(kept.wheels) == {"A1", "B1"}
+    assert set(kept.gauge_shifts) == {"A1", "B1"}
     other = with_findings_before(replace(base, gauge_deviation=-gauge, findings=epoch), before).findings
     assert other is not None
-    assert set(other.wheels) == {"A1"}  # the gauge under the others was another one
+    assert set(other.gauge_shifts) == {"A1"}  # the gauge under the others was another one
     every = replace(epoch, stiffness_ratio={"A": 1.0, "B": 1.0})
     found = replace(again, findings=every)
-    assert with_findings_before(found, before).findings == replace(every, wheels=kept.wheels)
+    assert with_findings_before(found, before).findings == replace(every, gauge_shifts=kept.gauge_shifts)
     assert with_findings_before(found, None) is found

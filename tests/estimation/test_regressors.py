@@ -1,4 +1,4 @@
-"""What a motion knows of its vehicle and of the gauge goes into the equations where physics puts it."""
+"""What a motion knows of its vehicle goes into the equations where physics puts it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from smooth_wheelset import SmoothTable, ideal, run, track
 
-from estimation.arrays import FloatArray
 from estimation.geometry import ParameterUncertainty
 from estimation.motion import Motion
 from estimation.regressors import YAW_TARGETS, regression
@@ -54,25 +53,6 @@ def test_the_stiffness_ratio_goes_with_one_over_the_creep_coefficient() -> None:
     ours, theirs = regression(replace(motion, stiffness_ratio=STIFFER), BELIEVED), regression(motion, softer)
     for name in ("lateral", "lateral_targets", "yaw", "yaw_targets"):
         np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-12)
-
-
-def pushed(motion: Motion, addition: FloatArray) -> Motion:
-    """Return the motion with what ``addition`` to rL - rR, m, does to the yaw acceleration by Eq. 2."""
-    p = BELIEVED
-    moment = -(p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius) * addition
-    return replace(motion, yaw_acceleration=motion.yaw_acceleration + moment / p.yaw_inertia)
-
-
-def test_what_a_known_gauge_adds_is_taken_off() -> None:
-    motion = ideal(run(20))
-    addition = 0.2e-3 * np.sin(np.arange(len(motion)) / 300.0)
-    plain = regression(motion, BELIEVED)
-    known = regression(replace(pushed(motion, addition), gauge_effect=addition), BELIEVED)
-    unknown = regression(pushed(motion, addition), BELIEVED)
-    scale = np.abs(plain.yaw_targets[:, 0]).max()
-    np.testing.assert_allclose(known.yaw_targets[:, 0], plain.yaw_targets[:, 0], atol=1e-9 * scale)
-    assert np.abs(unknown.yaw_targets[:, 0] - plain.yaw_targets[:, 0]).max() > 0.01 * scale
-    np.testing.assert_array_equal(known.lateral_targets, plain.lateral_targets)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.2])

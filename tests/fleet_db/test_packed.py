@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from estimation.arrays import FloatArray
 from estimation.errors import StorageError
-from estimation.types import FLEET, BinTable, Estimate, Findings, Forecast, Status, WheelFunctions
+from estimation.types import FLEET, BinTable, Estimate, Findings, Forecast, GaugeShift, Status
 from fleet_db.packed.alignment import pack_alignment, unpack_alignment
 from fleet_db.packed.bin_table import pack_bin_table, unpack_bin_table
 from fleet_db.packed.geometry import pack_geometry, unpack_geometry
@@ -97,12 +97,13 @@ def test_geometry_trend_and_alignment_come_back_exactly(seed: int) -> None:
     assert make.same(unpack_alignment(pack_alignment(alignment), 0, where="here"), alignment)
 
 
-@pytest.mark.parametrize("wheels", [0, 3])
-def test_what_the_passes_of_a_section_found_comes_back_exactly(wheels: int) -> None:
-    curve = np.linspace(0.0, 1.0, 5)
-    found = Findings(
-        {"V1": 1.01, "V2": 0.93}, 0.004, {f"W{k}": WheelFunctions(curve, curve**k, -curve) for k in range(wheels)}
-    )
+@pytest.mark.parametrize("wheelsets", [0, 3])
+def test_what_the_passes_of_a_section_found_comes_back_exactly(wheelsets: int) -> None:
+    difference, gauge = np.linspace(-1.0, 1.0, 5), np.linspace(-0.2, 0.2, 3)
+    shifts = {
+        f"W{k}": GaugeShift((k + 1) * difference, gauge, np.outer(difference**k, gauge)) for k in range(wheelsets)
+    }
+    found = Findings({"V1": 1.01, "V2": 0.93}, 0.004, shifts)
     alignment = replace(
         make.alignment(1), source=FLEET, cut_off=120.0, scale_std=0.01, gauge_known=False, findings=found
     )
@@ -111,9 +112,9 @@ def test_what_the_passes_of_a_section_found_comes_back_exactly(wheels: int) -> N
     assert back.findings.stiffness_ratio == found.stiffness_ratio
     assert back.findings.stiffness_ratio_std == found.stiffness_ratio_std
     assert back.cut_off == 120.0
-    assert back.findings.wheels.keys() == found.wheels.keys()
-    for name, one in found.wheels.items():
-        assert make.same(back.findings.wheels[name], one)
+    assert back.findings.gauge_shifts.keys() == shifts.keys()
+    for name, one in shifts.items():
+        assert make.same(back.findings.gauge_shifts[name], one)
 
 
 def test_a_date_keeps_its_last_nanosecond() -> None:
