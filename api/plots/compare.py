@@ -91,5 +91,5 @@ def _errors(axes: Axes, study: PairStudy) -> None:
     ticks = [1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.2, 0.5]
     axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
-    axes.set_ylabel("mean error over 1-3 mm, a dot a wheelset; bar: median")
+    axes.set_ylabel("mean error over 1-3 mm (bar: median)")
     axes.grid(axis="y", alpha=0.3)

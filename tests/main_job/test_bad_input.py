@@ -1,0 +1,213 @@
+"""Bad input from frames and files to what the REST API says: refused or reported with its reason, nobody else moves."""
+
+from __future__ import annotations
+
+import asyncio
+import csv
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from bad_recordings import JUMPING, STANDING, WRONG, Edited, edited, registry_with
+from tiny_fleet import Deployment, deployment
+
+from api.factory import create_app
+from ingest.simulator.fleet import FleetReport, Recording, run_fleet
+from ingest.simulator.scenario_file import load_scenario
+
+HEAD = """\
+name = "bad"
+description = "two vehicles of two wheelsets over a surveyed section"
+seed = 5
+[fleet]
+code = "U"
+name = "Fleet"
+[section]
+code = "U-1"
+number = 1
+name = "Section"
+length_m = 2600.0
+survey_alignment_std_mm = 0.05
+[speed]
+lowest_m_s = 17.0
+highest_m_s = 22.0
+[sessions]
+start = 2024-01-08T05:30:00Z
+campaigns = 4
+minutes_each = 1.55
+first_odometer_km = 1000.0
+km_between = 1500.0
+start_within_m = 100.0
+"""
+VEHICLE = """
+[[vehicles]]
+code = "{code}"
+class = "railcar"
+max_speed_km_h = 120.0
+axle_offsets_m = [2.0, 4.5]
+"""
+WHEELSET = """
+[[vehicles.wheelsets]]
+serial = "{serial}"
+initial_wear_mm = {wear}
+initial_mileage_km = 100000.0
+wear_mm_per_100000_km = 0.05
+"""
+WEAR = {"U-A": (0.1, 0.9), "U-B": (1.4, 0.4)}
+SERIALS = [f"{code}{axle}" for code in WEAR for axle in (1, 2)]
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> FleetReport:
+    text = HEAD
+    for code, depths in WEAR.items():
+        text += VEHICLE.format(code=code)
+        text += "".join(WHEELSET.format(serial=f"{code}{axle}", wear=d) for axle, d in enumerate(depths, start=1))
+    path = tmp_path_factory.mktemp("scenario") / "bad.toml"
+    path.write_text(text)
+    return run_fleet(load_scenario(path), tmp_path_factory.mktemp("recordings"), workers=1)
+
+
+Deploy = Callable[[Path], Deployment]
+
+
+@pytest.fixture
+def deploy(migrated_sqlite_file: Path, tmp_path: Path, report: FleetReport) -> Iterator[Deploy]:
+    """Return what makes a deployment with a registry."""
+    made: list[Deployment] = []
+
+    def deployed(registry: Path) -> Deployment:
+        name = f"{len(made)}"
+        shutil.copyfile(migrated_sqlite_file, tmp_path / f"{name}.sqlite3")
+        url = f"sqlite:///{tmp_path / name}.sqlite3"
+        made.append(deployment(url, tmp_path / name, replace(report, registry=registry)))
+        return made[-1]
+
+    yield deployed
+    for one in made:
+        one.storage.close()
+
+
+def asked(found: Deployment, path: str) -> Any:  # noqa: ANN401 - JSON
+    app = create_app(found.settings)
+
+    async def get() -> httpx.Response:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://treadwatch") as client:
+            return await client.get(path)
+
+    answer = asyncio.run(get())
+    assert answer.status_code == 200, (path, answer.text)
+    return answer.json()
+
+
+def geometries(found: Deployment) -> dict[str, Any]:
+    """Return what the API says of the honest wheelsets' geometry, but for when and from which version of the track."""
+    told = {}
+    for serial in SERIALS:
+        full = asked(found, f"/v1/wheelsets/{serial}/geometry")
+        told[serial] = {k: v for k, v in full.items() if k not in {"recorded_at", "provenance", "links"}}
+    return told
+
+
+def first_campaign(report: FleetReport) -> list[Recording]:
+    return [one for one in report.recordings if one.campaign == 1]
+
+
+def received(found: Deployment, *recordings: Sequence[Recording | Edited]) -> None:
+    found.campaign_over([one for some in recordings for one in some])  # type: ignore[misc] - path and vehicle are all
+    found.run_jobs()
+
+
+@pytest.mark.parametrize("surveyed", [False, True], ids=["unknown track", "track on file"])
+def test_bad_recordings_are_refused_by_name_and_the_others_stay_as_they_were(
+    deploy: Deploy, report: FleetReport, tmp_path: Path, *, surveyed: bool
+) -> None:
+    honest = first_campaign(report)
+    source = honest[0]
+    alone = deploy(registry_with(report.registry, tmp_path / "alone", {}, surveyed=surveyed))
+    received(alone, honest)
+    vehicles = dict.fromkeys([*WRONG, STANDING[0], JUMPING[0]], source.vehicle)
+    among = deploy(registry_with(report.registry, tmp_path / "among", vehicles, surveyed=surveyed))
+    received(among, [edited(source.path, name, change, tmp_path) for name, (change, _) in WRONG.items()], honest)
+    (stood,) = among.receive([edited(source.path, *STANDING, tmp_path)])  # type: ignore[list-item] - path and vehicle are all
+    assert (stood.counts["windows"], stood.counts["windows_standing"]) == (0, 6)  # parked trains fill no store
+    for name, (_, reason) in WRONG.items():
+        for axle in (1, 2):
+            windows = asked(among, f"/v1/wheelsets/{name}-{axle}/windows")["items"]
+            assert windows
+            assert {one["state"] for one in windows} == {"refused"}, windows
+            assert all(reason in one["reason"] for one in windows), (name, [one["reason"] for one in windows])
+    assert geometries(among) == geometries(alone)
+    _then_one_jumps(among, [edited(source.path, *JUMPING, tmp_path)])
+
+
+def _then_one_jumps(among: Deployment, jumping: Sequence[Edited]) -> None:
+    before = geometries(among)
+    received(among, jumping)
+    windows = asked(among, f"/v1/wheelsets/{JUMPING[0]}-1/windows")["items"]
+    assert [one["state"] for one in windows][1:] == ["refused", "estimated"]  # the first runs onto the known part
+    assert "the position jumps once against the speed, by 30.0 m" in windows[1]["reason"]
+    for serial, now in geometries(among).items():
+        first, second = before[serial]["equivalent_conicity_1"], now["equivalent_conicity_1"]
+        assert first["status"] == second["status"]
+        if first["value"] is not None:
+            assert abs(first["value"] - second["value"]) < 2.0 * first["std"]
+
+
+Spoil = Callable[[float, float], tuple[float, float]]
+SPOILT: Mapping[str, tuple[Spoil, str]] = {
+    "in micrometres": (lambda s, d: (s, 1e3 * d), "times what the fleet has felt: millimetres were taken for metres"),
+    "10 m along": (lambda s, d: (s + 10.0, d), "m too far along"),
+    "left is right": (lambda s, d: (s, -d), "mirror image"),
+}
+
+
+@pytest.mark.parametrize("kind", SPOILT)
+def test_a_track_file_that_the_fleet_contradicts_is_not_used_and_the_api_says_why(
+    deploy: Deploy, report: FleetReport, tmp_path: Path, kind: str
+) -> None:
+    spoil, reason = SPOILT[kind]
+    registry = registry_with(report.registry, tmp_path / "spoilt", {}, surveyed=True)
+    (file,) = registry.parent.glob("*.csv")
+    head, *rows = csv.reader(file.read_text(encoding="utf-8").splitlines())
+    lines = [",".join(head)]
+    for s, d, *rest in rows:
+        at, value = spoil(float(s), float(d))
+        lines.append(",".join([f"{at:.4f}", f"{value:.6f}", *rest]))
+    file.write_text("\n".join(lines), encoding="utf-8")
+    found = deploy(registry)
+    received(found, first_campaign(report))
+    told = asked(found, "/v1/track-sections/U-1/alignment-report")
+    assert told["recording"].startswith("not used: ")
+    assert reason in told["recording"]
+    versions = asked(found, "/v1/track-sections/U-1/alignments")["items"]
+    assert [(one["version"], one["source"]) for one in versions] == [(1, "recorded"), (2, "fleet")]
+    unknown = deploy(registry_with(report.registry, tmp_path / "unknown", {}, surveyed=False))
+    received(unknown, first_campaign(report))
+    assert geometries(found) == geometries(unknown)
+
+
+def test_two_swapped_vehicles_wheelsets_are_reported_and_kept_apart(
+    deploy: Deploy, report: FleetReport, tmp_path: Path
+) -> None:
+    """From the third campaign on each vehicle runs on the other's bogie; the registry does not know."""
+    found = deploy(registry_with(report.registry, tmp_path / "swapped", {}, surveyed=True))
+    other = {"U-A": "U-B", "U-B": "U-A"}
+    for campaign in (1, 2, 3, 4):
+        these = [one for one in report.recordings if one.campaign == campaign]
+        if campaign > 2:
+            these = [replace(one, vehicle=other[one.vehicle]) for one in these]
+        received(found, these)
+    found.run_jobs()  # trends begin behind what the alerts tell of
+    alerts = [one for one in asked(found, "/v1/alerts?open=true")["items"] if one["kind"] == "identity"]
+    partners = {one["wheelset"]: one["evidence"]["partner"] for one in alerts}
+    assert partners == {"U-A1": "U-B1", "U-B1": "U-A1", "U-A2": "U-B2", "U-B2": "U-A2"}
+    assert all(one["action"] == "check_mounting" for one in alerts)
+    assert all("has become that of another wheelset" in one["evidence"]["reason"] for one in alerts)
+    for serial in SERIALS:
+        points = asked(found, f"/v1/wheelsets/{serial}/trend")["points"]
+        assert min(points["measured_at"]) > "2024-01-15"  # of the third campaign
