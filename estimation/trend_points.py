@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,9 @@ from estimation.trend import TrendPoint
 from estimation.types import Estimate, Status
 
 PREFERRED_AMPLITUDE = 3e-3  # m, EN 15302's headline
-WANTED_SHARE = 0.75  # of the intervals that must cover an amplitude
+WANTED_SHARE = 0.75  # of the latest intervals that must cover an amplitude
+LATEST = 8  # intervals: what a little worn wheelset did not reach long ago says nothing of what is told now
+FEWEST_POINTS = 3
 SAME_AMPLITUDE = 1e-6  # m
 
 
@@ -29,9 +31,9 @@ class TrendPoints:
 def conicity_points(records: Sequence[GeometryRecord]) -> TrendPoints:
     """Return the equivalent conicity of each interval, at one amplitude.
 
-    The amplitude is 3 mm where three quarters of the intervals cover it; else the largest smaller one that as many
-    cover; else the one that most of them cover. Conicity depends on amplitude, so values at different amplitudes are
-    never mixed in one trend.
+    The amplitude is 3 mm where three quarters of the latest eight intervals cover it, and three in all; else the
+    largest smaller one that as many cover; else the one that most of them cover. Conicity depends on amplitude, so
+    values at different amplitudes are never mixed in one trend.
 
     Parameters
     ----------
@@ -39,14 +41,9 @@ def conicity_points(records: Sequence[GeometryRecord]) -> TrendPoints:
         Interval geometries of one wheelset and baseline.
     """
     covered = [{_key(a): e for a, e in _conicities(r) if e.status is Status.ESTIMATED} for r in records]
-    seen = sum(1 for c in covered if c)
-    if not seen:
+    if not any(covered):
         return TrendPoints("equivalent_conicity", PREFERRED_AMPLITUDE, (), _why_none(records))
-    counts = {
-        key: sum(key in c for c in covered) for key in sorted({k for c in covered for k in c}) if key <= _PREFERRED
-    } or {key: sum(key in c for c in covered) for key in sorted({k for c in covered for k in c})}
-    enough = [key for key, count in counts.items() if count >= WANTED_SHARE * seen]
-    chosen = max(enough) if enough else max(counts, key=lambda key: (counts[key], key))
+    chosen = _amplitude([c for c in covered if c])
     points = tuple(_point(r, c[chosen]) for r, c in zip(records, covered, strict=True) if chosen in c)
     quantity = "equivalent_conicity" if chosen == _PREFERRED else f"equivalent_conicity_{chosen / 1000:g}_mm"
     notes = []
@@ -55,6 +52,21 @@ def conicity_points(records: Sequence[GeometryRecord]) -> TrendPoints:
     if len(points) < len(records):
         notes.append(f"{len(records) - len(points)} of {len(records)} intervals do not cover it")
     return TrendPoints(quantity, chosen * SAME_AMPLITUDE, points, "; ".join(notes))
+
+
+def _amplitude(covered: Sequence[Mapping[int, Estimate]]) -> int:
+    """Return the key of the amplitude to show, from what each interval covers, which is something."""
+    keys = sorted({key for c in covered for key in c})
+    keys = [key for key in keys if key <= _PREFERRED] or keys
+    counts = {key: sum(key in c for c in covered) for key in keys}
+    latest = covered[-LATEST:]
+    enough = [
+        key
+        for key in keys
+        if sum(key in c for c in latest) >= WANTED_SHARE * len(latest)
+        and counts[key] >= min(FEWEST_POINTS, WANTED_SHARE * len(covered))
+    ]
+    return max(enough) if enough else max(counts, key=lambda key: (counts[key], key))
 
 
 def _key(amplitude: float) -> int:

@@ -17,6 +17,7 @@ from api.commands.simulate import simulate_with_progress
 from api.demo.replay import ending_now, replay
 from api.demo.service import free_port, serving
 from api.demo.table import get, lines, tables
+from api.demo.track import track_lines
 from api.settings import load_settings
 from estimation.errors import StorageError
 from estimation.jobs.scheduler import stop_on_signals
@@ -53,6 +54,8 @@ def demo(
         found = lines(url, report.truth)
         for table in tables(found, console):
             console.print(table)
+        for sentence in track_lines(url):
+            console.print(sentence, highlight=False)
         covered = [line.covers for line in found if line.covers is not None]
         console.print(
             f"{sum(covered)} of {len(covered)} intervals cover; {report.frames:,} CAN frames, "
@@ -83,12 +86,14 @@ def _say_where(url: str, console: Console) -> None:
     alerts = get(url, "/v1/alerts?open=true&limit=1")["items"]
     serial = alerts[0]["wheelset"] if alerts else get(url, "/v1/wheelsets?limit=1")["items"][0]["serial"]
     serial = quote(serial, safe="")
+    section = quote(get(url, "/v1/track-sections?limit=1")["items"][0]["code"], safe="")
     for path, what in (
         ("/docs", "every endpoint, to try in a browser"),
         (f"/v1/wheelsets/{serial}", "one wheelset, with links to all of it"),
         (f"/v1/wheelsets/{serial}/geometry", "its bin table and conicity"),
         (f"/v1/wheelsets/{serial}/trend", "its wear trend and forecast"),
+        (f"/v1/track-sections/{section}/alignments", "versions of the track's alignment"),
         ("/v1/alerts/feed", "what maintenance systems poll"),
         ("/v1/jobs", "what the scheduled jobs did"),
     ):
-        console.print(f"  {url}{path:<38} {what}", highlight=False, soft_wrap=True)
+        console.print(f"  {url}{path:<42} {what}", highlight=False, soft_wrap=True)

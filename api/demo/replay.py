@@ -149,6 +149,8 @@ def _register(storage: SqlStorage, contents: RegistryContents) -> None:
             unit.tracks.add_section(section)
         for alignment in contents.alignments:
             unit.tracks.add_alignment(alignment)
+        for layout in contents.layouts:
+            unit.tracks.add_layout(layout)
 
 
 def _reprofile(storage: SqlStorage, contents: RegistryContents, until_ns: int) -> None:

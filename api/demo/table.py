@@ -65,7 +65,7 @@ def get(base_url: str, path: str) -> Any:  # noqa: ANN401 - JSON
         return json.load(answer)
 
 
-def _get_if_any(base_url: str, path: str) -> Any:  # noqa: ANN401 - JSON
+def get_if_any(base_url: str, path: str) -> Any:  # noqa: ANN401 - JSON
     """Return the JSON of one GET; None where there is no such thing yet."""
     try:
         return get(base_url, path)
@@ -78,8 +78,8 @@ def _get_if_any(base_url: str, path: str) -> Any:  # noqa: ANN401 - JSON
 
 def _line(base_url: str, serial: str, campaigns: list[dict[str, Any]]) -> WheelsetLine:
     at = f"/v1/wheelsets/{urllib.parse.quote(serial, safe='')}"
-    geometry = _get_if_any(base_url, f"{at}/geometry")
-    trend = _get_if_any(base_url, f"{at}/trend")
+    geometry = get_if_any(base_url, f"{at}/geometry")
+    trend = get_if_any(base_url, f"{at}/trend")
     query = urllib.parse.urlencode({"wheelset": serial, "open": "true", "limit": 1000})
     alerts = get(base_url, f"/v1/alerts?{query}")["items"]
     conicity = geometry["equivalent_conicity_1"] if geometry else {"value": None, "interval_95": None}

@@ -34,7 +34,7 @@ class AlignmentSettings:
     same_std: float = 0.7  # times the std before: more certain than that is another alignment
     same_scale: float = 0.01  # of a scale that is left open and that matters
     same_coverage: float = 0.02  # of the section that is known now and was not
-    same_ratio: float = 0.02  # of a vehicle's stiffness ratio, or its std where that is more
+    same_ratio: float = 0.02  # of a vehicle's stiffness ratio, or twice its std where that is more
     same_gauge: float = 0.3e-3  # m, rms: much less than moves a wheel to another part of its profile
 
 
@@ -80,7 +80,7 @@ def _differs(old: Findings | None, new: Findings | None, settings: AlignmentSett
     """Whether two versions tell another stiffness ratio of any vehicle; one that is not told of is as assumed."""
     if old is None or new is None:
         return False
-    same = max(settings.same_ratio, old.stiffness_ratio_std)
+    same = max(settings.same_ratio, 2.0 * old.stiffness_ratio_std)
     vehicles = old.stiffness_ratio.keys() | new.stiffness_ratio.keys()
     return any(abs(new.stiffness_ratio.get(one, 1.0) - old.stiffness_ratio.get(one, 1.0)) > same for one in vehicles)
 

@@ -76,3 +76,12 @@ def test_nothing_to_go_by_says_why() -> None:
     none = conicity_points([interval(0, ())])
     assert none.points == ()
     assert "amplitude not covered" in none.note
+
+
+def test_what_a_young_wheelset_did_not_reach_long_ago_does_not_keep_its_trend_from_three_millimetres() -> None:
+    histories = [interval(day, TO_2 if day < 5 else ALL) for day in range(12)]
+    chosen = conicity_points(histories)
+    assert chosen.quantity == "equivalent_conicity"
+    assert len(chosen.points) == 7
+    assert "5 of 12 intervals do not cover it" in chosen.note
+    assert conicity_points(histories[:7]).quantity != "equivalent_conicity"

@@ -1,0 +1,57 @@
+"""What the demo says of the track: whether anybody surveyed it, what the fleet has found, and from what."""
+
+from __future__ import annotations
+
+import urllib.parse
+from typing import Any
+
+from api.demo.table import get, get_if_any
+
+
+def track_lines(base_url: str) -> list[str]:
+    """Ask the REST API for every section; return one sentence or two of each.
+
+    Parameters
+    ----------
+    base_url
+        Of the API.
+    """
+    return [_said(base_url, item) for item in get(base_url, "/v1/track-sections?limit=1000")["items"]]
+
+
+def _said(base_url: str, section: dict[str, Any]) -> str:
+    at = f"/v1/track-sections/{urllib.parse.quote(section['code'], safe='')}"
+    versions = _versions(base_url, f"{at}/alignments?limit=1000")
+    report = get_if_any(base_url, f"{at}/alignment-report")
+    head = f"track {section['code']}, {section['length_m'] / 1000:g} km"
+    if not versions:
+        reason = f": {report['reason']}" if report and report["reason"] else ""
+        return f"{head}: nobody has surveyed it, and the fleet has not found its alignment{reason}"
+    newest = versions[-1]
+    if newest["source"] == "recorded":
+        said = f", {report['recording']}" if report and report["recording"] else ""
+        return f"{head}: alignment on file, version {newest['version']}{said}"
+    how = "what was on file is not used" if versions[0]["source"] == "recorded" else "nobody has surveyed it"
+    return f"{head}: {how}; the fleet has found its alignment, {_found(newest, report)}"
+
+
+def _versions(base_url: str, path: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = []
+    following: str | None = path
+    while following is not None:
+        page = get(base_url, following)
+        found += page["items"]
+        following = page["next"]
+    return found
+
+
+def _found(newest: dict[str, Any], report: dict[str, Any] | None) -> str:
+    words = [f"now version {newest['version']}"]
+    if newest["alignment_std_mm"] is not None:
+        words.append(f"std {newest['alignment_std_mm']:.2f} mm at wavelengths of up to {newest['cut_off_m']:g} m")
+    if report is not None and report["covered_1"] is not None:
+        words.append(f"known along {report['covered_1']:.0%}")
+    offsets = [abs(one["offset_m"]) for one in (report or {}).get("journeys", []) if one["used"] and one["offset_m"]]
+    if offsets:
+        words.append(f"positions of the last journeys put right by up to {max(offsets):.1f} m")
+    return ", ".join(words)
