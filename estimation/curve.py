@@ -15,6 +15,7 @@ from estimation.types import Estimate
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
 REACH = 0.25e-3  # m of amplitude
+ROUNDED = 1.15  # times what bins resolve
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +74,25 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
         for k, a in enumerate(amplitude)
     )
     headline, headline_amplitude = _headline(amplitude, conicity, parameters)
-    ends = (parameters.nonlinearity_low, parameters.nonlinearity_high)
-    low, high = (values[:, int(np.argmin(np.abs(amplitude - a)))] for a in ends)
-    per_mm = (high - low) / (1e3 * (ends[1] - ends[0]))
-    nonlinearity = _estimate(per_mm, groups, curve.count, f"amplitude {1e3 * ends[1]:g} mm is not covered")
+    nonlinearity = _nonlinearity(amplitude, values, groups, curve.count, parameters)
     crossing = _zero_crossing(rows, curve, groups)
     return CurveEstimates(amplitude, conicity, headline_amplitude, headline, nonlinearity, crossing)
+
+
+def _nonlinearity(
+    amplitude: FloatArray, values: FloatArray, groups: int, count: float, parameters: CurveParameters
+) -> Estimate:
+    """Return NP, 1/mm, from the conicity rows (r, a) at its two amplitudes.
+
+    What is systematic at the two amplitudes is taken as half common, half independent.
+    """
+    ends = (parameters.nonlinearity_low, parameters.nonlinearity_high)
+    low, high = (values[:, int(np.argmin(np.abs(amplitude - a)))] for a in ends)
+    per_mm = 1.0 / (1e3 * (ends[1] - ends[0]))
+    far = slice(groups + 1, None)
+    systematic = np.concatenate([high[far] - high[0], low[far] - low[0]]) / np.sqrt(2.0)
+    both = np.concatenate([(high - low)[: groups + 1], high[0] - low[0] + systematic])
+    return _estimate(per_mm * both, groups, count, f"amplitude {1e3 * ends[1]:g} mm is not covered")
 
 
 def _rounding(row: _Row, amplitude: FloatArray, resolution: float) -> FloatArray:
@@ -88,7 +102,7 @@ def _rounding(row: _Row, amplitude: FloatArray, resolution: float) -> FloatArray
     """
     x, difference = row
     below, here, above = (equivalent_conicity(x, difference, amplitude + shift) for shift in (-REACH, 0.0, REACH))
-    return np.nan_to_num(0.5 * (below - 2 * here + above) * (resolution / REACH) ** 2)
+    return np.nan_to_num(0.5 * (below - 2 * here + above) * (ROUNDED * resolution / REACH) ** 2)
 
 
 def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:

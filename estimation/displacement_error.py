@@ -12,18 +12,20 @@ import numpy as np
 
 from estimation.arrays import BoolArray, FloatArray
 
-SCALE_UNCERTAINTY = 0.005  # of a displacement that was integrated and projected
-STRAY = 2.8  # reach of samples that stray over a jump, in std: most come from nearby, the far ones from long errors
+SCALE_UNCERTAINTY = 0.003  # of a displacement that was integrated and projected
+STRAY = 2.5  # reach of samples that stray over a jump, in std: most come from nearby, the far ones from long errors
+ORIGIN = 0.02e-3  # m by which the origin of band-limited motion strays: it is the mean of what was met
 MOST_EXCESS = 0.2  # of the variance of the displacement that its error may make up
 
 
 @dataclass(frozen=True, slots=True)
 class DisplacementError:
-    """Std of the error of y - d, and by how much the measured displacement is too large."""
+    """Std of the error of y - d, by how much the measured displacement is too large, and what is off as a whole."""
 
     std: float  # m
     excess: float  # share
     scale: float  # share, std
+    origin: float = 0.0  # m, std
 
     def resolution(self, width: float) -> float:
         """Return over what length, m, bins of ``width`` (m) round a curve: the error, and half a bin."""
@@ -39,7 +41,8 @@ class DisplacementError:
         """
         variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
         excess = min(std**2 / variance, MOST_EXCESS) if variance > 0 else 0.0
-        return DisplacementError(std, excess, float(np.hypot(SCALE_UNCERTAINTY if integrated else 0.0, scale)))
+        known = (0.0, 0.0) if not integrated else (SCALE_UNCERTAINTY, ORIGIN)
+        return DisplacementError(std, excess, float(np.hypot(known[0], scale)), known[1])
 
     def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
         """Return the curve averaged over a normal error of x (three-point Gauss-Hermite); straight beyond its ends."""
@@ -51,7 +54,7 @@ class DisplacementError:
         return np.asarray(before / 6 + 2 * values / 3 + after / 6)
 
     def std_of_bins(self, centre: FloatArray, values: FloatArray, smooth: BoolArray, met: BoolArray) -> FloatArray:
-        """Return what the error leaves unknown of a value per bin (b,): its stretch, a scale error, the rounding.
+        """Return what the error leaves unknown of a value per bin (b,): stretch, scale, origin, rounding.
 
         Parameters
         ----------
@@ -70,7 +73,7 @@ class DisplacementError:
             return left_unknown
         x = centre[smooth]
         slope = np.gradient(values[smooth], x)
-        stretch = slope * x * np.hypot(self.excess, self.scale)
+        stretch = slope * np.hypot(x * np.hypot(self.excess, self.scale), self.origin)
         strayed = np.zeros(len(centre))
         both = replace(self, std=STRAY * self.std)
         strayed[met] = both.rounded(centre[met], values[met]) - values[met]

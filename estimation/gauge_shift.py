@@ -8,6 +8,7 @@ from estimation.arrays import FloatArray
 from estimation.high_pass import without_slow_part
 from estimation.signals import SignalParameters, distance_run, stretches
 from estimation.track.fusion import FusionParameters, fused
+from estimation.track.local_filter import smoother
 from estimation.track.passes import felt_along
 from estimation.types import TrackAlignment, Window
 from estimation.vehicle import VehicleParameters
@@ -36,6 +37,8 @@ def gauge_shift(
     table = None if track.findings is None else track.findings.gauge_shifts.get(window.wheelset)
     if track.findings is None or table is None:
         return None
+    fusion = FusionParameters()
+    ends = fusion.step * (len(smoother(fusion.crossover, fusion.step)) // 2)
     more = track.findings.stiffness_ratio.get(window.vehicle, 1.0) - 1.0
     e = np.interp(window.distance, track.s, track.gauge_deviation, left=np.nan, right=np.nan)
     shift = np.full(len(window.valid), np.nan)
@@ -44,9 +47,12 @@ def gauge_shift(
     for start, stop in stretches(usable, window, parameters):
         part = slice(start, stop)
         run = distance_run(window, np.asarray(usable[part]), part)
-        grid = fused(felt_along(window, np.asarray(usable[part]), part, vehicle, run), vehicle, FusionParameters())
+        grid = fused(felt_along(window, np.asarray(usable[part]), part, vehicle, run), vehicle, fusion)
+        certain = (grid.run >= grid.run[0] + ends) & (grid.run <= grid.run[-1] - ends)
+        if not certain.any():
+            continue
         whole = (grid.difference + more * grid.elastic)[None, :]
-        (fast,) = without_slow_part(whole, grid.run - grid.run[0], np.ones(len(grid.run), dtype=np.bool_), LONGEST)
-        known = usable[part]
+        (fast,) = without_slow_part(np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, LONGEST)
+        known = usable[part] & (run >= grid.run[0] + ends) & (run <= grid.run[-1] - ends)
         shift[part][known] = table.at(np.interp(run[known], grid.run, fast), e[part][known])
     return shift

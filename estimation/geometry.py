@@ -17,7 +17,7 @@ from estimation.arrays import BoolArray, FloatArray
 from estimation.bins import BinParameters
 from estimation.curve import CurveParameters, CurveReplicates, curve_estimates
 from estimation.displacement_error import DisplacementError
-from estimation.jackknife import jackknife_std
+from estimation.jackknife import jackknife_std, normal_equivalent
 from estimation.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS
 from estimation.types import BinStatus, BinTable, BinValues, TrackAlignment, WheelsetGeometry
 
@@ -213,7 +213,7 @@ class _Hidden:
 def _combination(theta: FloatArray, relative: FloatArray, hidden: _Hidden, prior: float) -> BinValues:
     """One coefficient over the bins: (1 + g, b, 1 + k) replicates and sensitivities to value, std, status."""
     value = theta[0, :, 0]
-    sampled = jackknife_std(theta[:, :, 0])
+    sampled = normal_equivalent(jackknife_std(theta[:, :, 0]), len(theta) - 1)
     parameters = np.sqrt(((theta[0, :, 1:] * relative) ** 2).sum(axis=1))
     met = ~hidden.few & np.isfinite(value)
     displaced = hidden.error.std_of_bins(hidden.centre, value, met & ~hidden.jump, met)

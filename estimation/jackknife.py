@@ -25,6 +25,13 @@ def jackknife_std(replicates: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((g - 1) / g * spread), dtype=np.float64)
 
 
+def normal_equivalent(jackknife: FloatArray, groups: int) -> FloatArray:
+    """Return the std of a normal distribution with the same 95 % interval as Student's t for ``groups`` groups."""
+    if groups < 2:  # noqa: PLR2004 - one group has no spread
+        return jackknife
+    return np.asarray(jackknife * (stats.t.ppf(0.975, groups - 1) / stats.norm.ppf(0.975)))
+
+
 def with_interval(value: float, jackknife: float, systematic: float, groups: int, count: float) -> Estimate:
     """Return the estimate with its 95 % interval: Student's t for the g groups, normal for what is systematic."""
     student = float(stats.t.ppf(0.975, groups - 1)) * jackknife

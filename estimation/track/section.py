@@ -31,7 +31,7 @@ class SectionParameters:
     panel: PanelParameters = field(default_factory=PanelParameters)
     positions: PositionParameters = field(default_factory=PositionParameters)
     settling: SettlingParameters = field(default_factory=SettlingParameters)
-    stretch: float = 0.007  # relative std of y - d as a whole that passes leave open, blocks of data cannot show it
+    stretch: float = 0.009  # relative std of y - d as a whole that passes leave open, blocks of data cannot show it
     stretch_per_gauge: float = 15.0  # 1/m, the same for each metre of std that is left of an estimated gauge
     reaches: float = 120.0  # m, longest wavelength that the alignment holds
     stray: float = 2.0  # times the median residual of the other journeys
