@@ -23,7 +23,7 @@ from estimation.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS, regr
 from estimation.types import BinTable
 from estimation.vehicle import VehicleParameters
 
-TABLE_VERSION = 2
+TABLE_VERSION = 3
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio
 
 
