@@ -144,12 +144,14 @@ def wheelset_score(found: WheelsetGeometry, truth: WheelsetTruth) -> WheelsetSco
     shift, mean = origin(found, truth)
     x = centre + shift
     others = Count()
+    differences = np.interp(x, truth.displacement, truth.angle_difference)
+    unknown = float(found.samples @ differences / found.samples.sum())  # lost with the means, like that of R
     for values, true_values in (
-        (found.rolling_radius_sum, truth.radius_sum),
-        (found.contact_angle_sum, truth.angle_sum),
-        (found.contact_angle_difference, truth.angle_difference),
+        (found.rolling_radius_sum, np.interp(x, truth.displacement, truth.radius_sum)),
+        (found.contact_angle_sum, np.interp(x, truth.displacement, truth.angle_sum)),
+        (found.contact_angle_difference, differences - unknown),
     ):
-        others = others.plus(*_bins(values, np.interp(x, truth.displacement, true_values)))
+        others = others.plus(*_bins(values, true_values))
     return WheelsetScore(
         serial=truth.serial,
         error=float(np.mean(np.abs(given))) if given else None,

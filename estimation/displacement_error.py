@@ -26,23 +26,25 @@ class DisplacementError:
     excess: float  # share
     scale: float  # share, std
     origin: float = 0.0  # m, std
+    blur: float = 0.0  # m, std of where contact jumps are besides
 
     def resolution(self, width: float) -> float:
-        """Return over what length, m, bins of ``width`` (m) round a curve: the error, and half a bin."""
-        return float(np.hypot(self.std, 0.5 * width))
+        """Return over what length, m, bins of ``width`` (m) round a curve: the error, half a bin, and the blur."""
+        return float(np.sqrt(self.std**2 + (0.5 * width) ** 2 + self.blur**2))
 
     @staticmethod
     def of(
-        std: float, centre: FloatArray, samples: FloatArray, *, integrated: bool, scale: float = 0.0
+        std: float, centre: FloatArray, samples: FloatArray, *, integrated: bool, scale: float = 0.0, blur: float = 0.0
     ) -> DisplacementError:
         """Return the error for displacements distributed as ``samples`` (b,) over bins at ``centre`` (b,), m.
 
-        ``scale`` is the relative std of a stretch that is left open besides that of the integration.
+        ``scale`` is the relative std of a stretch that is left open besides that of the integration, ``blur``, m, that
+        of where contact jumps are.
         """
         variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
         excess = min(std**2 / variance, MOST_EXCESS) if variance > 0 else 0.0
         known = (0.0, 0.0) if not integrated else (SCALE_UNCERTAINTY, ORIGIN)
-        return DisplacementError(std, excess, float(np.hypot(known[0], scale)), known[1])
+        return DisplacementError(std, excess, float(np.hypot(known[0], scale)), known[1], blur)
 
     def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
         """Return the curve averaged over a normal error of x (three-point Gauss-Hermite); straight beyond its ends."""
@@ -75,7 +77,7 @@ class DisplacementError:
         slope = np.gradient(values[smooth], x)
         stretch = slope * np.hypot(x * np.hypot(self.excess, self.scale), self.origin)
         strayed = np.zeros(len(centre))
-        both = replace(self, std=STRAY * self.std)
+        both = replace(self, std=float(np.hypot(STRAY * self.std, self.blur)))
         strayed[met] = both.rounded(centre[met], values[met]) - values[met]
         left_unknown[smooth] = np.hypot(stretch, strayed[smooth])
         return left_unknown

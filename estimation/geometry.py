@@ -23,6 +23,7 @@ from estimation.types import BinStatus, BinTable, BinValues, TrackAlignment, Whe
 
 FEWEST_GROUPS = 4
 FEWEST_BINS = 5
+BLUR = 0.18  # of the gauge's own std: contact jumps move by half the gauge deviation, and that is told so well
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +40,7 @@ class ParameterUncertainty:
     mass: float = 0.025
     ratio: float | None = None
     displacement: float = 0.0  # of a common stretch of y - d that the alignment leaves open
+    blur: float = 0.0  # m, of where contact jumps are on a gauge that varies
 
     def on(self, tracks: Iterable[TrackAlignment]) -> ParameterUncertainty:
         """Return what is left unknown of a geometry that rests on these alignments, with what they have taught."""
@@ -48,6 +50,7 @@ class ParameterUncertainty:
             self,
             ratio=max(learnt) if learnt and len(learnt) == len(used) else self.ratio,
             displacement=max((track.scale_std for track in used), default=self.displacement),
+            blur=max((BLUR * float(np.std(track.gauge_deviation)) for track in used), default=self.blur),
         )
 
     def lateral(self) -> FloatArray:
@@ -112,7 +115,9 @@ def estimate(table: BinTable, bins: BinParameters, parameters: GeometryParameter
     unc = parameters.uncertainty
     centre = 0.5 * (table.edges[:-1] + table.edges[1:])
     noise = _displacement_noise(replicates, few | jump, bins)
-    error = DisplacementError.of(noise, centre, samples, integrated=bins.band_limited, scale=unc.displacement)
+    error = DisplacementError.of(
+        noise, centre, samples, integrated=bins.band_limited, scale=unc.displacement, blur=unc.blur
+    )
     hidden = _Hidden(few, jump, centre, error, parameters.informative)
     S = _combination(replicates.lateral[:, :, 0], unc.lateral(), hidden, parameters.prior_radius)
     D = _combination(replicates.lateral[:, :, 2], unc.lateral(), hidden, parameters.prior_angle)

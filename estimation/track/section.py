@@ -32,7 +32,7 @@ class SectionParameters:
     positions: PositionParameters = field(default_factory=PositionParameters)
     settling: SettlingParameters = field(default_factory=SettlingParameters)
     stretch: float = 0.009  # relative std of y - d as a whole that passes leave open, blocks of data cannot show it
-    stretch_per_gauge: float = 15.0  # 1/m, the same for each metre of std that is left of an estimated gauge
+    gauge_stretch: float = 0.025  # the same where the gauge had to be found too
     reaches: float = 120.0  # m, longest wavelength that the alignment holds
     stray: float = 2.0  # times the median residual of the other journeys
     stray_least: float = 0.4e-3  # m
@@ -253,9 +253,8 @@ def _alignment(section: str, settled: Settled, evidence: TrackAlignment | None, 
 
 
 def _stretch(told: Told, p: SectionParameters) -> float:
-    """Return the relative std of a common stretch of y - d; what is left of the gauge adds to it."""
-    left = 0.0 if told.gauge_std is None else float(np.median(told.gauge_std))
-    return float(np.hypot(p.stretch, p.stretch_per_gauge * left))
+    """Return the relative std of a common stretch of y - d."""
+    return p.stretch if told.gauge is None else float(np.hypot(p.stretch, p.gauge_stretch))
 
 
 def _nothing_known(p: SectionParameters) -> Evidence:

@@ -39,7 +39,8 @@ MARGIN = 200.0  # m of track beyond both ends
 LEAD_IN = 160.0  # m before the section where a run begins
 AXLE_SPACING = 2.6  # m
 GAUGE = 1.435  # m, nominal
-REACH = 12e-3  # m of lateral displacement in the contact tables: wheels come near their flanges in wide gauge
+REACH = 12e-3  # m of lateral displacement in the contact tables
+WIDE_REACH = 15e-3  # m, the same where gauge varies: flanges are further apart in wide gauge
 DISPLACEMENT_STEP = 0.05e-3  # m
 ASYMMETRY = 0.08  # std of the share by which left wear is above the mean
 NORMAL_95 = 1.96  # a 95 % limit in standard deviations
@@ -76,7 +77,7 @@ def simulation_key(scenario: SectionScenario, seed: int) -> str:
         "pair": asdict(scenario.pair(seed)),
         "errors": asdict(scenario.vehicle_errors) if scenario.errors_drawn else None,
         "sensors": asdict(scenario.sensors),
-        **({"gauge_step": GAUGE_STEP} if scenario.gauge_std else {}),
+        **({"gauge_step": GAUGE_STEP, "reach": WIDE_REACH} if scenario.gauge_std else {}),
         **{name: getattr(scenario, name) for name in _SHAPING},
     }
     return hashlib.sha256(json.dumps(shaping, sort_keys=True).encode()).hexdigest()[:20]
@@ -161,9 +162,13 @@ def wheelset_contact(scenario: SectionScenario, seed: int, number: int, track: T
     rail = rail_profile(pair.rail)
     left, right = (_worn(pair, pair.deepest_wear * share * (1.0 + side)) for side in (apart, -apart))
     wheelset = WheelsetOnTrack(left, right, rail, rail, pair.inclination, GAUGE)
-    half = round(REACH / DISPLACEMENT_STEP)
+    half = round(_reach(scenario) / DISPLACEMENT_STEP)
     grid = DISPLACEMENT_STEP * np.arange(-half, half + 1)
     return contact_table(wheelset, grid, gauge_grid(track), outside="hold")
+
+
+def _reach(scenario: SectionScenario) -> float:
+    return WIDE_REACH if scenario.gauge_std else REACH
 
 
 def _worn(pair: ProfilePair, depth: float) -> Profile:
@@ -258,7 +263,8 @@ def simulate_section_wheelset(scenario: SectionScenario, seed: int, number: int,
         )
         if motion.outside:
             raise ScenarioError(
-                f"wheelset {number} of seed {seed} derails: {motion.outside} samples beyond {1e3 * REACH:g} mm; "
+                f"wheelset {number} of seed {seed} derails: "
+                f"{motion.outside} samples beyond {1e3 * _reach(scenario):g} mm; "
                 "less wear or a lower speed keeps it from hunting",
                 field="pairs.deepest_wear_mm",
             )

@@ -17,7 +17,7 @@ from ingest.simulator.track import TrackTruth
 
 DISPLACEMENT_LIMIT = 8e-3  # m
 DISPLACEMENT_STEP = 0.05e-3  # m
-GAUGE_STEP = 0.25e-3  # m: contact jumps move over y - d by half the gauge deviation, and tables blend between steps
+GAUGE_STEP = 0.5e-3  # m: contact jumps move over y - d by half the gauge deviation, and tables blend between steps
 AMPLITUDES = (0.5e-3, 1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3, 3.5e-3, 4e-3, 4.5e-3, 5e-3)  # m
 
 
