@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from estimation.estimators.tracks import section_passes
 from estimation.settings import EstimationSettings
 from estimation.track.epochs import AlignmentSettings
+from estimation.track.findings import LIFE
 from estimation.track.local_filter import smoother, without_slow_part
 from estimation.track.section import SectionEstimate, estimate_section
 from ingest.simulator.section_file import load_section_scenario
@@ -66,16 +67,14 @@ def _along(axes: Axes, run: SectionRun, estimate: SectionEstimate, what: str) ->
 
 
 def _wheels(axes: Axes, run: SectionRun, estimate: SectionEstimate) -> None:
-    assert estimate.alignment is not None
-    assert estimate.alignment.findings is not None
-    wheels = estimate.alignment.findings.wheels
-    x = np.linspace(-5e-3, 5e-3, 401)
+    solution = estimate.solution
+    assert solution is not None
+    names = [name.split(LIFE)[0] for name in solution.wheelsets]
     for truth in run.wheelsets[::5]:
         offset = float(np.interp(0.0, truth.displacement, truth.difference))
         axes.plot(1e3 * truth.displacement, 1e3 * (truth.difference - offset), color=TRUE, linewidth=1.0)
-        if truth.serial in wheels:
-            R = wheels[truth.serial].difference(x, np.zeros_like(x))
-            axes.plot(1e3 * x, 1e3 * (R - np.interp(0.0, x, R)), color=FOUND, linewidth=1.0)
+        curve = solution.curves[0, names.index(truth.serial), : len(solution.knots)]
+        axes.plot(1e3 * curve, 1e3 * solution.knots, color=FOUND, linewidth=1.0)
     axes.set_xlim(-5, 5)
     axes.set_ylim(-4, 4)
     axes.set_xlabel("lateral displacement y - d, mm")
