@@ -15,6 +15,8 @@ import pytest
 from bad_recordings import JUMPING, STANDING, WRONG, Edited, edited, registry_with
 from tiny_fleet import Deployment, deployment
 
+from api.demo.service import free_port, serving_api
+from api.demo.track import track_lines
 from api.factory import create_app
 from ingest.simulator.fleet import FleetReport, Recording, run_fleet
 from ingest.simulator.scenario_file import load_scenario
@@ -184,6 +186,7 @@ def test_a_track_file_that_the_fleet_contradicts_is_not_used_and_the_api_says_wh
     told = asked(found, "/v1/track-sections/U-1/alignment-report")
     assert told["recording"].startswith("not used: ")
     assert reason in told["recording"]
+    assert track_of(found).startswith("what was on file is not used; the fleet has found its alignment, now version 2")
     versions = asked(found, "/v1/track-sections/U-1/alignments")["items"]
     assert [(one["version"], one["source"]) for one in versions] == [(1, "recorded"), (2, "fleet")]
     unknown = deploy(registry_with(report.registry, tmp_path / "unknown", {}, surveyed=False))
@@ -211,3 +214,28 @@ def test_two_swapped_vehicles_wheelsets_are_reported_and_kept_apart(
     for serial in SERIALS:
         points = asked(found, f"/v1/wheelsets/{serial}/trend")["points"]
         assert min(points["measured_at"]) > "2024-01-15"  # of the third campaign
+
+
+def test_a_section_that_too_few_have_passed_says_so_and_nothing_is_estimated(
+    deploy: Deploy, report: FleetReport, tmp_path: Path
+) -> None:
+    found = deploy(registry_with(report.registry, tmp_path / "few", {}, surveyed=False))
+    received(found, first_campaign(report)[:1])
+    told = asked(found, "/v1/track-sections/U-1/alignment-report")
+    assert (told["status"], told["version"], told["made_version"]) == ("unestimated", None, False)
+    assert told["reason"] == "no place with 3 passes"
+    assert told["alignment_std_mm"] is None
+    assert asked(found, "/v1/track-sections/U-1/alignments")["items"] == []
+    windows = asked(found, "/v1/wheelsets/U-A1/windows")["items"]
+    assert {one["state"] for one in windows} == {"refused"}
+    assert {one["reason"] for one in windows} == {"the alignment of the track section is not known"}
+    assert (
+        track_of(found) == "nobody has surveyed it, and the fleet has not found its alignment: no place with 3 passes"
+    )
+
+
+def track_of(found: Deployment) -> str:
+    """Return what the demo would say of the section, behind its name."""
+    with serving_api(found.settings.model_copy(update={"port": free_port("127.0.0.1", 0)})) as url:
+        (said,) = track_lines(url)
+    return said.split(": ", 1)[1]
