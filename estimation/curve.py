@@ -15,7 +15,6 @@ from estimation.types import Estimate
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
 REACH = 0.25e-3  # m of amplitude
-ROUNDED = 1.15  # times what bins resolve
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +101,7 @@ def _rounding(row: _Row, amplitude: FloatArray, resolution: float) -> FloatArray
     """
     x, difference = row
     below, here, above = (equivalent_conicity(x, difference, amplitude + shift) for shift in (-REACH, 0.0, REACH))
-    return np.nan_to_num(0.5 * (below - 2 * here + above) * (ROUNDED * resolution / REACH) ** 2)
+    return np.nan_to_num(0.5 * (below - 2 * here + above) * (resolution / REACH) ** 2)
 
 
 def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:

@@ -23,7 +23,8 @@ from estimation.types import BinStatus, BinTable, BinValues, TrackAlignment, Whe
 
 FEWEST_GROUPS = 4
 FEWEST_BINS = 5
-BLUR = 0.18  # of the gauge's own std: contact jumps move by half the gauge deviation, and that is told so well
+BLUR = 0.22  # of the gauge's own std: contact jumps move by half the gauge deviation, and that is told so well
+BLUR_WHERE_FOUND = 0.32  # the same where the gauge had to be found too
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ class ParameterUncertainty:
             self,
             ratio=max(learnt) if learnt and len(learnt) == len(used) else self.ratio,
             displacement=max((track.scale_std for track in used), default=self.displacement),
-            blur=max((BLUR * float(np.std(track.gauge_deviation)) for track in used), default=self.blur),
+            blur=max((_blur(track) for track in used), default=self.blur),
         )
 
     def lateral(self) -> FloatArray:
@@ -62,6 +63,11 @@ class ParameterUncertainty:
         if self.ratio is not None:
             return np.array([0.0, self.ratio, self.mass, self.creep])
         return np.array([self.creep, self.stiffness, self.mass, self.creep])
+
+
+def _blur(track: TrackAlignment) -> float:
+    """Return the std, m, of where contact jumps are on the gauge of ``track``."""
+    return (BLUR if track.gauge_known else BLUR_WHERE_FOUND) * float(np.std(track.gauge_deviation))
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,7 @@ class SectionParameters:
     positions: PositionParameters = field(default_factory=PositionParameters)
     settling: SettlingParameters = field(default_factory=SettlingParameters)
     stretch: float = 0.009  # relative std of y - d as a whole that passes leave open, blocks of data cannot show it
-    gauge_stretch: float = 0.025  # the same where the gauge had to be found too
+    gauge_stretch: float = 0.035  # the same where the gauge had to be found too
     reaches: float = 120.0  # m, longest wavelength that the alignment holds
     stray: float = 2.0  # times the median residual of the other journeys
     stray_least: float = 0.4e-3  # m
