@@ -15,6 +15,7 @@ from estimation.arrays import BoolArray, FloatArray
 SCALE_UNCERTAINTY = 0.003  # of a displacement that was integrated and projected
 STRAY = 2.5  # reach of samples that stray over a jump, in std: most come from nearby, the far ones from long errors
 ORIGIN = 0.02e-3  # m by which the origin of band-limited motion strays: it is the mean of what was met
+ORIGIN_BY_BLUR = 0.25  # share of the blur by which it strays more
 MOST_EXCESS = 0.2  # of the variance of the displacement that its error may make up
 
 
@@ -75,7 +76,11 @@ class DisplacementError:
             return left_unknown
         x = centre[smooth]
         slope = np.gradient(values[smooth], x)
-        stretch = slope * np.hypot(x * np.hypot(self.excess, self.scale), self.origin)
+        above_centre = values[smooth] - np.interp(
+            0.0, x, values[smooth]
+        )  # jumps below are part of it, not of the slope
+        scaled = np.maximum(np.abs(slope * x), np.abs(above_centre)) * np.hypot(self.excess, self.scale)
+        stretch = np.hypot(scaled, slope * np.hypot(self.origin, ORIGIN_BY_BLUR * self.blur))
         strayed = np.zeros(len(centre))
         both = replace(self, std=float(np.hypot(STRAY * self.std, self.blur)))
         strayed[met] = both.rounded(centre[met], values[met]) - values[met]
