@@ -16,6 +16,7 @@ from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
 
 from api.cli import build
 from estimation.errors import InputError, ParameterError
+from estimation.ports import ChunkRecord
 from fleet_db.migrate import upgrade
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
@@ -95,20 +96,23 @@ def test_a_live_bus_is_received_until_told_to_stop(deployment: SqlStorage, monke
     if problem:
         pytest.skip(problem)
     monkeypatch.setenv("TREADWATCH_WINDOW_LENGTH_S", "4")
+    before: list[ChunkRecord] = []
     for _ in range(3):
         code, said, now_ns, sent = live()
-        if "SYNC comes every" not in said:
-            break  # else the machine was held up for seconds, frames were stamped when it went on: once more
+        with deployment.read() as unit:
+            everything = unit.chunks.overlapping(VEHICLE, now_ns - 600 * SECOND_NS, now_ns + 600 * SECOND_NS)
+        chunks = [chunk for chunk in everything if chunk not in before]
+        if code == 0 and sum(chunk.frames for chunk in chunks) == sent:
+            break
+        before = list(everything)  # a machine held up for half a second loses datagrams or stamps them late: once more
     assert code == 0, said
     assert "0 dropped" in said
-    with deployment.read() as unit:
-        chunks = unit.chunks.overlapping(VEHICLE, now_ns - SECOND_NS // 2, now_ns + 60 * SECOND_NS)
-        windows = unit.windows.list("WS-1", now_ns - SECOND_NS // 2)
     assert len(chunks) >= 3
     assert sum(chunk.frames for chunk in chunks) == sent
     # a machine that is held up for more than 100 ms stamps a TIME frame so late that its second is not believed
     assert 1000 <= sum(chunk.counts["samples"] for chunk in chunks) <= 3000
-    assert windows
+    with deployment.read() as unit:
+        assert unit.windows.counts()["pending"] >= 2
 
 
 def live() -> tuple[int, str, int, int]:
