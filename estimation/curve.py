@@ -15,6 +15,7 @@ from estimation.types import Estimate
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
 REACH = 0.25e-3  # m of amplitude
+INDEPENDENT = 0.8  # share of what is systematic at one end of NP that is not at the other
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,13 +84,13 @@ def _nonlinearity(
 ) -> Estimate:
     """Return NP, 1/mm, from the conicity rows (r, a) at its two amplitudes.
 
-    What is systematic at the two amplitudes is taken as half common, half independent.
+    What is systematic at the two amplitudes is taken as mostly independent.
     """
     ends = (parameters.nonlinearity_low, parameters.nonlinearity_high)
     low, high = (values[:, int(np.argmin(np.abs(amplitude - a)))] for a in ends)
     per_mm = 1.0 / (1e3 * (ends[1] - ends[0]))
     far = slice(groups + 1, None)
-    systematic = np.concatenate([high[far] - high[0], low[far] - low[0]]) / np.sqrt(2.0)
+    systematic = INDEPENDENT * np.concatenate([high[far] - high[0], low[far] - low[0]])
     both = np.concatenate([(high - low)[: groups + 1], high[0] - low[0] + systematic])
     return _estimate(per_mm * both, groups, count, f"amplitude {1e3 * ends[1]:g} mm is not covered")
 

@@ -30,8 +30,8 @@ class DisplacementError:
     blur: float = 0.0  # m, std of where contact jumps are besides
 
     def resolution(self, width: float) -> float:
-        """Return over what length, m, bins of ``width`` (m) round a curve: the error, half a bin, and the blur."""
-        return float(np.sqrt(self.std**2 + (0.5 * width) ** 2 + self.blur**2))
+        """Return over what length, m, bins of ``width`` (m) round a curve: error, most of half a bin, blur."""
+        return float(np.sqrt(self.std**2 + (0.4 * width) ** 2 + self.blur**2))
 
     @staticmethod
     def of(

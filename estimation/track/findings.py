@@ -33,7 +33,7 @@ def findings(settled: Settled, *, gauge_estimated: bool) -> Told:
         return Told(Findings(ratios, std, {}), None, None)
     panel = settled.panel
     shifts = whole_shifts(settled.solution, panel)
-    sign = gauge_sign(places(settled.passes, settled.solution, panel)) if gauge_estimated else 1
+    sign = gauge_sign(places(settled.passes, settled.solution, panel), shifts) if gauge_estimated else 1
     if sign < 0:
         shifts = {name: _turned(one) for name, one in shifts.items()}
     latest = {_life(name)[0]: shifts[name] for name in sorted(shifts, key=_life)}  # of several lives the latest

@@ -33,6 +33,8 @@ class SectionParameters:
     settling: SettlingParameters = field(default_factory=SettlingParameters)
     stretch: float = 0.009  # relative std of y - d as a whole that passes leave open, blocks of data cannot show it
     gauge_stretch: float = 0.035  # the same where the gauge had to be found too
+    systematic: float = 0.02e-3  # m, std of the alignment that blocks of data cannot show
+    systematic_per_gauge: tuple[float, float] = (0.025, 0.055)  # the same per gauge deviation: recorded, found
     reaches: float = 120.0  # m, longest wavelength that the alignment holds
     stray: float = 2.0  # times the median residual of the other journeys
     stray_least: float = 0.4e-3  # m
@@ -234,6 +236,8 @@ def _alignment(section: str, settled: Settled, evidence: TrackAlignment | None, 
     told = findings(settled, gauge_estimated=not known.gauge_known)
     gauge = known.gauge if told.gauge is None else told.gauge
     gauge_std = known.gauge_std if told.gauge_std is None else told.gauge_std
+    of_gauge = p.systematic_per_gauge[told.gauge is not None] * float(np.std(gauge))
+    std = np.sqrt(std**2 + found.passes / shared * (p.systematic**2 + of_gauge**2))
     return TrackAlignment(
         section=section,
         version=0,

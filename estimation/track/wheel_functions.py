@@ -32,6 +32,7 @@ LEAST_SLOPE = 0.02  # of R over x: no wheelset has less
 FACTORS = (0.5, 0.65, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0)
 MOST_WHEELSETS = 6  # that tell a factor
 BINS = 81  # of R
+FAR = 0.8  # quantile of |R|
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,13 +157,13 @@ def gauge_factor(seen: Mapping[str, Places]) -> float:
     return float(np.clip(np.exp(-slope / (2 * bend)), FACTORS[best - 1], FACTORS[best + 1]))
 
 
-def gauge_sign(seen: Mapping[str, Places]) -> int:
+def gauge_sign(seen: Mapping[str, Places], shifts: Mapping[str, GaugeShift]) -> int:
     """Return the sign that estimated gauge deviations are to be multiplied with.
 
     It is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is taken from
-    what wheels are, steeper towards the flange.
+    what wheels are, steeper towards the flange: far from the centre a wheelset runs further out in wide gauge.
     """
-    return 1 if sum(_steepening(fit(one.calm()), one) for one in seen.values()) >= 0 else -1
+    return 1 if sum(_outwards(one, shifts[name]) for name, one in seen.items()) >= 0 else -1
 
 
 def _misfit(seen: Places, factor: float) -> float:
@@ -185,9 +186,8 @@ def _hats(u: FloatArray) -> sparse.csr_matrix:
     return sparse.csr_matrix((values, (np.concatenate([row, row]), at)), shape=(len(u), len(KNOTS)))
 
 
-def _steepening(wheels: WheelFunctions, seen: Places) -> float:
-    """Return how much steeper the wheels are towards the flange than away from it."""
-    far = float(np.quantile(np.abs(seen.displacement), 0.9))
-    both = wheels.left + wheels.right
-    out, middle, back = np.interp([far, 0.0, -far], wheels.knots, both)
-    return float(out - 2 * middle + back)
+def _outwards(seen: Places, shift: GaugeShift) -> float:
+    """Return by how much a millimetre of gauge moves a wheelset outwards, where it is far from the centre."""
+    R = seen.difference[np.abs(seen.difference) >= np.quantile(np.abs(seen.difference), FAR)]
+    wide, narrow = (shift.at(R, np.full(len(R), gauge)) for gauge in (0.5e-3, -0.5e-3))
+    return float(np.mean(np.sign(R) * (wide - narrow)))
