@@ -111,7 +111,8 @@ def test_a_gauge_of_wrong_size_is_put_nearer_and_one_of_right_size_stays(size: f
 @pytest.mark.parametrize("sign", [1, -1])
 def test_the_sign_of_a_gauge_is_that_which_makes_wheels_steeper_towards_the_flange(sign: int) -> None:
     seen = {f"W{number}": places(cone, size=sign, seed=number) for number, cone in enumerate((0.05, 0.1, 0.16))}
-    assert gauge_sign(seen) == sign
+    shifts = {name: shift_of(fit(one.calm())) for name, one in seen.items()}
+    assert gauge_sign(seen, shifts) == sign
 
 
 def test_what_all_wheelsets_do_alike_belongs_to_the_track() -> None:
