@@ -9,6 +9,7 @@ import numpy as np
 from estimation.arrays import FloatArray
 from estimation.track.local_filter import smoother, trusted, without_slow_part
 from estimation.track.panel import PanelParameters, PanelState, groups_of
+from estimation.track.solution import PanelSolution
 from estimation.types import TrackAlignment
 
 
@@ -65,3 +66,27 @@ def with_evidence(state: PanelState, known: Evidence, noise: float, most_weight:
         passes=state.passes + weight,
         square=square,
     )
+
+
+def fleet_step(state: PanelState, solution: PanelSolution, known: Evidence) -> float | None:
+    """Return by how much the fleet as a whole is to be moved to lie on the evidence, m; None where they do not meet.
+
+    Journeys move towards the alignment of all, most of which they have made themselves: as a whole they would come
+    nearer by the share of the evidence in it, round by round, while stiffness ratios make up for what is left.
+
+    Parameters
+    ----------
+    state
+        Sums over the passes without the evidence.
+    solution
+        Of the passes with the evidence.
+    known
+        The evidence on the grid.
+    """
+    weight = solution.passes - state.passes
+    met = (weight > 0) & (state.passes > 0) & np.isfinite(solution.alignment)
+    own = np.where(met, state.passes, 1)
+    of_passes = (solution.passes * np.nan_to_num(solution.alignment) - weight * known.alignment) / own
+    slope = np.where(met, np.gradient(np.where(met, of_passes, 0.0), state.parameters.step), 0.0)
+    square = float(slope @ slope)
+    return float(slope @ np.where(met, of_passes - known.alignment, 0.0)) / square if square > 0.0 else None

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.arrays import FloatArray
-from estimation.track.evidence import Evidence, with_evidence
+from estimation.track.evidence import Evidence, fleet_step, with_evidence
 from estimation.track.gauge import FEWEST_PASSES, GaugePrior, gauge_step, with_effect
 from estimation.track.gauge_search import SearchParameters, searched
 from estimation.track.gauge_shapes import effect_from_residuals
@@ -123,7 +123,7 @@ def _rounds(
         better = refined(ratios, at, solution, panel)
         changed = max((abs(one.value - ratios.get(v, Ratio()).value) for v, one in better.items()), default=0.0)
         ratios = better
-        placed = _refined_positions(course, corrections, ratios, solution, panel)
+        placed = _refined_positions(course, corrections, ratios, state, solution, panel)
         moved = max(_apart(corrections[j], placed[j], members) for j, members in course.grouped.items())
         corrections = placed
 
@@ -140,11 +140,19 @@ def _refined_positions(
     course: _Course,
     corrections: dict[Journey, Correction],
     ratios: Mapping[str, Ratio],
+    state: PanelState,
     solution: PanelSolution,
     panel: PanelParameters,
 ) -> dict[Journey, Correction]:
     stiff = {journey: adjusted(members, ratios) for journey, members in course.grouped.items()}
-    return refine(stiff, corrections, solution, panel, anchored=course.anchored)
+    better = refine(stiff, corrections, solution, panel, anchored=course.anchored)
+    if not course.anchored or course.known is None:
+        return better
+    step = fleet_step(state, solution, course.known)
+    if step is None:
+        return better
+    mean = float(np.mean([better[journey].offset - corrections[journey].offset for journey in better]))
+    return {journey: replace(one, offset=one.offset - mean + step) for journey, one in better.items()}
 
 
 def _with_unknown_gauge(course: _Course, settled: Settled, searches: int) -> Settled:
@@ -189,7 +197,7 @@ def _solved(course: _Course, found: Settled, panel: PanelParameters, *, std: boo
 def _repositioned(course: _Course, found: Settled) -> Settled:
     """Return ``found`` with better positions and stiffness ratios, and the passes moved by them."""
     ratios = refined(found.ratios, found.passes, found.solution, found.panel)
-    corrections = _refined_positions(course, found.corrections, ratios, found.solution, found.panel)
+    corrections = _refined_positions(course, found.corrections, ratios, found.state, found.solution, found.panel)
     moved = max(_apart(found.corrections[j], corrections[j], members) for j, members in course.grouped.items())
     at = _placed(course.grouped, corrections, ratios)
     return replace(found, corrections=corrections, ratios=ratios, passes=tuple(at), moved=float(moved))

@@ -89,7 +89,8 @@ def _curves(normal: FloatArray, right: FloatArray, w: int, p: PanelParameters, *
     if w == 0:
         return np.zeros((1 + len(normal), 0, 1))
     total, total_right = normal.sum(axis=0), right.sum(axis=0)
-    prior = linalg.block_diag(*[_prior(np.diag(total).reshape(w, -1)[:, : p.hats].mean(), p)] * w)
+    size = float(np.diag(total).reshape(w, -1)[:, : p.hats].mean())
+    prior = linalg.block_diag(*[_prior(size if size > 0.0 else 1.0, p)] * w)  # all passes too short: nothing was met
     prior += _no_common_shift(w, p, 1e2 * float(np.diag(total).max(initial=0.0)))
     curves = [
         linalg.solve(total - left_out + prior, total_right - left_right, assume_a="sym").reshape(w, p.columns)

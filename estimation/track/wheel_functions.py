@@ -31,7 +31,7 @@ REACH = np.arange(-440, 441) * 25e-6  # m of x in which R is looked for
 LEAST_SLOPE = 0.02  # of R over x: no wheelset has less
 FACTORS = (0.5, 0.65, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0)
 MOST_WHEELSETS = 6  # that tell a factor
-BINS = 81  # of R
+CURVE_KNOTS = DIFFERENCES[::2]  # m
 FAR = 0.8  # quantile of |R|
 
 
@@ -98,7 +98,7 @@ def places(passes: Sequence[Pass], solution: PanelSolution, panel: PanelParamete
 def fit(seen: Places, factor: float = 1.0) -> WheelFunctions:
     """Return the functions of the wheels of one wheelset, gauge deviations taken ``factor`` times."""
     x, half = seen.displacement, 0.5 * factor * seen.gauge
-    B = sparse.hstack([_hats(x - half), -_hats(-x - half)]).tocsr()
+    B = sparse.hstack([_hats(x - half, KNOTS), -_hats(-x - half, KNOTS)]).tocsr()
     normal, k = B.T @ B, len(KNOTS)
     scale = normal.diagonal().mean()
     bend = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(k - 2, k))
@@ -167,23 +167,22 @@ def gauge_sign(seen: Mapping[str, Places], shifts: Mapping[str, GaugeShift]) -> 
 
 
 def _misfit(seen: Places, factor: float) -> float:
-    """Return the mean square of x less the shift, m2, around its mean over R."""
+    """Return the mean square of x less the shift, m2, around its curve over R: straight between knots."""
     shift = shift_of(fit(seen, factor))
     x = seen.displacement - shift.at(seen.difference, factor * seen.gauge)
-    cell = np.clip(((seen.difference / DIFFERENCES[-1] + 1) * 0.5 * BINS).astype(np.int64), 0, BINS - 1)
-    count = np.maximum(np.bincount(cell, minlength=BINS), 1)
-    mean = np.bincount(cell, x, minlength=BINS) / count
-    return float(np.mean((x - mean[cell]) ** 2))
+    B = _hats(seen.difference, CURVE_KNOTS)
+    curve = spsolve((B.T @ B + 1e-6 * sparse.eye(len(CURVE_KNOTS))).tocsc(), B.T @ x)
+    return float(np.mean((x - B @ curve) ** 2))
 
 
-def _hats(u: FloatArray) -> sparse.csr_matrix:
-    """Return the hat functions over ``KNOTS`` at u (n,): (n, k)."""
-    position = np.clip((u - KNOTS[0]) / KNOT_STEP, 0.0, len(KNOTS) - 1.001)
+def _hats(u: FloatArray, knots: FloatArray) -> sparse.csr_matrix:
+    """Return the hat functions over uniform ``knots`` (k,) at u (n,): (n, k)."""
+    position = np.clip((u - knots[0]) / (knots[1] - knots[0]), 0.0, len(knots) - 1.001)
     cell = position.astype(np.int64)
     share = position - cell
     row = np.arange(len(u))
     values, at = np.concatenate([1.0 - share, share]), np.concatenate([cell, cell + 1])
-    return sparse.csr_matrix((values, (np.concatenate([row, row]), at)), shape=(len(u), len(KNOTS)))
+    return sparse.csr_matrix((values, (np.concatenate([row, row]), at)), shape=(len(u), len(knots)))
 
 
 def _outwards(seen: Places, shift: GaugeShift) -> float:
