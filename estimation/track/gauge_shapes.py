@@ -25,12 +25,16 @@ FEWEST = 300.0  # samples of a knot that count
 SIZE = 0.2  # m of h1 for a metre of gauge, rms: half is the most, at the flange
 MIXTURES = (0.0, 45.0, 90.0, 135.0)  # degrees between the two leading vectors
 TRIAL_LENGTH = 4000.0  # m
+LEAST_GAUGE = 0.3e-3  # m, std in the first trial: noise alone makes less, and as little would not matter
 
 
 def effect_from_residuals(
     passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters, prior: GaugePrior
-) -> FloatArray:
-    """Return h1 (w, gauge_hats), m for ``panel.gauge_unit`` of gauge, of a panel solved without gauge."""
+) -> FloatArray | None:
+    """Return h1 (w, gauge_hats), m for ``panel.gauge_unit`` of gauge, of a panel solved without gauge.
+
+    None where a gauge that would explain the residuals hardly varies.
+    """
     first, second, weight = _leading(passes, solution, panel)
     candidates = []
     for degrees in MIXTURES:
@@ -79,8 +83,8 @@ def _tried(
     passes: Sequence[Pass],
     panel: PanelParameters,
     prior: GaugePrior,
-) -> FloatArray:
-    """Return the candidate with which one round leaves the least on a part of the section."""
+) -> FloatArray | None:
+    """Return the candidate with which one round leaves the least on a part of the section; None without a gauge."""
     length = min(TRIAL_LENGTH, panel.length)
     begin = 0.5 * (panel.length - length)
     part = [cut for item in passes if (cut := _cut(item, begin, begin + length)) is not None]
@@ -88,9 +92,12 @@ def _tried(
     start = result(update(init(small), part), std=False)
     zero = replace(small, gauge=np.zeros(small.points))
     met = [wheelsets.index(name) for name in start.wheelsets]
-    tried = []
+    tried: list[float] = []
     for effect in candidates:
-        given = replace(small, gauge=gauge_step(part, with_effect(start, effect[met], zero), zero, prior))
+        gauge = gauge_step(part, with_effect(start, effect[met], zero), zero, prior)
+        if not tried and gauge.std() < LEAST_GAUGE:
+            return None
+        given = replace(small, gauge=gauge)
         state = update(init(given), part)
         tried.append(residual_of_passes(state, result(state, std=False)))
     return candidates[int(np.argmin(tried))]

@@ -159,6 +159,8 @@ def _with_unknown_gauge(course: _Course, settled: Settled, searches: int) -> Set
     """Return the solution with a gauge deviation of the place, where that explains the residuals; else as it was."""
     p = course.parameters
     effect = effect_from_residuals(settled.passes, settled.solution, settled.panel, p.gauge)
+    if effect is None:
+        return settled
     panel = replace(settled.panel, gauge=np.zeros(settled.panel.points))
     found = replace(settled, panel=panel, solution=with_effect(settled.solution, effect, panel))
     for number in range(p.gauge_trial):

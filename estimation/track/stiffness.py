@@ -19,7 +19,7 @@ from estimation.track.passes import Pass
 from estimation.track.solution import PanelSolution
 
 PRIOR_STD = 0.15  # of the ratio, relative
-SYSTEMATIC_STD = 0.01  # of the ratio, relative: a model of small terms is left, blocks of data cannot show it
+SYSTEMATIC_STD = 0.02  # of the ratio, relative: a model of small terms is left, blocks of data cannot show it
 DAMPING = 0.6  # of a step: position and ratio are refined at once, and each would make up for the other's error
 
 
