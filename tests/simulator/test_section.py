@@ -20,8 +20,10 @@ from ingest.simulator.section_simulation import (
     ensure_simulated,
     forget,
     journey_speed,
+    section_track,
     simulation_key,
     vehicle_parameters,
+    wheelset_contact,
     wheelset_file,
 )
 
@@ -252,6 +254,17 @@ def test_a_wheelset_that_derails_is_refused(small: SectionScenario, tmp_path: Pa
         simulate_section(wild, 0, tmp_path, workers=1)
     assert caught.value.field == "pairs.deepest_wear_mm"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_wheelset_that_would_derail_is_less_worn(small: SectionScenario, tmp_path: Path) -> None:
+    fast = replace(small, lowest_speed=42.0, highest_speed=43.0, pairs=(replace(small.pairs[0], deepest_wear=2.4e-3),))
+    run = simulate_section(fast, 0, tmp_path, workers=1)
+    drawn = wheelset_contact(fast, 0, 3, section_track(fast, 0))
+    with np.load(wheelset_file(run.folder, 3)) as kept:
+        assert not np.array_equal(kept["difference"], drawn.rolling_radius_difference[:, 0])
+    with np.load(wheelset_file(run.folder, 0)) as kept:
+        least = wheelset_contact(fast, 0, 0, section_track(fast, 0))
+        np.testing.assert_array_equal(kept["difference"], least.rolling_radius_difference[:, 0])
 
 
 def test_the_same_simulation_is_read_again(small_run: SectionRun, cache: Path) -> None:
