@@ -15,7 +15,8 @@ from estimation.motion import Motion
 from estimation.settings import EstimationSettings
 from estimation.signals import Refusal, motion
 from estimation.track.epochs import AlignmentSettings, reduced
-from estimation.track.passes import Pass, joined, passes
+from estimation.track.joined_windows import whole_runs
+from estimation.track.passes import Pass, passes
 from estimation.track.positions import Correction
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.types import Status, TrackAlignment, Window
@@ -63,7 +64,7 @@ def section_passes(windows: Iterable[Window], settings: EstimationSettings, alig
     """Return the passes of ``windows``, as the alignment of their section is found from them."""
     return [
         reduced(item, item.wheelset, alignment.pass_step)
-        for window in joined(windows)
+        for window in whole_runs(windows)
         for item in passes(window, settings.vehicle, settings.signals)
     ]
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+import sys
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -27,16 +28,39 @@ def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], 
         Items in a group.
     """
     order = sorted(range(len(items)), key=lambda i: (str(keys[i][0]), keys[i][1]))
-    groups: list[list[Item]] = []
+    return [[items[i] for i in group] for group in _unbroken(order, keys.__getitem__, most)]
+
+
+def whole_runs(windows: Iterable[Window]) -> Iterator[Window]:
+    """Yield windows that come in order of time, those that follow each other without a break as one, however many.
+
+    Long wavelengths need long stretches: what is near the end of a window is lost to the filters, what is near a seam
+    is not.
+    """
+    for run in _unbroken(windows, _shared_start_end, sys.maxsize):
+        yield joined(run)
+
+
+def _shared_start_end(window: Window) -> tuple[Hashable, int, int]:
+    shared = (window.wheelset, window.vehicle, window.axle, window.track_section, window.sample_interval_s)
+    return shared, window.start_ns, window.start_ns + window.length_ns
+
+
+def _unbroken(
+    items: Iterable[Item], key: Callable[[Item], tuple[Hashable, int, int]], most: int
+) -> Iterator[list[Item]]:
+    """Yield runs of at most ``most`` items, each with what the one before has in common and a start where it ends."""
+    run: list[Item] = []
     last: tuple[Hashable, int] | None = None
-    for i in order:
-        shared, start, end = keys[i]
-        if last == (shared, start) and len(groups[-1]) < most:
-            groups[-1].append(items[i])
-        else:
-            groups.append([items[i]])
+    for item in items:
+        shared, start, end = key(item)
+        if run and (last != (shared, start) or len(run) == most):
+            yield run
+            run = []
+        run.append(item)
         last = shared, end
-    return groups
+    if run:
+        yield run
 
 
 def joined(windows: Sequence[Window]) -> Window:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from estimation.arrays import BoolArray, FloatArray, frozen_array
 from estimation.signals import SignalParameters, running_integrals, stretches
 from estimation.track.fusion import Felt, FusionParameters, fused
-from estimation.types import ACCELERATIONS, Window
+from estimation.types import Window
 from estimation.vehicle import VehicleParameters
 
 
@@ -81,52 +80,6 @@ def passes(
             felt = felt_along(window, known, part, vehicle, np.asarray(direction * at))
             found += _placed(window, felt, vehicle, direction, -1 if mounted_reversed else 1)
     return found
-
-
-def joined(windows: Iterable[Window]) -> Iterator[Window]:
-    """Yield the windows of one wheelset in order of time, those that follow each other without a pause as one.
-
-    Long wavelengths need long stretches: what is near the end of a window is lost to the filters, what is near a seam
-    is not.
-    """
-    run: list[Window] = []
-    for window in windows:
-        if run and not _follows(run[-1], window):
-            yield _as_one(run)
-            run = []
-        run.append(window)
-    if run:
-        yield _as_one(run)
-
-
-def _follows(first: Window, second: Window) -> bool:
-    return (
-        second.start_ns == first.start_ns + first.length_ns
-        and (second.wheelset, second.vehicle, second.axle) == (first.wheelset, first.vehicle, first.axle)
-        and second.track_section == first.track_section
-        and second.sample_interval_s == first.sample_interval_s
-        and len(first.valid) == round(first.length_ns * 1e-9 / first.sample_interval_s)
-    )
-
-
-def _as_one(run: list[Window]) -> Window:
-    if len(run) == 1:
-        return run[0]
-    lateral, yaw, roll, mass, speed, distance, valid = (
-        np.concatenate([getattr(window, name) for window in run])
-        for name in (*ACCELERATIONS, "speed", "distance", "valid")
-    )
-    return replace(
-        run[0],
-        length_ns=sum(window.length_ns for window in run),
-        lateral_acceleration=lateral,
-        yaw_acceleration=yaw,
-        roll_acceleration=roll,
-        mass_lateral_acceleration=mass,
-        speed=speed,
-        distance=distance,
-        valid=valid,
-    )
 
 
 def _placed(window: Window, felt: Felt, vehicle: VehicleParameters, direction: int, mounted: int) -> list[Pass]:

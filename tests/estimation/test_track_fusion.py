@@ -11,8 +11,9 @@ from smooth_wheelset import mems_windows, run
 
 from estimation.arrays import FloatArray
 from estimation.signals import SignalParameters
+from estimation.track.joined_windows import whole_runs
 from estimation.track.local_filter import smoother, without_slow_part
-from estimation.track.passes import Pass, joined, passes
+from estimation.track.passes import Pass, passes
 from estimation.types import Window
 from estimation.vehicle import VehicleParameters
 
@@ -48,7 +49,7 @@ def test_long_waves_of_the_radius_difference_come_out_far_better_than_from_the_y
     cone: float, speed: float
 ) -> None:
     motion = run(120, seed=1, cone=cone, speed=speed)
-    (window,) = joined(mems_windows(motion, seed=3))
+    (window,) = whole_runs(mems_windows(motion, seed=3))
     found = _pass(window)
     step = float(found.at[1] - found.at[0])
     true = np.interp(found.at, motion.distance, motion.rolling_radius_left - motion.rolling_radius_right)
@@ -60,7 +61,7 @@ def test_long_waves_of_the_radius_difference_come_out_far_better_than_from_the_y
 
 def test_short_waves_are_left_to_the_yaw_sensor() -> None:
     motion = run(120, seed=1, cone=0.10, speed=20.0)
-    (window,) = joined(mems_windows(motion, seed=3))
+    (window,) = whole_runs(mems_windows(motion, seed=3))
     found = _pass(window)
     step = float(found.at[1] - found.at[0])
     alone = _by_yaw_sensor(window, found.at)
@@ -71,7 +72,7 @@ def test_short_waves_are_left_to_the_yaw_sensor() -> None:
 def test_windows_that_follow_each_other_give_the_pass_of_one_long_window() -> None:
     motion = run(120, seed=1, cone=0.10, speed=20.0)
     (whole,) = mems_windows(motion, seed=3, length_s=120)
-    (together,) = joined(mems_windows(motion, seed=3, length_s=30))
+    (together,) = whole_runs(mems_windows(motion, seed=3, length_s=30))
     np.testing.assert_array_equal(together.lateral_acceleration, whole.lateral_acceleration)
     one, other = _pass(whole), _pass(together)
     for name in ("at", "displacement", "difference", "elastic"):
@@ -80,9 +81,9 @@ def test_windows_that_follow_each_other_give_the_pass_of_one_long_window() -> No
 
 def test_windows_are_joined_only_where_nothing_lies_between_them() -> None:
     cut = mems_windows(run(120, seed=1, cone=0.10, speed=20.0), seed=3, length_s=30)
-    assert [w.length_ns for w in joined([cut[0], cut[1], cut[3]])] == [60_000_000_000, 30_000_000_000]
+    assert [w.length_ns for w in whole_runs([cut[0], cut[1], cut[3]])] == [60_000_000_000, 30_000_000_000]
     elsewhere = replace(cut[1], track_section="S2")
     other_axle = replace(cut[1], axle=2)
     for second in (elsewhere, other_axle):
-        assert [w.length_ns for w in joined([cut[0], second])] == [30_000_000_000] * 2
-    assert list(joined([])) == []
+        assert [w.length_ns for w in whole_runs([cut[0], second])] == [30_000_000_000] * 2
+    assert list(whole_runs([])) == []

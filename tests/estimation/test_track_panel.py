@@ -14,9 +14,10 @@ from smooth_wheelset import SmoothTable, mems_windows, run, track
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
 from estimation.signals import SignalParameters
+from estimation.track.joined_windows import whole_runs
 from estimation.track.local_filter import smoother, trusted, without_slow_part
 from estimation.track.panel import PanelParameters, PanelState, hat_functions, init, update
-from estimation.track.passes import Pass, gridded, joined, passes
+from estimation.track.passes import Pass, gridded, passes
 from estimation.track.solution import PanelSolution, result
 from estimation.types import Status
 from estimation.vehicle import VehicleParameters
@@ -31,7 +32,7 @@ def fleet_passes(seed: int = 1, alike: bool = False) -> tuple[Pass, ...]:  # noq
     for number, (cone, speed) in enumerate(FLEET):
         cone, speed = (0.10, 20.0) if alike else (cone, speed)  # noqa: PLW2901 - alike on purpose
         m = run(120, seed=seed, cone=cone, speed=speed)
-        (window,) = joined(mems_windows(m, seed=10 * seed + number))
+        (window,) = whole_runs(mems_windows(m, seed=10 * seed + number))
         name = f"cone {cone}" + (f" {number}" if alike else "")
         found += [
             replace(item, wheelset=name, vehicle=f"{speed:g} m/s")

@@ -10,9 +10,10 @@ from smooth_wheelset import mems_windows, run
 
 from estimation.signals import SignalParameters
 from estimation.track.findings import findings
+from estimation.track.joined_windows import whole_runs
 from estimation.track.local_filter import smoother, without_slow_part
 from estimation.track.panel import PanelParameters
-from estimation.track.passes import Pass, joined, passes
+from estimation.track.passes import Pass, passes
 from estimation.track.positions import PositionParameters, journeys
 from estimation.track.settling import Settled, SettlingParameters, settle
 from estimation.track.stiffness import SYSTEMATIC_STD, Ratio, adjusted
@@ -30,7 +31,7 @@ def believed(share: float) -> tuple[Pass, ...]:
     truth = VehicleParameters()
     for number, (speed, cone) in enumerate((speed, cone) for speed in (SOFT, RIGHT) for cone in CONES):
         vehicle = replace(truth, yaw_stiffness=share * truth.yaw_stiffness) if speed == SOFT else truth
-        (window,) = joined(mems_windows(run(120, seed=1, cone=cone, speed=speed), seed=10 + number))
+        (window,) = whole_runs(mems_windows(run(120, seed=1, cone=cone, speed=speed), seed=10 + number))
         named = replace(window, wheelset=f"{cone} of {speed:g}", vehicle=f"{speed:g}")
         found += passes(named, vehicle, SignalParameters())
     return tuple(found)
