@@ -14,7 +14,7 @@ from estimation.arrays import BoolArray, FloatArray
 
 SCALE_UNCERTAINTY = 0.003  # of a displacement that was integrated and projected
 STRAY = 2.5  # reach of samples that stray over a jump, in std: most come from nearby, the far ones from long errors
-ORIGIN = 0.02e-3  # m by which the origin of band-limited motion strays: it is the mean of what was met
+ORIGIN = 0.005e-3  # m by which the origin of band-limited motion strays: it is the mean of what was met
 ORIGIN_BY_BLUR = 0.25  # share of the blur by which it strays more
 MOST_EXCESS = 0.2  # of the variance of the displacement that its error may make up
 
