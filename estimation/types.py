@@ -181,6 +181,13 @@ class GaugeShift:
         high = (1.0 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
         return np.asarray((1.0 - u) * low + u * high)
 
+    def over(self, difference: FloatArray, gauge_deviation: FloatArray) -> FloatArray:
+        """Return the shift (n, g), m, at every rL - rR (n,) for each of some gauge deviations (g,), m."""
+        i, u = _cells(difference, self.difference)
+        j, v = _cells(gauge_deviation, self.gauge)
+        table = (1.0 - v) * self.shift[:, j] + v * self.shift[:, j + 1]
+        return np.asarray((1.0 - u)[:, None] * table[i] + u[:, None] * table[i + 1])
+
 
 def _cells(values: FloatArray, grid: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return the cell (n,) of a uniform grid in which each value lies, and where in it, 0 to 1."""

@@ -65,10 +65,7 @@ def searched(
         if placed is None:
             continue
         at, at_nominal, R = placed
-        table = shifts[item.wheelset]
-        each = at_nominal[:, None] - item.side * table.at(np.repeat(R, len(levels)), np.tile(levels, len(R))).reshape(
-            len(R), len(levels)
-        )
+        each = at_nominal[:, None] - item.side * shifts[item.wheelset].over(R, levels)
         sums[at] += each
         squares[at] += each * each
         count[at] += 1

@@ -42,7 +42,7 @@ def smoother(cut_off: float, step: float) -> FloatArray:
 def without_slow_part(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) -> npt.NDArray[Precision]:
     """Return ``signals`` (m, n) minus their local fit; the first and last len(weights)//2 samples mean nothing."""
     kernel = weights[None, :] if signals.ndim > 1 else weights
-    return np.asarray(signals - signal.oaconvolve(signals, kernel, mode="same", axes=-1))
+    return np.asarray(signals - signal.fftconvolve(signals, kernel, mode="same", axes=-1))
 
 
 def trusted(valid: BoolArray, weights: FloatArray) -> BoolArray:

@@ -13,8 +13,9 @@ times its square, h(R, e) = h0(R) + e h1(R) + e^2 h2(R), because gauge moves eac
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -131,13 +132,11 @@ def update(state: PanelState, passes: list[Pass]) -> PanelState:
         if columns is None:
             continue
         w, (at, B, y, R) = wheelsets.index(item.wheelset), columns
-        dealt = groups_of(at, state.parameters)
-        for group in np.unique(dealt):
-            mine = dealt == group
-            gram[group, w] += B[:, mine] @ B[:, mine].T
-            cross[group, w] += B[:, mine] @ y[mine]
-            square[group] += y[mine] @ y[mine]
-        functions[w][:, at] += B
+        for group, B_there, y_there in _dealt(at, B, y, state.parameters):
+            gram[group, w] += B_there @ B_there.T
+            cross[group, w] += B_there @ y_there
+            square[group] += y_there @ y_there
+        functions[w][:, _whole(at)] += B
         displacement[at] += y
         counts[at] += 1
         difference[0, at] += R
@@ -153,6 +152,24 @@ def update(state: PanelState, passes: list[Pass]) -> PanelState:
         passes=counts,
         difference=difference,
     )
+
+
+def _dealt(
+    at: IntArray, B: npt.NDArray[np.float32], y: FloatArray, parameters: PanelParameters
+) -> Iterator[tuple[int, npt.NDArray[np.float32], FloatArray]]:
+    """Yield each group with its part of the columns (k, m) and of the displacement (m,)."""
+    group = groups_of(at, parameters)
+    order = np.argsort(group, kind="stable")
+    B, y = B[:, order], y[order]
+    ends = np.cumsum(np.bincount(group, minlength=parameters.groups))
+    for number, (start, end) in enumerate(pairwise((0, *ends))):
+        if end > start:
+            yield number, B[:, start:end], y[start:end]
+
+
+def _whole(at: IntArray) -> IntArray | slice:
+    """Return increasing grid points as a slice where none is left out: many times quicker to add to."""
+    return slice(int(at[0]), int(at[-1]) + 1) if at[-1] - at[0] + 1 == len(at) else at
 
 
 def groups_of(at: IntArray, parameters: PanelParameters) -> IntArray:

@@ -63,9 +63,9 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
         per_pass = np.where(enough[mine], share[mine], 1.0 / np.maximum(state.passes[mine], 1))
         root = G * np.sqrt(per_pass).astype(np.float32)
         normal[g] = linalg.block_diag(*state.gram[g]) - root @ root.T
-        right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[mine])
+        right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[mine]).astype(np.float32)
     curves = _curves(normal, right, w, p, std=std)
-    alignments = np.stack([(state.displacement - curve.reshape(-1) @ stacked) * share for curve in curves])
+    alignments = (state.displacement - _by_curves(curves, state)) * share
     residual = _residual_rms(state, curves[0], normal, right)
     mean_passes = float(state.passes[state.passes > 0].mean()) if (state.passes > 0).any() else 0.0
     common = jackknife_std(alignments)
@@ -82,6 +82,12 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
         common_std=np.where(enough, common, np.nan),
         passes=state.passes,
     )
+
+
+def _by_curves(curves: FloatArray, state: PanelState) -> FloatArray:
+    """Return the sum over passes (r, n), m, of what curves (r, w, c) make of displacement; rounded to a nanometre."""
+    summed = state.functions.reshape(-1, state.parameters.points)
+    return np.asarray(curves.reshape(len(curves), -1).astype(np.float32) @ summed, dtype=np.float64)
 
 
 def _curves(normal: FloatArray, right: FloatArray, w: int, p: PanelParameters, *, std: bool) -> FloatArray:
@@ -146,7 +152,7 @@ def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
     c = solution.curves[0].reshape(len(state.wheelsets), -1)
     d = np.nan_to_num(solution.alignment)
     count = np.where(np.isfinite(solution.alignment), state.passes, 0)
-    rest = state.displacement - np.einsum("wk,wkn->n", c, state.functions)
+    rest = state.displacement - _by_curves(c[None], state)[0]
     squares = (
         state.square.sum()
         - 2.0 * np.einsum("wk,gwk->", c, state.cross)

@@ -140,3 +140,11 @@ def test_between_the_grids_a_shift_is_straight_and_beyond_them_flat(R: float, e:
     table = GaugeShift(difference, gauge, 0.1 * difference[:, None] + 0.3 * gauge[None, :])
     expected = 0.1 * np.clip(R, -5e-3, 5e-3) + 0.3 * np.clip(e, -4e-3, 4e-3)
     assert table.at(np.array([R]), np.array([e]))[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_shifts_over_many_gauges_are_those_at_each() -> None:
+    draw = np.random.default_rng(4)
+    table = GaugeShift(np.linspace(-5e-3, 5e-3, 11), np.linspace(-4e-3, 4e-3, 5), 1e-3 * draw.standard_normal((11, 5)))
+    R, e = draw.uniform(-7e-3, 7e-3, 40), draw.uniform(-6e-3, 6e-3, 9)
+    one_by_one = table.at(np.repeat(R, len(e)), np.tile(e, len(R))).reshape(len(R), len(e))
+    np.testing.assert_allclose(table.over(R, e), one_by_one, rtol=0, atol=1e-15)
