@@ -65,6 +65,7 @@ def with_evidence(state: PanelState, known: Evidence, noise: float, most_weight:
         displacement=state.displacement + weight * d,
         passes=state.passes + weight,
         square=square,
+        lies=known.lies,
     )
 
 

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from estimation.arrays import BoolArray, FloatArray, IntArray
 from estimation.errors import ParameterError
 from estimation.track.local_filter import smoother, trusted, without_slow_part
+from estimation.track.measured import MeasuredCurve
 from estimation.track.passes import Pass, gridded
 from estimation.types import GaugeShift
 
@@ -41,6 +42,7 @@ class PanelParameters:
     gauge: FloatArray | None = field(default=None, compare=False)  # (points,) m, deviation; None: none is modelled
     gauge_hats: int = 15
     shifts: Mapping[str, GaugeShift] | None = field(default=None, compare=False)  # of wheelsets, as far as known
+    measured: Mapping[str, MeasuredCurve] | None = field(default=None, compare=False)  # of wheelsets, as far as known
     gauge_unit: float = 2e-3  # m
     groups: int = 12  # of the jackknife, dealt along the section
     block: float = 250.0  # m
@@ -95,6 +97,7 @@ class PanelState:
     displacement: FloatArray  # (n,) sum over passes of the filtered y
     passes: IntArray  # (n,)
     difference: FloatArray  # (2, n) sums of the filtered R and of its square
+    lies: bool = False  # evidence of how the place lies is among the sums
 
 
 def _knots(reach: float, count: int) -> FloatArray:

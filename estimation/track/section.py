@@ -12,15 +12,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from estimation.arrays import FloatArray
 from estimation.track.evidence import Evidence, on_grid
 from estimation.track.findings import Told, findings
 from estimation.track.long_alignment import long_alignment
-from estimation.track.panel import PanelParameters, PanelState, unexplained
+from estimation.track.measured import MeasuredCurve
+from estimation.track.panel import OnGrid, PanelParameters, unexplained
+from estimation.track.panel import on_grid as felt_on_grid
 from estimation.track.passes import Pass
 from estimation.track.positions import Correction, Journey, PositionParameters, journeys
 from estimation.track.report import JourneyReport, LoopReport, nothing
 from estimation.track.settling import Grouped, Settled, SettlingParameters, settle
-from estimation.track.solution import LEAST_WHEELSETS, PanelSolution
+from estimation.track.solution import LEAST_WHEELSETS, PanelSolution, diversity
+from estimation.track.stiffness import PRIOR_STD
 from estimation.types import FLEET, Status, TrackAlignment
 
 
@@ -61,7 +65,8 @@ def estimate_section(
     section
         Its code.
     passes
-        Of this epoch; wheelsets are told apart by ``Pass.wheelset``, so passes of other wear need another name.
+        Of this epoch; wheelsets are told apart by ``Pass.wheelset``, so passes of other wear need another name. What
+        ``parameters.panel.measured`` says of them is evidence too.
     evidence
         The last version, or a recorded alignment; None where nothing is known.
     parameters
@@ -77,7 +82,7 @@ def estimate_section(
         return SectionEstimate(None, nothing(reason, named), {}, None)
     settled, strays, residuals = _without_strays(grouped, known, parameters)
     report = _report(settled, grouped, strays, residuals, known, parameters)
-    report = replace(report, evidence=named)
+    report = replace(report, evidence=named + tuple(f"measured profiles of {one.name}" for one in _measured(settled)))
     if report.status is not Status.ESTIMATED:
         return SectionEstimate(None, report, {}, settled.solution)
     alignment = _alignment(section, settled, evidence, parameters)
@@ -98,7 +103,7 @@ def _nothing_to_tell(grouped: Grouped, p: SectionParameters) -> str:
         first, last = (int(np.clip(at / p.panel.step, 0, p.panel.points)) for at in (item.at[0], item.at[-1]))
         passed[first:last] += 1
         lives.add(item.wheelset)
-    if len(lives) < LEAST_WHEELSETS:
+    if len(lives) < LEAST_WHEELSETS and not lives & (p.panel.measured or {}).keys():
         return "one wheelset alone cannot tell the track from its own geometry"
     return "" if (passed >= p.panel.least_passes).any() else f"no place with {p.panel.least_passes} passes"
 
@@ -187,21 +192,11 @@ def _report(
         passes=sum(item.passes for item in told if item.used),
         wheelsets=len(solution.wheelsets),
         mean_passes=float(state.passes[passed].mean()) if passed.any() else 0.0,
-        diversity=_diversity(state),
+        diversity=diversity(state),
         covered=float(np.isfinite(solution.alignment).mean()),
         alignment_std_m=float(np.median(solution.alignment_std[certain])) if certain.any() else float("nan"),
         journeys=tuple(told),
     )
-
-
-def _diversity(state: PanelState) -> float:
-    """Return the std of R between the passes of a place over the std of R."""
-    several = state.passes > 1
-    count = state.passes[several]
-    sums, squares = state.difference[0, several], state.difference[1, several]
-    within = float((squares - sums**2 / count).sum() / max(int((count - 1).sum()), 1))
-    total = float(squares.sum() / max(int(count.sum()), 1))
-    return float(np.sqrt(max(within, 0.0) / total)) if total > 0 else 0.0
 
 
 def _journey(
@@ -237,7 +232,8 @@ def _alignment(section: str, settled: Settled, evidence: TrackAlignment | None, 
     gauge = known.gauge if told.gauge is None else told.gauge
     gauge_std = known.gauge_std if told.gauge_std is None else told.gauge_std
     of_gauge = p.systematic_per_gauge[told.gauge is not None] * float(np.std(gauge))
-    std = np.sqrt(std**2 + found.passes / shared * (p.systematic**2 + of_gauge**2))
+    profile = _profile_std(settled)
+    std = np.sqrt(std**2 + found.passes / shared * (p.systematic**2 + of_gauge**2 + profile[0] ** 2))
     return TrackAlignment(
         section=section,
         version=0,
@@ -250,7 +246,7 @@ def _alignment(section: str, settled: Settled, evidence: TrackAlignment | None, 
         status=Status.ESTIMATED,
         source=FLEET,
         cut_off=p.reaches,
-        scale_std=_stretch(told, p),
+        scale_std=float(np.hypot(_stretch(told, p), profile[1])),
         gauge_known=known.gauge_known and told.gauge is None,
         findings=told.findings,
     )
@@ -259,6 +255,30 @@ def _alignment(section: str, settled: Settled, evidence: TrackAlignment | None, 
 def _stretch(told: Told, p: SectionParameters) -> float:
     """Return the relative std of a common stretch of y - d."""
     return p.stretch if told.gauge is None else float(np.hypot(p.stretch, p.gauge_stretch))
+
+
+def _measured(settled: Settled) -> list[MeasuredCurve]:
+    """Return the measured curves of the wheelsets that have passed."""
+    known = settled.panel.measured or {}
+    return [known[name] for name in settled.solution.wheelsets if name in known]
+
+
+def _profile_std(settled: Settled) -> tuple[float, float]:
+    """Return std, m, and relative stretch of y - d where only measured profiles could tell the curves; else nought.
+
+    The stretch is that of the profiles, and that of R by a stiffness that is as assumed.
+    """
+    if not settled.solution.report.held:
+        return 0.0, 0.0
+    squares = np.array([(one.std, one.std / one.spread) for one in _measured(settled)]) ** 2
+    std, stretch = np.sqrt(squares.mean(axis=0))
+    seen = [felt for item in settled.passes if (felt := felt_on_grid(item, settled.panel)) is not None]
+    elastic, whole = (sum(float(part @ part) for part in parts) for parts in _parts(seen))
+    return float(std), float(np.hypot(stretch, PRIOR_STD * np.sqrt(elastic / whole) if whole > 0.0 else 0.0))
+
+
+def _parts(seen: Sequence[OnGrid]) -> tuple[list[FloatArray], list[FloatArray]]:
+    return [felt.elastic[felt.inside] for felt in seen], [felt.difference[felt.inside] for felt in seen]
 
 
 def _nothing_known(p: SectionParameters) -> Evidence:

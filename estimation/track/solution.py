@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from estimation.arrays import BoolArray, FloatArray, IntArray
+from estimation.arrays import FloatArray, IntArray
 from estimation.jackknife import jackknife_std
+from estimation.track.measured import MeasuredCurve
 from estimation.track.panel import PanelParameters, PanelState, groups_of
 from estimation.types import Status
 
@@ -16,19 +17,22 @@ LEAST_DIVERSITY = 0.15
 LEAST_WHEELSETS = 2
 GAUGE_RIDGE = 1e-4  # of h1 and h2 per knot, relative to the data of a knot of h0
 ELASTIC_PRIOR = 2e-7  # m2: variance of a pass over that of the coefficient of the elastic part
+PASS_STD = 0.12e-3  # m of y - d - h(R) of a pass, as measured profiles are weighed against it
+ALIKE = 20.0  # samples of a pass whose errors are one
+PARTS = 4.0  # of a measured curve, whose errors are their own
+HELD = 100.0  # times the data of a knot: a curve that only the measurement can tell
 
 
 @dataclass(frozen=True, slots=True)
 class PanelReport:
-    """Whether the passes could tell alignment and geometry apart, and from what."""
+    """Whether the passes could tell alignment and geometry apart.
+
+    ``held`` where they could not, and measured profiles have done it for them.
+    """
 
     status: Status
     reason: str
-    wheelsets: int
-    passes: float  # mean per grid point that has any
-    covered: float  # share of the section with enough passes
-    diversity: float  # std of R between the passes of a place over the std of R
-    residual_rms: float  # m, of y between the passes of a place, after the fit
+    held: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,15 +68,16 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
         root = G * np.sqrt(per_pass).astype(np.float32)
         normal[g] = linalg.block_diag(*state.gram[g]) - root @ root.T
         right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[mine]).astype(np.float32)
-    curves = _curves(normal, right, w, p, std=std)
+    reason = _too_little(state)
+    held = bool(reason) and not state.lies and bool(enough.any()) and bool(_measured(state))
+    curves = _curves(normal, right, state, held=held, std=std)
     alignments = (state.displacement - _by_curves(curves, state)) * share
     residual = _residual_rms(state, curves[0], normal, right)
-    mean_passes = float(state.passes[state.passes > 0].mean()) if (state.passes > 0).any() else 0.0
     common = jackknife_std(alignments)
     certainty = np.hypot(common, residual * np.sqrt(share))
-    report = _report(state, enough, mean_passes, residual)
+    told = held or not reason
     return PanelSolution(
-        report=report,
+        report=PanelReport(Status.ESTIMATED if told else Status.UNESTIMATED, "" if told else reason, held),
         wheelsets=state.wheelsets,
         knots=p.knots,
         curves=curves,
@@ -90,14 +95,20 @@ def _by_curves(curves: FloatArray, state: PanelState) -> FloatArray:
     return np.asarray(curves.reshape(len(curves), -1).astype(np.float32) @ summed, dtype=np.float64)
 
 
-def _curves(normal: FloatArray, right: FloatArray, w: int, p: PanelParameters, *, std: bool) -> FloatArray:
+def _curves(normal: FloatArray, right: FloatArray, state: PanelState, *, held: bool, std: bool) -> FloatArray:
     """Solve for all data and with each group left out; curves pass through zero at R = 0."""
+    w, p = len(state.wheelsets), state.parameters
     if w == 0:
         return np.zeros((1 + len(normal), 0, 1))
     total, total_right = normal.sum(axis=0), right.sum(axis=0)
     size = float(np.diag(total).reshape(w, -1)[:, : p.hats].mean())
     prior = linalg.block_diag(*[_prior(size if size > 0.0 else 1.0, p)] * w)  # all passes too short: nothing was met
     prior += _no_common_shift(w, p, 1e2 * float(np.diag(total).max(initial=0.0)))
+    measured, measured_right = _prior_of_measured(state, HELD * size if held else None)
+    prior, total_right = prior + measured, total_right + measured_right
+    if held:  # as little as the curves do the passes tell the stiffness: it is as assumed
+        elastic = np.arange(p.columns - 1, len(total), p.columns)
+        prior[elastic, elastic] += HELD * total[elastic, elastic]
     curves = [
         linalg.solve(total - left_out + prior, total_right - left_right, assume_a="sym").reshape(w, p.columns)
         for left_out, left_right in zip(
@@ -118,6 +129,31 @@ def _prior(scale: float, p: PanelParameters) -> FloatArray:
         k = p.gauge_hats
         blocks += [scale * (_rough(k, 3 * p.roughness) + GAUGE_RIDGE * np.eye(k))] * 2
     return linalg.block_diag(*blocks, np.full((1, 1), ELASTIC_PRIOR))
+
+
+def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
+    """Return the curves that have been measured, by the number of their wheelset."""
+    known = state.parameters.measured or {}
+    return {number: known[name] for number, name in enumerate(state.wheelsets) if name in known}
+
+
+def _prior_of_measured(state: PanelState, held: float | None) -> tuple[FloatArray, FloatArray]:
+    """Return normal matrix (w c, w c) and right side (w c,) of h0 as measured, up to a constant.
+
+    ``held`` is the weight of a knot where only the measurement can tell the curve; None lets its std weigh it.
+    """
+    w, p = len(state.wheelsets), state.parameters
+    matrix, right = np.zeros((w * p.columns, w * p.columns)), np.zeros(w * p.columns)
+    for number, curve in _measured(state).items():
+        displacement, reached = curve.at(p.knots)
+        own = (PASS_STD / curve.std) ** 2 * ALIKE * PARTS / p.hats
+        weight = reached * (own if held is None else held)
+        if not weight.any():
+            continue
+        block = np.diag(weight) - np.outer(weight, weight) / weight.sum()  # less its mean: the filter takes constants
+        at = slice(number * p.columns, number * p.columns + p.hats)
+        matrix[at, at], right[at] = block, block @ displacement
+    return matrix, right
 
 
 def _no_common_shift(w: int, p: PanelParameters, strength: float) -> FloatArray:
@@ -165,20 +201,24 @@ def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
     return float(np.sqrt(max(float(squares), 0.0) / freedom))
 
 
-def _report(state: PanelState, enough: BoolArray, mean_passes: float, residual: float) -> PanelReport:
+def diversity(state: PanelState) -> float:
+    """Return the std of R between the passes of a place over the std of R."""
     several = state.passes > 1
     count = state.passes[several]
     sums, squares = state.difference[0, several], state.difference[1, several]
-    within = (squares - sums**2 / count).sum() / max((count - 1).sum(), 1)
-    total = squares.sum() / max(count.sum(), 1)
-    diversity = float(np.sqrt(max(within, 0.0) / total)) if total > 0 else 0.0
-    covered = float(enough.mean())
-    reason = ""
-    if not enough.any():
-        reason = f"no place with {state.parameters.least_passes} passes"
-    elif len(state.wheelsets) < LEAST_WHEELSETS:
-        reason = "one wheelset alone cannot tell the track from its own geometry"
-    elif diversity < LEAST_DIVERSITY:
-        reason = f"the passes are too alike: diversity {diversity:.2f}, {LEAST_DIVERSITY} is needed"
-    status = Status.UNESTIMATED if reason else Status.ESTIMATED
-    return PanelReport(status, reason, len(state.wheelsets), mean_passes, covered, diversity, residual)
+    within = float((squares - sums**2 / count).sum() / max(int((count - 1).sum()), 1))
+    total = float(squares.sum() / max(int(count.sum()), 1))
+    return float(np.sqrt(max(within, 0.0) / total)) if total > 0 else 0.0
+
+
+def _too_little(state: PanelState) -> str:
+    """Return why the passes alone cannot tell the track from the wheelsets; empty where they can."""
+    least = state.parameters.least_passes
+    if not (state.passes >= least).any():
+        return f"no place with {least} passes"
+    if len(state.wheelsets) < LEAST_WHEELSETS:
+        return "one wheelset alone cannot tell the track from its own geometry"
+    found = diversity(state)
+    if found < LEAST_DIVERSITY:
+        return f"the passes are too alike: diversity {found:.2f}, {LEAST_DIVERSITY} is needed"
+    return ""

@@ -1,0 +1,112 @@
+"""Freshly measured profiles tell the track where the passes alone cannot, and hardly matter where they can."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from smooth_wheelset import SmoothTable, track
+from test_track_panel import PARAMETERS, fleet_passes
+
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.contact.wear import WearFamily, wear_course, worn
+from estimation.errors import ContactError, ProfileError
+from estimation.track.local_filter import smoother, without_slow_part
+from estimation.track.measured import MeasuredCurve, measured_curve
+from estimation.track.passes import Pass
+from estimation.track.section import SectionEstimate, SectionParameters, estimate_section
+from estimation.types import Status
+
+STD = 0.1e-3  # m
+
+
+def curve(cone: float = 0.10, *, stretched: float = 1.0) -> MeasuredCurve:
+    """Return the curve of a wheelset of the simulation, as somebody would have measured it."""
+    table = SmoothTable(cone)
+    x = table.lateral_displacement
+    return MeasuredCurve("W of 2026-01-02", table.left(x) - table.right(x), stretched * x, STD)
+
+
+def estimated(passes: list[Pass], measured: dict[str, MeasuredCurve] | None) -> SectionEstimate:
+    panel = replace(PARAMETERS, measured=measured)
+    return estimate_section("S", passes, None, SectionParameters(panel=panel))
+
+
+@cache
+def alike() -> SectionEstimate:
+    passes = list(fleet_passes(alike=True))
+    return estimated(passes, {passes[0].wheelset: curve()})
+
+
+def alignment_error(found: SectionEstimate) -> float:
+    """Return the std of the error of the alignment over that of the true one."""
+    assert found.alignment is not None
+    weights = smoother(found.alignment.cut_off, PARAMETERS.step)
+    truth = track(1)
+    true = without_slow_part(np.interp(found.alignment.s, truth.s, truth.alignment), weights)
+    seen = np.isfinite(found.alignment.alignment) & (found.alignment.s > 200) & (found.alignment.s < 1700)
+    assert seen.sum() > 1000
+    return float((found.alignment.alignment - true)[seen].std() / true[seen].std())
+
+
+@pytest.mark.parametrize("depth", [0.0, 0.8e-3])
+def test_the_curve_is_the_contact_geometry_turned_round(depth: float) -> None:
+    wheel = worn(wheel_profile("P8"), wear_course(WearFamily.P8_ON_56E1, depth))
+    found = measured_curve("W", wheel, wheel, STD, rail="56E1", inclination=0.05, gauge=1.435)
+    rail = rail_profile("56E1")
+    grid = np.arange(-70, 71) * 0.05e-3
+    table = contact_table(WheelsetOnTrack.symmetric(wheel, rail, 0.05, 1.435), grid, np.zeros(1))
+    back, reached = found.at(table.rolling_radius_difference[:, 0])
+    assert reached.all()
+    np.testing.assert_allclose(back, grid, atol=0.06e-3)  # a step of the grid, where R hardly rises
+    assert found.at(np.zeros(1))[0][0] == pytest.approx(0.0, abs=1e-9)
+    assert found.at(np.array([1.0]))[1][0] == 0.0
+
+
+def test_profiles_that_cannot_be_used_are_named() -> None:
+    wheel, rail = wheel_profile("P8"), rail_profile("56E1")
+    with pytest.raises(ProfileError, match="99E9"):
+        measured_curve("W", wheel, wheel, STD, rail="99E9", inclination=0.05, gauge=1.435)
+    with pytest.raises(ContactError, match="wheel"):
+        measured_curve("W", rail, wheel, STD, rail="56E1", inclination=0.05, gauge=1.435)
+
+
+def test_one_measured_wheelset_makes_a_fleet_of_alike_ones_tell_the_track() -> None:
+    found = alike()
+    assert found.report.status is Status.ESTIMATED
+    assert found.report.diversity < 0.15
+    assert found.report.evidence == ("measured profiles of W of 2026-01-02",)
+    assert alignment_error(found) < 0.15
+    assert found.alignment is not None
+    known = np.isfinite(found.alignment.alignment_std)
+    assert (found.alignment.alignment_std[known] > 0.9 * STD).all()
+    assert found.alignment.scale_std > STD / curve().spread
+    assert found.alignment.findings is not None
+    assert set(found.alignment.findings.stiffness_ratio.values()) == {1.0}  # nothing was learnt of the vehicles
+    assert found.alignment.findings.stiffness_ratio_std > 0.1
+
+
+def test_what_was_measured_a_tenth_too_wide_is_believed_where_nothing_else_tells() -> None:
+    passes = list(fleet_passes(alike=True))
+    wide = estimated(passes, {passes[0].wheelset: curve(stretched=1.1)})
+    assert alignment_error(wide) > 1.2 * alignment_error(alike())
+
+
+def test_one_measured_wheelset_alone_is_enough() -> None:
+    own = [replace(item, wheelset="W", start_ns=i * 10**14) for i, item in enumerate(fleet_passes(alike=True)[:3])]
+    assert "one wheelset alone" in estimated(own, None).report.reason
+    assert "one wheelset alone" in estimated(own, {"another": curve()}).report.reason
+    found = estimated(own, {"W": curve()})
+    assert found.report.status is Status.ESTIMATED
+    assert alignment_error(found) < 0.2
+
+
+def test_a_fleet_that_can_tell_hardly_heeds_a_wrong_measurement() -> None:
+    passes = list(fleet_passes())
+    without = estimated(passes, None)
+    wrong = estimated(passes, {"cone 0.1": curve(stretched=1.2)})
+    assert wrong.report.evidence
+    assert alignment_error(wrong) < alignment_error(without) + 0.02
