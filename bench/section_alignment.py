@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,9 @@ class AlignmentScore:
     published: int  # places
     covered: int  # of these, by the 95 % interval
     known: float  # share of the section
+    gauge: float = 0.0  # of an estimated gauge deviation
+    gauge_published: int = 0  # places
+    gauge_covered: int = 0
 
 
 def alignment_score(run: SectionRun, found: TrackAlignment) -> AlignmentScore:
@@ -58,7 +62,19 @@ def alignment_score(run: SectionRun, found: TrackAlignment) -> AlignmentScore:
         published=int(inner.sum()),
         covered=int(inside.sum()),
         known=float(np.isfinite(found.alignment).mean()),
+        **_gauge_score(run, found, place, inner),
     )
+
+
+def _gauge_score(run: SectionRun, found: TrackAlignment, place: FloatArray, inner: BoolArray) -> dict[str, Any]:
+    """Return the error of an estimated gauge deviation, m SD, and how many of its intervals cover; its mean is lost."""
+    if found.gauge_known or not found.gauge_deviation.any():
+        return {}
+    true = np.interp(place, run.track.s, run.track.gauge_deviation)[inner]
+    error = found.gauge_deviation[inner] - true
+    error -= error.mean()
+    covered = np.abs(error) <= NORMAL * found.gauge_deviation_std[inner]
+    return {"gauge": float(error.std()), "gauge_published": len(error), "gauge_covered": int(covered.sum())}
 
 
 def _fitted(

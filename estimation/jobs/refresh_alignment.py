@@ -15,6 +15,7 @@ import numpy as np
 
 from estimation.errors import DamagedError, StoppedError, TreadwatchError
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.measured_wheelsets import Measured, measured
 from estimation.jobs.store_alignment import Epoch, EpochPasses, WindowKey, store
 from estimation.ports import TrackSectionRecord, UnitOfWork, WindowRecord
 from estimation.settings import EstimationSettings
@@ -69,6 +70,7 @@ class _Waiting:
     in_force: TrackAlignment | None
     looked_at: str | None  # digest of the last report
     judged: bool  # the recording in force has been held against the fleet
+    measured: Measured
 
 
 def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counter[str]) -> bool:
@@ -76,16 +78,24 @@ def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counte
     with context.storage.read() as unit:
         waiting = _waiting(unit, section, context)
     version = waiting.in_force.version if waiting.in_force is not None else None
-    digest = epoch_digest(waiting.records, version, context.code_version)
+    told = [curve.name for curve in waiting.measured.curves.values()]
+    digest = epoch_digest(waiting.records, version, context.code_version, told)
     if not waiting.records or digest == waiting.looked_at:
         counts["unchanged"] += 1
         return False
     epoch_passes = _passes(context, waiting)
     left = [record for record in waiting.records if (record.wheelset, record.start_ns) not in epoch_passes.refused]
-    digest = epoch_digest(left, version, context.code_version)  # of what the next run would find again
-    epoch = Epoch(section, waiting.records, waiting.in_force, digest, epoch_passes)
+    digest = epoch_digest(left, version, context.code_version, told)  # of what the next run would find again
+    epoch = Epoch(section, waiting.records, waiting.in_force, digest, epoch_passes, waiting.measured.notes)
     settings = context.setting(AlignmentSettings)
-    finding = find(section, epoch_passes.found, waiting.in_force, settings, judge=not waiting.judged)
+    finding = find(
+        section,
+        epoch_passes.found,
+        waiting.in_force,
+        settings,
+        judge=not waiting.judged,
+        measured=waiting.measured.curves,
+    )
     with context.storage.write() as unit:
         outcome = store(unit, epoch, finding, context)
     counts[outcome] += 1
@@ -105,12 +115,16 @@ def _waiting(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext)
     told = report is not None and in_force is not None and report.version == in_force.version
     judged = told and report is not None and report.report.get("recording") is not None
     return _Waiting(
-        [record for record, _ in chosen],
-        [name for _, name in chosen],
+        *_parted(chosen),
         in_force,
         report.input_digest if report is not None else None,
         judged,
+        measured(unit, section, *_parted(chosen), settings.measured_km),
     )
+
+
+def _parted(chosen: Sequence[tuple[WindowRecord, str]]) -> tuple[list[WindowRecord], list[str]]:
+    return [record for record, _ in chosen], [name for _, name in chosen]
 
 
 def _passes(context: JobContext, waiting: _Waiting) -> EpochPasses:

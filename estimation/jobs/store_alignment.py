@@ -49,6 +49,7 @@ class Epoch:
     before: TrackAlignment | None
     digest: str
     passes: EpochPasses
+    notes: tuple[str, ...] = ()  # on evidence that could not be used
 
 
 def store(unit: UnitOfWork, epoch: Epoch, finding: Finding, context: JobContext) -> str:
@@ -85,7 +86,11 @@ def _next_version(unit: UnitOfWork, epoch: Epoch, alignment: TrackAlignment, con
 
 def _report(unit: UnitOfWork, epoch: Epoch, finding: Finding, version: int | None, context: JobContext) -> None:
     told = finding.estimate.report
-    extra: dict[str, JsonValue] = {"recording": finding.recording, "refused_windows": _counted(epoch.passes.refused)}
+    extra: dict[str, JsonValue] = {
+        "evidence": [*told.evidence, *epoch.notes],
+        "recording": finding.recording,
+        "refused_windows": _counted(epoch.passes.refused),
+    }
     unit.tracks.add_report(
         TrackReport(
             section=epoch.section.code,

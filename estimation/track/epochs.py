@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,6 +28,7 @@ class AlignmentSettings:
     most_wheelsets: int = 48  # of an epoch, each life of a profile and mileage interval one
     pass_step: float = 0.2  # m, grid on which passes are kept
     trusted_offset: float = 5.0  # m: positions on a recorded section are believed as far as this
+    measured_km: float = 1000.0  # mileage within which measured profiles are still those of a wheelset
     same_share: float = 1.0  # of its std by which an alignment may differ and still be the same
     same_least: float = 0.05e-3  # m, of a difference or a std that matters: the geometry cannot tell
     same_stretch: float = 0.005  # by which an alignment may be a stretched one: that does not average out
@@ -130,11 +131,15 @@ def bounded(
     return chosen
 
 
-def epoch_digest(records: Sequence[WindowRecord], version: int | None, code_version: str) -> str:
-    """Return what tells an epoch from another: its windows, the version before, the code."""
+def epoch_digest(
+    records: Sequence[WindowRecord], version: int | None, code_version: str, measured: Iterable[str] = ()
+) -> str:
+    """Return what tells an epoch from another: its windows, the version before, the code, what has been measured."""
     text = hashlib.sha256(f"{version} {code_version}\n".encode())
     for record in sorted(records, key=lambda item: (item.wheelset, item.start_ns)):
         text.update(f"{record.wheelset} {record.start_ns} {record.content_digest} {record.mileage_km!r}\n".encode())
+    for name in sorted(measured):
+        text.update(f"{name}\n".encode())
     return text.hexdigest()
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.ports import TrackSectionRecord
 from estimation.track.epochs import AlignmentSettings, with_findings_before
+from estimation.track.measured import MeasuredCurve
 from estimation.track.passes import Pass
 from estimation.track.recorded import judge_recorded
 from estimation.track.screening import PassOutcome, Screened, screen
@@ -40,6 +41,7 @@ def find(
     settings: AlignmentSettings,
     *,
     judge: bool,
+    measured: Mapping[str, MeasuredCurve] | None = None,
 ) -> Finding:
     """Return what an epoch of passes says of a section.
 
@@ -55,8 +57,10 @@ def find(
         Grid, filter, limits.
     judge
         Hold a recording against what the fleet finds without it.
+    measured
+        What measured profiles say, by the name of the wheelset in ``passes``.
     """
-    panel = replace(settings.section.panel, length=section.length_m)
+    panel = replace(settings.section.panel, length=section.length_m, measured=measured)
     parameters = replace(settings.section, panel=panel)
     recording = in_force is not None and in_force.source == RECORDED
     on_record = recording and in_force is not None and bool(np.isfinite(in_force.alignment).any())

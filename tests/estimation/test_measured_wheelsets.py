@@ -1,0 +1,67 @@
+"""Measured profiles in the registry become evidence of the alignment job, as long as they are those of the wheelset."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_refresh_alignment import DAY_NS, counts, in_force, put, register, report
+
+from estimation.contact.profiles import Profile, wheel_profile
+from estimation.ports import MeasuredProfiles, Reprofiling, TrackSectionRecord
+from estimation.types import Status
+from fleet_db.storage import SqlStorage
+
+STD = 0.1e-3  # m
+
+
+def one_wheelset_three_times(storage: SqlStorage) -> None:
+    register(storage)
+    for day in (1, 2, 3):
+        put(storage, [0], day=day)
+
+
+def measure(storage: SqlStorage, *, mileage_km: float = 10.0, at_ns: int = 0, wheel: Profile | None = None) -> None:
+    left = wheel if wheel is not None else wheel_profile("P8")
+    with storage.write() as unit:
+        unit.registry.add_measured_profiles(MeasuredProfiles("W0", at_ns, mileage_km, left, wheel_profile("P8"), STD))
+
+
+def test_a_wheelset_that_has_been_measured_can_be_read_alone(storage: SqlStorage) -> None:
+    one_wheelset_three_times(storage)
+    counts(storage, "refresh_alignment")
+    assert "one wheelset alone" in report(storage).reason
+    measure(storage)
+    counts(storage, "refresh_alignment")  # the same windows, but more is known
+    told = report(storage)
+    assert told.status is Status.ESTIMATED
+    assert told.report["evidence"] == ["measured profiles of W0 of 1970-01-01"]
+    found = in_force(storage)
+    known = np.isfinite(found.alignment_std)
+    assert known.any()
+    assert (found.alignment_std[known] > 0.9 * STD).all()
+    assert counts(storage, "estimate_windows")["estimated"] > 0
+    assert counts(storage, "refresh_alignment")["unchanged"] == 1
+
+
+@pytest.mark.parametrize("case", ["long ago", "before the lathe"])
+def test_profiles_that_the_wheelset_has_no_longer_say_nothing(storage: SqlStorage, case: str) -> None:
+    one_wheelset_three_times(storage)
+    measure(storage, mileage_km=-2000.0 if case == "long ago" else 10.0)
+    if case == "before the lathe":
+        with storage.write() as unit:
+            unit.registry.add_reprofiling(Reprofiling("W0", DAY_NS // 2, 10.2))
+    counts(storage, "refresh_alignment")
+    told = report(storage)
+    assert "one wheelset alone" in told.reason
+    assert told.report["evidence"] == []
+
+
+def test_profiles_that_cannot_be_used_are_told(storage: SqlStorage) -> None:
+    one_wheelset_three_times(storage)
+    with storage.write() as unit:
+        unit.tracks.add_section(TrackSectionRecord("S1", 1, "Section", "99E9", 0.05, 1.435, 2900.0))
+    measure(storage)
+    counts(storage, "refresh_alignment")
+    (told,) = report(storage).report["evidence"]  # type: ignore[misc]
+    assert str(told).startswith("measured profiles of W0 of 1970-01-01 are not used: ")
+    assert "99E9" in str(told)
