@@ -12,6 +12,7 @@ from enum import StrEnum
 from typing import Protocol
 
 from estimation.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, AlertScope, Condition, JsonValue
+from estimation.contact.profiles import Profile
 from estimation.types import (
     BinTable,
     Status,
@@ -74,6 +75,22 @@ class Reprofiling:
     at_ns: int
     mileage_km: float
     note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredProfiles:
+    """Profiles of both wheels of a wheelset, as a profile gauge has told them. Key: (wheelset, at_ns).
+
+    ``left`` is the wheelset's own left wheel, whichever way round it is mounted. ``std`` says how well the lateral
+    displacement that belongs to a rolling radius difference follows from them.
+    """
+
+    wheelset: str
+    at_ns: int
+    mileage_km: float  # of the wheelset since new
+    left: Profile
+    right: Profile
+    std: float  # m
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,7 +268,7 @@ class Chunks(Protocol):
 
 
 class Registry(Protocol):
-    """Fleets, vehicles, wheelsets, mountings, reprofilings. Writes are upserts: a repeat changes nothing."""
+    """Fleets, vehicles, wheelsets with what happened to them. Writes are upserts: a repeat changes nothing."""
 
     def fleets(self) -> Sequence[FleetRecord]: ...
     def vehicles(self, fleet: str | None = None) -> Sequence[VehicleRecord]: ...
@@ -260,6 +277,7 @@ class Registry(Protocol):
     def wheelset(self, serial: str) -> WheelsetRecord: ...
     def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None: ...
     def mountings(self, wheelset: str) -> Sequence[Mounting]: ...
+    def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]: ...
     def vehicles_page(self, fleet: str | None, after: str | None, limit: int) -> Sequence[VehicleRecord]: ...
     def wheelsets_page(
         self, fleet: str | None, vehicle: str | None, after: str | None, limit: int
@@ -269,6 +287,7 @@ class Registry(Protocol):
     def add_wheelset(self, record: WheelsetRecord) -> None: ...
     def add_mounting(self, record: Mounting) -> None: ...
     def add_reprofiling(self, record: Reprofiling) -> None: ...
+    def add_measured_profiles(self, record: MeasuredProfiles) -> None: ...
 
 
 class Tracks(Protocol):

@@ -8,6 +8,7 @@ from fleet_db.models.fleets import FleetRow
 from fleet_db.models.geometries import GeometryRow
 from fleet_db.models.idempotency import IdempotencyRow
 from fleet_db.models.jobs import JobRunRow
+from fleet_db.models.measured_profiles import MeasuredProfilesRow
 from fleet_db.models.mountings import MountingRow
 from fleet_db.models.tracks import (
     TrackAlignmentRow,
@@ -31,6 +32,7 @@ __all__ = [
     "GeometryRow",
     "IdempotencyRow",
     "JobRunRow",
+    "MeasuredProfilesRow",
     "MountingRow",
     "ReprofilingRow",
     "TrackAlignmentRow",

@@ -9,11 +9,20 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, select, update
 
 from estimation.errors import NotFoundError
-from estimation.ports import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord, WindowState
+from estimation.ports import (
+    FleetRecord,
+    MeasuredProfiles,
+    Mounting,
+    Reprofiling,
+    VehicleRecord,
+    WheelsetRecord,
+    WindowState,
+)
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import FleetRow, ReprofilingRow, VehicleRow, WheelsetRow, WindowRow
 from fleet_db.rows import table_of, upsert
+from fleet_db.stores.measured_profiles import measured_profiles_of, store_measured_profiles
 from fleet_db.stores.mountings import MOUNTINGS, add_mounting, mounting_at, mountings_of, reversed_on_file, to_mounting
 
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
@@ -92,6 +101,16 @@ class RegistryStore:
         """Return every mounting of a wheelset, oldest first."""
         return mountings_of(self.connection, wheelset)
 
+    def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]:
+        """Return every measurement of the profiles of a wheelset, oldest first.
+
+        Raises
+        ------
+        DamagedError
+            What was stored of one is damaged.
+        """
+        return measured_profiles_of(self.connection, wheelset)
+
     def add_fleet(self, record: FleetRecord) -> None:
         """Add a fleet or change its name."""
         serialise(self.connection, Subject.REGISTRY)
@@ -162,6 +181,19 @@ class RegistryStore:
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
         if upsert(self.connection, REPROFILINGS, asdict(record)):
+            self.changes.note(record.wheelset)
+
+    def add_measured_profiles(self, record: MeasuredProfiles) -> None:
+        """Add a measurement of the profiles of a wheelset, or change the one of the same wheelset and time.
+
+        Raises
+        ------
+        NotFoundError
+            The wheelset is unknown.
+        """
+        serialise(self.connection, Subject.REGISTRY)
+        self._known_wheelset(record.wheelset)
+        if store_measured_profiles(self.connection, record):
             self.changes.note(record.wheelset)
 
     def _estimate_again(self, record: Mounting) -> None:

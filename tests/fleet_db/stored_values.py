@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 
 from estimation.alerts import Alert, AlertKind, Condition, Severity
+from estimation.contact.profiles import Profile
 from estimation.ports import (
     ChunkRecord,
     FleetRecord,
     GeometryRecord,
+    MeasuredProfiles,
     Mounting,
     Storage,
     TrackSectionRecord,
@@ -54,6 +56,18 @@ def layout(seed: int) -> TrackLayout:
     s = np.array([0.0, 100.25 + seed, 180.5, 700.0, 780.125])
     curvature, cant = np.array([0.0, 0.0, 1 / 800, 1 / 800, 0.0]), np.array([0.0, 0.0, 0.08, 0.08, -0.0])
     return TrackLayout("S-7", 0, s, curvature, cant)
+
+
+def wheel(name: str, seed: int) -> Profile:
+    """Return a wheel profile of noise, with a minus zero."""
+    y, z, slope = np.random.default_rng(seed).normal(size=(3, 40 + seed)) * 1e-3
+    slope[3] = -0.0
+    return Profile("wheel", name, np.sort(y), z, slope)
+
+
+def measured_profiles(at_ns: int, seed: int = 0) -> MeasuredProfiles:
+    """Return a measurement of WS-1, its two wheels with different numbers of points."""
+    return MeasuredProfiles("WS-1", at_ns, 152_000.125, wheel("left", seed), wheel("right", seed + 1), 0.1e-3)
 
 
 def same(first: object, second: object) -> bool:

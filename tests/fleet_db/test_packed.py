@@ -27,6 +27,7 @@ from fleet_db.packed.numbers import (
     number_to_json,
 )
 from fleet_db.packed.trend import pack_trend, unpack_trend
+from fleet_db.packed.wheel_pair import pack_wheel_pair, unpack_wheel_pair
 from fleet_db.packing import pack, unpack
 
 ANY_FLOAT = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
@@ -115,6 +116,11 @@ def test_what_the_passes_of_a_section_found_comes_back_exactly(wheelsets: int) -
     assert back.findings.gauge_shifts.keys() == shifts.keys()
     for name, one in shifts.items():
         assert make.same(back.findings.gauge_shifts[name], one)
+
+
+def test_a_wheel_pair_comes_back_exactly() -> None:
+    pair = (make.wheel("left", 1), make.wheel("right", 2))
+    assert make.same(unpack_wheel_pair(pack_wheel_pair(*pair), where="here"), pair)
 
 
 def test_a_date_keeps_its_last_nanosecond() -> None:

@@ -1,4 +1,4 @@
-"""Fleets, vehicles, wheelsets, mountings, reprofilings, tracks: the same on both databases."""
+"""Fleets, vehicles, wheelsets with what happened to them, tracks: the same on both databases."""
 
 from __future__ import annotations
 
@@ -118,6 +118,28 @@ def test_reprofilings_belong_to_the_wheelset(fleet: SqlStorage) -> None:
         assert unit.registry.wheelset("WS-2").reprofilings == ()
 
 
+def test_measured_profiles_come_back_exactly_in_the_order_of_time(fleet: SqlStorage) -> None:
+    first, second = make.measured_profiles(make.START, 1), make.measured_profiles(make.START + 1, 5)
+    with fleet.write() as unit:
+        unit.registry.add_measured_profiles(second)
+        unit.registry.add_measured_profiles(first)
+    with fleet.read() as unit:
+        assert make.same(tuple(unit.registry.measured_profiles("WS-1")), (first, second))
+        assert unit.registry.measured_profiles("WS-2") == []
+        assert unit.registry.measured_profiles("nobody") == []
+
+
+def test_profiles_measured_at_the_same_time_replace(fleet: SqlStorage) -> None:
+    first = make.measured_profiles(make.START)
+    with fleet.write() as unit:
+        unit.registry.add_measured_profiles(first)
+    for other in (make.measured_profiles(make.START, 3), replace(first, mileage_km=7.0), replace(first, std=2e-4)):
+        with fleet.write() as unit:
+            unit.registry.add_measured_profiles(other)
+        with fleet.read() as unit:
+            assert make.same(tuple(unit.registry.measured_profiles("WS-1")), (other,))
+
+
 def test_the_unknown_is_named(fleet: SqlStorage) -> None:
     with fleet.read() as unit:
         for call, message in (
@@ -131,6 +153,8 @@ def test_the_unknown_is_named(fleet: SqlStorage) -> None:
         unit.registry.add_wheelset(WheelsetRecord("new", "F-9", "P8", 0.45, None))
     with pytest.raises(NotFoundError, match="no wheelset 'WS-9'"), fleet.write() as unit:
         unit.registry.add_reprofiling(Reprofiling("WS-9", 1, 1.0))
+    with pytest.raises(NotFoundError, match="no wheelset 'WS-9'"), fleet.write() as unit:
+        unit.registry.add_measured_profiles(replace(make.measured_profiles(1), wheelset="WS-9"))
 
 
 def test_sections_by_code_and_number(fleet: SqlStorage) -> None:

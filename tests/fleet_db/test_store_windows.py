@@ -184,6 +184,11 @@ def test_what_makes_a_wheelset_stale(fleet: SqlStorage) -> None:
         assert unit.geometries.stale(100) == ["WS-1"]  # inside the same transaction too
         assert unit.geometries.stale(0) == []
     assert stale(fleet) == ["WS-1"]
+    for expected in (["WS-1"], []):  # the second time the same again
+        settle(fleet)
+        with fleet.write() as unit:
+            unit.registry.add_measured_profiles(make.measured_profiles(make.START))
+        assert stale(fleet) == expected
 
 
 def test_a_change_between_reading_and_storing_is_not_lost(fleet: SqlStorage) -> None:
