@@ -100,6 +100,10 @@ class Fields:
             raise self.fail("is not a list of objects", key)
         return [self._object(f"{key}[{index}]", value) for index, value in enumerate(values)]
 
+    def one_object(self, key: str) -> Fields:
+        """Return an object."""
+        return self._object(key, self._value(key, None))
+
     def optional_object(self, key: str) -> Fields | None:
         """Return an object, or None where it is null or left out."""
         self._taken.add(key)

@@ -8,14 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from estimation.errors import ConflictError, InputError, NotFoundError
+from estimation.contact.profiles import Profile
+from estimation.errors import ConflictError, InputError, NotFoundError, ProfileError
 from estimation.ports import (
     FleetRecord,
+    MeasuredProfiles,
     Mounting,
     Reprofiling,
     TrackSectionRecord,
@@ -25,11 +28,13 @@ from estimation.ports import (
 )
 from estimation.types import Status, TrackAlignment, TrackLayout
 from ingest.json_fields import Fields, read_json
+from ingest.profile_file import read_wheel_profile
 from ingest.track_file import LAYOUT_COLUMNS, read_layout_columns, read_track_columns, uniform_distance
 
 FORMAT = "treadwatch-registry-1"
 MOST_AXLES = 8
 LEAST_LAID_OUT = 0.5  # of a section that its layout must reach
+PROFILES_STD_MM = 0.1  # of the lateral displacement that follows from measured profiles
 _T = TypeVar("_T")
 
 
@@ -42,6 +47,7 @@ class RegistryContents:
     wheelsets: tuple[WheelsetRecord, ...]
     mountings: tuple[Mounting, ...]
     reprofilings: tuple[Reprofiling, ...]
+    measured_profiles: tuple[MeasuredProfiles, ...]
     sections: tuple[TrackSectionRecord, ...]
     alignments: tuple[TrackAlignment, ...]
     layouts: tuple[TrackLayout, ...]
@@ -53,8 +59,8 @@ def load_registry(path: Path, unit_of_work: UnitOfWork) -> RegistryContents:
     Raises
     ------
     InputError
-        The file or a track file cannot be read, a field is missing, unknown or impossible, or a record refers to
-        something that neither the file nor the store knows; nothing has been committed then.
+        The file, a track file or a profile file cannot be read, a field is missing, unknown or impossible, or a record
+        refers to something that neither the file nor the store knows; nothing has been committed then.
     """
     contents = read_registry(path)
     registry, tracks = unit_of_work.registry, unit_of_work.tracks
@@ -63,6 +69,7 @@ def load_registry(path: Path, unit_of_work: UnitOfWork) -> RegistryContents:
     _store(path, "wheelsets", contents.wheelsets, registry.add_wheelset)
     _store(path, "mountings", contents.mountings, registry.add_mounting)
     _store(path, "reprofilings", contents.reprofilings, registry.add_reprofiling)
+    _store(path, "measured_profiles", contents.measured_profiles, registry.add_measured_profiles)
     _store(path, "track_sections", contents.sections, tracks.add_section)
     _store(path, "track_sections", contents.alignments, tracks.add_alignment)
     _store(path, "track_sections", contents.layouts, lambda layout: _add_layout(unit_of_work, layout))
@@ -78,7 +85,7 @@ def _add_layout(unit_of_work: UnitOfWork, layout: TrackLayout) -> None:
 
 
 def read_registry(path: Path) -> RegistryContents:
-    """Read and check a registry file and the track files it names; raises ``InputError`` as ``load_registry`` does."""
+    """Read and check a registry file and the files it names; raises ``InputError`` as ``load_registry`` does."""
     root = read_json(path)
     if root.text("format") != FORMAT:
         raise root.fail(f"must be {FORMAT!r}", "format")
@@ -89,6 +96,7 @@ def read_registry(path: Path) -> RegistryContents:
         wheelsets=_each(root, "wheelsets", _wheelset),
         mountings=_each(root, "mountings", _mounting),
         reprofilings=_each(root, "reprofilings", _reprofiling),
+        measured_profiles=_each(root, "measured_profiles", partial(_measured_profiles, folder=path.parent)),
         sections=sections,
         alignments=alignments,
         layouts=layouts,
@@ -165,6 +173,29 @@ def _reprofiling(fields: Fields) -> Reprofiling:
         mileage_km=fields.number("mileage_km"),
         note=fields.text("note", ""),
     )
+
+
+def _measured_profiles(fields: Fields, folder: Path) -> MeasuredProfiles:
+    std_mm = fields.number("std_mm", PROFILES_STD_MM)
+    if std_mm == 0.0:
+        raise fields.fail("must be greater than 0", "std_mm")
+    return MeasuredProfiles(
+        wheelset=fields.text("wheelset"),
+        at_ns=fields.moment_ns("at"),
+        mileage_km=fields.number("mileage_km"),
+        left=_wheel(fields.one_object("left"), folder),
+        right=_wheel(fields.one_object("right"), folder),
+        std=1e-3 * std_mm,
+    )
+
+
+def _wheel(fields: Fields, folder: Path) -> Profile:
+    file = folder / fields.text("file")
+    fields.end()
+    try:
+        return read_wheel_profile(file)
+    except ProfileError as error:
+        raise fields.fail(str(error), "file") from error
 
 
 def _sections(
