@@ -87,7 +87,7 @@ def score(run: SectionRun) -> CaseScore:
         found = section_passes(run.all_windows(), settings, alignment)
         clock.append(time.process_time())
         evidence = known if known is not None else run.known_gauge()
-        knowledge = fleet_knowledge(found, evidence, SECTION, scenario.length, alignment)
+        knowledge = fleet_knowledge(found, evidence, SECTION, scenario.length, alignment, run.measured())
         clock.append(time.process_time())
     if isinstance(knowledge, str):
         geometries: dict[str, WheelsetGeometry] = {}

@@ -141,7 +141,7 @@ def _told(
     gauge_only = run.known_gauge()
     answers: dict[Told, TrackKnowledge | str] = {
         Told.KNOWN: TrackKnowledge(true),
-        Told.FLEET: fleet_knowledge(found, gauge_only, SECTION, scenario.length, alignment),
+        Told.FLEET: fleet_knowledge(found, gauge_only, SECTION, scenario.length, alignment, run.measured()),
         Told.NOTHING: TrackKnowledge(straight_track(SECTION, scenario.length)),
     }
     if scenario.position_offset or scenario.position_scale:

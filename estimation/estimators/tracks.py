@@ -5,7 +5,7 @@ The alignment from the fleet is ``estimation.track.section.estimate_section``; w
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from estimation.settings import EstimationSettings
 from estimation.signals import Refusal, motion
 from estimation.track.epochs import AlignmentSettings, reduced
 from estimation.track.joined_windows import whole_runs
+from estimation.track.measured import MeasuredCurve
 from estimation.track.passes import Pass, passes
 from estimation.track.positions import Correction
 from estimation.track.section import SectionEstimate, estimate_section
@@ -70,7 +71,12 @@ def section_passes(windows: Iterable[Window], settings: EstimationSettings, alig
 
 
 def fleet_knowledge(
-    found: Sequence[Pass], evidence: TrackAlignment | None, section: str, length: float, settings: AlignmentSettings
+    found: Sequence[Pass],
+    evidence: TrackAlignment | None,
+    section: str,
+    length: float,
+    settings: AlignmentSettings,
+    measured: Mapping[str, MeasuredCurve] | None = None,
 ) -> TrackKnowledge | str:
     """Return the alignment that ``found`` and ``evidence`` give, and the positions; or why there is none.
 
@@ -84,8 +90,11 @@ def fleet_knowledge(
         Its code, and its length, m.
     settings
         Of the alignment.
+    measured
+        What measured profiles say, by wheelset.
     """
-    parameters = replace(settings.section, panel=replace(settings.section.panel, length=length))
+    panel = replace(settings.section.panel, length=length, measured=measured)
+    parameters = replace(settings.section, panel=panel)
     estimate = estimate_section(section, found, evidence, parameters)
     if estimate.alignment is None:
         return estimate.report.reason

@@ -80,6 +80,7 @@ def _scenario(root: TomlTable) -> SectionScenario:
         sensors=sensor_node(root.table("sensors")),
         alignment_known=known.flag("alignment", default=False),
         gauge_known=known.flag("gauge", default=False),
+        wheelsets_measured=known.integer("wheelsets_measured", 0, low=0, high=512),
         position_offset=known.number("position_offset_m", 0.0, high=100.0),
         position_scale=PERCENT * known.number("position_scale_percent", 0.0, high=1.0),
         vehicle_errors=VehicleErrors(

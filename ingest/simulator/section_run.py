@@ -12,12 +12,14 @@ import numpy as np
 from estimation.arrays import BoolArray, FloatArray, frozen_array
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
 from estimation.errors import NotFoundError
+from estimation.track.measured import MeasuredCurve
 from estimation.types import Status, TrackAlignment, Window, WindowQuality
 from estimation.vehicle import VehicleParameters
 from ingest.simulator.motion import travelled
 from ingest.simulator.section_scenario import ProfilePair, SectionScenario
 from ingest.simulator.section_simulation import (
     POSITION,
+    PROFILES,
     RawCounts,
     Resolution,
     axle_start,
@@ -32,6 +34,7 @@ from ingest.simulator.track import TrackTruth
 
 SECTION = "S"
 WINDOW_S = 60.0
+PROFILE_STD = 0.1e-3  # m of y - d that follows from measured profiles
 AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1.0 to 3.0 mm
 NANOSECONDS = 1_000_000_000
 _FIRST_NS = 1_710_720_000 * NANOSECONDS
@@ -132,6 +135,20 @@ class SectionRun:
         track = self.true_track()
         unknown = np.full(len(track.s), np.nan)
         return replace(track, alignment=unknown, alignment_std=unknown)
+
+    def measured(self) -> dict[str, MeasuredCurve]:
+        """Return what the measured profiles say of the first ``wheelsets_measured``, stretched by an error."""
+        found = {}
+        for truth in self.wheelsets[: self.scenario.wheelsets_measured]:
+            R = np.maximum.accumulate(truth.difference)
+            first = np.concatenate([[True], np.diff(R) > 0.0])
+            difference, displacement = R[first], truth.displacement[first]
+            exact = MeasuredCurve(
+                truth.serial, difference, displacement - np.interp(0.0, difference, displacement), PROFILE_STD
+            )
+            error = stream(self.seed, PROFILES, truth.number).normal(0.0, PROFILE_STD / exact.spread)
+            found[truth.serial] = replace(exact, displacement=(1.0 + error) * exact.displacement)
+        return found
 
     def true_track(self) -> TrackAlignment:
         """Return the true alignment of the section, with the gauge where the scenario says that it is known."""

@@ -31,8 +31,8 @@ class VehicleErrors:
 class SectionScenario:
     """A fleet on one section; lengths in m, speeds in m/s.
 
-    ``alignment_known``, ``gauge_known`` and the position errors say what is handed to an estimator; everything else
-    shapes the simulation.
+    ``alignment_known``, ``gauge_known``, ``wheelsets_measured`` and the position errors say what is handed to an
+    estimator; everything else shapes the simulation.
     """
 
     name: str
@@ -51,6 +51,7 @@ class SectionScenario:
     sensors: SensorNode
     alignment_known: bool
     gauge_known: bool
+    wheelsets_measured: int  # the first of the fleet, with an error
     position_offset: float  # largest, uniform, per journey
     position_scale: float  # largest, uniform, relative, per journey
     vehicle_errors: VehicleErrors

@@ -45,7 +45,7 @@ DISPLACEMENT_STEP = 0.05e-3  # m
 ASYMMETRY = 0.08  # std of the share by which left wear is above the mean
 SHARES_OF_WEAR = (1.0, 0.85, 0.7, 0.5)  # tried in turn, until a wheelset stays on the rails
 NORMAL_95 = 1.96  # a 95 % limit in standard deviations
-POSITION, _TRACK, _WEAR, _SPEED, _SENSOR, _OFFSETS, _CREEP, _VEHICLE = range(8)
+POSITION, _TRACK, _WEAR, _SPEED, _SENSOR, _OFFSETS, _CREEP, _VEHICLE, PROFILES = range(9)
 RawCounts = npt.NDArray[np.int16]
 
 

@@ -74,8 +74,22 @@ def test_the_rows_of_the_accuracy_table(name: str) -> None:
     assert not scenario.errors_drawn
 
 
+def test_measured_profiles_are_those_of_the_first_wheelsets_but_for_a_stretch(small_run: SectionRun) -> None:
+    assert small_run.measured() == {}
+    found = replace(small_run, scenario=replace(small_run.scenario, wheelsets_measured=2)).measured()
+    assert list(found) == ["W00", "W01"]
+    for serial, curve in found.items():
+        truth = small_run.truth(serial)
+        inner = np.abs(truth.displacement - truth.zero_crossing) < 3e-3
+        back, reached = curve.at(truth.difference[inner])
+        assert reached.all()
+        stretch = float(np.polyfit(truth.displacement[inner], back, 1)[0])
+        assert 0.0 < abs(stretch - 1.0) < 0.1
+        np.testing.assert_allclose(back, stretch * (truth.displacement[inner] - truth.zero_crossing), atol=0.12e-3)
+
+
 def test_a_section_without_information_is_one_of_the_files() -> None:
-    assert set(builtin_section_scenarios()) == {*ROWS, "no_information"}
+    assert set(builtin_section_scenarios()) == {*ROWS, "no_information", "measured_wheelset"}
     scenario = load_section_scenario("no_information")
     assert scenario.wear_alike
     assert scenario.speed_alike
