@@ -1,4 +1,4 @@
-"""Wheelsets, where they ran, and their visits to the lathe."""
+"""Wheelsets, where they ran, their visits to the lathe, and when their profiles were measured."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from api.schemas import registry
 from api.schemas.common import Page
 from api.services import Joined
 from estimation.errors import ConflictError
-from estimation.ports import Mounting, Reprofiling, WheelsetRecord
+from estimation.ports import MeasuredProfiles, Mounting, Reprofiling, WheelsetRecord
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 
@@ -89,6 +89,28 @@ def list_reprofilings(
         found = sorted(unit.registry.wheelset(serial).reprofilings, key=key)
     rows = [record for record in found if after is None or record.at_ns > after]
     return answer_page(request, filters, limit, rows[: limit + 1], key, registry.reprofiling)
+
+
+@router.get(
+    "/{serial}/measured-profiles",
+    response_model=Page[registry.MeasuredProfilesRecord],
+    responses=described(400, 404),
+)
+def list_measured_profiles(
+    request: Request, joined: Joined, serial: Serial, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
+) -> Response:
+    """List when the profiles of the wheelset's wheels were measured, oldest first."""
+    filters = {"wheelset": serial}
+    after = cursors.decode_number(operation(request), filters, cursor)
+
+    def key(record: MeasuredProfiles) -> int:
+        return record.at_ns
+
+    with joined.storage.read() as unit:
+        unit.registry.wheelset(serial)
+        found = unit.registry.measured_profiles(serial)
+    rows = [record for record in found if after is None or record.at_ns > after]
+    return answer_page(request, filters, limit, rows[: limit + 1], key, registry.measured_profiles)
 
 
 def _added_alone(before: WheelsetRecord, after: WheelsetRecord) -> None:

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from api.schemas.common import Links, Representation, Request
 from api.times import Moment, Timestamp, to_rfc3339
-from estimation.ports import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.ports import FleetRecord, MeasuredProfiles, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 
 
 class Fleet(Representation):
@@ -59,6 +59,20 @@ class NewReprofiling(Request):
     reprofiled_at: Moment = Field(examples=["2026-03-01T06:00:00Z"])
     mileage_km: float = Field(ge=0.0, le=1e8, description="Of the wheelset since new.", examples=[151200.0])
     note: str = Field(default="", max_length=2000, pattern=r"^[^\x00]*$", examples=["Depot North, lathe 2"])
+
+
+class MeasuredProfilesRecord(Representation):
+    """A measurement of the profiles of both wheels; `left` is the wheelset's own left wheel."""
+
+    wheelset: str = Field(examples=["WS-0001"])
+    measured_at: Timestamp
+    mileage_km: float = Field(examples=[151200.0])
+    left: str = Field(description="Name of the profile.", examples=["WS-0001-left"])
+    right: str = Field(description="Name of the profile.", examples=["WS-0001-right"])
+    std_mm: float = Field(
+        description="How well the lateral displacement at a rolling radius difference follows from them.",
+        examples=[0.1],
+    )
 
 
 class Wheelset(Representation):
@@ -132,10 +146,23 @@ def reprofiling(record: Reprofiling) -> ReprofilingRecord:
     )
 
 
+def measured_profiles(record: MeasuredProfiles) -> MeasuredProfilesRecord:
+    """Return the representation of a measurement of both wheels."""
+    return MeasuredProfilesRecord(
+        wheelset=record.wheelset,
+        measured_at=to_rfc3339(record.at_ns),
+        mileage_km=record.mileage_km,
+        left=record.left.name,
+        right=record.right.name,
+        std_mm=record.std * 1000.0,
+    )
+
+
 def wheelset(record: WheelsetRecord) -> Wheelset:
     """Return the representation of a wheelset, with paths to everything known of it."""
     own = f"/v1/wheelsets/{segment(record.serial)}"
     links = {name: f"{own}/{name}" for name in ("geometry", "trend", "windows", "mountings", "reprofilings")}
+    links["measured_profiles"] = f"{own}/measured-profiles"
     links = {"self": own, "fleet": f"/v1/fleets/{segment(record.fleet)}", **links}
     links["alerts"] = f"/v1/alerts?wheelset={segment(record.serial)}"
     if record.mounting is not None:

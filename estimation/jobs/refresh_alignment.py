@@ -78,14 +78,14 @@ def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counte
     with context.storage.read() as unit:
         waiting = _waiting(unit, section, context)
     version = waiting.in_force.version if waiting.in_force is not None else None
-    told = [curve.name for curve in waiting.measured.curves.values()]
-    digest = epoch_digest(waiting.records, version, context.code_version, told)
+    measured_curves = waiting.measured.curves
+    digest = epoch_digest(waiting.records, version, context.code_version, measured_curves)
     if not waiting.records or digest == waiting.looked_at:
         counts["unchanged"] += 1
         return False
     epoch_passes = _passes(context, waiting)
     left = [record for record in waiting.records if (record.wheelset, record.start_ns) not in epoch_passes.refused]
-    digest = epoch_digest(left, version, context.code_version, told)  # of what the next run would find again
+    digest = epoch_digest(left, version, context.code_version, measured_curves)  # what the next run would find again
     epoch = Epoch(section, waiting.records, waiting.in_force, digest, epoch_passes, waiting.measured.notes)
     settings = context.setting(AlignmentSettings)
     finding = find(
@@ -94,7 +94,7 @@ def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counte
         waiting.in_force,
         settings,
         judge=not waiting.judged,
-        measured=waiting.measured.curves,
+        measured=measured_curves,
     )
     with context.storage.write() as unit:
         outcome = store(unit, epoch, finding, context)

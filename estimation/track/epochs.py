@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from estimation.arrays import FloatArray
 from estimation.ports import WheelsetRecord, WindowRecord
+from estimation.track.measured import MeasuredCurve
 from estimation.track.passes import Pass, gridded
 from estimation.track.screening import ScreeningParameters
 from estimation.track.section import SectionParameters
@@ -132,14 +133,18 @@ def bounded(
 
 
 def epoch_digest(
-    records: Sequence[WindowRecord], version: int | None, code_version: str, measured: Iterable[str] = ()
+    records: Sequence[WindowRecord],
+    version: int | None,
+    code_version: str,
+    measured: Mapping[str, MeasuredCurve] | None = None,
 ) -> str:
     """Return what tells an epoch from another: its windows, the version before, the code, what has been measured."""
     text = hashlib.sha256(f"{version} {code_version}\n".encode())
     for record in sorted(records, key=lambda item: (item.wheelset, item.start_ns)):
         text.update(f"{record.wheelset} {record.start_ns} {record.content_digest} {record.mileage_km!r}\n".encode())
-    for name in sorted(measured):
-        text.update(f"{name}\n".encode())
+    for name, curve in sorted((measured or {}).items()):
+        text.update(f"{name} {curve.name} {curve.std!r}\n".encode())
+        text.update(curve.difference.tobytes() + curve.displacement.tobytes())
     return text.hexdigest()
 
 

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.alerts import Alert, AlertEventKind, AlertKind, Condition, Severity
+from estimation.contact.profiles import Profile
 from estimation.ports import (
     FleetRecord,
     GeometryRecord,
+    MeasuredProfiles,
     Mounting,
     Reprofiling,
     Storage,
@@ -51,6 +53,13 @@ def wheelset(number: int) -> WheelsetRecord:
         mounting = Mounting(serial, f"V-{number // 4}", number % 4 + 1, START + number, None, 100.5, 200.25)
     turned = (Reprofiling(serial, START + 5 * DAY, 5000.5, "first"), Reprofiling(serial, START + 9 * DAY, 9000.0))
     return WheelsetRecord(serial, fleet, "P8", 0.4375, mounting, turned if number == 0 else ())
+
+
+def measured(at_ns: int) -> MeasuredProfiles:
+    """Return a measurement of the first wheelset."""
+    y = np.linspace(-0.07, 0.06, 8)
+    left, right = (Profile("wheel", name, y, -y / 20.0, np.full(8, -0.05)) for name in ("left", "=right"))
+    return MeasuredProfiles(WHEELSETS[0], at_ns, 5000.5, left, right, 0.125e-3)
 
 
 def window(index: int, serial: str = WHEELSETS[0]) -> Window:
@@ -226,6 +235,8 @@ def populate(storage: Storage) -> None:
             unit.registry.add_vehicle(VehicleRecord(f"V-{number}", "alpha", "regional", 4, 44.5, offsets))
         for number in range(len(WHEELSETS)):
             unit.registry.add_wheelset(wheelset(number))
+        for days in (5, 9, 12):
+            unit.registry.add_measured_profiles(measured(START + days * DAY))
         for number in (1, 2, 3):
             section = TrackSectionRecord(f"S-{number}", number, "by the river", "56E1", 0.05, 1.435, 5000.0)
             unit.tracks.add_section(section)

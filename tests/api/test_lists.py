@@ -26,6 +26,7 @@ LISTS = [
     "/v1/wheelsets/WS-000/windows?from=2025-06-15T15:08:00Z&to=2025-06-15T15:14:10Z",
     "/v1/wheelsets/WS-000/mountings",
     "/v1/wheelsets/WS-000/reprofilings",
+    "/v1/wheelsets/WS-000/measured-profiles",
     "/v1/alerts?condition=active&fleet=%3Dbeta",
     "/v1/jobs",
     "/v1/jobs/estimate_windows/runs",

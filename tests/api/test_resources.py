@@ -194,6 +194,16 @@ def test_a_geometry_leads_to_the_alignment_it_was_estimated_with(client: httpx.C
     assert get(client, links["alignment:S-1"])["version"] == 1
 
 
+def test_measured_profiles_are_listed_under_the_wheelset(client: httpx.Client) -> None:
+    links = get(client, "/v1/wheelsets/WS-000")["links"]
+    found = get(client, links["measured_profiles"])["items"]
+    assert [one["measured_at"][:10] for one in found] == ["2025-06-20", "2025-06-24", "2025-06-27"]
+    assert {name: found[0][name] for name in ("wheelset", "mileage_km", "left", "right", "std_mm")} == {
+        "wheelset": "WS-000", "mileage_km": 5000.5, "left": "left", "right": "=right", "std_mm": 0.125,
+    }  # fmt: skip
+    assert get(client, "/v1/wheelsets/WS-001/measured-profiles")["items"] == []
+
+
 def test_mountings_and_vehicles_are_found_by_what_runs_where(client: httpx.Client) -> None:
     mounted = get(client, "/v1/wheelsets", vehicle="V-1")["items"]
     assert [one["serial"] for one in mounted] == ["WS-004", "WS-005", "WS-006", "WS-007"]
@@ -212,6 +222,7 @@ def test_mountings_and_vehicles_are_found_by_what_runs_where(client: httpx.Clien
         "/v1/wheelsets/WS-999/windows",
         "/v1/wheelsets/WS-999/mountings",
         "/v1/wheelsets/WS-999/reprofilings",
+        "/v1/wheelsets/WS-999/measured-profiles",
         f"/v1/wheelsets/{api_fleet.NO_DATA_YET}/geometry",
         f"/v1/wheelsets/{api_fleet.NO_DATA_YET}/trend",
         "/v1/fleets/none",
