@@ -3,7 +3,7 @@
 Two designs. The *smoother* takes out the most probable wander (``wander_smoother``); the *projection* takes out the
 least-squares fit of cosines in distance down to the cut-off. Both are linear, take stretches of any length and speed,
 have no transient at the ends, and take out whole what offsets and gaps of an acceleration integrate to.
-``docs/decisions/projection-high-pass.md`` compares them.
+``docs/decisions/wander-smoother.md`` compares them.
 """
 
 from __future__ import annotations
