@@ -1,6 +1,7 @@
 """The accuracy table of unknown track: ``python -m bench section [--seeds 0-19] [--rows known,unknown] ...``.
 
-Every row is a section scenario file; every seed of a row goes the product's own way from windows to published numbers.
+Every row is a section scenario file; every seed of a row goes from windows to published numbers by the
+product's numerics (``section_case``).
 Two processes share the seeds. Results are written as JSON after every seed, so that nothing is lost on the way.
 """
 

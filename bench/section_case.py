@@ -1,7 +1,21 @@
-"""One row of the accuracy table for one seed: the product's own path, held against the truth.
+"""One row of the accuracy table for one seed: the product's numerics, held against the truth.
 
-Windows become passes, passes an alignment with positions, windows and alignment bin tables, these a geometry, as the
-jobs do it. Everything that is counted or measured is returned as plain numbers.
+Windows become passes, passes an alignment with positions, windows and alignment bin tables, these a geometry, by the
+functions that the jobs call. What the jobs do besides is left out:
+
+- Windows are not examined or screened against each other before they become passes; these are all honest.
+- Windows that follow each other become one pass however many they are; the job joins four.
+- All passes are one epoch, so no alignment is evidence for the next one. All windows of a wheelset are merged alike.
+- No layout is on file, and nothing goes through the bus, a store or the REST API.
+
+Where no parameter errors are drawn, the ratio of yaw stiffness to creep is taken as known unless the fleet has told it:
+of the uncertainty as shipped masses and spin creep are left. Where they are drawn it is as shipped.
+
+Band-limited signals carry no offset. Bins are therefore held against the true curve seen from the place on it that
+fits them best, within 0.6 mm of the true zero crossing, and less its mean over the samples (R and D): where on the true
+curve they lie is not scored, and the zero crossing is published as unknown. Conicity and NP do not depend on it.
+
+Everything that is counted or measured is returned as plain numbers.
 """
 
 from __future__ import annotations
@@ -49,7 +63,7 @@ class WheelsetScore:
     stds: tuple[float | None, ...]
     conicity: Count
     difference: Count  # R per bin
-    other_bins: Count  # the three other combinations per bin
+    other_bins: Count  # S, A and D per bin; by the criterion of the geometry S and A are not published
     nonlinearity: Count
     zero_crossing: Count
 
@@ -74,7 +88,7 @@ class CaseScore:
 
 
 def score(run: SectionRun) -> CaseScore:
-    """Run the product on ``run`` and compare."""
+    """Run the product's numerics on ``run`` and compare."""
     settings, alignment = EstimationSettings(), AlignmentSettings()
     scenario = run.scenario
     clock = [time.process_time()]
