@@ -67,7 +67,7 @@ class AlignmentReport(Representation):
     residual_rms_mm: float | None
     alignment_std_mm: float | None = Field(description="Median along the section.")
     evidence: list[str] = Field(description="What was known besides the passes.")
-    recording: str | None = Field(description="What the fleet says of the recording in force, where it could tell.")
+    recording: str | None = Field(description="What the fleet has said of the recording, where it could tell.")
     refused_windows: dict[str, int] = Field(description="Windows without a pass, by reason.")
     journeys: list[Journey]
     code_version: str

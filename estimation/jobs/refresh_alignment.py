@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class _Waiting:
     lives: Sequence[str]
     in_force: TrackAlignment | None
     looked_at: str | None  # digest of the last report
-    judged: bool  # the recording in force has been held against the fleet
+    verdict: str | None  # what the fleet has said of the recording, while the version of that report is in force
     measured: Measured
 
 
@@ -93,9 +93,10 @@ def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counte
         epoch_passes.found,
         waiting.in_force,
         settings,
-        judge=not waiting.judged,
+        judge=waiting.verdict is None,
         measured=measured_curves,
     )
+    finding = replace(finding, recording=finding.recording or waiting.verdict)
     with context.storage.write() as unit:
         outcome = store(unit, epoch, finding, context)
     counts[outcome] += 1
@@ -113,12 +114,12 @@ def _waiting(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext)
     in_force = unit.tracks.alignment(section.code)
     report = unit.tracks.report(section.code)
     told = report is not None and in_force is not None and report.version == in_force.version
-    judged = told and report is not None and report.report.get("recording") is not None
+    verdict = report.report.get("recording") if told and report is not None else None
     return _Waiting(
         *_parted(chosen),
         in_force,
         report.input_digest if report is not None else None,
-        judged,
+        verdict if isinstance(verdict, str) else None,
         measured(unit, section, *_parted(chosen), settings.measured_km),
     )
 
