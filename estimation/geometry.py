@@ -19,11 +19,12 @@ from estimation.curve import CurveParameters, CurveReplicates, curve_estimates
 from estimation.displacement_error import DisplacementError
 from estimation.jackknife import jackknife_std, normal_equivalent
 from estimation.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS
-from estimation.types import BinStatus, BinTable, BinValues, TrackAlignment, WheelsetGeometry
+from estimation.types import RECORDED, BinStatus, BinTable, BinValues, Findings, TrackAlignment, WheelsetGeometry
 
 FEWEST_GROUPS = 4
 FEWEST_BINS = 5
-BLUR = 0.22  # of the gauge's own std: contact jumps move by half the gauge deviation, and that is told so well
+BLUR_WHERE_LEFT = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
+BLUR = 0.22  # the same where what the gauge does to the wheelset is taken off: it is told so well
 BLUR_WHERE_FOUND = 0.32  # the same where the gauge had to be found too
 
 
@@ -43,15 +44,24 @@ class ParameterUncertainty:
     displacement: float = 0.0  # of a common stretch of y - d that the alignment leaves open
     blur: float = 0.0  # m, of where contact jumps are on a gauge that varies
 
-    def on(self, tracks: Iterable[TrackAlignment]) -> ParameterUncertainty:
-        """Return what is left unknown of a geometry that rests on these alignments, with what they have taught."""
+    def on(self, tracks: Iterable[TrackAlignment], wheelset: str | None = None) -> ParameterUncertainty:
+        """Return what is left unknown of a geometry that rests on these alignments, with what they have taught.
+
+        Parameters
+        ----------
+        tracks
+            Alignments that its windows were estimated with.
+        wheelset
+            Its serial; where left out, whatever an alignment has taught counts.
+        """
         used = list(tracks)
-        learnt = [track.findings.stiffness_ratio_std for track in used if track.findings is not None]
+        taught = [_taught(track, wheelset) for track in used]
+        learnt = [findings.stiffness_ratio_std for findings in taught if findings is not None]
         return replace(
             self,
             ratio=max(learnt) if learnt and len(learnt) == len(used) else self.ratio,
             displacement=max((track.scale_std for track in used), default=self.displacement),
-            blur=max((_blur(track) for track in used), default=self.blur),
+            blur=max((_blur(track, wheelset) for track in used), default=self.blur),
         )
 
     def lateral(self) -> FloatArray:
@@ -65,9 +75,19 @@ class ParameterUncertainty:
         return np.array([self.creep, self.stiffness, self.mass, self.creep])
 
 
-def _blur(track: TrackAlignment) -> float:
-    """Return the std, m, of where contact jumps are on the gauge of ``track``."""
-    return (BLUR if track.gauge_known else BLUR_WHERE_FOUND) * float(np.std(track.gauge_deviation))
+def _taught(track: TrackAlignment, wheelset: str | None) -> Findings | None:
+    """Return what has been found on ``track``; windows on a recording do not wait until their wheelset has been met."""
+    if track.findings is None or wheelset is None or track.source != RECORDED:
+        return track.findings
+    return track.findings if wheelset in track.findings.gauge_shifts else None
+
+
+def _blur(track: TrackAlignment, wheelset: str | None) -> float:
+    """Return the std, m, of where contact jumps are on the gauge of ``track``: until its effect is known, all of it."""
+    shifts = {} if track.findings is None else track.findings.gauge_shifts
+    taken_off = bool(shifts) if wheelset is None else wheelset in shifts
+    share = BLUR_WHERE_LEFT if not taken_off else BLUR if track.gauge_known else BLUR_WHERE_FOUND
+    return share * float(np.std(track.gauge_deviation))
 
 
 @dataclass(frozen=True, slots=True)

@@ -207,7 +207,7 @@ def _record(
     tracks = [
         found for code, version in versions.items() if (found := unit.tracks.alignment(code, version)) is not None
     ]
-    shape = replace(settings.geometry, uncertainty=settings.geometry.uncertainty.on(tracks))
+    shape = replace(settings.geometry, uncertainty=settings.geometry.uncertainty.on(tracks, windows[0].wheelset))
     return GeometryRecord(
         wheelset=windows[0].wheelset,
         baseline=baseline.number,

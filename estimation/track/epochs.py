@@ -14,9 +14,10 @@ from estimation.track.measured import MeasuredCurve
 from estimation.track.passes import Pass, gridded
 from estimation.track.screening import ScreeningParameters
 from estimation.track.section import SectionParameters
-from estimation.types import Findings, TrackAlignment
+from estimation.types import RECORDED, Findings, GaugeShift, TrackAlignment
 
 SAME_GAUGE = 0.8  # correlation of two estimates of one gauge
+OFTEN = 1e-3  # m of rL - rR, both ways: further out few passes are
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +39,15 @@ class AlignmentSettings:
     same_coverage: float = 0.02  # of the section that is known now and was not
     same_ratio: float = 0.02  # of a vehicle's stiffness ratio, or twice its std where that is more
     same_gauge: float = 0.3e-3  # m, rms: much less than moves a wheel to another part of its profile
+    same_shift: float = 0.15  # of the gauge's std, rms: by which an epoch may tell another shift of a wheelset
 
 
 def material(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettings) -> bool:
     """Whether what was estimated with ``old`` should be estimated again with ``new``.
 
     It should where ``new`` differs by more than ``old`` left unknown, is much more certain, reaches further, or knows
-    more of the section; and where it tells another stiffness ratio of a vehicle, or another gauge.
+    more of the section; and where it tells another stiffness ratio of a vehicle, another gauge, or on a recording what
+    the gauge does to a wheelset of which that was not known.
     """
     if old.source != new.source or old.cut_off != new.cut_off or old.gauge_known != new.gauge_known:
         return True
@@ -56,7 +59,7 @@ def material(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettin
     both = before & after
     if not both.any():
         return False
-    if _differs(old.findings, new.findings, settings):
+    if _differs(old.findings, new.findings, settings) or _met(old, new):
         return True
     gauge = np.sqrt(np.mean((new.gauge_deviation - old.gauge_deviation)[both] ** 2))
     std, std_now = (np.sqrt(np.mean(one.alignment_std[both] ** 2)) for one in (old, new))
@@ -80,11 +83,37 @@ def _moved(old: FloatArray, new: FloatArray, std: float, settings: AlignmentSett
 
 def _differs(old: Findings | None, new: Findings | None, settings: AlignmentSettings) -> bool:
     """Whether two versions tell another stiffness ratio of any vehicle; one that is not told of is as assumed."""
-    if old is None or new is None:
+    if new is None:
         return False
-    same = max(settings.same_ratio, 2.0 * old.stiffness_ratio_std)
-    vehicles = old.stiffness_ratio.keys() | new.stiffness_ratio.keys()
-    return any(abs(new.stiffness_ratio.get(one, 1.0) - old.stiffness_ratio.get(one, 1.0)) > same for one in vehicles)
+    was = old or Findings({}, 0.0, {})
+    same = max(settings.same_ratio, 2.0 * was.stiffness_ratio_std)
+    vehicles = was.stiffness_ratio.keys() | new.stiffness_ratio.keys()
+    return any(abs(new.stiffness_ratio.get(one, 1.0) - was.stiffness_ratio.get(one, 1.0)) > same for one in vehicles)
+
+
+def _met(old: TrackAlignment, new: TrackAlignment) -> bool:
+    """Whether a recording tells the gauge shift of a wheelset whose windows were estimated without.
+
+    Where the alignment is the fleet's own, windows wait until their wheelset has been met.
+    """
+    if new.source != RECORDED or new.findings is None:
+        return False
+    return bool(new.findings.gauge_shifts.keys() - (old.findings.gauge_shifts.keys() if old.findings else set()))
+
+
+def shifted_otherwise(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettings) -> bool:
+    """Whether ``new`` tells another gauge shift of a wheelset, as after wear or the lathe; both on one gauge."""
+    if old.findings is None or new.findings is None:
+        return False
+    size = float(np.std(new.gauge_deviation))
+    before, after = old.findings.gauge_shifts, new.findings.gauge_shifts
+    return any(_apart(before[one], after[one], size) > settings.same_shift * size for one in before.keys() & after)
+
+
+def _apart(first: GaugeShift, second: GaugeShift, size: float) -> float:
+    """Return the rms, m, by which two shifts differ at gauge deviations of -size and size, m, where passes are."""
+    R, e = OFTEN * np.linspace(-1.0, 1.0, 41), np.array([-size, size])
+    return float(np.sqrt(np.mean((first.over(R, e) - second.over(R, e)) ** 2)))
 
 
 def with_findings_before(found: TrackAlignment, before: TrackAlignment | None) -> TrackAlignment:

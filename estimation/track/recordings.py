@@ -1,4 +1,7 @@
-"""What an epoch makes of the alignment in force: the next version, or the recording kept as it is."""
+"""What an epoch makes of the alignment in force: the next version, or the recording kept.
+
+Where a recorded gauge varies, the recording is kept with what its gauge does to the wheelsets that have been met.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.ports import TrackSectionRecord
-from estimation.track.epochs import AlignmentSettings, with_findings_before
+from estimation.track.epochs import AlignmentSettings, material, shifted_otherwise, with_findings_before
+from estimation.track.gauge_shapes import LEAST_GAUGE
 from estimation.track.measured import MeasuredCurve
 from estimation.track.passes import Pass
 from estimation.track.recorded import judge_recorded
@@ -21,9 +25,9 @@ from estimation.types import RECORDED, TrackAlignment
 class Finding:
     """What the passes of an epoch say.
 
-    ``alignment`` is what is in force from now on; ``made`` that it is new. ``trusted`` positions are believed unless
-    they are far off. ``outcomes`` are of the passes in their order. ``recording`` says what the fleet thinks of the
-    recording in force, where it was asked and could tell.
+    ``alignment`` is what is in force from now on, None where nobody knows any; ``made`` that it is new. ``trusted``
+    positions are believed unless they are far off. ``outcomes`` are of the passes in their order. ``recording`` says
+    what the fleet thinks of the recording in force, where it was asked and could tell.
     """
 
     estimate: SectionEstimate
@@ -66,11 +70,13 @@ def find(
     on_record = recording and in_force is not None and bool(np.isfinite(in_force.alignment).any())
     screened = screen(passes, in_force, replace(settings.screening, positions=parameters.positions))
     if in_force is not None and on_record:
-        return _beside_recording(section.code, screened, in_force, parameters, judge=judge)
+        beside = _beside_recording(section.code, screened, in_force, parameters, judge=judge)
+        return beside if beside.made else _with_gauge_shifts(beside, in_force, settings)
     evidence = in_force if in_force is not None and (recording or in_force.cut_off == parameters.reaches) else None
     estimate = estimate_section(section.code, screened.used, evidence, parameters)
     if estimate.alignment is None:
-        return Finding(estimate, in_force, made=False, trusted=False, outcomes=screened.outcomes)
+        kept = None if recording else in_force  # a recording of the gauge alone says of no place how it lies
+        return Finding(estimate, kept, made=False, trusted=False, outcomes=screened.outcomes)
     told = with_findings_before(estimate.alignment, in_force)
     return Finding(estimate, told, made=True, trusted=False, outcomes=screened.outcomes)
 
@@ -91,6 +97,18 @@ def _beside_recording(
     if estimate.alignment is not None and better(estimate.alignment, recorded):
         return Finding(estimate, estimate.alignment, True, False, screened.outcomes, verdict)  # noqa: FBT003 - the same
     return Finding(estimate, recorded, False, True, screened.outcomes, verdict)  # noqa: FBT003 - kept, trusted
+
+
+def _with_gauge_shifts(kept: Finding, recorded: TrackAlignment, settings: AlignmentSettings) -> Finding:
+    """Return the recording with what its gauge does to wheelsets, as a version of its own where that says more."""
+    found = kept.estimate.alignment
+    varies = recorded.gauge_known and float(np.std(recorded.gauge_deviation)) >= LEAST_GAUGE
+    if not varies or found is None or found.findings is None or not found.findings.gauge_shifts:
+        return kept
+    told = with_findings_before(replace(recorded, findings=found.findings), recorded)
+    if not (material(recorded, told, settings) or shifted_otherwise(recorded, told, settings)):
+        return kept
+    return replace(kept, alignment=told, made=True)
 
 
 def _place_std(estimate: SectionEstimate) -> float:

@@ -17,6 +17,7 @@ from fleet_db.packing import pack, unpack
 KIND = "track_alignment"
 VERSION = 2
 OF_RECORDINGS = 1  # says nothing of source, cut-off, scale and gauge: all of it is known
+OF_RECORDING = (RECORDED, np.inf, 0, True)
 ARRAYS = ("s", "alignment", "alignment_std", "gauge_deviation", "gauge_deviation_std", "passes")
 
 
@@ -24,7 +25,8 @@ def pack_alignment(alignment: TrackAlignment) -> bytes:
     """Return ``alignment`` as one blob, without its version, so that the same content is the same blob."""
     arrays: dict[str, npt.NDArray[Any]] = {name: getattr(alignment, name) for name in ARRAYS}
     scalars: dict[str, JsonValue] = {"section": alignment.section, "status": str(alignment.status)}
-    if (alignment.source, alignment.cut_off, alignment.scale_std, alignment.gauge_known) == (RECORDED, np.inf, 0, True):
+    whole = (alignment.source, alignment.cut_off, alignment.scale_std, alignment.gauge_known) == OF_RECORDING
+    if whole and alignment.findings is None:
         return pack(KIND, OF_RECORDINGS, scalars, arrays)
     told: dict[str, JsonValue] = {
         "source": alignment.source,

@@ -100,7 +100,7 @@ class TrackStore:
         """Store an alignment as the next version of its section and return that; ``alignment.version`` is not read.
 
         The content of the newest version of the same source again changes nothing and returns its version: a
-        recording that is registered again does not come before what the fleet has found since.
+        recording that is registered again does not come before what the fleet has found since, on it or without it.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class TrackStore:
         same_since
             Oldest version from which it does not differ materially; its own version where left out.
         recorded_ns
-            Our time; where left out none is kept.
+            Our time; where left out none is kept, and it counts as registered by the operator.
 
         Raises
         ------
@@ -121,10 +121,11 @@ class TrackStore:
         packed = pack_alignment(alignment)
         digest = hashlib.sha256(packed).hexdigest()
         of_section = ALIGNMENTS.c.section == alignment.section
+        registered = (VERSIONS.c.version.is_(None),) if recorded_ns is None else ()
         known = self.connection.execute(
             select(ALIGNMENTS.c.version, ALIGNMENTS.c.content_digest)
             .select_from(ALIGNMENTS.outerjoin(VERSIONS, SAME_VERSION))
-            .where(of_section, SOURCE == alignment.source)  # noqa: SIM300 - the column comes first
+            .where(of_section, SOURCE == alignment.source, *registered)  # noqa: SIM300 - the column comes first
             .order_by(ALIGNMENTS.c.version.desc())
             .limit(1)
         ).first()

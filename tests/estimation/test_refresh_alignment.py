@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,12 +26,14 @@ from estimation.ports import (
     WheelsetRecord,
     WindowState,
 )
-from estimation.track.epochs import AlignmentSettings, material, with_findings_before
+from estimation.track.epochs import AlignmentSettings, material, shifted_otherwise, with_findings_before
+from estimation.track.recorded import Judgement, judge_recorded
 from estimation.types import FLEET, RECORDED, Findings, GaugeShift, Status, TrackAlignment, Window
 from estimation.window_table import NO_ALIGNMENT
 from fleet_db.models import TrackAlignmentRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from ingest.registry_file import FORMAT, load_registry
 
 LENGTH = 2900.0
 DAY_NS = 86_400 * 10**9
@@ -218,6 +222,150 @@ def test_a_recording_is_kept_unless_the_fleet_contradicts_it(
         assert in_force(storage).version == 2
 
 
+def verdict(storage: Storage) -> object:
+    return report(storage).report["recording"]
+
+
+@pytest.mark.parametrize("factor", [1.0, 1e3])
+def test_the_verdict_on_a_recording_stays_over_the_epochs_that_do_not_judge(
+    sqlite_storage: SqlStorage, factor: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    storage = sqlite_storage
+    asked = []
+
+    def judged(*given: object, place_std: float = 0.0) -> Judgement:
+        asked.append(place_std)
+        return judge_recorded(*given, place_std=place_std)  # type: ignore[arg-type] - as they come
+
+    monkeypatch.setattr("estimation.track.recordings.judge_recorded", judged)
+    register(storage)
+    with storage.write() as unit:
+        unit.tracks.add_alignment(surveyed(factor))
+    put(storage, range(6))
+    counts(storage, "refresh_alignment")
+    first = verdict(storage)
+    assert first is not None
+    for day in (2, 4):
+        put(storage, [1, 4], day=day)
+        assert counts(storage, "refresh_alignment")["windows"] == 4
+        assert verdict(storage) == first
+    assert len(asked) == 1
+    with storage.write() as unit:
+        unit.tracks.add_alignment(replace(surveyed(), alignment=1.001 * surveyed().alignment))
+    put(storage, range(6), day=6)
+    counts(storage, "refresh_alignment")
+    assert len(asked) == 2  # of the new one nothing had been said
+    assert verdict(storage) == "agrees with what the fleet has felt"
+
+
+def gauged() -> TrackAlignment:
+    """Return the recording with a gauge that varies by 1 mm SD; to the wheelsets of these runs it does nothing."""
+    known = surveyed()
+    gauge = np.sqrt(2.0) * 1e-3 * np.sin(2 * np.pi * known.s / 40.0)
+    return replace(known, gauge_deviation=gauge, gauge_deviation_std=np.full(len(known.s), 0.1e-3))
+
+
+def test_what_a_recorded_gauge_does_to_wheelsets_becomes_a_version_of_the_recording(
+    sqlite_storage: SqlStorage,
+) -> None:
+    storage = sqlite_storage
+    register(storage)
+    with storage.write() as unit:
+        assert unit.tracks.add_alignment(gauged()) == 1
+    put(storage, range(5))
+    put(storage, range(5), day=1)
+    assert counts(storage, "estimate_windows")["estimated"] == 20  # on a recording a window waits for nobody
+    assert counts(storage, "refresh_alignment")["versions"] == 1
+    found = in_force(storage)
+    assert (found.version, found.source, found.gauge_known, found.cut_off) == (2, RECORDED, True, np.inf)
+    for name in ("s", "alignment", "alignment_std", "gauge_deviation", "gauge_deviation_std", "passes"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(gauged(), name))
+    assert found.findings is not None
+    assert set(found.findings.gauge_shifts) == set(NAMES[:5])
+    assert set(found.findings.stiffness_ratio) == {name.replace("W", "V") for name in NAMES[:5]}
+    assert (report(storage).made, report(storage).version) == (True, 2)
+    with storage.read() as unit:
+        position = unit.tracks.position("W0", windows(0)[0].start_ns)
+    assert position is not None
+    assert (position.offset_m, position.scale, position.reason) == (0.0, 0.0, "")  # positions are believed as ever
+    assert counts(storage, "estimate_windows") == {
+        "estimated": 20, "refused": 0, "changed_meanwhile": 0, "requeued": 20
+    }  # fmt: skip
+    with storage.write() as unit:  # the registry is loaded at every start
+        assert unit.tracks.add_alignment(gauged()) == 1
+    for day in (3, 5):
+        put(storage, range(5), day=day)
+        assert counts(storage, "refresh_alignment")["kept"] == 1
+        assert in_force(storage).version == 2
+    put(storage, range(6), day=7)
+    assert counts(storage, "refresh_alignment")["versions"] == 1
+    more = in_force(storage).findings
+    assert more is not None
+    assert set(more.gauge_shifts) == set(NAMES)
+    with storage.read() as unit:
+        record = unit.tracks.in_force("S1")
+    assert record is not None
+    assert (record.version, record.same_since, record.source) == (3, 3, RECORDED)
+
+
+def test_nothing_is_made_of_a_recorded_gauge_that_hardly_varies(sqlite_storage: SqlStorage) -> None:
+    storage = sqlite_storage
+    register(storage)
+    with storage.write() as unit:
+        unit.tracks.add_alignment(replace(gauged(), gauge_deviation=0.2 * gauged().gauge_deviation + 1e-3))
+    put(storage, range(6))
+    assert counts(storage, "refresh_alignment")["kept"] == 1
+    assert in_force(storage).version == 1
+
+
+def load_gauge(storage: Storage, folder: Path) -> None:
+    """Load a registry whose track file has the gauge alone."""
+    known = gauged()
+    rows = [f"{s:.3f},{1e3 * e:.6f}" for s, e in zip(known.s[::4], known.gauge_deviation[::4], strict=True)]
+    (folder / "gauge.csv").write_text("\n".join(["s_m,gauge_deviation_mm", *rows]))
+    section = {
+        "code": "S1", "number": 1, "name": "Section", "rail_profile": "56E1", "rail_inclination": 0.05,
+        "nominal_gauge_mm": 1435.0, "length_m": LENGTH,
+        "alignment": {"file": "gauge.csv", "gauge_deviation_std_mm": 0.1},
+    }  # fmt: skip
+    (folder / "registry.json").write_text(json.dumps({"format": FORMAT, "track_sections": [section]}))
+    with storage.write() as unit:
+        load_registry(folder / "registry.json", unit)
+
+
+def test_of_a_section_whose_gauge_alone_is_on_file_the_fleet_finds_the_alignment(
+    sqlite_storage: SqlStorage, tmp_path: Path
+) -> None:
+    storage = sqlite_storage
+    register(storage)
+    load_gauge(storage, tmp_path)
+    on_file = in_force(storage)
+    assert (on_file.version, on_file.source, on_file.status) == (1, RECORDED, Status.UNESTIMATED)
+    assert on_file.gauge_known
+    assert np.isnan(on_file.alignment).all()
+    put(storage, [0])
+    assert counts(storage, "refresh_alignment")["unestimated"] == 1
+    assert "one wheelset alone" in report(storage).reason
+    assert counts(storage, "estimate_windows")["refused"] == 2
+    with storage.read() as unit:
+        assert {window.reason for window in unit.windows.list("W0")} == {NO_ALIGNMENT}
+        assert len(unit.windows.unplaced("S1", 100)) == 2  # left for the next
+    assert counts(storage, "refresh_alignment")["unchanged"] == 1
+    assert counts(storage, "estimate_windows") == {"estimated": 0, "refused": 0, "changed_meanwhile": 0, "requeued": 0}
+    put(storage, range(1, 6))
+    assert counts(storage, "refresh_alignment")["versions"] == 1
+    found = in_force(storage)
+    assert (found.version, found.source, found.status, found.gauge_known) == (2, FLEET, Status.ESTIMATED, True)
+    np.testing.assert_allclose(found.gauge_deviation, np.interp(found.s, on_file.s, on_file.gauge_deviation), atol=1e-9)
+    assert report(storage).report["evidence"] == ["recorded version 1"]
+    load_gauge(storage, tmp_path)
+    assert in_force(storage).version == 2
+    assert counts(storage, "estimate_windows")["estimated"] == 12
+    put(storage, [1, 4], day=3)
+    assert counts(storage, "refresh_alignment")["versions"] == 1
+    assert in_force(storage).gauge_known
+
+
 def test_one_section_that_fails_does_not_keep_the_others(sqlite_storage: SqlStorage) -> None:
     storage = sqlite_storage
     register(storage, ("S0", "S1"))
@@ -312,8 +460,34 @@ def test_only_what_matters_is_another_alignment() -> None:
     assert not material(told, replace(old, findings=Findings({"A": 0.975}, 0.01, {})), settings)
     assert material(told, replace(old, findings=Findings({"A": 0.99}, 0.01, {})), settings)
     assert material(told, replace(old, findings=Findings({"B": 1.0}, 0.01, {})), settings)
+    recorded = replace(old, source=RECORDED, gauge_known=True)
+    wheel = GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.zeros((3, 2)))
+    with_one = replace(recorded, findings=Findings({}, 0.01, {"A1": wheel}))
+    with_two = replace(recorded, findings=Findings({}, 0.01, {"A1": wheel, "A2": wheel}))
+    assert material(recorded, with_one, settings)
+    assert material(with_one, with_two, settings)
+    assert not material(with_two, with_two, settings)
     doubtful = replace(old, findings=Findings({"A": 0.96}, 0.04, {}))
     assert not material(doubtful, replace(old, findings=Findings({"A": 0.99}, 0.01, {})), settings)
+
+
+def test_another_gauge_shift_is_one_that_noise_does_not_make() -> None:
+    settings, n = AlignmentSettings(), 2000
+    gauge = 1e-3 * np.random.default_rng(1).standard_normal(n)
+    R, e = np.linspace(-6e-3, 6e-3, 25), np.linspace(-4e-3, 4e-3, 17)
+
+    def told(per_gauge: float | None) -> TrackAlignment:
+        table = {} if per_gauge is None else {"A": GaugeShift(R, e, per_gauge * np.sign(R)[:, None] * e[None, :])}
+        zero = np.zeros(n)
+        return TrackAlignment(
+            "S1", 1, np.arange(n) * 1.0, zero, zero, gauge, zero, zero.astype(np.int64), Status.ESTIMATED,
+            findings=Findings({}, 0.01, table),
+        )  # fmt: skip
+
+    assert not shifted_otherwise(told(0.1), told(0.2), settings)
+    assert shifted_otherwise(told(0.1), told(0.3), settings)
+    assert not shifted_otherwise(told(None), told(0.3), settings)
+    assert not shifted_otherwise(replace(told(0.1), findings=None), told(0.3), settings)
 
 
 def test_what_was_found_of_those_who_stayed_away_is_kept() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,12 +13,13 @@ from smooth_wheelset import SmoothTable, ideal, run, track
 from estimation.geometry import ParameterUncertainty
 from estimation.motion import Motion
 from estimation.regressors import YAW_TARGETS, regression
-from estimation.types import Findings, Status, TrackAlignment
+from estimation.types import FLEET, Findings, GaugeShift, Status, TrackAlignment
 from estimation.vehicle import VehicleParameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 
 BELIEVED = VehicleParameters()
 STIFFER = 1.25  # times as stiff in yaw as believed
+WHEEL = GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.zeros((3, 2)))
 
 
 @cache
@@ -93,6 +95,31 @@ def test_a_geometry_is_as_sure_of_the_ratio_as_the_least_sure_of_its_alignments(
     for mixed in ([track_of(0.01), track_of(None)], [track_of(None)], []):
         assert believed.on(mixed).ratio is None, "one that has taught nothing leaves all open"
     assert believed.on([]) == believed
+
+
+@pytest.mark.parametrize(
+    ("change", "share"),
+    [
+        ({}, 0.5),  # nothing is known of what it does
+        ({"findings": Findings({"V1": 1.1}, 0.01, {})}, 0.5),
+        ({"findings": Findings({"V1": 1.1}, 0.01, {"W2": WHEEL})}, 0.5),
+        ({"findings": Findings({"V1": 1.1}, 0.01, {"W1": WHEEL})}, 0.22),
+        ({"findings": Findings({"V1": 1.1}, 0.01, {"W1": WHEEL}), "gauge_known": False, "source": FLEET}, 0.32),
+    ],
+)
+def test_contact_jumps_are_as_far_off_as_the_gauge_is_left_in(change: dict[str, Any], share: float) -> None:
+    gauge = np.array([1e-3, -1e-3])
+    on = replace(track_of(None), gauge_deviation=gauge, **change)
+    assert ParameterUncertainty().on([on], "W1").blur == pytest.approx(share * 1e-3)
+    assert ParameterUncertainty().on([replace(on, gauge_deviation=gauge + 5e-3)], "W1").blur < 0.6e-3
+    assert ParameterUncertainty().on([replace(on, gauge_deviation=np.full(2, 1e-3))], "W1").blur == 0.0
+
+
+def test_a_recording_has_taught_nothing_of_a_wheelset_that_it_has_not_met() -> None:
+    told = replace(track_of(0.01), findings=Findings({"V1": 1.1}, 0.01, {"W1": WHEEL}))
+    assert ParameterUncertainty().on([told], "W1").ratio == 0.01
+    assert ParameterUncertainty().on([told], "W2").ratio is None
+    assert ParameterUncertainty().on([replace(told, source=FLEET)], "W2").ratio == 0.01
 
 
 def test_a_learnt_ratio_stands_for_creep_and_yaw_stiffness_in_the_yaw_equation_alone() -> None:

@@ -10,9 +10,13 @@ import stored_values as make
 
 from estimation.errors import ConflictError
 from estimation.ports import AlignmentRecord, TrackReport, WindowPosition, WindowState
-from estimation.types import FLEET, RECORDED, Status, TrackAlignment
+from estimation.types import FLEET, RECORDED, Findings, GaugeShift, Status, TrackAlignment
 from fleet_db.packed.alignment import pack_alignment, unpack_alignment
 from fleet_db.storage import SqlStorage
+
+FOUND = Findings(
+    {"V-1": 1.05}, 0.02, {"W-1": GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.ones((3, 2)))}
+)
 
 
 def of_fleet(seed: int) -> TrackAlignment:
@@ -37,6 +41,9 @@ def test_where_an_alignment_came_from_comes_back_with_it_and_a_recording_is_pack
     recorded = make.alignment(1)
     assert unpack_alignment(pack_alignment(recorded), 0, where="here").source == RECORDED
     assert b"" != pack_alignment(recorded) != pack_alignment(replace(recorded, cut_off=60.0))
+    told = unpack_alignment(pack_alignment(replace(recorded, findings=FOUND)), 0, where="here")
+    assert (told.source, told.findings is not None) == (RECORDED, True)
+    assert make.same(replace(told, findings=None), recorded)
 
 
 def test_a_recording_registered_again_does_not_come_before_what_the_fleet_has_found(fleet: SqlStorage) -> None:
@@ -74,6 +81,26 @@ def test_a_recording_registered_again_does_not_come_before_what_the_fleet_has_fo
         told, version=1, source=RECORDED, same_since=1, cut_off_m=np.inf, scale_std=0.0, gauge_known=True,
         alignment_std_m=None, recorded_ns=None,
     )  # fmt: skip
+
+
+def test_a_recording_registered_again_does_not_come_before_itself_with_what_the_fleet_has_found(
+    fleet: SqlStorage,
+) -> None:
+    recorded, other = make.alignment(1), make.alignment(2)
+    told = replace(recorded, findings=FOUND)
+    with fleet.write() as unit:
+        assert unit.tracks.add_alignment(recorded) == 1
+        assert unit.tracks.add_alignment(told, recorded_ns=50) == 2
+        assert unit.tracks.add_alignment(told, recorded_ns=60) == 2
+        assert unit.tracks.add_alignment(recorded) == 1
+        newest = unit.tracks.in_force("S-7")
+        assert newest is not None
+        assert (newest.version, newest.source, newest.same_since) == (2, RECORDED, 2)
+        in_force = unit.tracks.alignment("S-7")
+        assert in_force is not None
+        assert in_force.findings is not None
+        assert unit.tracks.add_alignment(other) == 3
+        assert unit.tracks.add_alignment(recorded) == 4  # back to the first
 
 
 def test_reports_are_kept_and_the_one_that_made_a_version_is_found(fleet: SqlStorage) -> None:
