@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from estimation import bins
 from estimation.gauge_shift import gauge_shift
 from estimation.settings import EstimationSettings
@@ -39,7 +41,7 @@ def tabulate_window(
     window
         Measured accelerations of one wheelset.
     track
-        Alignment of its track section; None where none is on file.
+        Alignment of its track section; None where none is on file, all NaN where that is of the gauge alone.
     settings
         Gates, filters and bins.
     correction
@@ -54,7 +56,7 @@ def tabulate_window(
     refused = gate(window.quality, window.track_section, settings)
     if refused is not None:
         return refused
-    if track is None:
+    if track is None or not np.isfinite(track.alignment).any():
         return Refusal(NO_ALIGNMENT)
     if misplaced:
         return Refusal(misplaced)

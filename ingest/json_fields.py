@@ -110,6 +110,10 @@ class Fields:
         value = self._values.get(key)
         return None if value is None else self._object(key, value)
 
+    def has(self, key: str) -> bool:
+        """Whether a field is given."""
+        return key in self._values
+
     def end(self) -> None:
         """Check that nothing is left over."""
         for key in self._values:

@@ -14,6 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from estimation.arrays import FloatArray
 from estimation.contact.profiles import Profile
 from estimation.errors import ConflictError, InputError, NotFoundError, ProfileError
 from estimation.ports import (
@@ -29,7 +30,13 @@ from estimation.ports import (
 from estimation.types import Status, TrackAlignment, TrackLayout
 from ingest.json_fields import Fields, read_json
 from ingest.profile_file import read_wheel_profile
-from ingest.track_file import LAYOUT_COLUMNS, read_layout_columns, read_track_columns, uniform_distance
+from ingest.track_file import (
+    LAYOUT_COLUMNS,
+    read_gauge_columns,
+    read_layout_columns,
+    read_track_columns,
+    uniform_distance,
+)
 
 FORMAT = "treadwatch-registry-1"
 MOST_AXLES = 8
@@ -244,18 +251,32 @@ def _layout(file: Path, section: TrackSectionRecord) -> TrackLayout | None:
 
 def _alignment(fields: Fields, section: str, folder: Path) -> TrackAlignment:
     file = folder / fields.text("file")
-    columns = read_track_columns(file)
-    if not uniform_distance(columns[:, 0]):
+    s, alignment, gauge, std = _columns(fields, file)
+    if not uniform_distance(s):
         raise InputError("distances must be evenly spaced", file=file, field="s_m")
-    n = len(columns)
+    n = len(s)
     return TrackAlignment(
         section=section,
         version=0,
-        s=np.linspace(columns[0, 0], columns[-1, 0], n),
-        alignment=columns[:, 1],
-        alignment_std=np.full(n, 1e-3 * fields.number("alignment_std_mm")),
-        gauge_deviation=columns[:, 2],
+        s=np.linspace(s[0], s[-1], n),
+        alignment=alignment,
+        alignment_std=np.full(n, std),
+        gauge_deviation=gauge,
         gauge_deviation_std=np.full(n, 1e-3 * fields.number("gauge_deviation_std_mm")),
         passes=np.zeros(n, dtype=np.int64),
-        status=Status.ESTIMATED,
+        status=Status.ESTIMATED if np.isfinite(std) else Status.UNESTIMATED,
     )
+
+
+def _columns(fields: Fields, file: Path) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return distance, alignment, gauge deviation (n,) and the std of the alignment, m; NaN where it is of gauge alone.
+
+    A std of an alignment that the file has not is an error, for a misspelt column would be taken for none.
+    """
+    of_gauge = None if fields.has("alignment_std_mm") else read_gauge_columns(file)
+    if of_gauge is not None:
+        s, gauge = of_gauge.T
+        return s, np.full(len(s), np.nan), gauge, float("nan")
+    std = 1e-3 * fields.number("alignment_std_mm")
+    s, alignment, gauge = read_track_columns(file).T
+    return s, alignment, gauge, std

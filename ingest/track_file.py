@@ -1,5 +1,6 @@
 """A track on file: CSV with the columns ``s_m, alignment_mm, gauge_deviation_mm``, as a recording car gives it.
 
+A file of the gauge alone has no column ``alignment_mm``.
 The layout of the line, where it is known, is in the columns ``curvature_per_km, cant_mm`` (curvature in 1/km: the
 inverse of the radius in km, positive to the left; cant: right rail above the left one), beside the others or in a file
 of its own.
@@ -18,6 +19,7 @@ from estimation.arrays import FloatArray
 from estimation.errors import InputError
 
 COLUMNS = ("s_m", "alignment_mm", "gauge_deviation_mm")
+GAUGE_COLUMNS = ("s_m", "gauge_deviation_mm")
 LAYOUT_COLUMNS = ("curvature_per_km", "cant_mm")
 FEWEST_POINTS = 8
 FEWEST_LAYOUT_POINTS = 2
@@ -43,6 +45,21 @@ def read_track_columns(path: Path) -> FloatArray:
     header, lines = _cells(path)
     table = _table(path, header, lines, COLUMNS, FEWEST_POINTS)
     return np.asarray(table * np.array([1.0, 1e-3, 1e-3]), dtype=np.float64)
+
+
+def read_gauge_columns(path: Path) -> FloatArray | None:
+    """Return (n, 2): distance and gauge deviation, both in m, of a file without alignment; None where it has one.
+
+    Raises
+    ------
+    InputError
+        As ``read_track_columns``.
+    """
+    header, lines = _cells(path)
+    if COLUMNS[1] in header:
+        return None
+    table = _table(path, header, lines, GAUGE_COLUMNS, FEWEST_POINTS)
+    return np.asarray(table * np.array([1.0, 1e-3]), dtype=np.float64)
 
 
 def read_layout_columns(path: Path) -> FloatArray | None:

@@ -17,7 +17,7 @@ from estimation.ports import AlignmentRecord, UnitOfWork, WindowPosition, Window
 from estimation.settings import EstimationSettings
 from estimation.signals import Refusal
 from estimation.track.positions import Correction
-from estimation.types import FLEET, BinTable, TrackAlignment, TrackLayout
+from estimation.types import FLEET, BinTable, Status, TrackAlignment, TrackLayout
 from estimation.window_table import NO_ALIGNMENT, tabulate_window
 
 
@@ -58,12 +58,14 @@ class _Work:
 def _requeue(unit: UnitOfWork, settings: EstimationSettings, in_force: Mapping[str, AlignmentRecord]) -> int:
     """Let windows wait again that an alignment has come for, or whose table is of another alignment or parameters.
 
-    A version that differs from the one of a table by less than that left unknown is none to estimate again for.
+    A version that differs from the one of a table by less than that left unknown is none to estimate again for, nor is
+    a recording of the gauge alone.
     """
-    outdated = unit.tables.outdated(settings.bins.key, {code: one.same_since for code, one in in_force.items()})
+    lies = {code: one.same_since for code, one in in_force.items() if one.status is Status.ESTIMATED}
+    outdated = unit.tables.outdated(settings.bins.key, lies)
     for wheelset, start_ns in outdated:
         unit.windows.mark(wheelset, start_ns, WindowState.PENDING, "")
-    return len(outdated) + sum(unit.windows.requeue(code, NO_ALIGNMENT) for code in in_force)
+    return len(outdated) + sum(unit.windows.requeue(code, NO_ALIGNMENT) for code in lies)
 
 
 def _compute(

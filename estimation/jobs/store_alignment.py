@@ -22,7 +22,7 @@ from estimation.track.passes import Pass
 from estimation.track.positions import Correction, Journey, journeys
 from estimation.track.recordings import Finding
 from estimation.track.screening import PassStatus
-from estimation.types import Status, TrackAlignment
+from estimation.types import TrackAlignment
 
 WindowKey = tuple[str, int]  # wheelset, start
 
@@ -69,7 +69,7 @@ def store(unit: UnitOfWork, epoch: Epoch, finding: Finding, context: JobContext)
     settings = context.setting(AlignmentSettings)
     for position in _positions(epoch, finding, version, settings):
         _place(unit, position)
-    if finding.estimate.report.status is not Status.ESTIMATED and expected is None:
+    if finding.alignment is None:
         return "unestimated"
     return "versions" if finding.made else "kept"
 

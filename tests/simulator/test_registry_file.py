@@ -134,6 +134,53 @@ def test_a_broken_track_file_is_named_by_line(registry: Path) -> None:
     assert (refused.value.file, refused.value.line, refused.value.field) == (str(track), 42, "alignment_mm")
 
 
+def without_alignment(registry: Path) -> Path:
+    """Take the alignment out of the track file."""
+    track = registry.parent / "s-9.csv"
+    rows = [line.split(",") for line in track.read_text().splitlines()]
+    at = rows[0].index("alignment_mm")
+    track.write_text("\n".join(",".join(cells[:at] + cells[at + 1 :]) for cells in rows))
+    return track
+
+
+def test_a_track_file_may_be_of_the_gauge_alone(storage: SqlStorage, registry: Path) -> None:
+    (whole,) = read_registry(registry).alignments
+    without_alignment(registry)
+    change(registry, lambda c: c["track_sections"][0]["alignment"].pop("alignment_std_mm"))
+    load(storage, registry)
+    with storage.read() as unit:
+        found = unit.tracks.alignment("S-9")
+    assert found is not None
+    assert (found.status, found.gauge_known, found.source) == (Status.UNESTIMATED, True, whole.source)
+    assert np.isnan(found.alignment).all()
+    assert np.isnan(found.alignment_std).all()
+    assert same_values(found.gauge_deviation, whole.gauge_deviation)
+    assert same_values(found.gauge_deviation_std, whole.gauge_deviation_std)
+
+
+def test_a_gauge_on_file_is_checked_like_an_alignment(registry: Path) -> None:
+    track = without_alignment(registry)
+    with pytest.raises(InputError, match="no such column") as refused:  # a std of what is not there: misspelt
+        read_registry(registry)
+    assert (refused.value.file, refused.value.field) == (str(track), "alignment_mm")
+    change(registry, lambda c: c["track_sections"][0]["alignment"].pop("alignment_std_mm"))
+    lines = track.read_text().splitlines()
+    track.write_text("\n".join([*lines[:41], lines[41].split(",")[0] + ",", *lines[42:]]))
+    with pytest.raises(InputError, match="finite number") as refused:
+        read_registry(registry)
+    assert (refused.value.line, refused.value.field) == (42, "gauge_deviation_mm")
+    track.write_text("\n".join(line.split(",")[0] for line in lines))
+    with pytest.raises(InputError, match="no such column"):
+        read_registry(registry)
+
+
+def test_an_alignment_on_file_needs_its_standard_deviation(registry: Path) -> None:
+    change(registry, lambda c: c["track_sections"][0]["alignment"].pop("alignment_std_mm"))
+    with pytest.raises(InputError, match="missing") as refused:
+        read_registry(registry)
+    assert refused.value.field == "track_sections[0].alignment.alignment_std_mm"
+
+
 def test_an_uneven_track_file_is_refused(registry: Path) -> None:
     track = registry.parent / "s-9.csv"
     lines = track.read_text().splitlines()
