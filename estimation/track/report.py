@@ -35,7 +35,7 @@ class LoopReport:
 
     status: Status
     reason: str
-    converged: bool
+    converged: bool  # positions and stiffness ratios; where not, ``reason`` says so, also of an estimate
     rounds: int
     residual_rms_m: float  # of y - d - h(R) over all passes
     moved_m: float  # by which the last round moved a position at most

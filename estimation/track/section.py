@@ -177,6 +177,7 @@ def _report(
         status, reason = Status.ESTIMATED, ""
     if status is Status.ESTIMATED and len(strays) == len(grouped):
         status, reason = Status.UNESTIMATED, "no journey agrees with another: " + next(iter(strays.values()))
+    restless = _restless(settled, p.settling)
     told = [
         _journey(journey, members, settled.corrections.get(journey, Correction()), residuals[journey], strays)
         for journey, members in grouped.items()
@@ -184,8 +185,8 @@ def _report(
     certain = np.isfinite(solution.alignment_std)
     return LoopReport(
         status=status,
-        reason=reason,
-        converged=settled.moved < p.settling.settled,
+        reason=reason or restless,
+        converged=not restless,
         rounds=settled.rounds,
         residual_rms_m=settled.noise,
         moved_m=settled.moved,
@@ -197,6 +198,16 @@ def _report(
         alignment_std_m=float(np.median(solution.alignment_std[certain])) if certain.any() else float("nan"),
         journeys=tuple(told),
     )
+
+
+def _restless(settled: Settled, p: SettlingParameters) -> str:
+    """Return why the rounds have not settled; empty where they have."""
+    moving = []
+    if not settled.moved < p.settled:
+        moving.append(f"positions still moved by {settled.moved:.2f} m, {p.settled:g} m is settled")
+    if not settled.changed < p.settled_ratio:
+        moving.append(f"stiffness ratios still changed by {settled.changed:.3f}, {p.settled_ratio:g} is settled")
+    return f"not settled after {settled.rounds} rounds: {' and '.join(moving)}" if moving else ""
 
 
 def _journey(

@@ -60,6 +60,7 @@ class Settled:
     passes: tuple[Pass, ...]  # corrected and adjusted
     rounds: int
     moved: float
+    changed: float  # by which the last round changed a stiffness ratio at most
     noise: float  # m, rms of y - d - h(R) over the passes
 
 
@@ -119,9 +120,10 @@ def _rounds(
         noise = max(residual_of_passes(state, solution), 0.1 * p.pass_std)
         if last:
             known = certain(ratios, at, solution, panel)
-            return Settled(panel, state, solution, corrections, known, tuple(at), done, float(moved), noise)
+            last_step = float(moved), float(changed)
+            return Settled(panel, state, solution, corrections, known, tuple(at), done, *last_step, noise)
         better = refined(ratios, at, solution, panel)
-        changed = max((abs(one.value - ratios.get(v, Ratio()).value) for v, one in better.items()), default=0.0)
+        changed = _changed(ratios, better)
         ratios = better
         placed = _refined_positions(course, corrections, ratios, state, solution, panel)
         moved = max(_apart(corrections[j], placed[j], members) for j, members in course.grouped.items())
@@ -201,8 +203,9 @@ def _repositioned(course: _Course, found: Settled) -> Settled:
     ratios = refined(found.ratios, found.passes, found.solution, found.panel)
     corrections = _refined_positions(course, found.corrections, ratios, found.state, found.solution, found.panel)
     moved = max(_apart(found.corrections[j], corrections[j], members) for j, members in course.grouped.items())
-    at = _placed(course.grouped, corrections, ratios)
-    return replace(found, corrections=corrections, ratios=ratios, passes=tuple(at), moved=float(moved))
+    at = tuple(_placed(course.grouped, corrections, ratios))
+    changed = _changed(found.ratios, ratios)
+    return replace(found, corrections=corrections, ratios=ratios, passes=at, moved=float(moved), changed=changed)
 
 
 def _finished(course: _Course, found: Settled) -> Settled:
@@ -219,6 +222,11 @@ def _moved_to_gauge(course: _Course, settled: Settled, gauge: FloatArray, positi
     both = [compared(sign * trial.panel.gauge, gauge, trial.panel, positions) for sign in (1.0, -1.0)]
     correction = max(both, key=lambda found: found[1])[0]
     return replace(trial, corrections={j: moved_along(one, correction) for j, one in trial.corrections.items()})
+
+
+def _changed(before: Mapping[str, Ratio], after: Mapping[str, Ratio]) -> float:
+    """Return by how much a stiffness ratio has changed at most; a vehicle that is new was as assumed."""
+    return max((abs(one.value - before.get(vehicle, Ratio()).value) for vehicle, one in after.items()), default=0.0)
 
 
 def _apart(first: Correction, second: Correction, members: Sequence[Pass]) -> float:

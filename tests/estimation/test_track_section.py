@@ -61,6 +61,21 @@ def test_positions_and_alignment_settle_together() -> None:
     json.dumps(found.report.as_json(), allow_nan=False)
 
 
+@pytest.mark.parametrize(
+    ("limits", "said", "unsaid"),
+    [({"settled_ratio": 1e-9}, "stiffness ratios", "positions"), ({"settled": 1e-9}, "positions", "stiffness ratios")],
+)
+def test_what_has_not_settled_is_estimated_and_says_so(limits: dict[str, float], said: str, unsaid: str) -> None:
+    impatient = replace(SECTION, settling=replace(SECTION.settling, **limits))  # type: ignore[arg-type] - floats all
+    found = estimate_section("S", displaced(fleet_passes()), None, impatient)
+    assert found.report.status is Status.ESTIMATED
+    assert found.alignment is not None
+    assert not found.report.converged
+    assert found.report.reason.startswith(f"not settled after {found.report.rounds} rounds: {said} still")
+    assert unsaid not in found.report.reason
+    assert first_version().report.reason == ""
+
+
 def test_evidence_says_where_the_place_lies_and_more_passes_make_it_no_worse() -> None:
     """The next epoch lies elsewhere by its odometers, and is put where the last version is."""
     first = known(first_version())

@@ -1,0 +1,74 @@
+"""A recorded gauge that varies: the recording is kept, and what its gauge does to wheelsets is found on it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from gauge_passes import LENGTH, Section, Wheels, passes, section
+
+from estimation.ports import TrackSectionRecord
+from estimation.track.epochs import AlignmentSettings
+from estimation.track.panel import PanelParameters
+from estimation.track.recordings import Finding, find
+from estimation.track.section import SectionParameters
+from estimation.types import RECORDED, Status, TrackAlignment
+
+RECORD = TrackSectionRecord("S", 1, "Section", "56E1", 0.05, 1.435, LENGTH)
+SETTINGS = AlignmentSettings(section=SectionParameters(panel=PanelParameters(hats=21)))
+CONES = {"A#0#0": 0.16, "B#0#0": 0.08, "C#0#0": 0.12}
+
+
+def recording(place: Section, gauge_std: float = 0.1e-3) -> TrackAlignment:
+    zero = np.zeros(len(place.s))
+    return TrackAlignment(
+        "S", 1, place.s, place.alignment, zero + 0.05e-3, place.gauge, zero + gauge_std, zero.astype(np.int64),
+        Status.ESTIMATED,
+    )  # fmt: skip
+
+
+@cache
+def first(gauge_std: float) -> Finding:
+    place = section(gauge_std)
+    return find(RECORD, passes(place, CONES, 3), recording(place), SETTINGS, judge=False)
+
+
+def test_what_the_gauge_on_file_does_to_wheelsets_is_told_on_the_recording() -> None:
+    place = section(1e-3)
+    found = first(1e-3)
+    assert found.made
+    assert found.trusted
+    told = found.alignment
+    assert told is not None
+    assert told.source == RECORDED
+    np.testing.assert_array_equal(told.alignment, place.alignment)
+    np.testing.assert_array_equal(told.gauge_deviation, place.gauge)
+    assert told.findings is not None
+    rng = np.random.default_rng(1)
+    x, e = 1.5e-3 * rng.standard_normal(400), 1e-3 * rng.standard_normal(400)
+    everywhere = np.linspace(-9e-3, 9e-3, 2001)
+    for name, cone in CONES.items():
+        wheels = Wheels(cone)
+        R = wheels.difference(x, e)
+        true = x - np.interp(R, wheels.difference(everywhere, np.zeros(2001)), everywhere)
+        shift = told.findings.gauge_shifts[name.split("#")[0]].at(R, e)
+        assert (shift - true).var() < 0.5 * true.var(), name
+
+
+def test_the_same_again_makes_no_version_and_a_turned_wheelset_makes_one() -> None:
+    place, told = section(1e-3), first(1e-3).alignment
+    assert told is not None
+    again = find(RECORD, passes(place, CONES, 3, seed=7), replace(told, version=2), SETTINGS, judge=False)
+    assert (again.made, again.alignment is not None, again.trusted) == (False, True, True)
+    turned = {"A#1#0": 0.05, "B#0#0": 0.08, "C#0#0": 0.12}
+    other = find(RECORD, passes(place, turned, 3, seed=8), replace(told, version=2), SETTINGS, judge=False)
+    assert other.made
+
+
+def test_a_gauge_on_file_that_does_not_vary_changes_nothing() -> None:
+    found = first(0.0)
+    assert not found.made
+    assert found.trusted
+    assert found.alignment is not None
+    assert found.alignment.findings is None
