@@ -162,7 +162,7 @@ def _then_one_jumps(among: Deployment, jumping: Sequence[Edited]) -> None:
 
 Spoil = Callable[[float, float], tuple[float, float]]
 SPOILT: Mapping[str, tuple[Spoil, str]] = {
-    "in micrometres": (lambda s, d: (s, 1e3 * d), "times what the fleet has felt: millimetres were taken for metres"),
+    "a thousand times": (lambda s, d: (s, 1e3 * d), "times what the fleet has felt: millimetres were taken for metres"),
     "10 m along": (lambda s, d: (s + 10.0, d), "m too far along"),
     "left is right": (lambda s, d: (s, -d), "mirror image"),
 }
@@ -194,11 +194,12 @@ def test_a_track_file_that_the_fleet_contradicts_is_not_used_and_the_api_says_wh
     assert geometries(found) == geometries(unknown)
 
 
+@pytest.mark.parametrize("surveyed", [False, True], ids=["unknown track", "track on file"])
 def test_two_swapped_vehicles_wheelsets_are_reported_and_kept_apart(
-    deploy: Deploy, report: FleetReport, tmp_path: Path
+    deploy: Deploy, report: FleetReport, tmp_path: Path, *, surveyed: bool
 ) -> None:
     """From the third campaign on each vehicle runs on the other's bogie; the registry does not know."""
-    found = deploy(registry_with(report.registry, tmp_path / "swapped", {}, surveyed=True))
+    found = deploy(registry_with(report.registry, tmp_path / "swapped", {}, surveyed=surveyed))
     other = {"U-A": "U-B", "U-B": "U-A"}
     for campaign in (1, 2, 3, 4):
         these = [one for one in report.recordings if one.campaign == campaign]
