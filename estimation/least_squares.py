@@ -148,7 +148,6 @@ class Solution:
 
     theta: FloatArray  # (c, p, t) one column a target
     residual_variance: FloatArray  # (c,) of the first target
-    observable: FloatArray  # (c,) smallest eigenvalue of the scaled normal matrix
     inverse: FloatArray  # (c, p, p) inverse of X'X (through the scaled eigenvectors)
 
     def __post_init__(self) -> None:
@@ -174,8 +173,7 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
     safe = np.where(scale > 0, scale, 1.0)
     scaled = gram / (safe[:, :, None] * safe[:, None, :])
     values, vectors = np.linalg.eigh(scaled)
-    smallest = values[:, 0]
-    ok = smallest > SMALLEST_EIGENVALUE
+    ok = values[:, 0] > SMALLEST_EIGENVALUE
     inverse_values = np.where(ok[:, None], 1.0 / np.where(ok[:, None], values, 1.0), np.nan)
     scaled_inverse = np.einsum("cij,cj,ckj->cik", vectors, inverse_values, vectors)
     inverse = scaled_inverse / (safe[:, :, None] * safe[:, None, :])
@@ -184,7 +182,7 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
     explained = np.einsum("ci,ci->c", first, cross[:, :, 0])
     freedom = np.maximum(weight - p, 1.0)
     residual_variance = np.maximum(square - explained, 0.0) / freedom
-    return Solution(theta.reshape(c, p, t), residual_variance, smallest, inverse)
+    return Solution(theta.reshape(c, p, t), residual_variance, inverse)
 
 
 def unpack(packed: FloatArray, regressors: int, targets: int) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -77,13 +77,6 @@ class Estimator(Protocol[State]):
         """Return what the state says."""
 
 
-class MergeableEstimator(Estimator[State], Protocol[State]):
-    """An estimator whose states of two parts of the data make the state of both, in any order."""
-
-    def merge(self, first: State, second: State) -> State:
-        """Return the state that has seen what both have seen."""
-
-
 def run(estimator: Estimator[State], parameters: EstimatorParameters, motions: Iterable[Motion]) -> CurveEstimate:
     """Return what ``estimator`` makes of ``motions``, in their order."""
     state = estimator.init(parameters)
