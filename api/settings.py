@@ -75,11 +75,6 @@ class Settings(BaseSettings):
         return f"sqlite:///{(self.data_dir / 'treadwatch.sqlite').resolve()}"
 
     @property
-    def samples_dir(self) -> Path:
-        """Where samples of windows are kept."""
-        return self.data_dir / "windows"
-
-    @property
     def raw_dir(self) -> Path:
         """Where raw recordings are kept under their digests."""
         return self.data_dir / "raw"

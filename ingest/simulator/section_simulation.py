@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -227,11 +226,6 @@ def ensure_simulated(
             if not target.is_dir():  # else another process was faster, with the same content
                 raise
     return target
-
-
-def forget(scenario: SectionScenario, seed: int, cache: Path) -> None:
-    """Remove the simulation from ``cache`` where it is there."""
-    shutil.rmtree(cache / simulation_key(scenario, seed), ignore_errors=True)
 
 
 def _simulate_all(
