@@ -1,8 +1,7 @@
 """The alignment down to long wavelengths, once the wheelsets' curves are known.
 
 The curves come from short wavelengths, where sensors are quiet. With them every pass gives the alignment by itself,
-d = y - h(R), through a longer filter; the mean over the passes weighs each by what its speed makes of the drift of its
-lateral sensor, twice integrated.
+d = y - h(R), through a longer filter; what is published is the mean over the passes, each with its weight.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.arrays import FloatArray, IntArray
+from estimation.arrays import FloatArray
 from estimation.track.local_filter import smoother, trusted, without_slow_part
 from estimation.track.panel import PanelParameters, columns, on_grid
 from estimation.track.passes import Pass
@@ -26,7 +25,7 @@ class LongAlignment:
     cut_off: float  # m
     alignment: FloatArray  # (n,) m, zero where no pass
     pass_std: float  # m, of one pass, from the spread of the passes
-    passes: IntArray  # (n,)
+    passes: FloatArray  # (n,) sum of their weights
 
 
 def long_alignment(
@@ -34,7 +33,7 @@ def long_alignment(
 ) -> LongAlignment:
     """Return the alignment from ``passes`` with the curves of ``solution``."""
     weights = smoother(cut_off, panel.step)
-    total, square, count = np.zeros(panel.points), np.zeros(panel.points), np.zeros(panel.points, dtype=np.int64)
+    total, square, count = np.zeros((3, panel.points))
     for item in passes:
         felt = on_grid(item, panel)
         if felt is None or item.wheelset not in solution.wheelsets:
@@ -43,10 +42,11 @@ def long_alignment(
         own = without_slow_part(felt.displacement - item.side * (curve @ columns(felt, panel)), weights)
         inside = trusted(felt.certain, weights) & (felt.points >= 0) & (felt.points < panel.points)
         at = felt.points[inside]
-        total[at] += own[inside]
-        square[at] += own[inside] ** 2
-        count[at] += 1
-    shared = np.maximum(count, 1)
+        weight = panel.weight_of(item.wheelset)
+        total[at] += weight * own[inside]
+        square[at] += weight * own[inside] ** 2
+        count[at] += weight
+    shared = np.where(count > 0.0, count, 1.0)
     mean = total / shared
     several = count > 1
     spread = (square - count * mean**2)[several].sum() / max(float((count - 1)[several].sum()), 1.0)

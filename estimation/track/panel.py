@@ -43,6 +43,7 @@ class PanelParameters:
     gauge_hats: int = 15
     shifts: Mapping[str, GaugeShift] | None = field(default=None, compare=False)  # of wheelsets, as far as known
     measured: Mapping[str, MeasuredCurve] | None = field(default=None, compare=False)  # of wheelsets, as far as known
+    weights: Mapping[str, float] | None = field(default=None, compare=False)  # of a pass, by wheelset; 1 unless told
     gauge_unit: float = 2e-3  # m
     groups: int = 12  # of the jackknife, dealt along the section
     block: float = 250.0  # m
@@ -74,6 +75,10 @@ class PanelParameters:
         """Unknowns per wheelset: h0, then h1 and h2 where gauge is modelled, then the elastic part."""
         return self.hats + (0 if self.gauge is None else 2 * self.gauge_hats) + 1
 
+    def weight_of(self, wheelset: str) -> float:
+        """Return how much a pass of this wheelset counts."""
+        return 1.0 if self.weights is None else self.weights.get(wheelset, 1.0)
+
     @property
     def reach_points(self) -> int:
         """Grid points at each end of a pass that the two filters cannot say anything of."""
@@ -95,7 +100,7 @@ class PanelState:
     square: FloatArray  # (g,) sum of y^2
     functions: npt.NDArray[np.float32]  # (w, k, n) sum over passes of the filtered columns
     displacement: FloatArray  # (n,) sum over passes of the filtered y
-    passes: IntArray  # (n,)
+    passes: FloatArray  # (n,) sum of their weights
     difference: FloatArray  # (2, n) sums of the filtered R and of its square
     lies: bool = False  # evidence of how the place lies is among the sums
 
@@ -116,7 +121,7 @@ def init(parameters: PanelParameters) -> PanelState:
         np.zeros(g),
         np.zeros((0, k, n), dtype=np.float32),
         np.zeros(n),
-        np.zeros(n, dtype=np.int64),
+        np.zeros(n),
         np.zeros((2, n)),
     )
 
@@ -135,15 +140,16 @@ def update(state: PanelState, passes: list[Pass]) -> PanelState:
         if columns is None:
             continue
         w, (at, B, y, R) = wheelsets.index(item.wheelset), columns
+        weight = state.parameters.weight_of(item.wheelset)
         for group, B_there, y_there in _dealt(at, B, y, state.parameters):
-            gram[group, w] += B_there @ B_there.T
-            cross[group, w] += B_there @ y_there
-            square[group] += y_there @ y_there
-        functions[w][:, _whole(at)] += B
-        displacement[at] += y
-        counts[at] += 1
-        difference[0, at] += R
-        difference[1, at] += R * R
+            gram[group, w] += weight * (B_there @ B_there.T)
+            cross[group, w] += weight * (B_there @ y_there)
+            square[group] += weight * (y_there @ y_there)
+        functions[w][:, _whole(at)] += np.float32(weight) * B
+        displacement[at] += weight * y
+        counts[at] += weight
+        difference[0, at] += weight * R
+        difference[1, at] += weight * R * R
     return replace(
         state,
         wheelsets=wheelsets,

@@ -14,14 +14,15 @@ import numpy as np
 
 from estimation.arrays import FloatArray
 from estimation.track.evidence import Evidence, on_grid
-from estimation.track.findings import Told, findings
+from estimation.track.findings import LIFE, Told, findings
 from estimation.track.long_alignment import long_alignment
 from estimation.track.measured import MeasuredCurve
-from estimation.track.panel import OnGrid, PanelParameters, unexplained
+from estimation.track.panel import OnGrid, PanelParameters
 from estimation.track.panel import on_grid as felt_on_grid
 from estimation.track.passes import Pass
 from estimation.track.positions import Correction, Journey, PositionParameters, journeys
 from estimation.track.report import JourneyReport, LoopReport, nothing
+from estimation.track.residuals import residuals
 from estimation.track.settling import Grouped, Settled, SettlingParameters, settle
 from estimation.track.solution import LEAST_WHEELSETS, PanelSolution, diversity
 from estimation.track.stiffness import PRIOR_STD
@@ -111,36 +112,28 @@ def _nothing_to_tell(grouped: Grouped, p: SectionParameters) -> str:
 def _without_strays(
     grouped: Grouped, known: Evidence | None, p: SectionParameters
 ) -> tuple[Settled, dict[Journey, str], dict[Journey, float]]:
-    """Settle, leave out what agrees with nothing, and settle again until all that is left agrees."""
-    kept = dict(grouped)
+    """Settle, leave out what agrees with nothing, and settle again until all that is left agrees.
+
+    Wheelsets that are further off than others are heard less from then on.
+    """
+    kept, panel = dict(grouped), p.panel
     strays: dict[Journey, str] = {}
-    residuals: dict[Journey, float] = {}
+    rms: dict[Journey, float] = {}
     while True:
-        settled = settle(kept, known, p.panel, p.positions, p.settling)
-        residuals |= _residuals(settled, p.positions)
-        found = _strays({journey: residuals[journey] for journey in kept}, settled.corrections, p)
+        settled = settle(kept, known, panel, p.positions, p.settling)
+        left = residuals(settled, p.positions)
+        rms |= left.of_journeys
+        found = _strays({journey: rms[journey] for journey in kept}, settled.corrections, p)
         strays |= found
-        if not found or len(found) == len(kept):
-            return settled, strays, residuals
-        kept = {journey: members for journey, members in kept.items() if journey not in found}
-
-
-def _residuals(settled: Settled, positions: PositionParameters) -> dict[Journey, float]:
-    """Return the rms of y - d - h(R) of every journey, m; NaN where it covers nothing that is known."""
-    found = {}
-    d = settled.solution.alignment
-    for journey, members in journeys(settled.passes, positions).items():
-        squares, count = 0.0, 0
-        for item in members:
-            curve = settled.solution.curves[0, settled.solution.wheelsets.index(item.wheelset)]
-            own = unexplained(item, curve, settled.panel)
-            if own is None:
-                continue
-            at, values = own
-            rest = (values - d[at])[np.isfinite(d[at])]
-            squares, count = squares + float(rest @ rest), count + len(rest)
-        found[journey] = float(np.sqrt(squares / count)) if count else float("nan")
-    return found
+        if len(found) == len(kept):
+            return settled, strays, rms
+        if found:
+            kept = {journey: members for journey, members in kept.items() if journey not in found}
+            continue
+        weights = left.weights()
+        if panel.weights is not None or not weights:
+            return settled, strays, rms
+        panel = replace(panel, weights=weights)
 
 
 def _strays(
@@ -165,7 +158,7 @@ def _report(
     settled: Settled,
     grouped: Grouped,
     strays: Mapping[Journey, str],
-    residuals: Mapping[Journey, float],
+    rms: Mapping[Journey, float],
     known: Evidence | None,
     p: SectionParameters,
 ) -> LoopReport:
@@ -179,13 +172,13 @@ def _report(
         status, reason = Status.UNESTIMATED, "no journey agrees with another: " + next(iter(strays.values()))
     restless = _restless(settled, p.settling)
     told = [
-        _journey(journey, members, settled.corrections.get(journey, Correction()), residuals[journey], strays)
+        _journey(journey, members, settled.corrections.get(journey, Correction()), rms[journey], strays)
         for journey, members in grouped.items()
     ]
     certain = np.isfinite(solution.alignment_std)
     return LoopReport(
         status=status,
-        reason=reason or restless,
+        reason=reason or "; ".join(filter(None, (restless, _hardly_heard(settled)))),
         converged=not restless,
         rounds=settled.rounds,
         residual_rms_m=settled.noise,
@@ -198,6 +191,14 @@ def _report(
         alignment_std_m=float(np.median(solution.alignment_std[certain])) if certain.any() else float("nan"),
         journeys=tuple(told),
     )
+
+
+def _hardly_heard(settled: Settled) -> str:
+    """Return which wheelsets count for little, being further off than the others; empty where none is."""
+    weights = settled.panel.weights or {}
+    used = sorted(weights.keys() & set(settled.solution.wheelsets))
+    told = [f"{name.split(LIFE)[0]} ({weights[name]:.2f} of a pass)" for name in used]
+    return f"heard little, for no single curve fits them: {', '.join(told)}" if told else ""
 
 
 def _restless(settled: Settled, p: SettlingParameters) -> str:

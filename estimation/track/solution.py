@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from estimation.arrays import FloatArray, IntArray
+from estimation.arrays import FloatArray
 from estimation.jackknife import jackknife_std
 from estimation.track.measured import MeasuredCurve
 from estimation.track.panel import PanelParameters, PanelState, groups_of
@@ -47,7 +47,7 @@ class PanelSolution:
     alignment: FloatArray  # (n,) high-passed d, m; NaN where too few passes
     alignment_std: FloatArray  # (n,) m
     common_std: FloatArray  # (n,) m, the share of it that the curves' uncertainty makes
-    passes: IntArray  # (n,)
+    passes: FloatArray  # (n,) sum of their weights
 
 
 def result(state: PanelState, *, std: bool = True) -> PanelSolution:
@@ -64,7 +64,7 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     for g in range(p.groups):
         mine = np.flatnonzero((group == g) & (state.passes > 0))
         G = stacked[:, mine]
-        per_pass = np.where(enough[mine], share[mine], 1.0 / np.maximum(state.passes[mine], 1))
+        per_pass = 1.0 / state.passes[mine]
         root = G * np.sqrt(per_pass).astype(np.float32)
         normal[g] = linalg.block_diag(*state.gram[g]) - root @ root.T
         right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[mine]).astype(np.float32)
@@ -179,7 +179,7 @@ def _residual_rms(state: PanelState, curve: FloatArray, normal: FloatArray, righ
     met = state.passes > 0
     within = state.square.sum() - (state.displacement[met] ** 2 / state.passes[met]).sum()
     squares = within - 2 * c @ right.sum(axis=0) + c @ normal.sum(axis=0) @ c
-    freedom = max(float((state.passes[met] - 1).sum()) - len(c), 1.0)
+    freedom = max(float(np.maximum(state.passes[met] - 1, 0.0).sum()) - len(c), 1.0)
     return float(np.sqrt(max(squares, 0.0) / freedom))
 
 
@@ -196,7 +196,7 @@ def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
         - 2.0 * float(d @ rest)
         + float(count @ (d * d))
     )
-    own = state.passes[count > 0] / np.maximum(solution.passes[count > 0], 1.0)  # share of d that the passes made
+    own = state.passes[count > 0] / solution.passes[count > 0]  # share of d that the passes made
     freedom = max(float(count.sum()) - float(own.sum()) - c.size, 1.0)
     return float(np.sqrt(max(float(squares), 0.0) / freedom))
 
