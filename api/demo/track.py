@@ -28,10 +28,14 @@ def _said(base_url: str, section: dict[str, Any]) -> str:
         reason = f": {report['reason']}" if report and report["reason"] else ""
         return f"{head}: nobody has surveyed it, and the fleet has not found its alignment{reason}"
     newest = versions[-1]
+    if newest["source"] == "recorded" and newest["status"] != "estimated":
+        return f"{head}: the gauge alone is on file, and the fleet has not found the alignment"
     if newest["source"] == "recorded":
         said = f", {report['recording']}" if report and report["recording"] else ""
         return f"{head}: alignment on file, version {newest['version']}{said}"
-    how = "what was on file is not used" if versions[0]["source"] == "recorded" else "nobody has surveyed it"
+    filed = {one["status"] for one in versions if one["source"] == "recorded"}
+    how = "what was on file is not used" if "estimated" in filed else "nobody has surveyed it"
+    how = "the gauge alone is on file" if filed == {"unestimated"} else how
     return f"{head}: {how}; the fleet has found its alignment, {_found(newest, report)}"
 
 
