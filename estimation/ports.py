@@ -207,7 +207,7 @@ class GeometryRecord:
     to_ns: int
     geometry: WheelsetGeometry
     input_digest: str  # over keys, digests and mileages of windows, and track versions
-    track_versions: Mapping[str, int]
+    track_versions: Mapping[str, Sequence[int]]  # by section, those that its windows were estimated with, increasing
     parameters: Mapping[str, JsonValue]
     code_version: str
     recorded_ns: int

@@ -49,7 +49,9 @@ class Provenance(Representation):
     input_digest: str
     parameter_key: str
     parameters: dict[str, JsonValue]
-    track_versions: dict[str, int]
+    track_versions: dict[str, list[int]] = Field(
+        description="By section, the versions of its alignment that the windows were estimated with, increasing."
+    )
 
 
 class Geometry(Representation):
@@ -111,7 +113,7 @@ def geometry(record: GeometryRecord) -> Geometry:
             input_digest=record.input_digest,
             parameter_key=found.parameter_key,
             parameters=dict(record.parameters),
-            track_versions=dict(record.track_versions),
+            track_versions={section: list(versions) for section, versions in record.track_versions.items()},
         ),
         links={
             "self": f"{own}/geometry",
@@ -120,8 +122,8 @@ def geometry(record: GeometryRecord) -> Geometry:
             "trend": f"{own}/trend",
             "windows": f"{own}/windows",
             **{
-                f"alignment:{section}": f"/v1/track-sections/{segment(section)}/alignment?version={version}"
-                for section, version in sorted(record.track_versions.items())
+                f"alignment:{section}": f"/v1/track-sections/{segment(section)}/alignment?version={versions[-1]}"
+                for section, versions in sorted(record.track_versions.items())
             },
         },
     )

@@ -190,6 +190,15 @@ def _digest(entries: Sequence[_Entry], code_version: str) -> str:
     return text.hexdigest()
 
 
+def _versions(entries: Sequence[_Entry]) -> dict[str, tuple[int, ...]]:
+    """Return by section the versions of its alignment that the tables of the entries rest on, increasing."""
+    found: defaultdict[str, set[int]] = defaultdict(set)
+    for window, _, version in entries:
+        if window.track_section is not None and version is not None:
+            found[window.track_section].add(version)
+    return {section: tuple(sorted(versions)) for section, versions in found.items()}
+
+
 def _record(
     unit: UnitOfWork,
     baseline: Baseline,
@@ -200,13 +209,9 @@ def _record(
 ) -> GeometryRecord:
     settings = context.setting(EstimationSettings)
     windows = [entry[0] for entry in entries]
-    versions: dict[str, int] = {}
-    for window, _, version in entries:
-        if window.track_section is not None and version is not None:
-            versions[window.track_section] = max(version, versions.get(window.track_section, 0))
-    tracks = [
-        found for code, version in versions.items() if (found := unit.tracks.alignment(code, version)) is not None
-    ]
+    versions = _versions(entries)
+    newest = [unit.tracks.alignment(code, used[-1]) for code, used in versions.items()]
+    tracks = [track for track in newest if track is not None]
     shape = replace(settings.geometry, uncertainty=settings.geometry.uncertainty.on(tracks, windows[0].wheelset))
     return GeometryRecord(
         wheelset=windows[0].wheelset,

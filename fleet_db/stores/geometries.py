@@ -147,7 +147,7 @@ def _values(record: GeometryRecord) -> dict[str, Any]:
         "from_ns": record.from_ns,
         "to_ns": record.to_ns,
         "input_digest": record.input_digest,
-        "track_versions": dict(record.track_versions),
+        "track_versions": {section: list(versions) for section, versions in record.track_versions.items()},
         "parameters": json.loads(to_json(dict(record.parameters))),
         "code_version": record.code_version,
         "recorded_ns": record.recorded_ns,
@@ -168,6 +168,11 @@ def _values(record: GeometryRecord) -> dict[str, Any]:
     }
 
 
+def _versions(told: int | list[int]) -> tuple[int, ...]:
+    """Return the versions of a section; geometries used to tell the newest alone."""
+    return (told,) if isinstance(told, int) else tuple(told)
+
+
 def _record(row: Row[Any]) -> GeometryRecord:
     return GeometryRecord(
         wheelset=row.wheelset,
@@ -178,7 +183,7 @@ def _record(row: Row[Any]) -> GeometryRecord:
         to_ns=row.to_ns,
         geometry=unpack_geometry(row.packed, where=f"geometry estimate {row.geometry_id}"),
         input_digest=row.input_digest,
-        track_versions=row.track_versions,
+        track_versions={section: _versions(told) for section, told in row.track_versions.items()},
         parameters=row.parameters,
         code_version=row.code_version,
         recorded_ns=row.recorded_ns,

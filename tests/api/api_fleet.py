@@ -131,7 +131,7 @@ def geometry_record(recorded_ns: int, conicity: float) -> GeometryRecord:
         to_ns=START + 30 * LENGTH,
         geometry=geometry(conicity),
         input_digest=f"{recorded_ns:064x}",
-        track_versions={"S-1": 1},
+        track_versions={"S-1": (1,)},
         parameters={"half_life_km": 10000.0},
         code_version="0.1.0+test",
         recorded_ns=recorded_ns,

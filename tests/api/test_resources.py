@@ -106,7 +106,7 @@ def test_numbers_come_with_their_uncertainty_and_unknown_ones_with_their_reason(
     assert [one["amplitude_mm"] for one in by_amplitude] == [1.0, 2.0, 3.0]
     assert [one["equivalent_conicity_1"]["value"] for one in by_amplitude] == [0.125, 0.25, None]
     assert geometry["provenance"]["code_version"] == "0.1.0+test"
-    assert geometry["provenance"]["track_versions"] == {"S-1": 1}
+    assert geometry["provenance"]["track_versions"] == {"S-1": [1]}
 
 
 def test_a_trend_has_its_points_its_slope_and_its_forecast(client: httpx.Client) -> None:

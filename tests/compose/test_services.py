@@ -122,7 +122,7 @@ def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment) -> 
         told("/v1/wheelsets/LIVE-1/windows", lambda body: any(item["state"] == "estimated" for item in body["items"]))
         geometry = told("/v1/wheelsets/LIVE-1/geometry", lambda body: body["n_windows"] >= 1)
         assert sum(geometry["bins"]["samples_1"]) > 1000
-        assert geometry["provenance"]["track_versions"] == {"LIVE-5": 1}
+        assert geometry["provenance"]["track_versions"] == {"LIVE-5": [1]}
         for job in told("/v1/jobs", lambda body: all(item["last_run"] for item in body["items"]))["items"]:
             assert job["last_run"]["trigger"] == "schedule"
             assert job["last_run"]["error"] is None

@@ -174,6 +174,22 @@ def test_the_next_epoch_is_put_where_the_last_version_lies_and_waits_until_it_is
     assert done["estimated"] == 6 + done["requeued"]
 
 
+def test_a_geometry_names_every_version_that_its_windows_were_estimated_with(sqlite_storage: SqlStorage) -> None:
+    storage = sqlite_storage
+    lenient = AlignmentSettings(
+        same_share=1e6, same_stretch=1.0, same_std=0.0, same_coverage=1.0, same_ratio=1.0, same_gauge=1.0
+    )
+    register(storage)
+    for day, numbers in ((0, range(6)), (3, [1, 4])):
+        put(storage, numbers, day=day)
+        assert counts(storage, "refresh_alignment", lenient)["versions"] == 1
+        counts(storage, "estimate_windows")
+    counts(storage, "refresh_geometry")
+    with storage.read() as unit:
+        told = {name: unit.geometries.current(name) for name in ("W0", "W1")}
+    assert {name: one.track_versions for name, one in told.items() if one} == {"W0": {"S1": (1,)}, "W1": {"S1": (1, 2)}}
+
+
 def test_what_one_wheelset_could_not_tell_is_told_together_with_those_that_come_later(
     sqlite_storage: SqlStorage,
 ) -> None:

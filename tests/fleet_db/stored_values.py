@@ -182,7 +182,7 @@ def geometry(seed: int = 0, bins: int = 9) -> WheelsetGeometry:
 def geometry_record(seed: int = 0, recorded_ns: int = 100, **fields: object) -> GeometryRecord:
     """Return the current geometry of WS-1, unless ``fields`` say otherwise."""
     record = GeometryRecord(
-        "WS-1", 0, None, 12_345.6, START, START + LENGTH, geometry(seed), f"{seed:064x}", {"S-7": 3},
+        "WS-1", 0, None, 12_345.6, START, START + LENGTH, geometry(seed), f"{seed:064x}", {"S-7": (3, 5)},
         {"forgetting": 0.5, "bins": [1, 2], "mode": None}, "0.1.0", recorded_ns,
     )  # fmt: skip
     return replace(record, **fields)

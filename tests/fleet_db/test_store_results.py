@@ -7,10 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import stored_values as make
+from sqlalchemy import update
 
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.ports import GeometryRecord
 from estimation.types import COMBINATIONS, BinStatus
+from fleet_db.models import GeometryRow
+from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 
 
@@ -75,6 +78,20 @@ def test_a_clock_that_went_back_does_not_hide_the_newest(fleet: SqlStorage) -> N
         found = unit.geometries.current("WS-1")
         assert found is not None
         assert (found.input_digest, found.recorded_ns) == (make.geometry_record(2).input_digest, 500)
+
+
+def test_a_geometry_that_told_the_newest_version_alone_is_read_as_before(fleet: SqlStorage) -> None:
+    put(fleet, make.geometry_record(1, 100), make.geometry_record(2, 200, interval=4, track_versions={}))
+    rows = table_of(GeometryRow)
+    with fleet.write() as unit:
+        now = unit.geometries.current("WS-1")
+        unit.connection.execute(update(rows).where(rows.c.recorded_ns == 100).values(track_versions={"S-7": 3}))
+    with fleet.read() as unit:
+        before = unit.geometries.current("WS-1")
+        (empty,) = unit.geometries.intervals("WS-1", 0)
+    assert now is not None
+    assert before is not None
+    assert (now.track_versions, before.track_versions, empty.track_versions) == ({"S-7": (3, 5)}, {"S-7": (3,)}, {})
 
 
 def test_current_bins_are_plain_rows(fleet: SqlStorage) -> None:

@@ -108,7 +108,7 @@ def geometry_record(
         to_ns=to_ns,
         geometry=geometry_of(conicity=conicity),
         input_digest=f"{baseline}/{interval}/{day}/{conicity}",
-        track_versions={"S": 1},
+        track_versions={"S": (1,)},
         parameters={"bin_mm": 0.5},
         code_version="test",
         recorded_ns=recorded_ns,

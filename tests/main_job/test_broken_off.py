@@ -182,7 +182,7 @@ def test_windows_are_estimated_again_on_a_new_alignment_and_with_other_parameter
     with fleet.storage.read() as unit:
         current = unit.geometries.current(WORN)
     assert current is not None
-    assert current.track_versions == {"T-3": 2}
+    assert current.track_versions == {"T-3": (2,)}
     settings = EstimationSettings()
     other = replace(settings, signals=replace(settings.signals, longest_wavelength=50.0))
     context = JobContext(fleet.storage, fleet.clock, "test", settings=(other,))

@@ -92,7 +92,7 @@ def test_the_conicity_over_rest_is_near_the_truth_and_its_intervals_cover(
     assert sum(covered) >= 0.8 * len(covered)
     assert len(errors) == 7
     assert sum(errors) / len(errors) < 0.03  # three minutes of data
-    assert geometry["provenance"]["track_versions"] == {"T-3": 1}
+    assert geometry["provenance"]["track_versions"] == {"T-3": [1]}
 
 
 def test_a_wheelset_is_followed_from_its_bins_to_its_trend(client: httpx.Client) -> None:

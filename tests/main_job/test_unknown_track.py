@@ -100,7 +100,7 @@ def test_conicity_comes_out_without_a_survey_and_journeys_are_put_where_they_ran
     errors = []
     for serial, record in geometries.items():
         assert record is not None
-        assert record.track_versions["U-1"] in {one.version for one in versions}
+        assert set(record.track_versions["U-1"]) <= {one.version for one in versions}
         known = dict(zip(np.round(1e3 * record.geometry.amplitude, 6), record.geometry.conicity, strict=True))
         for amplitude in (1.5, 2.0, 2.5):  # mm, at which the truth is on file
             value = known[amplitude].value
