@@ -53,7 +53,7 @@ class AlignmentReport(Representation):
     version: int | None = Field(description="In force after that run; null where there is none yet.")
     made_version: bool = Field(description="Whether that run made the version.")
     status: Status
-    reason: str | None
+    reason: str | None = Field(description="Why nothing is estimated, or why an estimate has not settled.")
     recorded_at: Timestamp
     n_windows: int
     passes: int
@@ -61,7 +61,7 @@ class AlignmentReport(Representation):
     mean_passes_1: float | None = Field(description="Per place that has any.")
     diversity_1: float | None = Field(description="How far the passes of a place differ: 0 tells nothing.")
     covered_1: float | None = Field(description="Share of the section whose alignment is known.")
-    converged: bool
+    converged: bool = Field(description="Positions and stiffness ratios have settled.")
     rounds: int
     moved_m: float | None = Field(description="By which the last round moved a position at most.")
     residual_rms_mm: float | None
@@ -98,14 +98,14 @@ class Alignment(AlignmentVersion):
     gauge_deviation_mm: list[float | None]
     gauge_deviation_std_mm: list[float | None]
     passes: list[int] = Field(description="Passes behind each value; 0 where a recording car measured it.")
-    report: AlignmentReport | None = Field(description="Of the run that made it; null of a recording.")
+    report: AlignmentReport | None = Field(description="Of the run that made it; null of a recording as registered.")
 
 
 class AlignmentSummary(AlignmentVersion):
     """A version in the list of versions."""
 
     points: int
-    alignment_std_mm: float | None = Field(description="Median along the section; null of a recording.")
+    alignment_std_mm: float | None = Field(description="Median along the section; null of a recording as registered.")
 
 
 def section(record: TrackSectionRecord) -> TrackSection:

@@ -90,6 +90,34 @@ def test_a_shifted_recording_is_found_and_measured(shift: float) -> None:
         assert excused.usable  # a fleet that does not know its own place cannot say
 
 
+def place_std(journeys: int, reach: float = 20.0) -> float:
+    """Return how well so many journeys know where they lie, whose positions are off by up to ``reach`` m, alike."""
+    return reach / np.sqrt(3.0) / np.sqrt(journeys)
+
+
+@pytest.mark.parametrize(
+    ("journeys", "fleet_off", "found"),
+    [
+        (12, 0.0, False),  # 13 m are tolerated
+        (20, 0.0, False),
+        (30, 0.0, True),
+        (70, 0.0, True),
+        (70, -2.0, True),  # also where the fleet as a whole lies two of its standard deviations on its side
+        (70, 2.0, True),
+    ],
+)
+def test_with_uncertain_positions_a_shift_of_10_m_takes_many_journeys_to_be_found(
+    journeys: int, fleet_off: float, *, found: bool
+) -> None:
+    """The limit, stated in docs/estimation.md: 3 m + 3 std / sqrt(n); 25 journeys at +-20 m, 70 to be nearly sure."""
+    for seed in range(3):
+        good = recording(seed, 0.1e-3)
+        off = fleet_off * place_std(journeys)
+        told = judge_recorded(replace(good, s=good.s + 10.0), fleet(seed, offset=off), place_std=place_std(journeys))
+        assert told.usable is not found
+        assert ("too far along" in told.reason) is found
+
+
 def test_mirrored_and_foreign_recordings_are_refused() -> None:
     for seed in range(6):
         good, found = recording(seed, 0.05e-3), fleet(seed)
