@@ -78,9 +78,22 @@ def load_registry(path: Path, unit_of_work: UnitOfWork) -> RegistryContents:
     _store(path, "reprofilings", contents.reprofilings, registry.add_reprofiling)
     _store(path, "measured_profiles", contents.measured_profiles, registry.add_measured_profiles)
     _store(path, "track_sections", contents.sections, tracks.add_section)
-    _store(path, "track_sections", contents.alignments, tracks.add_alignment)
+    _store(path, "track_sections", contents.alignments, lambda known: _add_alignment(unit_of_work, known))
     _store(path, "track_sections", contents.layouts, lambda layout: _add_layout(unit_of_work, layout))
     return contents
+
+
+def _add_alignment(unit_of_work: UnitOfWork, alignment: TrackAlignment) -> None:
+    """Store an alignment; where it takes the place of another, let the windows of the section be looked at again.
+
+    Where they were had been found against that other one, which may lie some metres off.
+    """
+    tracks = unit_of_work.tracks
+    before = tracks.in_force(alignment.section)
+    version = tracks.add_alignment(alignment)
+    if before is not None and version > before.version:
+        tracks.forget_positions(alignment.section)
+        unit_of_work.windows.requeue_section(alignment.section)
 
 
 def _add_layout(unit_of_work: UnitOfWork, layout: TrackLayout) -> None:

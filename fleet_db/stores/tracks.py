@@ -8,19 +8,26 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Select, and_, func, insert, select
+from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, select
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.ports import AlignmentRecord, TrackReport, TrackSectionRecord, WindowPosition
 from estimation.types import RECORDED, Status, TrackAlignment, TrackLayout
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import TrackAlignmentRow, TrackReportRow, TrackSectionRow, TrackVersionRow, WindowPositionRow
+from fleet_db.models import (
+    TrackAlignmentRow,
+    TrackReportRow,
+    TrackSectionRow,
+    TrackVersionRow,
+    WindowPositionRow,
+    WindowRow,
+)
 from fleet_db.packed.alignment import pack_alignment, unpack_alignment
 from fleet_db.rows import null_if_nan, table_of, upsert
 from fleet_db.stores.layouts import find_layout, newest_version, store_layout
 
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
-REPORTS, POSITIONS = table_of(TrackReportRow), table_of(WindowPositionRow)
+REPORTS, POSITIONS, WINDOWS = table_of(TrackReportRow), table_of(WindowPositionRow), table_of(WindowRow)
 SAME_VERSION = and_(VERSIONS.c.section == ALIGNMENTS.c.section, VERSIONS.c.version == ALIGNMENTS.c.version)
 SOURCE = func.coalesce(VERSIONS.c.source, RECORDED)
 RECORDS = select(
@@ -99,8 +106,8 @@ class TrackStore:
     ) -> int:
         """Store an alignment as the next version of its section and return that; ``alignment.version`` is not read.
 
-        The content of the newest version of the same source again changes nothing and returns its version: a
-        recording that is registered again does not come before what the fleet has found since, on it or without it.
+        The content of the newest version again changes nothing and returns its version; of a registered one, that of
+        the newest that was registered: it does not come before what the fleet has found since, on it or without it.
 
         Parameters
         ----------
@@ -121,11 +128,11 @@ class TrackStore:
         packed = pack_alignment(alignment)
         digest = hashlib.sha256(packed).hexdigest()
         of_section = ALIGNMENTS.c.section == alignment.section
-        registered = (VERSIONS.c.version.is_(None),) if recorded_ns is None else ()
+        registered = (VERSIONS.c.version.is_(None),) if recorded_ns is None else ()  # those have no row there
         known = self.connection.execute(
             select(ALIGNMENTS.c.version, ALIGNMENTS.c.content_digest)
             .select_from(ALIGNMENTS.outerjoin(VERSIONS, SAME_VERSION))
-            .where(of_section, SOURCE == alignment.source, *registered)  # noqa: SIM300 - the column comes first
+            .where(of_section, *registered)
             .order_by(ALIGNMENTS.c.version.desc())
             .limit(1)
         ).first()
@@ -182,6 +189,15 @@ class TrackStore:
     def put_position(self, position: WindowPosition) -> bool:
         """Store where a window was, in the place of what was known; return whether that has changed."""
         return upsert(self.connection, POSITIONS, asdict(position))
+
+    def forget_positions(self, section: str) -> int:
+        """Forget where the windows of a section were, so that they are looked at again; return of how many."""
+        of_section = exists().where(
+            WINDOWS.c.wheelset == POSITIONS.c.wheelset,
+            WINDOWS.c.start_ns == POSITIONS.c.start_ns,
+            WINDOWS.c.track_section == section,
+        )
+        return int(self.connection.execute(delete(POSITIONS).where(of_section)).rowcount)
 
     def layout(self, section: str, version: int | None = None) -> TrackLayout | None:
         """Return one version of the layout of a section, or the newest; None where there is none."""

@@ -338,11 +338,22 @@ def load_gauge(storage: Storage, folder: Path) -> None:
     """Load a registry whose track file has the gauge alone."""
     known = gauged()
     rows = [f"{s:.3f},{1e3 * e:.6f}" for s, e in zip(known.s[::4], known.gauge_deviation[::4], strict=True)]
-    (folder / "gauge.csv").write_text("\n".join(["s_m,gauge_deviation_mm", *rows]))
+    load(storage, folder, "s_m,gauge_deviation_mm", rows)
+
+
+def load_survey(storage: Storage, folder: Path) -> None:
+    """Load a registry with the alignment."""
+    known = surveyed()
+    rows = [f"{s:.3f},{1e3 * d:.6f},0" for s, d in zip(known.s, known.alignment, strict=True)]
+    load(storage, folder, "s_m,alignment_mm,gauge_deviation_mm", rows, alignment_std_mm=0.05)
+
+
+def load(storage: Storage, folder: Path, header: str, rows: Sequence[str], **told: float) -> None:
+    (folder / "track.csv").write_text("\n".join([header, *rows]))
     section = {
         "code": "S1", "number": 1, "name": "Section", "rail_profile": "56E1", "rail_inclination": 0.05,
         "nominal_gauge_mm": 1435.0, "length_m": LENGTH,
-        "alignment": {"file": "gauge.csv", "gauge_deviation_std_mm": 0.1},
+        "alignment": {"file": "track.csv", "gauge_deviation_std_mm": 0.1, **told},
     }  # fmt: skip
     (folder / "registry.json").write_text(json.dumps({"format": FORMAT, "track_sections": [section]}))
     with storage.write() as unit:
@@ -380,6 +391,37 @@ def test_of_a_section_whose_gauge_alone_is_on_file_the_fleet_finds_the_alignment
     put(storage, [1, 4], day=3)
     assert counts(storage, "refresh_alignment")["versions"] == 1
     assert in_force(storage).gauge_known
+
+
+def test_a_track_file_that_comes_later_lets_the_windows_be_looked_at_again(
+    sqlite_storage: SqlStorage, tmp_path: Path
+) -> None:
+    """The fleet's alignment lies where its odometers say on average; the survey does not."""
+    offsets = (0.0, 4.0, 9.0, -3.0, 12.0, 7.0)
+    storage = sqlite_storage
+    register(storage)
+    for number, offset in enumerate(offsets):
+        put(storage, [number], offset=offset)
+    counts(storage, "refresh_alignment")
+    assert counts(storage, "estimate_windows")["estimated"] == 12
+    load_survey(storage, tmp_path)
+    assert counts(storage, "refresh_alignment")["windows"] == 12
+    assert in_force(storage).source == RECORDED
+    with storage.read() as unit:
+        positions = [unit.tracks.position(f"W{number}", windows(number)[0].start_ns) for number in range(6)]
+    for position, offset in zip(positions, offsets, strict=True):
+        assert position is not None
+        shift = position.offset_m + position.scale * (1000.0 - position.middle_m)
+        believed = abs(offset) < 5.0
+        assert (position.version, shift) == (2, 0.0 if believed else pytest.approx(-offset, abs=1.5))
+    assert counts(storage, "estimate_windows")["estimated"] == 12
+    load_survey(storage, tmp_path)
+    assert counts(storage, "refresh_alignment")["windows"] == 0
+    load_gauge(storage, tmp_path)
+    assert counts(storage, "refresh_alignment")["versions"] == 1
+    found = in_force(storage)
+    assert (found.version, found.source, found.gauge_known) == (4, FLEET, True)
+    assert counts(storage, "estimate_windows")["estimated"] == 12
 
 
 def test_one_section_that_fails_does_not_keep_the_others(sqlite_storage: SqlStorage) -> None:

@@ -83,6 +83,13 @@ def test_a_recording_registered_again_does_not_come_before_what_the_fleet_has_fo
     )  # fmt: skip
 
 
+def test_what_the_fleet_finds_again_after_a_recording_comes_in_force_again(fleet: SqlStorage) -> None:
+    with fleet.write() as unit:
+        assert unit.tracks.add_alignment(of_fleet(2), recorded_ns=50) == 1
+        assert unit.tracks.add_alignment(make.alignment(1)) == 2
+        assert unit.tracks.add_alignment(of_fleet(2), recorded_ns=60) == 3
+
+
 def test_a_recording_registered_again_does_not_come_before_itself_with_what_the_fleet_has_found(
     fleet: SqlStorage,
 ) -> None:
@@ -140,6 +147,20 @@ def test_windows_wait_until_it_has_been_looked_at_where_they_were(fleet: SqlStor
         assert len(unit.windows.unplaced("S-7", 10)) == 3
     with pytest.raises(ConflictError), fleet.write() as unit:
         unit.tracks.put_position(replace(position, start_ns=5))
+
+
+def test_where_windows_of_a_section_were_can_be_forgotten(fleet: SqlStorage) -> None:
+    windows = [make.window(1), make.window(2, track_section=None)]
+    with fleet.write() as unit:
+        for window in windows:
+            unit.windows.put(window, 1.0, 1)
+        for record in unit.windows.pending(10):
+            unit.tracks.put_position(WindowPosition(record.wheelset, record.start_ns, record.content_digest, None))
+        assert unit.tracks.forget_positions("S-8") == 0
+        assert unit.windows.unplaced("S-7", 10) == []
+        assert unit.tracks.forget_positions("S-7") == 1
+        assert [one.start_ns for one in unit.windows.unplaced("S-7", 10)] == [windows[0].start_ns]
+        assert unit.tracks.position("WS-1", windows[1].start_ns) is not None
 
 
 def test_tables_of_versions_that_are_as_good_as_the_one_in_force_are_not_outdated(fleet: SqlStorage) -> None:
