@@ -43,8 +43,9 @@ class _Seen:
     points: IntArray  # (m,) clipped to the section
     on: BoolArray  # (m,) on the section
     inside: BoolArray  # (m,) where the residual means something
-    residual: FloatArray  # (m,)
-    slope: FloatArray  # (m,) dh/de
+    residual: FloatArray  # (m,) times ``root``
+    slope: FloatArray  # (m,) dh/de, times ``root``
+    root: float  # of the weight of the pass
 
 
 def with_effect(solution: PanelSolution, effect: FloatArray, panel: PanelParameters) -> PanelSolution:
@@ -61,10 +62,11 @@ def gauge_step(
     assert panel.gauge is not None
     weights = smoother(panel.cut_off, panel.step)
     seen = [found for item in passes if (found := _seen(item, solution, panel, weights)) is not None]
-    count = np.zeros(panel.points)
+    count, weight = np.zeros((2, panel.points))
     for one in seen:
         count[one.points[one.inside]] += 1
-    share = np.where(count >= FEWEST_PASSES, 1.0 / np.maximum(count, 1.0), 0.0)
+        weight[one.points[one.inside]] += one.root**2
+    share = np.where(count >= FEWEST_PASSES, 1.0 / np.where(weight > 0.0, weight, 1.0), 0.0)
     shape = _shape(prior.smooth, panel.step)
     change = _solve([one.residual for one in seen], seen, share, shape, weights, (prior.noise / prior.std) ** 2)
     gauge = panel.gauge + change
@@ -86,12 +88,14 @@ def _seen(item: Pass, solution: PanelSolution, panel: PanelParameters, weights: 
     curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
     rest = without_slow_part(felt.displacement - item.side * (curve @ columns(felt, panel)), weights)
     on = (felt.points >= 0) & (felt.points < panel.points)
+    root = float(np.sqrt(panel.weight_of(item.wheelset)))
     return _Seen(
         np.clip(felt.points, 0, panel.points - 1),
         np.asarray(on),
         felt.inside,
-        np.where(felt.inside, rest, 0.0),
-        np.where(on, item.side * _slope(felt, curve, panel), 0.0),
+        np.where(felt.inside, root * rest, 0.0),
+        np.where(on, root * item.side * _slope(felt, curve, panel), 0.0),
+        root,
     )
 
 
@@ -119,10 +123,10 @@ def _solve(
     def without_alignment(rows: list[FloatArray]) -> list[FloatArray]:
         mean = np.zeros(len(share))
         for one, row in zip(seen, rows, strict=True):
-            mean[one.points[one.inside]] += row[one.inside]
+            mean[one.points[one.inside]] += one.root * row[one.inside]
         mean *= share
         return [
-            np.where(one.inside & (share[one.points] > 0), row - mean[one.points], 0.0)
+            np.where(one.inside & (share[one.points] > 0), row - one.root * mean[one.points], 0.0)
             for one, row in zip(seen, rows, strict=True)
         ]
 

@@ -59,23 +59,25 @@ def searched(
     """
     levels = parameters.levels
     sums, squares = np.zeros((2, panel.points, len(levels)))
-    count = np.zeros(panel.points)
+    count, met = np.zeros((2, panel.points))
     for item in passes:
         placed = _placed(item, solution, panel, shifts)
         if placed is None:
             continue
         at, at_nominal, R = placed
         each = at_nominal[:, None] - item.side * shifts[item.wheelset].over(R, levels)
-        sums[at] += each
-        squares[at] += each * each
-        count[at] += 1
-    disagreement = squares - sums**2 / np.maximum(count, 1.0)[:, None]
+        weight = panel.weight_of(item.wheelset)
+        sums[at] += weight * each
+        squares[at] += weight * (each * each)
+        count[at] += weight
+        met[at] += 1
+    disagreement = squares - sums**2 / np.where(count > 0.0, count, 1.0)[:, None]
     cost = disagreement / (2.0 * parameters.noise**2)
     cost = np.minimum(cost - cost.min(axis=1, keepdims=True), parameters.most_cost)
-    met = count >= FEWEST_PASSES
-    cost[~met] = 0.0
+    enough = met >= FEWEST_PASSES
+    cost[~enough] = 0.0
     gauge = levels[_best_way(cost + 0.5 * (levels / parameters.std) ** 2, levels / parameters.change)]
-    return np.asarray(np.where(met, gauge - gauge[met].mean(), 0.0)) if met.any() else gauge
+    return np.asarray(np.where(enough, gauge - gauge[enough].mean(), 0.0)) if enough.any() else gauge
 
 
 def _placed(

@@ -65,7 +65,7 @@ def _leading(
         residual = item.side * np.clip(np.where(met, residual, 0.0), -CLIPPED, CLIPPED)
         R = felt.difference[felt.inside]
         hats = hat_functions(np.minimum(np.abs(R), panel.reach), knots) * met
-        felt_there = hats * np.sign(R) * residual
+        felt_there = panel.weight_of(item.wheelset) * hats * np.sign(R) * residual
         mine = slice(number * k, (number + 1) * k)
         sums[at, mine] += item.side * felt_there.T
         own[mine, mine] += felt_there @ felt_there.T

@@ -102,6 +102,7 @@ class PanelState:
     displacement: FloatArray  # (n,) sum over passes of the filtered y
     passes: FloatArray  # (n,) sum of their weights
     difference: FloatArray  # (2, n) sums of the filtered R and of its square
+    met: IntArray  # (n,) passes, whatever they weigh
     lies: bool = False  # evidence of how the place lies is among the sums
 
 
@@ -123,6 +124,7 @@ def init(parameters: PanelParameters) -> PanelState:
         np.zeros(n),
         np.zeros(n),
         np.zeros((2, n)),
+        np.zeros(n, dtype=np.int64),
     )
 
 
@@ -134,7 +136,7 @@ def update(state: PanelState, passes: list[Pass]) -> PanelState:
     cross = np.pad(state.cross, ((0, 0), (0, new), (0, 0)))
     functions = np.pad(state.functions, ((0, new), (0, 0), (0, 0)))
     square, displacement = state.square.copy(), state.displacement.copy()
-    counts, difference = state.passes.copy(), state.difference.copy()
+    counts, difference, met = state.passes.copy(), state.difference.copy(), state.met.copy()
     for item in passes:
         columns = filtered(item, state.parameters)
         if columns is None:
@@ -148,6 +150,7 @@ def update(state: PanelState, passes: list[Pass]) -> PanelState:
         functions[w][:, _whole(at)] += np.float32(weight) * B
         displacement[at] += weight * y
         counts[at] += weight
+        met[at] += 1
         difference[0, at] += weight * R
         difference[1, at] += weight * R * R
     return replace(
@@ -160,6 +163,7 @@ def update(state: PanelState, passes: list[Pass]) -> PanelState:
         displacement=displacement,
         passes=counts,
         difference=difference,
+        met=met,
     )
 
 

@@ -88,7 +88,7 @@ def settle(
     settled = _rounds(course, panel, corrections, {}, parameters.rounds)
     if known is not None and known.gauge_known and not known.gauge.any():
         return settled
-    if not (settled.state.passes >= FEWEST_PASSES).any():
+    if not (settled.state.met >= FEWEST_PASSES).any():
         return settled
     if known is None or not known.gauge_known:
         return _with_unknown_gauge(course, settled, parameters.gauge_searches)
