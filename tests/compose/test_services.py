@@ -17,7 +17,7 @@ import httpx
 import pytest
 from compose_file import ServiceCommand, mounts, native, services
 
-PATIENCE_S = 150.0
+PATIENCE_S = 300.0
 COMMAND = Path(sys.executable).with_name("treadwatch")
 WINDOW_S = 10
 

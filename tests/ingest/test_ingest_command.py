@@ -121,7 +121,7 @@ def live() -> tuple[int, str, int, int]:
     command += ["--channel", GROUP, "--vehicle", VEHICLE, "--chunk-seconds", "2"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as listening:
         assert listening.stderr is not None
-        watchdog = threading.Timer(60.0, listening.kill)
+        watchdog = threading.Timer(240.0, listening.kill)
         watchdog.start()
         assert "listening to udp_multicast" in listening.stderr.readline()
         with open_bus("udp_multicast", GROUP) as bus:
