@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
+import tempfile
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,6 +24,14 @@ from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 
 GIVEN = "TREADWATCH_TEST_POSTGRES_URL"
+
+
+@pytest.fixture
+def live_bus() -> Iterator[None]:
+    """Keep other test processes off the multicast bus: every group's frames are heard on the one port of all groups."""
+    with (Path(tempfile.gettempdir()) / f"treadwatch-test-live-bus-{os.getuid()}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 @pytest.fixture(scope="session")

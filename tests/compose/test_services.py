@@ -103,6 +103,7 @@ def deployment(empty_postgres_url: str, tmp_path: Path) -> Deployment:
     return Deployment(empty_postgres_url, tmp_path)
 
 
+@pytest.mark.usefixtures("live_bus")
 def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment) -> None:
     deployment.once("migrate")
     deployment.once("registry")

@@ -91,6 +91,7 @@ def test_what_cannot_be_meant_is_refused(tmp_path: Path) -> None:
         run("--interface", "udp_multicast")
 
 
+@pytest.mark.usefixtures("live_bus")
 def test_a_live_bus_is_received_until_told_to_stop(deployment: SqlStorage, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = multicast_problem()
     if problem:
