@@ -40,6 +40,7 @@ class RowSummary:
     given: float  # share of the amplitudes
     alignment: float  # m SD in the band, median over seeds; NaN where it was known
     alignment_filtered: float  # m SD, as published
+    gauge: float  # m SD, of a gauge deviation that was found, median over seeds; NaN where none was
     false_estimated: int  # wheelsets or alignments that were estimated where nothing may be
     seconds: float  # median, passes to geometry
 
@@ -49,7 +50,7 @@ class RowSummary:
 
         The alignment where it is asked for; how often other intervals cover is not asked for, see :attr:`outside`.
         """
-        limit = LIMITS.get(self.row)
+        limit = LIMITS.get(self.row, math.inf)  # nothing was asked of another row's error
         if limit is None:
             return self.false_estimated == 0
         published, covered = self.coverage["conicity"]
@@ -81,6 +82,7 @@ SHORT: Mapping[str, str] = {
     "nonlinearity": "NP",
     "zero_crossing": "zero",
     "alignment": "alignment",
+    "gauge": "gauge found",  # no number is asked for it
 }
 
 
@@ -106,6 +108,8 @@ def _summary(row: str, drawn: bool, cases: Sequence[Mapping[str, Any]]) -> RowSu
     }
     aligned = [case["alignment"] for case in cases if case["alignment"] is not None]
     coverage["alignment"] = (sum(a["published"] for a in aligned), sum(a["covered"] for a in aligned))
+    gauges = [(a.get("gauge_published", 0), a.get("gauge_covered", 0)) for a in aligned]  # older results lack it
+    coverage["gauge"] = (sum(published for published, _ in gauges), sum(covered for _, covered in gauges))
     asked = sum(len(item["amplitudes"]) for item in wheelsets)
     estimated = len(errors) + sum(case["status"] == "estimated" for case in cases)
     return RowSummary(
@@ -121,6 +125,7 @@ def _summary(row: str, drawn: bool, cases: Sequence[Mapping[str, Any]]) -> RowSu
         given=coverage["conicity"][0] / asked if asked else 0.0,
         alignment=float(np.median([a["band"] for a in aligned])) if aligned else math.nan,
         alignment_filtered=float(np.median([a["filtered"] for a in aligned])) if aligned else math.nan,
+        gauge=float(np.median(found)) if (found := [a["gauge"] for a in aligned if a.get("gauge")]) else math.nan,
         false_estimated=estimated if LIMITS.get(row, 1.0) is None else 0,
         seconds=float(np.median([sum(case["seconds"]) for case in cases])),
     )
@@ -129,29 +134,36 @@ def _summary(row: str, drawn: bool, cases: Sequence[Mapping[str, Any]]) -> RowSu
 def summary_table(cases: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table for a terminal."""
     table = Table(
-        "row", "seeds", "median", "95th", "reach", "bias", "given", *SHORT.values(), "d 3-60 m (as published)", "s",
-        "met", f"outside {100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %",
+        "row", "seeds", "median", "95th", "reach", "bias", "given", *SHORT.values(), "d 3-60 m (as published)",
+        "gauge", "s", "met", f"outside {100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %",
         title="equivalent conicity, mean absolute error over 1-3 mm; share of 95 % intervals that cover (of how many);"
         " D bins: S and A would count there too, but are not published",
         title_justify="left",
     )  # fmt: skip
     for item in summaries(cases):
-        limit = LIMITS.get(item.row)
         table.add_row(
             item.row + (" + errors" if item.drawn else ""),
             str(item.seeds),
             _number(item.median, 4),
             _number(item.p95, 4),
-            f"{limit:g}" if limit is not None else f"none estimated: {item.false_estimated}",
+            _reach(item),
             _number(item.bias, 4),
             f"{item.given:.0%}",
             *(_share(item.coverage[kind]) for kind in SHORT),
             f"{_number(1e3 * item.alignment, 3)} ({_number(1e3 * item.alignment_filtered, 3)}) mm",
+            f"{_number(1e3 * item.gauge, 2)} mm",
             f"{item.seconds:.0f}",
             "yes" if item.met else "NO",
             ", ".join(item.outside) or "-",
         )
     return table
+
+
+def _reach(item: RowSummary) -> str:
+    if item.row not in LIMITS:
+        return "-"
+    limit = LIMITS[item.row]
+    return f"{limit:g}" if limit is not None else f"none estimated: {item.false_estimated}"
 
 
 def scaling_table(sizes: Sequence[Mapping[str, Any]]) -> Table:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
-from estimation.errors import ContactError, ProfileError
+from estimation.errors import ContactError, DamagedError, ProfileError
 from estimation.ports import MeasuredProfiles, TrackSectionRecord, UnitOfWork, WindowRecord
 from estimation.track.measured import MeasuredCurve, measured_curve
 
@@ -42,7 +42,11 @@ def measured(
     curves: dict[str, MeasuredCurve] = {}
     notes: list[str] = []
     for life, record in {life: record for record, life in zip(records, lives, strict=True)}.items():
-        found = _newest(unit, record, within_km)
+        try:
+            found = _newest(unit, record, within_km)
+        except DamagedError as error:  # the others go on
+            notes.append(str(error))
+            continue
         if found is None:
             continue
         name = _name(found)

@@ -81,3 +81,19 @@ def test_the_table_names_every_kind_and_what_lies_outside() -> None:
     assert "NP 99.0 %" in shown
     assert "outside 92-98 %" in shown
     assert all(name in shown for name in SHORT.values())
+
+
+def test_a_found_gauge_is_told_and_a_row_without_a_limit_is_not_taken_for_one_without_information() -> None:
+    found = {"band": 1e-4, "filtered": 1e-4, "published": 200, "covered": 190}
+    scored = found | {"gauge": 0.26e-3, "gauge_published": 200, "gauge_covered": 188}
+    told = [case("mine") | {"alignment": one, "status": "estimated"} for one in (found, scored)]
+    (row,) = summaries(told)
+    assert row.coverage["gauge"] == (200, 188)
+    assert row.gauge == pytest.approx(0.26e-3)
+    assert row.false_estimated == 0
+    assert row.met
+    console = Console(width=400, record=True)
+    console.print(summary_table(told))
+    printed = console.export_text()
+    assert "0.26 mm" in printed
+    assert "none estimated" not in printed

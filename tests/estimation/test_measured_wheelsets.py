@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sqlalchemy import update
 from test_refresh_alignment import DAY_NS, counts, in_force, put, register, report
 
 from estimation.contact.profiles import Profile, wheel_profile
 from estimation.ports import MeasuredProfiles, Reprofiling, TrackSectionRecord
 from estimation.types import Status
+from fleet_db.models import MeasuredProfilesRow
+from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 
 STD = 0.1e-3  # m
@@ -65,3 +68,15 @@ def test_profiles_that_cannot_be_used_are_told(storage: SqlStorage) -> None:
     (told,) = report(storage).report["evidence"]  # type: ignore[misc]
     assert str(told).startswith("measured profiles of W0 of 1970-01-01 are not used: ")
     assert "99E9" in str(told)
+
+
+def test_a_damaged_measurement_is_told_and_the_section_goes_on(storage: SqlStorage) -> None:
+    one_wheelset_three_times(storage)
+    measure(storage)
+    with storage.engine.begin() as connection:
+        connection.execute(update(table_of(MeasuredProfilesRow)).values(packed=b"damaged"))
+    counts(storage, "refresh_alignment")
+    told = report(storage)
+    assert "one wheelset alone" in told.reason
+    (note,) = told.report["evidence"]  # type: ignore[misc]
+    assert "W0" in str(note)
