@@ -99,30 +99,19 @@ def judge_recorded(
     explained = min(float(score[k] ** 2), 1.0 - 1e-12)
     chance = float(chi2.logsf(-(samples - 3.0) * np.log1p(-explained), 1)) / np.log(10.0)
     chance += float(np.log10(max(2.0 * p.largest_offset / memory, 1.0)))
-    scale, sign = float(np.abs(factor[k])), int(np.sign(factor[k]))
-    misfit = _misfit(r, f, variance)
     found = Judgement(
         usable=True,
         reason="",
-        scale=scale,
+        scale=float(np.abs(factor[k])),
         shift=shift,
-        sign=sign,
-        misfit=misfit,
+        sign=int(np.sign(factor[k])),
+        misfit=_misfit(r, f, variance),
         correlation=float(np.sqrt(explained)),
         samples=samples,
     )
     if chance > p.log10_chance:
         return _refused(found, _unrelated(found))
-    open_scale = 1.0 + 4.0 * fleet.scale_std
-    shifted = abs(shift) > p.largest_shift + 3.0 * place_std
-    reasons = []
-    if not 1.0 / (p.most_factor * open_scale) <= scale <= p.most_factor * open_scale:
-        reasons.append(_unit(scale))
-    if sign < 0:
-        reasons.append("left and right are exchanged: it is the mirror image of what the fleet has felt")
-    if shifted:
-        within = f", and the fleet knows its place within {3.0 * place_std:.1f} m" if place_std > 0.0 else ""
-        reasons.append(f"it lies {abs(shift):.1f} m too far {'back' if shift > 0.0 else 'along'}{within}")
+    reasons = _misplaced(found, 1.0 + 4.0 * fleet.scale_std, 3.0 * place_std, p)
     if reasons:
         return _refused(found, "; ".join(reasons))
     left = _misfit(_laid(r, f, variance, shift / step), f, variance)
@@ -132,6 +121,23 @@ def judge_recorded(
             found, f"it differs {left:.1f} times as much as its standard deviation allows, {limit:.1f} is much"
         )
     return found
+
+
+def _misplaced(found: Judgement, open_scale: float, place_known: float, p: JudgementParameters) -> list[str]:
+    """Return what is wrong with the unit, the sides and the place of a recording.
+
+    ``open_scale`` is the factor that the fleet leaves open, ``place_known``, m, within what it knows where it lies.
+    """
+    reasons = []
+    if not 1.0 / (p.most_factor * open_scale) <= found.scale <= p.most_factor * open_scale:
+        reasons.append(_unit(found.scale))
+    if found.sign < 0:
+        reasons.append("left and right are exchanged: it is the mirror image of what the fleet has felt")
+    if abs(found.shift) > p.largest_shift + place_known:
+        within = f", and the fleet knows its place within {place_known:.1f} m" if place_known > 0.0 else ""
+        direction = "back" if found.shift > 0.0 else "along"
+        reasons.append(f"it lies {abs(found.shift):.1f} m too far {direction}{within}")
+    return reasons
 
 
 def _nothing(reason: str) -> Judgement:
