@@ -12,11 +12,12 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from typing import TYPE_CHECKING
 
+from api.rules_file import load_rules
 from api.settings import Settings
+from estimation.alerts.rules.book import RuleBook
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
-from estimation.rules import RuleBook, load_rules
-from estimation.settings import EstimationSettings
+from estimation.jobs.settings import EstimationSettings
 from fleet_db.migrate import check_head
 from fleet_db.raw import RawStore
 from fleet_db.session import database_engine

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from api.answers import answer_bytes, payload_of
 from api.problems import ProblemError
-from estimation.ports import UnitOfWork
+from estimation.storage import UnitOfWork
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from estimation.errors import ConflictError
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.ports import JobRun
+from estimation.values.runs import JobRun
 
 
 class JobRunner:

@@ -10,10 +10,11 @@ from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from estimation.alerts import AlertScope
 from estimation.errors import TreadwatchError
 from estimation.jobs.job import Job
-from estimation.ports import Storage, WindowState
+from estimation.storage import Storage
+from estimation.values.alerts import AlertScope
+from estimation.values.windows import WindowState
 
 _log = logging.getLogger(__name__)
 

@@ -11,7 +11,7 @@ from fastapi import Depends, Request
 from api.job_runner import JobRunner
 from estimation.errors import NotFoundError
 from estimation.jobs.job import Job
-from estimation.ports import Clock, Storage
+from estimation.storage import Clock, Storage
 
 
 @dataclass(frozen=True, slots=True)

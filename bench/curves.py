@@ -11,9 +11,11 @@ import numpy as np
 from bench.report import BenchRow
 from bench.signal_cases import Wheelset, on_track, wheelsets
 from bench.signals import score
-from estimation import bins, geometry
-from estimation.settings import EstimationSettings
-from estimation.signals import Refusal, SignalParameters, motion
+from estimation.geometry.estimate import estimate_geometry
+from estimation.jobs.settings import EstimationSettings
+from estimation.motion.parameters import Refusal, SignalParameters
+from estimation.motion.track_relative import motion
+from estimation.tables import bin_table
 from ingest.simulator.curves import Curve
 
 RADII_KM = (np.inf, 20.0, 10.0, 5.0, 3.0)
@@ -48,8 +50,8 @@ def _one(task: tuple[int, float]) -> tuple[float, float, tuple[bool, ...]]:
     run = on_track(wheelset, "mixed", SEED, curves)
     settings = EstimationSettings(signals=replace(SignalParameters(), most_lean=np.inf))
     moved = (motion(window, run.track, settings.signals) for window in run.windows)
-    tables = [bins.tabulate(item, settings.bins) for item in moved if not isinstance(item, Refusal)]
-    found = geometry.estimate(bins.merge_all(tables, settings.bins), settings.bins, settings.geometry)
+    tables = [bin_table.tabulate(item, settings.bins) for item in moved if not isinstance(item, Refusal)]
+    found = estimate_geometry(bin_table.merge_all(tables, settings.bins), settings.bins, settings.geometry)
     error, _, covered = score(found, run.conicity)
     straight = 0.0 if np.isinf(radius_km) else -float(run.motion.relative_displacement.mean())
     return straight, error, covered

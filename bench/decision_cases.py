@@ -13,14 +13,17 @@ import numpy as np
 
 from api.factory import SystemClock, open_store, raw_store
 from api.settings import Settings
-from estimation import bins, geometry
-from estimation.arrays import FloatArray
-from estimation.bins import BinParameters
-from estimation.geometry import GeometryParameters
-from estimation.motion import Motion
-from estimation.settings import EstimationSettings
-from estimation.signals import Refusal, SignalParameters, motion
-from estimation.types import COMBINATIONS, BinTable, TrackAlignment, WheelsetGeometry, Window
+from estimation.geometry.estimate import GeometryParameters, estimate_geometry
+from estimation.jobs.settings import EstimationSettings
+from estimation.motion.parameters import Refusal, SignalParameters
+from estimation.motion.track_relative import motion
+from estimation.tables import bin_table
+from estimation.tables.bin_table import BinParameters
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import COMBINATIONS, BinTable, WheelsetGeometry
+from estimation.values.motion import Motion
+from estimation.values.track import TrackAlignment
+from estimation.values.windows import Window
 from fleet_db.migrate import upgrade
 from ingest.catalogue import default_catalogue
 from ingest.receiver import Receiver
@@ -92,7 +95,7 @@ def moved(case: Case, signals: SignalParameters) -> list[Motion]:
 
 def merged(motions: Sequence[Motion], parameters: BinParameters) -> BinTable:
     """Return one table of all windows."""
-    return bins.merge_all([bins.tabulate(m, parameters) for m in motions], parameters)
+    return bin_table.merge_all([bin_table.tabulate(m, parameters) for m in motions], parameters)
 
 
 def score(cases: Sequence[Case], estimates: Sequence[WheelsetGeometry]) -> Score:
@@ -121,4 +124,4 @@ def estimated(
     signals = signals or SignalParameters()
     parameters = change(EstimationSettings(signals=signals).bins)
     published = published or GeometryParameters()
-    return [geometry.estimate(merged(moved(case, signals), parameters), parameters, published) for case in cases]
+    return [estimate_geometry(merged(moved(case, signals), parameters), parameters, published) for case in cases]

@@ -25,15 +25,16 @@ from scipy.signal import butter, sosfiltfilt
 from api.factory import open_store
 from api.settings import Settings
 from bench.decision_cases import UNIT, Case, estimated, merged, moved, received, score
-from estimation import bins, geometry, least_squares
-from estimation.arrays import FloatArray
-from estimation.bins import BinParameters
-from estimation.geometry import GeometryParameters, ParameterUncertainty
-from estimation.high_pass import HighPass, without_slow_part
-from estimation.regressors import REGRESSORS, YAW_TARGETS
-from estimation.settings import EstimationSettings
-from estimation.signals import SignalParameters
-from estimation.types import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
+from estimation.filters.wander_removal import HighPass, without_slow_part
+from estimation.geometry.estimate import GeometryParameters, estimate_geometry
+from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.jobs.settings import EstimationSettings
+from estimation.motion.parameters import SignalParameters
+from estimation.tables import bin_table, least_squares
+from estimation.tables.bin_table import BinParameters
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
+from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
 from fleet_db.packed.bin_table import pack_bin_table
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_motion, wheelset_record
 from ingest.simulator.fleet import run_fleet
@@ -72,7 +73,7 @@ def window_lengths(by_length: dict[float, list[Case]]) -> None:
         estimates = estimated(cases)
         count = sum(len(case.windows) for case in cases)
         used = sum(float(e.samples.sum()) for e in estimates) / sum(len(w.valid) for c in cases for w in c.windows)
-        tables = [bins.tabulate(m, settings.bins) for case in cases[:4] for m in moved(case, settings.signals)]
+        tables = [bin_table.tabulate(m, settings.bins) for case in cases[:4] for m in moved(case, settings.signals)]
         size = np.mean([len(pack_bin_table(table)) for table in tables])
         print(
             f"  {seconds:g} s: {count} windows, {100 * used:.1f} % of the samples used, "
@@ -134,7 +135,7 @@ def rms(parts: Sequence[FloatArray]) -> float:
 
 
 def smoother(values: FloatArray, distance: FloatArray, _dt: float) -> FloatArray:
-    """Return what ``estimation.high_pass`` leaves of ``values``."""
+    """Return what ``estimation.filters.wander_removal`` leaves of ``values``."""
     return _high_passed(values, distance, HighPass.SMOOTHER)
 
 
@@ -205,7 +206,7 @@ def parameters(cases: Sequence[Case]) -> None:
     table = merged(moved(case, settings.signals), settings.bins)
     began = time.perf_counter()
     for _ in range(20):
-        geometry.estimate(table, settings.bins, settings.geometry)
+        estimate_geometry(table, settings.bins, settings.geometry)
     print(f"  a geometry with intervals from its table: {1e3 * (time.perf_counter() - began) / 20:.1f} ms")
 
 
@@ -261,8 +262,8 @@ def half_lives(demo: Path) -> None:
             last = min(truth["campaigns"], key=lambda c: abs(c["mileage_km"] - tables[-1][0]))
             true = float(np.interp(3.0, last["amplitude_mm"], last["equivalent_conicity"]))
             for life in lives:
-                table = bins.merge_with_mileage(tables, life, settings.bins)
-                at = geometry.estimate(table, settings.bins, settings.geometry).conicity
+                table = bin_table.merge_with_mileage(tables, life, settings.bins)
+                at = estimate_geometry(table, settings.bins, settings.geometry).conicity
                 value = at[int(np.argmin(np.abs(np.array(settings.geometry.curve.amplitudes) - 3e-3)))]
                 if value.value is not None and value.low is not None and value.high is not None:
                     found[life].append((value.value - true, value.high - value.low, value.low <= true <= value.high))

@@ -15,11 +15,11 @@ import cantools
 import numpy as np
 
 from bench.report import BenchRow
-from estimation.types import ACCELERATIONS, FrameBatch
+from estimation.values.windows import ACCELERATIONS
 from ingest.canopen import sync_counter
 from ingest.catalogue import ACCELERATION, SYNC, default_catalogue
 from ingest.codec import Decoded, decode, encode
-from ingest.frames import concatenate, sort_by_time, take
+from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.logs.blf_reader import read_blf
 from ingest.logs.blf_writer import write_blf
 

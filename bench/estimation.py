@@ -10,7 +10,7 @@ import numpy as np
 from api.reproduction import study
 from bench.mems import conicity_errors
 from bench.report import BenchRow
-from estimation.types import COMBINATIONS, BinStatus
+from estimation.values.geometry import COMBINATIONS, BinStatus
 
 SECONDS = 600.0
 SEEDS = (1, 2, 3)

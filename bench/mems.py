@@ -14,7 +14,7 @@ import numpy as np
 from api.factory import SystemClock, job_context, open_store, raw_store
 from api.settings import Settings
 from estimation.jobs.catalogue import run_all
-from estimation.types import WheelsetGeometry
+from estimation.values.geometry import WheelsetGeometry
 from fleet_db.migrate import upgrade
 from ingest.catalogue import default_catalogue
 from ingest.receiver import Receiver

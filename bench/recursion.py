@@ -9,7 +9,7 @@ import numpy as np
 import padasip
 
 from bench.report import BenchRow
-from estimation.least_squares import collect, solve
+from estimation.tables.least_squares import collect, solve
 
 SAMPLES = 1_000_000
 BINS = 32

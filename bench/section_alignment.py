@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from estimation.arrays import BoolArray, FloatArray
-from estimation.restored_alignment import restored
-from estimation.track.local_filter import smoother, without_slow_part
-from estimation.types import TrackAlignment
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.motion.alignment_lookup import restored
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.track import TrackAlignment
 from ingest.simulator.section_run import SectionRun
 
 BAND = (3.0, 60.0)  # m of wavelength

@@ -26,14 +26,16 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from bench.section_alignment import AlignmentScore, alignment_score
-from estimation import bins, geometry
-from estimation.arrays import FloatArray
 from estimation.estimators.tracks import TrackKnowledge, fleet_knowledge, section_passes
-from estimation.settings import EstimationSettings
-from estimation.signals import Refusal
-from estimation.track.epochs import AlignmentSettings
-from estimation.types import BinStatus, BinValues, Estimate, WheelsetGeometry
-from estimation.window_table import tabulate_window
+from estimation.geometry.estimate import estimate_geometry
+from estimation.jobs.settings import EstimationSettings
+from estimation.motion.parameters import Refusal
+from estimation.tables import bin_table
+from estimation.tables.window import tabulate_window
+from estimation.track.settings import AlignmentSettings
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
+from estimation.values.quantities import Estimate
 from ingest.simulator.section_run import SECTION, SectionRun, WheelsetTruth
 
 NORMAL = 1.959964
@@ -98,7 +100,7 @@ def score(run: SectionRun) -> CaseScore:
         knowledge: TrackKnowledge | str = TrackKnowledge(known)
         clock += [clock[0], clock[0]]
     else:
-        found = section_passes(run.all_windows(), settings, alignment)
+        found = section_passes(run.all_windows(), settings.windows, alignment)
         clock.append(time.process_time())
         evidence = known if known is not None else run.known_gauge()
         knowledge = fleet_knowledge(found, evidence, SECTION, scenario.length, alignment, run.measured())
@@ -132,13 +134,13 @@ def _geometry(
         correction = knowledge.correction_of(window)
         if correction is None:
             continue
-        table = tabulate_window(window, knowledge.track, settings, correction)
+        table = tabulate_window(window, knowledge.track, settings.windows, correction)
         if not isinstance(table, Refusal):
             tables.append(table)
     assumed = settings.geometry.uncertainty
     assumed = assumed if run.scenario.errors_drawn else replace(assumed, ratio=0.0)
     shape = replace(settings.geometry, uncertainty=assumed.on([knowledge.track]))
-    return geometry.estimate(bins.merge_all(tables, settings.bins), settings.bins, shape)
+    return estimate_geometry(bin_table.merge_all(tables, settings.bins), settings.bins, shape)
 
 
 def wheelset_score(found: WheelsetGeometry, truth: WheelsetTruth) -> WheelsetScore:

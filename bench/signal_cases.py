@@ -8,13 +8,15 @@ from functools import cache
 
 import numpy as np
 
-from estimation.arrays import BoolArray, FloatArray
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import WearFamily, wear_course, worn
-from estimation.types import Status, TrackAlignment, TrackLayout, Window, WindowQuality
-from estimation.vehicle import VehicleParameters
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.quantities import Status
+from estimation.values.track import TrackAlignment, TrackLayout
+from estimation.values.windows import Window, WindowQuality
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.align.samples import widened
 from ingest.align.windows import CLIPPING_GUARD_S
 from ingest.simulator.curves import Curve

@@ -13,15 +13,18 @@ from rich.table import Table
 
 from bench.report import BenchRow
 from bench.signal_cases import AMPLITUDES, COURSES, Run, simulate, wheelsets
-from estimation import bins, geometry
-from estimation.arrays import FloatArray
-from estimation.high_pass import HighPass, without_slow_part
-from estimation.motion import Motion
-from estimation.regressors import regression
-from estimation.settings import EstimationSettings
-from estimation.signals import Refusal, SignalParameters, distance_run, motion, stretches
-from estimation.types import WheelsetGeometry
-from estimation.usable_samples import usable_samples
+from estimation.filters.wander_removal import HighPass, without_slow_part
+from estimation.geometry.estimate import estimate_geometry
+from estimation.jobs.settings import EstimationSettings
+from estimation.motion.integration import distance_run, stretches
+from estimation.motion.parameters import Refusal, SignalParameters
+from estimation.motion.track_relative import motion
+from estimation.motion.usable_samples import usable_samples
+from estimation.tables import bin_table
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import WheelsetGeometry
+from estimation.values.motion import Motion
+from estimation.vehicle.regressors import regression
 
 SEEDS = (1, 2)
 SHIPPED = SignalParameters()
@@ -127,11 +130,11 @@ def _outcome(run: Run, course: str, design: str, parameters: SignalParameters) -
         moved = motion(run.windows[number], run.track, parameters, run.layout)
         if isinstance(moved, Refusal):
             continue
-        tables.append(bins.tabulate(moved, settings.bins))
+        tables.append(bin_table.tabulate(moved, settings.bins))
         squares.append(np.square(_measured(moved, settings) - _true(run, number, parameters))[:, moved.valid])
         used += int(moved.valid.sum())
     error = np.sqrt(np.mean(np.concatenate(squares, axis=1), axis=1))
-    found = geometry.estimate(bins.merge_all(tables, settings.bins), settings.bins, settings.geometry)
+    found = estimate_geometry(bin_table.merge_all(tables, settings.bins), settings.bins, settings.geometry)
     total = sum(len(window.valid) for window in run.windows)
     return Outcome(course, run.wheelset, design, error, used / total, *score(found, run.conicity))
 

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 import zstandard
 
-from estimation.alerts import JsonValue
 from estimation.errors import DamagedError
+from estimation.values.json_value import JsonValue
 
 MAGIC = b"TWPK"
 FORMAT = 1

@@ -30,7 +30,7 @@ SNAPSHOT = {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
 
 @dataclass(slots=True)
 class SqlUnitOfWork:
-    """Implements ``estimation.ports.UnitOfWork``: one transaction over all stores."""
+    """Implements ``estimation.storage.UnitOfWork``: one transaction over all stores."""
 
     connection: Connection
     files: WindowFiles
@@ -64,7 +64,7 @@ class SqlUnitOfWork:
 
 @dataclass(frozen=True, slots=True)
 class SqlStorage:
-    """Implements ``estimation.ports.Storage``.
+    """Implements ``estimation.storage.Storage``.
 
     Parameters
     ----------

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from estimation.arrays import BoolArray, FloatArray
 from estimation.errors import DamagedError, StorageError
-from estimation.types import ACCELERATIONS, Window, WindowQuality
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
 from fleet_db.atomic_files import write_atomically
 from fleet_db.packed.numbers import number_from_json, number_to_json, real_from_json
 from fleet_db.packing import Array, pack, unpack

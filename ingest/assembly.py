@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
-from estimation.ports import ChunkRecord, Mounting, UnitOfWork, VehicleRecord
+from estimation.storage import UnitOfWork
+from estimation.values.receipts import ChunkRecord
+from estimation.values.registry import Mounting, VehicleRecord
 from ingest.align.ticks import Placed, unite
 from ingest.align.windows import (
     Lookup,

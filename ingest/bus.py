@@ -16,9 +16,18 @@ import can
 import numpy as np
 
 from estimation.errors import ConflictError, ParameterError
-from estimation.types import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from ingest.canopen import SYNC_ID
-from ingest.frames import DATA_BYTES, DEFAULT_CHANNEL, empty_batch, sealed, sort_by_time
+from ingest.frames import (
+    DATA_BYTES,
+    DEFAULT_CHANNEL,
+    ERROR_FLAG,
+    EXTENDED_FLAG,
+    REMOTE_FLAG,
+    FrameBatch,
+    empty_batch,
+    sealed,
+    sort_by_time,
+)
 from ingest.logs import write_log
 
 INTERFACES = ("virtual", "udp_multicast", "socketcan")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from estimation.arrays import IntArray
+from estimation.values.arrays import IntArray
 
 SYNC_ID = 0x080
 TIME_ID = 0x100

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from estimation.errors import LogFileError, StorageError
-from estimation.ports import ChunkRecord, UnitOfWork
-from estimation.types import FrameBatch
+from estimation.storage import UnitOfWork
+from estimation.values.receipts import ChunkRecord
 from fleet_db.raw import RawStore
 from ingest.align.clock import CONTEXT_NS, TIME_REACH_NS, check_sync_rate
 from ingest.align.ticks import Placed, place
 from ingest.catalogue import Catalogue
-from ingest.frames import between, merge
+from ingest.frames import FrameBatch, between, merge
 from ingest.logs import read_log
 
 STORED, DECODED, REJECTED = "stored", "decoded", "rejected"

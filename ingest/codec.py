@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from estimation.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.errors import ParameterError
-from estimation.types import ERROR_FLAG, REMOTE_FLAG, FrameBatch
+from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from ingest.catalogue import Catalogue, MessagePlan, SignalPlan
-from ingest.frames import DATA_BYTES, DEFAULT_CHANNEL, batch_of
+from ingest.frames import DATA_BYTES, DEFAULT_CHANNEL, ERROR_FLAG, REMOTE_FLAG, FrameBatch, batch_of
 from ingest.sorting import STANDARD_IDENTIFIERS, count_by_identifier, count_within, gather_by_identifier, scaled
 
 RawArray = npt.NDArray[np.signedinteger[Any]]

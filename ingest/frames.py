@@ -3,12 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from estimation.arrays import BoolArray, IntArray
-from estimation.types import FrameBatch
+from estimation.values.arrays import BoolArray, IntArray, frozen_array
+
+EXTENDED_FLAG = 0x8000_0000
+
+REMOTE_FLAG = 0x4000_0000
+
+ERROR_FLAG = 0x2000_0000
+
+
+@dataclass(frozen=True, slots=True)
+class FrameBatch:
+    """Frames of one bus, in the order they were recorded.
+
+    ``arbitration_id`` carries SocketCAN's flags in its upper bits (EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG).
+    Bytes of ``data`` beyond ``dlc`` are zero.
+    """
+
+    channel: str
+    t_ns: IntArray  # (n,)
+    arbitration_id: npt.NDArray[np.uint32]  # (n,)
+    dlc: npt.NDArray[np.uint8]  # (n,)
+    data: npt.NDArray[np.uint8]  # (n, 8)
+
+    def __post_init__(self) -> None:
+        n = len(self.t_ns)
+        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, (n,), np.int64, name="t_ns"))
+        object.__setattr__(
+            self, "arbitration_id", frozen_array(self.arbitration_id, (n,), np.uint32, name="arbitration_id")
+        )
+        object.__setattr__(self, "dlc", frozen_array(self.dlc, (n,), np.uint8, name="dlc"))
+        object.__setattr__(self, "data", frozen_array(self.data, (n, 8), np.uint8, name="data"))
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
 
 DEFAULT_CHANNEL = "can0"
 DATA_BYTES = 8

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from estimation.errors import ConflictError, LogFileError, NotFoundError, StorageError, TreadwatchError
-from estimation.ports import ChunkRecord, Clock, Storage, UnitOfWork
+from estimation.storage import Clock, Storage, UnitOfWork
+from estimation.values.receipts import ChunkRecord
 from fleet_db.raw import RawStore
 from ingest.assembly import Assembler, Assembly
 from ingest.catalogue import Catalogue

@@ -14,22 +14,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from estimation.arrays import FloatArray
-from estimation.contact.profiles import Profile
+from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.errors import ConflictError, InputError, NotFoundError, ProfileError
-from estimation.ports import (
-    FleetRecord,
-    MeasuredProfiles,
-    Mounting,
-    Reprofiling,
-    TrackSectionRecord,
-    UnitOfWork,
-    VehicleRecord,
-    WheelsetRecord,
-)
-from estimation.types import Status, TrackAlignment, TrackLayout
+from estimation.storage import UnitOfWork
+from estimation.values.arrays import FloatArray
+from estimation.values.quantities import Status
+from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
 from ingest.json_fields import Fields, read_json
-from ingest.profile_file import read_wheel_profile
+from ingest.profiles.wheel_profile import read_wheel_profile
 from ingest.track_file import (
     LAYOUT_COLUMNS,
     read_gauge_columns,

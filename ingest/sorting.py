@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from estimation.arrays import FloatArray, IntArray
+from estimation.values.arrays import FloatArray, IntArray
 
 STANDARD_IDENTIFIERS = 0x800
 

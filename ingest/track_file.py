@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.arrays import FloatArray
 from estimation.errors import InputError
+from estimation.values.arrays import FloatArray
 
 COLUMNS = ("s_m", "alignment_mm", "gauge_deviation_mm")
 GAUGE_COLUMNS = ("s_m", "gauge_deviation_mm")

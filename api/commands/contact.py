@@ -13,13 +13,13 @@ import orjson
 import typer
 
 from api.plots.contact import save_contact_figure
-from estimation.arrays import FloatArray
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile, ProfileKind, rail_profile, wheel_profile
-from estimation.contact.readers import read_profile
 from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import InputError, ParameterError
+from estimation.values.arrays import FloatArray
+from ingest.profiles import read_profile
 
 _DISPLACEMENT_MM = np.linspace(-8.0, 8.0, 161)
 _AMPLITUDE_MM = np.linspace(0.5, 7.0, 66)

@@ -18,7 +18,7 @@ from api.settings import Settings, load_settings
 from estimation.errors import ParameterError
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.jobs.scheduler import stop_on_signals
-from estimation.ports import JobRun
+from estimation.values.runs import JobRun
 
 
 def estimate(

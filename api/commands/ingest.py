@@ -19,7 +19,7 @@ from api.factory import SystemClock, open_store, raw_store
 from api.settings import load_settings
 from estimation.errors import InputError, ParameterError, TreadwatchError
 from estimation.jobs.scheduler import stop_on_signals
-from estimation.ports import Storage
+from estimation.storage import Storage
 from ingest.bus import INTERFACES, open_bus, record
 from ingest.catalogue import default_catalogue
 from ingest.logs import SUFFIXES

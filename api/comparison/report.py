@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from api.comparison.study import PairStudy, Score, Told
-from estimation.alerts import JsonValue
 from estimation.estimators.catalogue import PRODUCT, estimators
+from estimation.values.json_value import JsonValue
 
 TOLD = {
     Told.KNOWN: "known",

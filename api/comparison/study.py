@@ -13,11 +13,11 @@ import numpy as np
 from estimation.estimators.catalogue import estimators
 from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
 from estimation.estimators.tracks import TrackKnowledge, fleet_knowledge, motions, section_passes, straight_track
-from estimation.geometry import ParameterUncertainty
-from estimation.motion import Motion
-from estimation.settings import EstimationSettings
-from estimation.track.epochs import AlignmentSettings
-from estimation.types import TrackAlignment
+from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.jobs.settings import EstimationSettings
+from estimation.track.settings import AlignmentSettings
+from estimation.values.motion import Motion
+from estimation.values.track import TrackAlignment
 from ingest.simulator.section_run import SECTION, SectionRun, WheelsetTruth
 
 Progress = Callable[[str, int, int], None]  # what, done, of
@@ -109,7 +109,7 @@ def study(run: SectionRun, progress: Progress = lambda _what, _done, _of: None) 
     for done, truth in enumerate(run.wheelsets):
         progress(f"{run.pair.name}: estimate", done, len(run.wheelsets))
         for told, known in knowledge.items():
-            moved = list(motions(run.windows(truth.serial), known, settings))
+            moved = list(motions(run.windows(truth.serial), known, settings.windows))
             for item in every:
                 found = tallies[told, item.name].add(item, parameters[told], moved, truth)
                 if truth is shown:
@@ -136,7 +136,7 @@ def _told(
 ) -> tuple[dict[Told, TrackKnowledge], dict[Told, str]]:
     """Return what can be told of the track, and why what cannot."""
     scenario, true = run.scenario, run.true_track()
-    found = section_passes(run.all_windows(), settings, alignment)
+    found = section_passes(run.all_windows(), settings.windows, alignment)
     progress(f"{run.pair.name}: alignment of the fleet", 0, 1)
     gauge_only = run.known_gauge()
     answers: dict[Told, TrackKnowledge | str] = {

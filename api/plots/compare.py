@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 
 from api.comparison.report import TOLD, titles
 from api.comparison.study import PairStudy, Told
-from estimation.arrays import FloatArray
 from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import PRODUCT
 from estimation.estimators.interface import CurveEstimate
+from estimation.values.arrays import FloatArray
 
 COLOURS = {"bins": "#1f5fa8", "linear": "#c2571a", "paper": "#3a8a4d", "cubic": "#8a4fa3"}
 MARKERS = {"bins": "o", "linear": "s", "paper": "^", "cubic": "D"}

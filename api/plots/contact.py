@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from estimation.arrays import FloatArray
 from estimation.contact.table import ContactTable
+from estimation.values.arrays import FloatArray
 
 _LEFT, _RIGHT, _BOTH = "#1f5fa8", "#c4561a", "#222222"
 

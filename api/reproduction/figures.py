@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from api.reproduction.study import Case
 from estimation.contact.table import ContactTable
-from estimation.types import COMBINATIONS, BinStatus
+from estimation.values.geometry import COMBINATIONS, BinStatus
 
 TITLES = {
     "rolling_radius_sum": r"$r_L + r_R$ (mm)",

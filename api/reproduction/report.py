@@ -8,10 +8,10 @@ import numpy as np
 
 from api.reproduction.figures import LEAST_SAMPLES, SCALE
 from api.reproduction.study import GAUGE, INCLINATION, SPEED, STANDARD_DEVIATION, WEAR_DEPTH, Case
-from estimation.alerts import JsonValue
-from estimation.arrays import FloatArray
 from estimation.contact.table import ContactTable
-from estimation.types import COMBINATIONS
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import COMBINATIONS
+from estimation.values.json_value import JsonValue
 
 SYMBOLS = {
     "rolling_radius_sum": "rL+rR (mm)",

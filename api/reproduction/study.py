@@ -12,15 +12,18 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimation import bins, geometry, paper
-from estimation.arrays import FloatArray
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.table import ContactTable
 from estimation.contact.wear import WearFamily, wear_course, worn
-from estimation.motion import Motion
-from estimation.types import COMBINATIONS, WheelsetGeometry
-from estimation.vehicle import VehicleParameters
+from estimation.estimators import paper_equations
+from estimation.geometry.estimate import GeometryParameters, estimate_geometry
+from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.tables import bin_table
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import COMBINATIONS, WheelsetGeometry
+from estimation.values.motion import Motion
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
 from ingest.simulator.track import TrackRecipe, make_track
 
@@ -42,7 +45,7 @@ class Case:
     table: ContactTable
     motion: WheelsetMotion
     estimate: WheelsetGeometry
-    printed: paper.PaperGeometry
+    printed: paper_equations.PaperGeometry
     truth: dict[str, FloatArray]  # at the bin centres, nominal gauge
     jump: FloatArray  # (b,) largest step of rL - rR inside the bin at nominal gauge, m
 
@@ -75,10 +78,10 @@ def run(gauge_std: float, seconds: float, seed: int) -> Case:
     speed = np.full(round(seconds / STEP), SPEED)
     motion = simulate_wheelset(VehicleParameters(), table, track, speed, 20.0)
     seen = ideal_motion(motion)
-    parameters = bins.BinParameters()
-    certain = geometry.GeometryParameters(uncertainty=geometry.ParameterUncertainty(0.0, 0.0, 0.0))
-    estimate = geometry.estimate(bins.tabulate(seen, parameters), parameters, certain)
-    printed = paper.estimate(seen, paper.PaperParameters(width=parameters.width))
+    parameters = bin_table.BinParameters()
+    certain = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0))
+    estimate = estimate_geometry(bin_table.tabulate(seen, parameters), parameters, certain)
+    printed = paper_equations.estimate(seen, paper_equations.PaperParameters(width=parameters.width))
     truth, jump = _truth(table, estimate.bin_edges)
     return Case(gauge_std, table, motion, estimate, printed, truth, jump)
 

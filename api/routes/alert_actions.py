@@ -15,8 +15,8 @@ from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Request as Body
 from api.services import Joined, Services
-from estimation.alert_transitions import acknowledge, link, shelve
-from estimation.alerts import Alert, Transition
+from estimation.alerts.life_cycle import acknowledge, link, shelve
+from estimation.values.alerts import Alert, Transition
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
 _REFUSALS = described(404, 409, 412, 413, 415, 428)

@@ -22,7 +22,7 @@ from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Page
 from api.services import Joined
-from estimation.alerts import AlertKind, AlertScope, Condition
+from estimation.values.alerts import AlertKind, AlertScope, Condition
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
 Kind = Annotated[AlertKind | None, Query(description="Only of this kind.")]

@@ -25,8 +25,9 @@ from api.problems import described
 from api.schemas import registry
 from api.schemas.common import Page
 from api.services import Joined
+from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ConflictError
-from estimation.ports import MeasuredProfiles, Mounting, Reprofiling, WheelsetRecord
+from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 

@@ -9,8 +9,8 @@ from pydantic import Field, JsonValue
 from api.schemas.common import Links, Representation, Request, finite
 from api.schemas.registry import segment
 from api.times import Moment, Timestamp, to_rfc3339
-from estimation.alerts import Alert as AlertValue
-from estimation.alerts import AlertEvent, AlertEventKind, AlertKind, AlertScope, Condition, Severity
+from estimation.values.alerts import Alert as AlertValue
+from estimation.values.alerts import AlertEvent, AlertEventKind, AlertKind, AlertScope, Condition, Severity
 
 _WORDS = r"^[^\x00]*$"
 

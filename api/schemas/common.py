@@ -8,7 +8,7 @@ from typing import Annotated, Generic, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from estimation.types import Estimate, Status
+from estimation.values.quantities import Estimate, Status
 
 ItemT = TypeVar("ItemT")
 Href = Annotated[str, Field(examples=["/v1/wheelsets/WS-0001"])]

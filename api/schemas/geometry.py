@@ -9,8 +9,8 @@ from pydantic import Field, JsonValue
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
-from estimation.ports import GeometryRecord
-from estimation.types import COMBINATIONS, BinStatus, BinValues, Status
+from estimation.values.geometry import COMBINATIONS, BinStatus, BinValues, GeometryRecord
+from estimation.values.quantities import Status
 
 MM = 1000.0
 

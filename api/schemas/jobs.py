@@ -9,7 +9,7 @@ from pydantic import Field
 from api.schemas.common import Links, Representation
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
-from estimation.ports import JobRun as JobRunValue
+from estimation.values.runs import JobRun as JobRunValue
 
 
 class JobRun(Representation):

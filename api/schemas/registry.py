@@ -8,7 +8,8 @@ from pydantic import Field
 
 from api.schemas.common import Links, Representation, Request
 from api.times import Moment, Timestamp, to_rfc3339
-from estimation.ports import FleetRecord, MeasuredProfiles, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.contact.profiles import MeasuredProfiles
+from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 
 
 class Fleet(Representation):

@@ -10,8 +10,8 @@ from pydantic import Field
 from api.schemas.common import Links, Representation, finite, finite_list
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
-from estimation.ports import AlignmentRecord, TrackReport, TrackSectionRecord
-from estimation.types import Status, TrackAlignment
+from estimation.values.quantities import Status
+from estimation.values.track import AlignmentRecord, TrackAlignment, TrackReport, TrackSectionRecord
 
 MM = 1000.0
 

@@ -9,8 +9,8 @@ from pydantic import Field
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
-from estimation.ports import TrendRecord
-from estimation.types import Forecast, Status
+from estimation.values.quantities import Forecast, Status
+from estimation.values.trend import TrendRecord
 
 _BEYOND = "not reached within the forecast horizon"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from api.schemas.common import Representation, finite
 from api.times import Timestamp, to_rfc3339
-from estimation.ports import WindowRecord, WindowState
+from estimation.values.windows import WindowRecord, WindowState
 
 
 class WindowQuality(Representation):

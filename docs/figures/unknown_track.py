@@ -16,11 +16,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from estimation.estimators.tracks import section_passes
-from estimation.settings import EstimationSettings
-from estimation.track.epochs import AlignmentSettings
-from estimation.track.findings import LIFE
-from estimation.track.local_filter import smoother, without_slow_part
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.jobs.settings import EstimationSettings
+from estimation.track.results import LIFE
 from estimation.track.section import SectionEstimate, estimate_section
+from estimation.track.settings import AlignmentSettings
 from ingest.simulator.section_file import load_section_scenario
 from ingest.simulator.section_run import SECTION, SectionRun, simulate_section
 
@@ -34,7 +34,7 @@ def main(folder: Path) -> None:
     scenario = replace(load_section_scenario(SCENARIO), position_offset=0.0, position_scale=0.0)
     run = simulate_section(scenario, SEED, folder)
     settings = AlignmentSettings()
-    found = section_passes(run.all_windows(), EstimationSettings(), settings)
+    found = section_passes(run.all_windows(), EstimationSettings().windows, settings)
     estimate = estimate_section(SECTION, found, None, settings.section)
     figure = Figure(figsize=(9.0, 7.5), layout="constrained")
     FigureCanvasAgg(figure)

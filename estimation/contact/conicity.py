@@ -23,8 +23,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from estimation.arrays import FloatArray
 from estimation.errors import ParameterError
+from estimation.values.arrays import FloatArray
 
 _ANGLES = 240  # midpoints of the substitution y = middle + amplitude sin(angle)
 _HALVINGS = 60

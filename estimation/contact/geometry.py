@@ -9,12 +9,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from estimation.arrays import BoolArray, FloatArray, IntArray
 from estimation.contact import kernels
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.contact.surface import Surface, rail_surface, wheel_surface
 from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import ContactError
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
 
 FLANGE_BACK_DISTANCE = 1.360
 """Usual distance between the flange backs of a wheelset for 1435 mm, m."""

@@ -15,11 +15,28 @@ from typing import Literal
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from estimation.arrays import FloatArray, frozen_array
 from estimation.contact.rail_definitions import RAIL_DEFINITIONS
 from estimation.contact.segments import Segment, sample
 from estimation.contact.wheel_definitions import WHEEL_DEFINITIONS
 from estimation.errors import ProfileError
+from estimation.values.arrays import FloatArray, frozen_array
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredProfiles:
+    """Profiles of both wheels of a wheelset, as a profile gauge has told them. Key: (wheelset, at_ns).
+
+    ``left`` is the wheelset's own left wheel, whichever way round it is mounted. ``std`` says how well the lateral
+    displacement that belongs to a rolling radius difference follows from them.
+    """
+
+    wheelset: str
+    at_ns: int
+    mileage_km: float  # of the wheelset since new
+    left: Profile
+    right: Profile
+    std: float  # m
+
 
 ProfileKind = Literal["wheel", "rail"]
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimation.arrays import FloatArray
+from estimation.values.arrays import FloatArray
 
 _SAME_POINT = 1e-9  # mm, joints are points of both neighbours
 _VERTICAL = 100.0  # slope from which a surface counts as vertical

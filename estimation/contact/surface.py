@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from estimation.arrays import FloatArray, frozen_array
 from estimation.contact.profiles import Profile
 from estimation.errors import ContactError
+from estimation.values.arrays import FloatArray, frozen_array
 
 GRID_STEP = 2e-5
 """Distance between grid points, m."""

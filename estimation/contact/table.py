@@ -7,7 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from estimation.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, frozen_array
 
 
 class ContactMethod(StrEnum):

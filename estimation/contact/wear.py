@@ -14,9 +14,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from estimation.arrays import FloatArray
 from estimation.contact.profiles import Profile
 from estimation.errors import ParameterError, ProfileError
+from estimation.values.arrays import FloatArray
 
 DEEPEST_HOLLOW = 6e-3
 """Largest depth that the form is meant for, m."""

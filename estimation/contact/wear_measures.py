@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.arrays import FloatArray
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.errors import ProfileError
+from estimation.values.arrays import FloatArray
 
 _FACE_BELOW_TREAD = 10e-3  # m, where the flange thickness is measured
 _FACE_ABOVE_TIP = 2e-3  # m, upper point of the flange gradient

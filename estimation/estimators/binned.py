@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from estimation import bins, geometry
-from estimation.bins import BinParameters
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
-from estimation.geometry import GeometryParameters
-from estimation.motion import Motion
-from estimation.types import BinTable
+from estimation.geometry.estimate import GeometryParameters, estimate_geometry
+from estimation.tables import bin_table
+from estimation.tables.bin_table import BinParameters
+from estimation.values.geometry import BinTable
+from estimation.values.motion import Motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class BinnedState:
 
 @dataclass(frozen=True, slots=True)
 class BinnedGeometry:
-    """``estimation.bins`` and ``estimation.geometry``, as the jobs use them."""
+    """``estimation.tables.bin_table`` and ``estimation.geometry``, as the jobs use them."""
 
     geometry: GeometryParameters = field(default_factory=GeometryParameters)
     name: str = "bins"
@@ -35,19 +35,19 @@ class BinnedGeometry:
             source=parameters.source, band_limited=parameters.band_limited, vehicle=parameters.vehicle
         )
         shape = replace(self.geometry, uncertainty=parameters.uncertainty, curve=parameters.curve)
-        return BinnedState(settings, shape, bins.init(settings))
+        return BinnedState(settings, shape, bin_table.init(settings))
 
     def update(self, state: BinnedState, motion: Motion) -> BinnedState:
         """Return the state that has seen ``motion`` as well."""
-        return replace(state, table=bins.merge(state.table, bins.tabulate(motion, state.bins)))
+        return replace(state, table=bin_table.merge(state.table, bin_table.tabulate(motion, state.bins)))
 
     def merge(self, first: BinnedState, second: BinnedState) -> BinnedState:
         """Return the state that has seen what both have seen; ValueError where their parameters differ."""
-        return replace(first, table=bins.merge(first.table, second.table))
+        return replace(first, table=bin_table.merge(first.table, second.table))
 
     def result(self, state: BinnedState) -> CurveEstimate:
         """Return what is published of the curve."""
-        found = geometry.estimate(state.table, state.bins, state.geometry)
+        found = estimate_geometry(state.table, state.bins, state.geometry)
         difference = found.rolling_radius_difference
         return CurveEstimate(
             displacement=0.5 * (found.bin_edges[:-1] + found.bin_edges[1:]),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimation.arrays import BoolArray, FloatArray, IntArray
-from estimation.motion import Motion
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.motion import Motion
 
 WIDTH = 0.25e-3  # m
 REACH = 7.0e-3  # m

@@ -11,12 +11,12 @@ from functools import partial
 
 import numpy as np
 
-from estimation.arrays import FloatArray
 from estimation.errors import ParameterError
 from estimation.estimators.coverage import REACH
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.series import SeriesState, added, empty, merged, solved
-from estimation.motion import Motion
+from estimation.values.arrays import FloatArray
+from estimation.values.motion import Motion
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,12 +11,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
-from estimation.arrays import FloatArray, frozen_array
-from estimation.curve import CurveParameters
-from estimation.geometry import ParameterUncertainty
-from estimation.motion import Motion
-from estimation.types import Estimate, Status
-from estimation.vehicle import VehicleParameters
+from estimation.geometry.conicity import CurveParameters
+from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.motion import Motion
+from estimation.values.quantities import Estimate, Status
+from estimation.vehicle.equations_of_motion import VehicleParameters
 
 
 @dataclass(frozen=True, slots=True)

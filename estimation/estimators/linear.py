@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.arrays import FloatArray
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.series import SeriesState, added, empty, merged, solved
-from estimation.motion import Motion
+from estimation.values.arrays import FloatArray
+from estimation.values.motion import Motion
 
 MILLIMETRE = 1e-3
 

@@ -1,4 +1,4 @@
-"""The paper's own algorithm (``estimation.paper``), stretch by stretch: grey-box recursion in every bin of y - d.
+"""The paper's own algorithm (``paper_equations``), stretch by stretch: grey-box recursion in every bin of y - d.
 
 Only the yaw identification (Eq. 17-18) runs, which gives rL - rR; V of the paper is the mean speed of a stretch. The
 recursion starts in a bin when the threshold count is reached. Its intervals are those of the recursion's own
@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numba
 import numpy as np
 
-from estimation.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.errors import ParameterError
 from estimation.estimators.coverage import REACH, usable
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.paper_equations import REGRESSORS, yaw_output
 from estimation.estimators.replicates import Replicates, curve_estimate, nothing
-from estimation.motion import Motion
-from estimation.paper import REGRESSORS, yaw_output
+from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.motion import Motion
 
 SCALE = (1e-3, 1e-3, 1.0)  # usual size of psi, phi' and the constant
 FEWEST_BINS = 5

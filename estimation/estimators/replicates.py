@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.arrays import FloatArray
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
-from estimation.jackknife import jackknife_std, with_interval
-from estimation.types import Estimate, Status
+from estimation.values.arrays import FloatArray
+from estimation.values.intervals import jackknife_std, with_interval
+from estimation.values.quantities import Estimate, Status
 
 FEWEST_GROUPS = 4
 

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.arrays import FloatArray, IntArray, frozen_array
-from estimation.bins import group_of
 from estimation.estimators.coverage import CELLS, counted, covered_range, usable
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.replicates import Replicates, curve_estimate, nothing
-from estimation.motion import Motion
-from estimation.regressors import YAW_TARGETS, regression
+from estimation.tables.bin_table import group_of
+from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.motion import Motion
+from estimation.vehicle.regressors import YAW_TARGETS, regression
 
 GROUPS = 16
 SPACING = 0.05e-3  # m of y - d at which the curve is given

@@ -10,17 +10,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.gauge_shift import gauge_shift
-from estimation.motion import Motion
-from estimation.settings import EstimationSettings
-from estimation.signals import Refusal, motion
-from estimation.track.epochs import AlignmentSettings, reduced
-from estimation.track.joined_windows import whole_runs
-from estimation.track.measured import MeasuredCurve
+from estimation.motion.gates import WindowParameters
+from estimation.motion.gauge_shift import gauge_shift
+from estimation.motion.joined_windows import whole_runs
+from estimation.motion.parameters import Refusal
+from estimation.motion.track_relative import motion
+from estimation.track.epochs import reduced
+from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.passes import Pass, passes
-from estimation.track.positions import Correction
 from estimation.track.section import SectionEstimate, estimate_section
-from estimation.types import Status, TrackAlignment, Window
+from estimation.track.settings import AlignmentSettings
+from estimation.values.motion import Motion
+from estimation.values.quantities import Status
+from estimation.values.track import Correction, TrackAlignment
+from estimation.values.windows import Window
 
 STEP = 0.5  # m
 _UNMOVED = Correction()
@@ -61,12 +64,12 @@ def straight_track(section: str, length: float) -> TrackAlignment:
     return TrackAlignment(section, 0, s, zero, zero, zero, zero, zero.astype(np.int64), Status.ESTIMATED)
 
 
-def section_passes(windows: Iterable[Window], settings: EstimationSettings, alignment: AlignmentSettings) -> list[Pass]:
+def section_passes(windows: Iterable[Window], parameters: WindowParameters, alignment: AlignmentSettings) -> list[Pass]:
     """Return the passes of ``windows``, as the alignment of their section is found from them."""
     return [
         reduced(item, item.wheelset, alignment.pass_step)
         for window in whole_runs(windows)
-        for item in passes(window, settings.vehicle, settings.signals)
+        for item in passes(window, parameters.vehicle, parameters.signals)
     ]
 
 
@@ -101,13 +104,13 @@ def fleet_knowledge(
     return TrackKnowledge(estimate.alignment, estimate)
 
 
-def motions(windows: Iterable[Window], knowledge: TrackKnowledge, settings: EstimationSettings) -> Iterator[Motion]:
+def motions(windows: Iterable[Window], knowledge: TrackKnowledge, parameters: WindowParameters) -> Iterator[Motion]:
     """Yield the motion of every window relative to the track, as far as it is known; refused windows are left out."""
     for window in windows:
         placed = knowledge.placed(window)
         if placed is None:
             continue
-        shift = gauge_shift(placed, knowledge.track, settings.vehicle, settings.signals)
-        moved = motion(placed, knowledge.track, settings.signals, gauge_shift=shift)
+        shift = gauge_shift(placed, knowledge.track, parameters.vehicle, parameters.signals)
+        moved = motion(placed, knowledge.track, parameters.signals, gauge_shift=shift)
         if not isinstance(moved, Refusal):
             yield moved

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from estimation.errors import NotFoundError
 from estimation.jobs import estimate_windows, evaluate_alerts, refresh_alignment, refresh_geometry, refresh_trends
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.ports import JobRun
+from estimation.values.runs import JobRun
 
 ALL_JOBS: tuple[Job, ...] = (
     refresh_alignment.JOB,

@@ -13,12 +13,14 @@ from functools import lru_cache
 
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
-from estimation.ports import AlignmentRecord, UnitOfWork, WindowPosition, WindowRecord, WindowState
-from estimation.settings import EstimationSettings
-from estimation.signals import Refusal
-from estimation.track.positions import Correction
-from estimation.types import FLEET, BinTable, Status, TrackAlignment, TrackLayout
-from estimation.window_table import NO_ALIGNMENT, tabulate_window
+from estimation.jobs.settings import EstimationSettings
+from estimation.motion.parameters import Refusal
+from estimation.storage import UnitOfWork
+from estimation.tables.window import NO_ALIGNMENT, tabulate_window
+from estimation.values.geometry import BinTable
+from estimation.values.quantities import Status
+from estimation.values.track import FLEET, AlignmentRecord, Correction, TrackAlignment, TrackLayout
+from estimation.values.windows import WindowPosition, WindowRecord, WindowState
 
 
 def run(context: JobContext) -> Mapping[str, int]:
@@ -99,12 +101,14 @@ def _outcome(unit: UnitOfWork, work: _Work, settings: EstimationSettings) -> Bin
         return Refusal(str(error))  # names the file; the other windows go on
     position = work.position
     if position is None or position.content_digest != work.record.content_digest:
-        return tabulate_window(window, work.track, settings, mounted_reversed=work.mounted_reversed, layout=work.layout)
+        return tabulate_window(
+            window, work.track, settings.windows, mounted_reversed=work.mounted_reversed, layout=work.layout
+        )
     correction = Correction(position.offset_m, position.scale, position.middle_m)
     return tabulate_window(
         window,
         work.track,
-        settings,
+        settings.windows,
         correction,
         position.reason,
         mounted_reversed=work.mounted_reversed,

@@ -6,15 +6,17 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from estimation.alert_transitions import close, transition
-from estimation.alerts import Alert, AlertEventKind, Transition
-from estimation.identity import IdentityEvent
-from estimation.jobs.identities import new_events
+from estimation.alerts.identity import IdentityEvent
+from estimation.alerts.life_cycle import close, transition
+from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rules.evaluation import WheelsetFacts, findings, overtaken
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.raise_alerts import raise_in_fleet
-from estimation.ports import UnitOfWork, WheelsetRecord, WindowRecord
-from estimation.rules.book import RuleBook
-from estimation.rules.evaluation import WheelsetFacts, findings, overtaken
+from estimation.jobs.steps.identities import new_events
+from estimation.jobs.steps.raise_alerts import raise_in_fleet
+from estimation.storage import UnitOfWork
+from estimation.values.alerts import Alert, AlertEventKind, Transition
+from estimation.values.registry import WheelsetRecord
+from estimation.values.windows import WindowRecord
 
 FIRST_LOOK_NS = 3_600_000_000_000
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from estimation.errors import ConflictError, StoppedError, TreadwatchError
-from estimation.ports import Clock, JobRun, Storage
+from estimation.storage import Clock, Storage
+from estimation.values.runs import JobRun
 
 _log = logging.getLogger(__name__)
 _Setting = TypeVar("_Setting")

@@ -15,19 +15,21 @@ import numpy as np
 
 from estimation.errors import DamagedError, StoppedError, TreadwatchError
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.measured_wheelsets import Measured, measured
-from estimation.jobs.store_alignment import Epoch, EpochPasses, WindowKey, store
-from estimation.ports import TrackSectionRecord, UnitOfWork, WindowRecord
-from estimation.settings import EstimationSettings
-from estimation.signals import Refusal
-from estimation.straight_part import straight_part
-from estimation.track.epochs import AlignmentSettings, bounded, epoch_digest, life, reduced
+from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.measured_wheelsets import Measured, measured
+from estimation.jobs.steps.store_alignment import Epoch, EpochPasses, WindowKey, store
+from estimation.motion.curves import straight_part
+from estimation.motion.gates import gate
+from estimation.motion.joined_windows import following, joined
+from estimation.motion.parameters import Refusal
+from estimation.storage import UnitOfWork
+from estimation.track.epochs import bounded, epoch_digest, life, reduced
 from estimation.track.examination import examine
-from estimation.track.joined_windows import following, joined
 from estimation.track.passes import Pass
-from estimation.track.recordings import find
-from estimation.types import TrackAlignment, Window
-from estimation.window_table import gate
+from estimation.track.settings import AlignmentSettings
+from estimation.track.update import find
+from estimation.values.track import TrackAlignment, TrackSectionRecord
+from estimation.values.windows import Window, WindowRecord
 
 _COUNTS = ("sections", "windows", "passes", "versions", "kept", "unestimated", "unchanged", "changed_meanwhile")
 
@@ -139,7 +141,7 @@ def _passes(context: JobContext, waiting: _Waiting) -> EpochPasses:
     refused: dict[WindowKey, str] = {}
     clean = []
     for record, name in zip(waiting.records, waiting.lives, strict=True):
-        gated = gate(record.quality, record.track_section, settings)
+        gated = gate(record.quality, record.track_section, settings.gates)
         if gated is None:
             clean.append((record, name))
         else:
@@ -179,7 +181,7 @@ def _examined(
     turned = mounting is not None and mounting.reversed
     keys = [(w.sample_interval_s, w.start_ns, w.start_ns + w.length_ns) for w in windows]
     for group in following(windows, keys):
-        examined = examine(joined(group), settings, mounted_reversed=turned)
+        examined = examine(joined(group), settings.windows, mounted_reversed=turned)
         serials = tuple((window.wheelset, window.start_ns) for window in group)
         found.append((serials, examined.passes, examined.outcome.reason))
     return found

@@ -7,14 +7,17 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from estimation import bins, geometry
+from estimation.alerts.rules.identity import Break
 from estimation.errors import DamagedError
-from estimation.jobs.identities import latest_break
+from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.job import Job, JobContext
-from estimation.ports import GeometryRecord, Mounting, UnitOfWork, WheelsetRecord, WindowRecord
-from estimation.rules.identity import Break
-from estimation.settings import EstimationSettings
-from estimation.types import BinTable
+from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.identities import latest_break
+from estimation.storage import UnitOfWork
+from estimation.tables import bin_table
+from estimation.values.geometry import BinTable, GeometryRecord
+from estimation.values.registry import Mounting, WheelsetRecord
+from estimation.values.windows import WindowRecord
 
 _STALE_AT_ONCE = 10_000
 REMEMBERED_HALF_LIVES = 20.0  # a weight of one in a million
@@ -104,7 +107,7 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
         records.append(_emptied(current, context))
     elif newest is not None:
         near = _remembered(_since(newest[1], broken), settings.half_life_km)
-        table = bins.merge_with_mileage(_tables(unit, near), settings.half_life_km, settings.bins)
+        table = bin_table.merge_with_mileage(_tables(unit, near), settings.half_life_km, settings.bins)
         records.append(_record(unit, newest[0], None, near, table, context))
     return records
 
@@ -119,7 +122,7 @@ def _intervals(
     records = []
     for interval, part in parts.items():
         if interval not in stored or stored[interval].input_digest != _digest(part, context.code_version):
-            table = bins.merge_all([table for _, table in _tables(unit, part)], settings.bins)
+            table = bin_table.merge_all([table for _, table in _tables(unit, part)], settings.bins)
             records.append(_record(unit, baseline, interval, part, table, context))
     return records + [_emptied(record, context) for interval, record in stored.items() if interval not in parts]
 
@@ -150,7 +153,7 @@ def _emptied(record: GeometryRecord, context: JobContext) -> GeometryRecord:
     settings = context.setting(EstimationSettings)
     return replace(
         record,
-        geometry=geometry.estimate(bins.init(settings.bins), settings.bins, settings.geometry),
+        geometry=estimate_geometry(bin_table.init(settings.bins), settings.bins, settings.geometry),
         input_digest=_digest([], context.code_version),
         track_versions={},
         parameters=settings.as_json(),
@@ -220,7 +223,7 @@ def _record(
         mileage_km=_mean_mileage(windows, None if interval is not None else settings.half_life_km),
         from_ns=windows[0].start_ns,
         to_ns=windows[-1].start_ns + windows[-1].length_ns,
-        geometry=geometry.estimate(table, settings.bins, shape),
+        geometry=estimate_geometry(table, settings.bins, shape),
         input_digest=_digest(entries, context.code_version),
         track_versions=versions,
         parameters=settings.as_json(),

@@ -7,13 +7,16 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
-from estimation.jobs.identities import latest_break, unbroken
+from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rules.evaluation import speed_class
 from estimation.jobs.job import Job, JobContext
-from estimation.ports import GeometryRecord, TrendRecord, UnitOfWork, WheelsetRecord
-from estimation.rules.book import RuleBook
-from estimation.rules.evaluation import speed_class
-from estimation.trend import TrendParameters, refresh
-from estimation.trend_points import conicity_points
+from estimation.jobs.steps.identities import latest_break, unbroken
+from estimation.storage import UnitOfWork
+from estimation.trend.points import conicity_points
+from estimation.trend.trend import TrendParameters, refresh
+from estimation.values.geometry import GeometryRecord
+from estimation.values.registry import WheelsetRecord
+from estimation.values.trend import TrendRecord
 
 
 def run(context: JobContext) -> Mapping[str, int]:

@@ -1,1 +1,1 @@
-"""The lateral alignment of a place, from the fleet that passes it."""
+"""Passes of a section in; the next version of its alignment, positions of its windows and a report out."""

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from estimation.settings import EstimationSettings
+from estimation.motion.checks import against_its_axes, position_jumps, told, unmoved, without_jumps
+from estimation.motion.gates import WindowParameters, gate
 from estimation.track.passes import Pass, passes
-from estimation.track.screening import PassOutcome, PassStatus
-from estimation.types import Window
-from estimation.window_checks import against_its_axes, position_jumps, told, unmoved, without_jumps
-from estimation.window_table import gate
+from estimation.track.screening.screen import PassOutcome, PassStatus
+from estimation.values.windows import Window
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,29 +23,29 @@ class Examined:
     outcome: PassOutcome
 
 
-def examine(window: Window, settings: EstimationSettings, *, mounted_reversed: bool = False) -> Examined:
+def examine(window: Window, parameters: WindowParameters, *, mounted_reversed: bool = False) -> Examined:
     """Return the passes of a window along its section, with the reason where there is none or not all of it is used.
 
     Parameters
     ----------
     window
         Measured accelerations and distance along its section.
-    settings
+    parameters
         Vehicle, gates and filters.
     mounted_reversed
         The wheelset's left wheel is on the vehicle's right-hand side.
     """
-    gated = gate(window.quality, window.track_section, settings)
-    refusal = gated.reason if gated is not None else unmoved(window, settings.signals)
+    gated = gate(window.quality, window.track_section, parameters.gates)
+    refusal = gated.reason if gated is not None else unmoved(window, parameters.signals)
     if refusal:
         return _examined(window, (), refusal)
-    jumps = position_jumps(window, settings.signals)
+    jumps = position_jumps(window, parameters.signals)
     cut = without_jumps(window, jumps)
-    found = passes(cut, settings.vehicle, settings.signals, mounted_reversed=mounted_reversed)
+    found = passes(cut, parameters.vehicle, parameters.signals, mounted_reversed=mounted_reversed)
     if not found:
-        least = f"no uninterrupted stretch of {settings.signals.shortest_stretch_s:g} s along one direction"
+        least = f"no uninterrupted stretch of {parameters.signals.shortest_stretch_s:g} s along one direction"
         return _examined(window, (), "; ".join([*told(jumps), least]))
-    refusal = against_its_axes(cut, settings.signals)
+    refusal = against_its_axes(cut, parameters.signals)
     if refusal:
         return _examined(window, (), refusal)
     return _examined(window, tuple(found), "; ".join(told(jumps)))

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.arrays import BoolArray, FloatArray, frozen_array
-from estimation.signals import SignalParameters, running_integrals, stretches
-from estimation.track.fusion import Felt, FusionParameters, fused
-from estimation.types import Window
-from estimation.vehicle import VehicleParameters
+from estimation.motion.integration import stretches
+from estimation.motion.parameters import SignalParameters
+from estimation.motion.rolling_radius_difference import Felt, FusionParameters, felt_along, fused
+from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.windows import Window
+from estimation.vehicle.equations_of_motion import VehicleParameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,49 +103,3 @@ def _placed(window: Window, felt: Felt, vehicle: VehicleParameters, direction: i
             mounted * grid.elastic[along],
         )
     ]
-
-
-def felt_along(window: Window, known: BoolArray, part: slice, p: VehicleParameters, run: FloatArray) -> Felt:
-    """Return y, the measured R (Eq. 2 solved for rL - rR with S = 2 r0, the contact angle terms left out) and psi.
-
-    Parameters
-    ----------
-    window
-        Measured accelerations and speed.
-    known
-        (m,) which samples of the stretch are usable.
-    part
-        The stretch.
-    p
-        Parameters of Eq. 1 and Eq. 2.
-    run
-        (m,) m, increasing.
-    """
-    accelerations, rates, displacements = running_integrals(window, known, part)
-    V = np.interp(np.arange(len(known)), np.flatnonzero(known), window.speed[part][known])
-    y, ψ, φ = displacements[:3]
-    dy, dψ, dφ = rates[:3]
-    f11, f23, l = p.longitudinal_creep_coefficient, p.lateral_spin_creep_coefficient, p.half_contact_distance  # noqa: E741 - the paper's l
-    rolling_velocity = dy + p.nominal_radius * dφ
-    elastic = p.yaw_inertia * accelerations[1] + p.yaw_stiffness * ψ + p.yaw_damping * dψ
-    moment = (
-        elastic
-        + (p.pitch_inertia * V / p.nominal_radius) * dφ
-        + (2 * l**2 * f11 / V) * dψ
-        - (2 * f23 / V) * (rolling_velocity - V * ψ)
-    )
-    force = (
-        p.wheelset_mass * accelerations[0]
-        + (2 * f23 / V) * dψ
-        + p.load * φ
-        + p.suspended_mass * accelerations[3]  # what the suspension takes up
-    )
-    per_moment = -p.nominal_radius / (l * f11)
-    return Felt(
-        run=run,
-        speed=V,
-        displacement=y,
-        difference=np.asarray(per_moment * moment),
-        elastic=np.asarray(per_moment * elastic),
-        yaw=np.asarray(rolling_velocity / V + force / (2 * p.lateral_creep_coefficient)),
-    )

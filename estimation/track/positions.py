@@ -12,66 +12,18 @@ wheelsets' curves trade off; a vehicle whose wheelsets differ in wear tells them
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import signal
 
-from estimation.arrays import FloatArray
-from estimation.track.local_filter import smoother, without_slow_part
-from estimation.track.panel import PanelParameters, unexplained
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.track.journeys import Journey, PositionParameters, corrected
+from estimation.track.panel.basis import PanelParameters, unexplained
+from estimation.track.panel.solution import PanelSolution
 from estimation.track.passes import Pass, gridded
-from estimation.track.solution import PanelSolution
-
-NANOSECONDS = 1_000_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class PositionParameters:
-    """How far positions may be off."""
-
-    largest_offset: float = 45.0  # m, searched both ways
-    pause_s: float = 300.0  # a longer pause between windows of a vehicle begins a new journey
-    piece: float = 800.0  # m of a pass that is compared at a time
-    least_correlation: float = 0.4
-
-
-@dataclass(frozen=True, slots=True)
-class Correction:
-    """True position = measured + offset + scale (measured - middle)."""
-
-    offset: float = 0.0  # m
-    scale: float = 0.0
-    middle: float = 0.0  # m
-
-    def at(self, measured: FloatArray) -> FloatArray:
-        """Return corrected positions, m."""
-        return np.asarray(measured + self.offset + self.scale * (measured - self.middle))
-
-
-Journey = tuple[str, int]  # vehicle, start of its first window, ns
-
-
-def journeys(passes: Sequence[Pass], parameters: PositionParameters) -> dict[Journey, list[Pass]]:
-    """Group passes by vehicle and run."""
-    found: dict[Journey, list[Pass]] = {}
-    last: dict[str, tuple[Journey, int]] = {}
-    for item in sorted(passes, key=lambda p: (p.vehicle, p.start_ns, p.wheelset)):
-        end = item.start_ns
-        known = last.get(item.vehicle)
-        if known is None or end - known[1] > parameters.pause_s * NANOSECONDS:
-            journey = (item.vehicle, item.start_ns)
-            found[journey] = []
-        else:
-            journey = known[0]
-        found[journey].append(item)
-        last[item.vehicle] = (journey, end)
-    return found
-
-
-def corrected(passes: Sequence[Pass], correction: Correction) -> list[Pass]:
-    """Return the passes at their corrected positions."""
-    return [replace(item, at=correction.at(item.at)) for item in passes]
+from estimation.values.arrays import FloatArray
+from estimation.values.track import Correction
 
 
 def correlate(

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimation.track.panel import unexplained
-from estimation.track.positions import Journey, PositionParameters, journeys
-from estimation.track.settling import Settled
+from estimation.track.iteration import Settled
+from estimation.track.journeys import Journey, PositionParameters, journeys
+from estimation.track.panel.basis import unexplained
 
 USUAL = 1.5  # times the median of the wheelsets
 USUAL_LEAST = 0.12e-3  # m

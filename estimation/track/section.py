@@ -12,21 +12,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.arrays import FloatArray
-from estimation.track.evidence import Evidence, on_grid
-from estimation.track.findings import LIFE, Told, findings
-from estimation.track.long_alignment import long_alignment
-from estimation.track.measured import MeasuredCurve
-from estimation.track.panel import OnGrid, PanelParameters
-from estimation.track.panel import on_grid as felt_on_grid
+from estimation.track.iteration import Grouped, Settled, SettlingParameters, settle
+from estimation.track.journeys import Journey, PositionParameters, journeys
+from estimation.track.panel.basis import OnGrid, PanelParameters
+from estimation.track.panel.basis import on_grid as felt_on_grid
+from estimation.track.panel.long_waves import long_alignment
+from estimation.track.panel.measured_curves import MeasuredCurve
+from estimation.track.panel.prior_alignment import Evidence, on_grid
+from estimation.track.panel.solution import LEAST_WHEELSETS, PanelSolution, diversity
+from estimation.track.panel.stiffness_ratio import PRIOR_STD
 from estimation.track.passes import Pass
-from estimation.track.positions import Correction, Journey, PositionParameters, journeys
-from estimation.track.report import JourneyReport, LoopReport, nothing
 from estimation.track.residuals import residuals
-from estimation.track.settling import Grouped, Settled, SettlingParameters, settle
-from estimation.track.solution import LEAST_WHEELSETS, PanelSolution, diversity
-from estimation.track.stiffness import PRIOR_STD
-from estimation.types import FLEET, Status, TrackAlignment
+from estimation.track.results import LIFE, JourneyReport, LoopReport, Told, findings, nothing
+from estimation.values.arrays import FloatArray
+from estimation.values.quantities import Status
+from estimation.values.track import FLEET, Correction, TrackAlignment
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.alerts import AlertEventKind, AlertKind, Condition, Severity
+from estimation.values.alerts import AlertEventKind, AlertKind, Condition, Severity
 from fleet_db.models.base import Base, Count, Json, Name, Nanoseconds, Real, Serial, one_of
 
 OPEN = text("closed_ns IS NULL")

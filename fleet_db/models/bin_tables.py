@@ -5,7 +5,7 @@ from __future__ import annotations
 from sqlalchemy import ForeignKey, ForeignKeyConstraint, String
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.types import BinStatus
+from estimation.values.geometry import BinStatus
 from fleet_db.models.base import Base, Count, Digest, Nanoseconds, Packed, Real, one_of
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from sqlalchemy import CheckConstraint, ForeignKey, ForeignKeyConstraint, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.types import FLEET, RECORDED, Status
+from estimation.values.quantities import Status
+from estimation.values.track import FLEET, RECORDED
 from fleet_db.models.base import Base, Count, Digest, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
 
 

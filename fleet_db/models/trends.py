@@ -5,7 +5,7 @@ from __future__ import annotations
 from sqlalchemy import CheckConstraint, ForeignKey, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.types import Status
+from estimation.values.quantities import Status
 from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Packed, Real, Serial, one_of
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.ports import WindowState
+from estimation.values.windows import WindowState
 from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Real, one_of
 
 PENDING = text("state = 'pending'")

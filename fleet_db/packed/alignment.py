@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from estimation.alerts import JsonValue
-from estimation.types import RECORDED, Findings, GaugeShift, Status, TrackAlignment
+from estimation.values.json_value import JsonValue
+from estimation.values.quantities import Status
+from estimation.values.track import RECORDED, Findings, GaugeShift, TrackAlignment
 from fleet_db.packed.numbers import number_to_json, real_from_json
 from fleet_db.packing import pack, unpack
 

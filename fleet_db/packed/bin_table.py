@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimation.arrays import BoolArray, FloatArray
-from estimation.types import BinTable
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.geometry import BinTable
 from fleet_db.packing import pack, unpack
 
 KIND = "bin_table"

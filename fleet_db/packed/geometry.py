@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from estimation.types import COMBINATIONS, BinStatus, BinValues, Status, WheelsetGeometry
+from estimation.values.geometry import COMBINATIONS, BinStatus, BinValues, WheelsetGeometry
+from estimation.values.quantities import Status
 from fleet_db.packed.numbers import estimate_from_json, estimate_to_json, number_to_json, real_from_json
 from fleet_db.packing import Array, pack, unpack
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from estimation.types import TrackLayout
+from estimation.values.track import TrackLayout
 from fleet_db.packing import pack, unpack
 
 KIND = "track_layout"

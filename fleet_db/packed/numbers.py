@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from estimation.alerts import JsonValue
 from estimation.errors import StorageError
-from estimation.types import Estimate, Forecast, Status
+from estimation.values.json_value import JsonValue
+from estimation.values.quantities import Estimate, Forecast, Status
 
 
 def number_to_json(value: float | np.integer[Any] | None) -> JsonValue:

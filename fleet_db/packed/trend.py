@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from estimation.types import Status, WearTrend
+from estimation.values.quantities import Status
+from estimation.values.trend import WearTrend
 from fleet_db.packed.numbers import (
     estimate_from_json,
     estimate_to_json,

@@ -9,8 +9,8 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, insert, select, update
 
-from estimation.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, AlertScope, Condition, Severity
 from estimation.errors import ConflictError, NotFoundError
+from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, AlertScope, Condition, Severity
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import AlertEventRow, AlertRow
@@ -22,7 +22,7 @@ ALERTS, EVENTS = table_of(AlertRow), table_of(AlertEventRow)
 
 @dataclass(frozen=True, slots=True)
 class AlertStore:
-    """Implements ``estimation.ports.Alerts``.
+    """Implements ``estimation.storage.Alerts``.
 
     In a transaction that writes, whoever reads an alert first holds the lock of the alerts until the end: what was
     read is still true when it is saved, and events are numbered in the order in which they become visible.

@@ -9,8 +9,8 @@ from typing import Any
 from sqlalchemy import Connection, Select, and_, or_, select
 
 from estimation.errors import ConflictError
-from estimation.ports import WindowRecord
-from estimation.types import BinTable
+from estimation.values.geometry import BinTable
+from estimation.values.windows import WindowRecord
 from fleet_db.changes import Changes
 from fleet_db.models import WindowBinTableRow, WindowRow
 from fleet_db.packed.bin_table import pack_bin_table, unpack_bin_table
@@ -24,7 +24,7 @@ BATCH = 500  # rows fetched at once
 
 @dataclass(frozen=True, slots=True)
 class BinTableStore:
-    """Implements ``estimation.ports.BinTables``."""
+    """Implements ``estimation.storage.BinTables``."""
 
     connection: Connection
     changes: Changes

@@ -9,7 +9,7 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, and_, exists, func, insert, or_, select, update
 
-from estimation.ports import GeometryRecord
+from estimation.values.geometry import GeometryRecord
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import GeometryRow, WindowBinTableRow
@@ -24,7 +24,7 @@ NEWEST_FIRST = (GEOMETRIES.c.recorded_ns.desc(), GEOMETRIES.c.geometry_id.desc()
 
 @dataclass(frozen=True, slots=True)
 class GeometryStore:
-    """Implements ``estimation.ports.Geometries``."""
+    """Implements ``estimation.storage.Geometries``."""
 
     connection: Connection
     changes: Changes

@@ -15,7 +15,7 @@ KEYS = table_of(IdempotencyRow)
 
 @dataclass(frozen=True, slots=True)
 class IdempotencyStore:
-    """Implements ``estimation.ports.Idempotency``."""
+    """Implements ``estimation.storage.Idempotency``."""
 
     connection: Connection
 

@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.ports import JobRun
+from estimation.values.runs import JobRun
 from fleet_db.models import JobRunRow
 from fleet_db.rows import table_of
 
@@ -18,7 +18,7 @@ RUNS = table_of(JobRunRow)
 
 @dataclass(frozen=True, slots=True)
 class JobRunStore:
-    """Implements ``estimation.ports.JobRuns``."""
+    """Implements ``estimation.storage.JobRuns``."""
 
     connection: Connection
 

@@ -6,7 +6,7 @@ import hashlib
 
 from sqlalchemy import Connection, func, insert, select
 
-from estimation.types import TrackLayout
+from estimation.values.track import TrackLayout
 from fleet_db.models import TrackLayoutRow
 from fleet_db.packed.layout import pack_layout, unpack_layout
 from fleet_db.rows import table_of

@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, and_, or_, select
 
 from estimation.errors import ConflictError, ParameterError
-from estimation.ports import Mounting
+from estimation.values.registry import Mounting
 from fleet_db.models import MountingRow
 from fleet_db.rows import table_of, upsert
 

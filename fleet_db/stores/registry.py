@@ -8,16 +8,10 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, Select, select, update
 
+from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
-from estimation.ports import (
-    FleetRecord,
-    MeasuredProfiles,
-    Mounting,
-    Reprofiling,
-    VehicleRecord,
-    WheelsetRecord,
-    WindowState,
-)
+from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.windows import WindowState
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import FleetRow, ReprofilingRow, VehicleRow, WheelsetRow, WindowRow
@@ -31,7 +25,7 @@ REPROFILINGS, WINDOWS = table_of(ReprofilingRow), table_of(WindowRow)
 
 @dataclass(frozen=True, slots=True)
 class RegistryStore:
-    """Implements ``estimation.ports.Registry``."""
+    """Implements ``estimation.storage.Registry``."""
 
     connection: Connection
     changes: Changes

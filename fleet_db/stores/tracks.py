@@ -11,8 +11,16 @@ import numpy as np
 from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, select
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.ports import AlignmentRecord, TrackReport, TrackSectionRecord, WindowPosition
-from estimation.types import RECORDED, Status, TrackAlignment, TrackLayout
+from estimation.values.quantities import Status
+from estimation.values.track import (
+    RECORDED,
+    AlignmentRecord,
+    TrackAlignment,
+    TrackLayout,
+    TrackReport,
+    TrackSectionRecord,
+)
+from estimation.values.windows import WindowPosition
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import (
     TrackAlignmentRow,
@@ -47,7 +55,7 @@ RECORDS = select(
 
 @dataclass(frozen=True, slots=True)
 class TrackStore:
-    """Implements ``estimation.ports.Tracks``."""
+    """Implements ``estimation.storage.Tracks``."""
 
     connection: Connection
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from sqlalchemy import Connection, insert, select
 
-from estimation.ports import TrendRecord
+from estimation.values.trend import TrendRecord
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import TrendRow
 from fleet_db.packed.trend import pack_trend, unpack_trend
@@ -19,7 +19,7 @@ NEWEST_FIRST = (TRENDS.c.recorded_ns.desc(), TRENDS.c.trend_id.desc())
 
 @dataclass(frozen=True, slots=True)
 class TrendStore:
-    """Implements ``estimation.ports.Trends``."""
+    """Implements ``estimation.storage.Trends``."""
 
     connection: Connection
 

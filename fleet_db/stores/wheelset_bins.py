@@ -6,7 +6,7 @@ from typing import Any
 
 from sqlalchemy import Connection, delete, insert
 
-from estimation.types import COMBINATIONS, BinValues, WheelsetGeometry
+from estimation.values.geometry import COMBINATIONS, BinValues, WheelsetGeometry
 from fleet_db.models import WheelsetBinRow
 from fleet_db.rows import null_if_nan, table_of
 

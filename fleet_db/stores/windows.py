@@ -10,8 +10,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, and_, bindparam, delete, exists, func, or_, select
 
 from estimation.errors import NotFoundError
-from estimation.ports import WindowRecord, WindowState
-from estimation.types import Window, WindowQuality
+from estimation.values.windows import Window, WindowQuality, WindowRecord, WindowState
 from fleet_db.changes import Changes
 from fleet_db.models import WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.rows import insert_new, key_given, key_of, nan_if_null, null_if_nan, replace, table_of
@@ -45,7 +44,7 @@ REALS = (
 
 @dataclass(frozen=True, slots=True)
 class WindowStore:
-    """Implements ``estimation.ports.Windows``."""
+    """Implements ``estimation.storage.Windows``."""
 
     connection: Connection
     changes: Changes

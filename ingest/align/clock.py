@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.arrays import BoolArray, IntArray, frozen_array
 from estimation.errors import LogFileError
-from estimation.types import FrameBatch
+from estimation.values.arrays import BoolArray, IntArray, frozen_array
 from ingest.align.counts import AlignCounts
 from ingest.canopen import SYNC_ID, SYNC_PERIOD, TIME_ID, vehicle_time_ns
 from ingest.codec import Decoded
+from ingest.frames import FrameBatch
 
 TIME_REACH_NS = 3_000_000_000
 """How far from a TIME frame a SYNC may be: two lost TIME frames are bridged."""

@@ -7,13 +7,35 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.arrays import BoolArray, IntArray, frozen_array
-from estimation.types import ACCELERATIONS, SampleBlock
+from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.windows import ACCELERATIONS
 from ingest.align.clock import TIME_REACH_NS
 from ingest.align.counts import AlignCounts
 from ingest.align.ticks import TickedValues
 from ingest.catalogue import ACCELERATION, EMERGENCY, STATUS, Catalogue
 from ingest.codec import MessageValues
+
+
+@dataclass(frozen=True, slots=True)
+class SampleBlock:
+    """Samples of one node of one vehicle on one time base; where ``valid`` is False the value is NaN."""
+
+    vehicle: str
+    node: int
+    signals: tuple[str, ...]  # m names
+    t_ns: IntArray  # (n,), strictly increasing
+    values: FloatArray  # (n, m)
+    valid: BoolArray  # (n, m)
+
+    def __post_init__(self) -> None:
+        n, m = len(self.t_ns), len(self.signals)
+        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, (n,), np.int64, name="t_ns"))
+        object.__setattr__(self, "values", frozen_array(self.values, (n, m), name="values"))
+        object.__setattr__(self, "valid", frozen_array(self.valid, (n, m), np.bool_, name="valid"))
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
 
 CLIPPED_BITS = ("lateral_clipped", "yaw_clipped", "roll_clipped", "mass_lateral_clipped")
 COUNTER_VALUES = 1 << 32

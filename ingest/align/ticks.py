@@ -8,13 +8,13 @@ from types import MappingProxyType
 
 import numpy as np
 
-from estimation.arrays import BoolArray, IntArray, frozen_array
-from estimation.types import FrameBatch
+from estimation.values.arrays import BoolArray, IntArray, frozen_array
 from ingest.align.clock import UNPLACED, TimeFrames, sync_clock, time_frames
 from ingest.align.counts import AlignCounts
 from ingest.canopen import SYNC_ID, TIME_ID
 from ingest.catalogue import ACCELERATION, Catalogue, MessagePlan
 from ingest.codec import FrameCounts, RawArray, decode
+from ingest.frames import FrameBatch
 
 
 @dataclass(frozen=True, slots=True)

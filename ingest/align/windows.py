@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.arrays import BoolArray, FloatArray, IntArray
 from estimation.errors import ParameterError
-from estimation.ports import Mounting, VehicleRecord
-from estimation.types import ACCELERATIONS, Window, WindowQuality
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.registry import Mounting, VehicleRecord
+from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
 from ingest.align.counts import AlignCounts
 from ingest.align.motion import NO_SECTION, GridMotion, VehicleMotion, vehicle_motion
 from ingest.align.samples import NodeSamples, node_samples, widened

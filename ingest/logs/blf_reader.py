@@ -18,8 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import LogFileError
-from estimation.types import ERROR_FLAG, REMOTE_FLAG, FrameBatch
-from ingest.frames import DATA_BYTES, empty_batch, sealed
+from ingest.frames import DATA_BYTES, ERROR_FLAG, REMOTE_FLAG, FrameBatch, empty_batch, sealed
 from ingest.logs import blf_layout as blf
 from ingest.logs.channels import channel_name
 from ingest.logs.limits import DEFAULT_LIMITS, ReadLimits

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from estimation.types import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from ingest.logs import blf_layout as blf
 from ingest.logs.channels import channel_number
 

@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import LogFileError
-from estimation.types import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from ingest.frames import DATA_BYTES
+from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from ingest.logs.channels import channel_number, library_channel_name
 from ingest.logs.library import FRAME
 from ingest.logs.text_lines import ASC_LINES, CANDUMP_LINES, check_lines

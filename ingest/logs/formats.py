@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from estimation.errors import LogFileError
-from estimation.types import FrameBatch
+from ingest.frames import FrameBatch
 from ingest.logs.blf_reader import read_blf
 from ingest.logs.blf_writer import write_blf
 from ingest.logs.library import read_with_library, write_with_library

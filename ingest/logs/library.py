@@ -18,8 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import LogFileError
-from estimation.types import FrameBatch
-from ingest.frames import sealed
+from ingest.frames import FrameBatch, sealed
 from ingest.logs.limits import DEFAULT_LIMITS, ReadLimits
 
 FRAME = np.dtype([("t_ns", "<i8"), ("id", "<u4"), ("dlc", "u1"), ("data", "u1", 8)])

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from estimation.arrays import BoolArray, IntArray
 from estimation.errors import ScenarioError
-from estimation.types import ACCELERATIONS, FrameBatch
+from estimation.values.arrays import BoolArray, IntArray
+from estimation.values.windows import ACCELERATIONS
 from ingest import catalogue as kinds
 from ingest.canopen import sync_counter, time_of_day
 from ingest.catalogue import Catalogue, MessagePlan
 from ingest.codec import encode
-from ingest.frames import concatenate, sort_by_time, take
+from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.simulator.campaign import BUS, VehicleRun, failed, seed_of
 from ingest.simulator.motion import STEP
 from ingest.simulator.scenario import FaultKind, Scenario, SectionPlan

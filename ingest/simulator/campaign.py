@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.arrays import FloatArray, frozen_array
 from estimation.contact.table import ContactTable
 from estimation.errors import ScenarioError
+from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset, travelled
 from ingest.simulator.scenario import Scenario, SpeedRange, VehiclePlan, WheelsetPlan
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.arrays import FloatArray, frozen_array
 from estimation.errors import ParameterError
-from estimation.vehicle import VehicleParameters
+from estimation.values.arrays import FloatArray, frozen_array
+from estimation.vehicle.equations_of_motion import VehicleParameters
 
 GRAVITY = 9.81  # m/s2
 ROUNDING = 6.0  # m over which the ends of transitions are rounded: no track has a kink in its cant

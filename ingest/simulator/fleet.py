@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from estimation.types import FrameBatch
 from ingest.catalogue import default_catalogue
+from ingest.frames import FrameBatch
 from ingest.logs.blf_writer import write_blf
 from ingest.simulator.bus_frames import vehicle_frames
 from ingest.simulator.campaign import (

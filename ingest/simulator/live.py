@@ -9,8 +9,8 @@ from dataclasses import replace
 import can
 
 from estimation.errors import ParameterError
-from estimation.types import FrameBatch
 from ingest.bus import send
+from ingest.frames import FrameBatch
 from ingest.simulator.campaign import scenario_track
 from ingest.simulator.fleet import simulate_campaign
 from ingest.simulator.scenario import Scenario

@@ -8,10 +8,10 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from estimation.arrays import FloatArray, frozen_array
 from estimation.errors import ParameterError
-from estimation.types import ACCELERATIONS
-from estimation.vehicle import VehicleParameters, creep_rate
+from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.windows import ACCELERATIONS
+from estimation.vehicle.equations_of_motion import VehicleParameters, creep_rate
 from ingest.simulator.curves import path_motion
 from ingest.simulator.stepping import (
     FORCED,

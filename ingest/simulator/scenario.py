@@ -7,7 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from estimation.errors import ScenarioError
-from estimation.vehicle import VehicleParameters
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.sensors import SensorNode
 from ingest.simulator.track import TrackRecipe
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import WearFamily, wear_course
 from estimation.errors import ParameterError, ProfileError, ScenarioError
-from estimation.vehicle import VehicleParameters
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.curves import Curve
 from ingest.simulator.motion import MINIMUM_SPEED
 from ingest.simulator.scenario import (

@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.arrays import BoolArray, FloatArray, frozen_array
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
 from estimation.errors import NotFoundError
-from estimation.track.measured import MeasuredCurve
-from estimation.types import Status, TrackAlignment, Window, WindowQuality
-from estimation.vehicle import VehicleParameters
+from estimation.track.panel.measured_curves import MeasuredCurve
+from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.quantities import Status
+from estimation.values.track import TrackAlignment
+from estimation.values.windows import Window, WindowQuality
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import travelled
 from ingest.simulator.section_scenario import ProfilePair, SectionScenario
 from ingest.simulator.section_simulation import (

@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from estimation.arrays import FloatArray
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.table import ContactTable
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.errors import ScenarioError
-from estimation.types import ACCELERATIONS
-from estimation.vehicle import VehicleParameters
+from estimation.values.arrays import FloatArray
+from estimation.values.windows import ACCELERATIONS
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.catalogue import ACCELERATION, MOTION, VEHICLE_NODE, default_catalogue
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset, travelled
 from ingest.simulator.section_scenario import ProfilePair, SectionScenario

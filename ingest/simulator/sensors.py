@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.signal
 
-from estimation.arrays import BoolArray, FloatArray, frozen_array
 from estimation.errors import ParameterError
-from estimation.types import ACCELERATIONS
+from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.windows import ACCELERATIONS
 from ingest.simulator.motion import STEP, WheelsetMotion
 
 FULL_RATE_HZ = round(1.0 / STEP)

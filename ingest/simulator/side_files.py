@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.alerts import JsonValue
-from estimation.arrays import FloatArray
+from estimation.values.arrays import FloatArray
+from estimation.values.json_value import JsonValue
 from ingest.simulator.campaign import failed
 from ingest.simulator.scenario import Scenario, SectionPlan, VehiclePlan, WheelsetPlan
 from ingest.simulator.track import TrackTruth, write_track

@@ -14,8 +14,8 @@ import numpy as np
 import scipy.fft
 import scipy.integrate
 
-from estimation.arrays import FloatArray
 from estimation.errors import ParameterError
+from estimation.values.arrays import FloatArray
 
 Irregularity = Literal["alignment", "gauge"]
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from estimation.arrays import FloatArray, IntArray
+from estimation.values.arrays import FloatArray, IntArray
 
 STANDSTILL = 0.05  # m/s: below it the wheels stick, and only the suspended mass moves
 FORCED = 3  # accelerations that the path forces: y, psi, ym

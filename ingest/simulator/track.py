@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from estimation.arrays import FloatArray, frozen_array
 from estimation.errors import InputError, ParameterError, ScenarioError
+from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.curves import Curve, Curves, laid_out
 from ingest.simulator.spectra import synthesise
 from ingest.track_file import COLUMNS, FEWEST_POINTS, LAYOUT_COLUMNS, read_layout_columns, read_track_columns

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.arrays import FloatArray, frozen_array
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.table import ContactTable
 from estimation.contact.wear import TreadWear, worn
+from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.scenario import SectionPlan, WheelsetPlan
 from ingest.simulator.track import TrackTruth
 

@@ -6,34 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.alerts import Alert, AlertEventKind, AlertKind, Condition, Severity
-from estimation.contact.profiles import Profile
-from estimation.ports import (
-    FleetRecord,
-    GeometryRecord,
-    MeasuredProfiles,
-    Mounting,
-    Reprofiling,
-    Storage,
-    TrackReport,
-    TrackSectionRecord,
-    TrendRecord,
-    VehicleRecord,
-    WheelsetRecord,
-)
-from estimation.types import (
-    FLEET,
-    BinStatus,
-    BinValues,
-    Estimate,
-    Forecast,
-    Status,
-    TrackAlignment,
-    WearTrend,
-    WheelsetGeometry,
-    Window,
-    WindowQuality,
-)
+from estimation.contact.profiles import MeasuredProfiles, Profile
+from estimation.storage import Storage
+from estimation.values.alerts import Alert, AlertEventKind, AlertKind, Condition, Severity
+from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
+from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.track import FLEET, TrackAlignment, TrackReport, TrackSectionRecord
+from estimation.values.trend import TrendRecord, WearTrend
+from estimation.values.windows import Window, WindowQuality
 
 SECOND = 1_000_000_000
 DAY = 86_400 * SECOND

@@ -12,7 +12,7 @@ import httpx
 import pytest
 from running_service import Service
 
-from estimation.alerts import AlertKind
+from estimation.values.alerts import AlertKind
 
 _numbers = count()
 ACKNOWLEDGE = {"by": "j.smith", "note": "seen"}

@@ -19,7 +19,7 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import PRODUCT, estimators
 from estimation.estimators.interface import EstimatorParameters
 from estimation.estimators.replicates import Replicates, curve_estimate
-from estimation.vehicle import VehicleParameters
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.section_run import AMPLITUDES, WheelsetTruth
 
 SCENARIO = """\

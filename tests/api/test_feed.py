@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import api_fleet
 from running_service import Service
 
-from estimation.alerts import AlertKind
+from estimation.values.alerts import AlertKind
 
 
 def poll(service: Service, after: str | None, limit: int = 1000) -> tuple[list[tuple[int, str]], str]:

@@ -8,9 +8,9 @@ import api_fleet
 import httpx
 from running_service import Service
 
-from estimation.alerts import Alert, AlertEventKind, AlertKind, Transition
-from estimation.jobs.raise_alerts import raise_in_fleet
-from estimation.rules import RuleBook
+from estimation.alerts.rules.book import RuleBook
+from estimation.jobs.steps.raise_alerts import raise_in_fleet
+from estimation.values.alerts import Alert, AlertEventKind, AlertKind, Transition
 
 MEMBERS = api_fleet.WHEELSETS[11:18]
 KIND = AlertKind.WHEEL_ASYMMETRY

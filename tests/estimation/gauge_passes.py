@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.arrays import FloatArray
 from estimation.track.passes import Pass
+from estimation.values.arrays import FloatArray
 
 LENGTH = 2000.0  # m
 STEP = 0.5  # m

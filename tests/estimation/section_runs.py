@@ -9,11 +9,11 @@ from functools import cache
 import numpy as np
 from smooth_wheelset import SmoothTable, mems_windows, run, track
 
-from estimation.settings import EstimationSettings
-from estimation.signals import SignalParameters
+from estimation.jobs.settings import EstimationSettings
+from estimation.motion.parameters import SignalParameters
 from estimation.track.passes import Pass, passes
-from estimation.types import Window
-from estimation.vehicle import VehicleParameters
+from estimation.values.windows import Window
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
 from ingest.simulator.track import TrackTruth
 

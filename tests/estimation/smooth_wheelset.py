@@ -7,9 +7,11 @@ from functools import cache
 
 import numpy as np
 
-from estimation.motion import Motion
-from estimation.types import Status, TrackAlignment, Window, WindowQuality
-from estimation.vehicle import VehicleParameters
+from estimation.values.motion import Motion
+from estimation.values.quantities import Status
+from estimation.values.track import TrackAlignment
+from estimation.values.windows import Window, WindowQuality
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 

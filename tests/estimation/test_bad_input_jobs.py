@@ -12,18 +12,11 @@ from smooth_wheelset import alignment, mems_windows, run, track
 
 from estimation.jobs.catalogue import run_all
 from estimation.jobs.job import JobContext
-from estimation.ports import (
-    FleetRecord,
-    GeometryRecord,
-    Mounting,
-    Storage,
-    TrackSectionRecord,
-    VehicleRecord,
-    WheelsetRecord,
-    WindowRecord,
-    WindowState,
-)
-from estimation.types import FLEET, TrackAlignment, Window
+from estimation.storage import Storage
+from estimation.values.geometry import GeometryRecord
+from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.track import FLEET, TrackAlignment, TrackSectionRecord
+from estimation.values.windows import Window, WindowRecord, WindowState
 
 LENGTH = 2900.0
 HOUR_NS = 3_600 * 10**9

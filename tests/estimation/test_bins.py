@@ -11,15 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from smooth_wheelset import SmoothTable, ideal, run
 
-from estimation import bins
-from estimation.arrays import same_values
 from estimation.errors import ParameterError
-from estimation.least_squares import solve
-from estimation.motion import Motion
-from estimation.regressors import regression
-from estimation.vehicle import VehicleParameters
+from estimation.tables import bin_table
+from estimation.tables.least_squares import solve
+from estimation.values.arrays import same_values
+from estimation.values.motion import Motion
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.regressors import regression
 
-PARAMETERS = bins.BinParameters()
+PARAMETERS = bin_table.BinParameters()
 
 
 def _slice(motion: Motion, part: slice) -> Motion:
@@ -56,7 +56,7 @@ def test_sensitivities_are_derivatives_by_the_logarithm_of_the_parameter() -> No
 
 def test_a_bin_equals_least_squares_on_its_samples() -> None:
     motion = ideal(run(60))
-    table = bins.tabulate(motion, PARAMETERS)
+    table = bin_table.tabulate(motion, PARAMETERS)
     eq = regression(motion, PARAMETERS.vehicle)
     b = int(np.searchsorted(table.edges, 0.6e-3)) - 1
     inside = (motion.displacement >= table.edges[b]) & (motion.displacement < table.edges[b + 1])
@@ -73,11 +73,11 @@ def test_a_bin_equals_least_squares_on_its_samples() -> None:
 @given(cuts=st.lists(st.integers(0, 60_000), max_size=6), order=st.randoms(use_true_random=False))
 def test_any_split_in_any_order_gives_the_same_table(cuts: list[int], order: object) -> None:
     motion = ideal(run(60))
-    whole = bins.tabulate(motion, PARAMETERS)
+    whole = bin_table.tabulate(motion, PARAMETERS)
     bounds = [0, *sorted(cuts), 60_000]
-    parts = [bins.tabulate(_slice(motion, slice(a, b)), PARAMETERS) for a, b in pairwise(bounds)]
+    parts = [bin_table.tabulate(_slice(motion, slice(a, b)), PARAMETERS) for a, b in pairwise(bounds)]
     order.shuffle(parts)  # type: ignore[attr-defined]
-    merged = bins.merge_all(parts, PARAMETERS)
+    merged = bin_table.merge_all(parts, PARAMETERS)
     assert merged.samples == whole.samples
     np.testing.assert_array_equal(merged.weight, whole.weight)
     np.testing.assert_allclose(merged.lateral, whole.lateral, rtol=1e-9, atol=1e-9 * np.abs(whole.lateral).max())
@@ -86,15 +86,15 @@ def test_any_split_in_any_order_gives_the_same_table(cuts: list[int], order: obj
 
 def test_the_same_order_gives_the_same_bits() -> None:
     motion = ideal(run(60))
-    parts = [bins.tabulate(_slice(motion, slice(k, k + 20_000)), PARAMETERS) for k in (0, 20_000, 40_000)]
-    assert same_values(bins.merge_all(parts, PARAMETERS), bins.merge_all(parts, PARAMETERS))
+    parts = [bin_table.tabulate(_slice(motion, slice(k, k + 20_000)), PARAMETERS) for k in (0, 20_000, 40_000)]
+    assert same_values(bin_table.merge_all(parts, PARAMETERS), bin_table.merge_all(parts, PARAMETERS))
 
 
 def test_forgetting_halves_what_is_a_half_life_old() -> None:
-    table = bins.tabulate(ideal(run(20)), PARAMETERS)
-    merged = bins.merge_with_mileage([(0.0, table), (5_000.0, table), (10_000.0, table)], 5_000.0, PARAMETERS)
+    table = bin_table.tabulate(ideal(run(20)), PARAMETERS)
+    merged = bin_table.merge_with_mileage([(0.0, table), (5_000.0, table), (10_000.0, table)], 5_000.0, PARAMETERS)
     np.testing.assert_allclose(merged.weight, 1.75 * table.weight)
-    assert bins.merge_with_mileage([], 5_000.0, PARAMETERS).samples == 0
+    assert bin_table.merge_with_mileage([], 5_000.0, PARAMETERS).samples == 0
 
 
 def test_samples_outside_the_bins_or_not_valid_are_left_out() -> None:
@@ -104,14 +104,14 @@ def test_samples_outside_the_bins_or_not_valid_are_left_out() -> None:
     x[:100], x[100:200], x[200] = 0.5, -0.5, np.nan
     valid = motion.valid.copy()
     valid[300:400] = False
-    table = bins.tabulate(Motion(**{**values, "displacement": x, "valid": valid}), PARAMETERS)
+    table = bin_table.tabulate(Motion(**{**values, "displacement": x, "valid": valid}), PARAMETERS)
     assert table.samples == len(motion) - 301
 
 
 def test_tables_of_other_parameters_do_not_merge() -> None:
-    first = bins.init(PARAMETERS)
+    first = bin_table.init(PARAMETERS)
     with pytest.raises(ValueError, match="do not merge"):
-        bins.merge(first, bins.init(replace(PARAMETERS, width=0.5e-3)))
+        bin_table.merge(first, bin_table.init(replace(PARAMETERS, width=0.5e-3)))
 
 
 @pytest.mark.parametrize("change", [{"width": 0.0}, {"width": 1.0}, {"groups": 3}])
@@ -122,7 +122,7 @@ def test_impossible_parameters_are_refused(change: dict[str, float]) -> None:
 
 def test_all_four_combinations_are_found_from_ideal_signals() -> None:
     """The claim of science: locally linear bins find what constant bins cannot (the contact angle sum)."""
-    table = bins.tabulate(ideal(run(200)), PARAMETERS)
+    table = bin_table.tabulate(ideal(run(200)), PARAMETERS)
     truth = SmoothTable()
     x = 0.5 * (table.edges[1:] + table.edges[:-1])
     n = table.weight.sum(axis=0)

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimation.arrays import FloatArray
 from estimation.contact.conicity import equivalent_conicity
-from estimation.curve import CurveEstimates, CurveParameters, CurveReplicates, curve_estimates
-from estimation.displacement_error import MOST_EXCESS, DisplacementError
+from estimation.geometry.conicity import CurveEstimates, CurveParameters, CurveReplicates, curve_estimates
+from estimation.geometry.displacement_error import MOST_EXCESS, DisplacementError
+from estimation.values.arrays import FloatArray
 
 WIDTH = 0.25e-3  # m
 EDGES = (np.arange(-20, 22) - 0.5) * WIDTH

@@ -11,10 +11,9 @@ import pytest
 from scipy.interpolate import BSpline
 from smooth_wheelset import SmoothTable, ideal, run
 
-from estimation import paper
-from estimation.arrays import same_values
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
+from estimation.estimators import paper_equations
 from estimation.estimators.catalogue import PRODUCT, estimators
 from estimation.estimators.cubic import CubicFit, b_splines
 from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
@@ -22,10 +21,11 @@ from estimation.estimators.interface import run as run_estimator
 from estimation.estimators.linear import LinearConicity
 from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.replicates import Replicates, curve_estimate
-from estimation.geometry import ParameterUncertainty
-from estimation.motion import Motion
-from estimation.regressors import regression
-from estimation.types import Status
+from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.values.arrays import same_values
+from estimation.values.motion import Motion
+from estimation.values.quantities import Status
+from estimation.vehicle.regressors import regression
 
 CERTAIN = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0))
 ALL = pytest.mark.parametrize("estimator", estimators(), ids=lambda item: item.name)
@@ -95,7 +95,7 @@ def test_the_paper_in_stretches_is_the_paper_at_once() -> None:
     """At constant speed V is the same for every stretch, so that both run the same recursion."""
     motion = ideal(run(120))
     found = run_estimator(PaperAlgorithm(), CERTAIN, cut(motion, 9_000, 50_001))
-    plain = paper.estimate(motion, paper.PaperParameters())
+    plain = paper_equations.estimate(motion, paper_equations.PaperParameters())
     at = np.rint((found.displacement - plain.centre[0]) / 0.25e-3).astype(int)
     np.testing.assert_allclose(found.difference, plain.rolling_radius_difference[at], rtol=1e-6)
 

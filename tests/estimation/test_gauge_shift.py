@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from smooth_wheelset import alignment, mems_windows, run, track
 
-from estimation.arrays import FloatArray
-from estimation.gauge_shift import gauge_shift
-from estimation.high_pass import without_slow_part
-from estimation.motion import Motion
-from estimation.signals import SignalParameters, motion
-from estimation.types import Findings, GaugeShift, TrackAlignment, Window
-from estimation.vehicle import VehicleParameters
+from estimation.filters.wander_removal import without_slow_part
+from estimation.motion.gauge_shift import gauge_shift
+from estimation.motion.parameters import SignalParameters
+from estimation.motion.track_relative import motion
+from estimation.values.arrays import FloatArray
+from estimation.values.motion import Motion
+from estimation.values.track import Findings, GaugeShift, TrackAlignment
+from estimation.values.windows import Window
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import WheelsetMotion
 
 SIGNALS = SignalParameters()

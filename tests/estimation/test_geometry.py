@@ -9,24 +9,27 @@ import numpy as np
 import pytest
 from smooth_wheelset import SmoothTable, alignment, ideal, mems_windows, run, track
 
-from estimation import bins, geometry
 from estimation.contact.conicity import equivalent_conicity
-from estimation.curve import CurveParameters
-from estimation.settings import EstimationSettings
-from estimation.signals import Refusal
-from estimation.types import COMBINATIONS, BinStatus, BinTable, Status, WheelsetGeometry
-from estimation.window_table import NO_ALIGNMENT, tabulate_window
+from estimation.geometry.conicity import CurveParameters
+from estimation.geometry.estimate import GeometryParameters, estimate_geometry
+from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.jobs.settings import EstimationSettings
+from estimation.motion.parameters import Refusal
+from estimation.tables import bin_table
+from estimation.tables.window import NO_ALIGNMENT, tabulate_window
+from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
+from estimation.values.quantities import Status
 
 SETTINGS = EstimationSettings()
-CERTAIN = geometry.GeometryParameters(uncertainty=geometry.ParameterUncertainty(0.0, 0.0, 0.0))
+CERTAIN = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0))
 
 
 @cache
 def from_mems(seed: int, cone: float, seconds: int = 300, density: float = 1e-3) -> WheelsetGeometry:
     m = run(seconds, seed=seed, cone=cone, swing=4.0)
-    tables = [tabulate_window(w, alignment(track(seed)), SETTINGS) for w in mems_windows(m, seed, density)]
-    merged = bins.merge_all([t for t in tables if isinstance(t, BinTable)], SETTINGS.bins)
-    return geometry.estimate(merged, SETTINGS.bins, SETTINGS.geometry)
+    tables = [tabulate_window(w, alignment(track(seed)), SETTINGS.windows) for w in mems_windows(m, seed, density)]
+    merged = bin_table.merge_all([t for t in tables if isinstance(t, BinTable)], SETTINGS.bins)
+    return estimate_geometry(merged, SETTINGS.bins, SETTINGS.geometry)
 
 
 def _true_conicity(cone: float) -> np.ndarray:
@@ -72,8 +75,8 @@ def test_real_sensors_see_the_radius_difference_and_say_so_of_the_rest() -> None
 
 
 def test_ideal_sensors_see_the_zero_crossing() -> None:
-    parameters = bins.BinParameters()
-    found = geometry.estimate(bins.tabulate(ideal(run(200)), parameters), parameters, CERTAIN)
+    parameters = bin_table.BinParameters()
+    found = estimate_geometry(bin_table.tabulate(ideal(run(200)), parameters), parameters, CERTAIN)
     table = SmoothTable()
     x = np.linspace(-1e-3, 1e-3, 20_001)
     true = x[np.argmin(np.abs(table.left(x) - table.right(x)))]
@@ -82,10 +85,10 @@ def test_ideal_sensors_see_the_zero_crossing() -> None:
 
 
 def test_uncertain_parameters_hide_what_rests_on_them_even_with_ideal_sensors() -> None:
-    parameters = bins.BinParameters()
-    table = bins.tabulate(ideal(run(200)), parameters)
-    known = geometry.estimate(table, parameters, CERTAIN)
-    believed = geometry.estimate(table, parameters, geometry.GeometryParameters())
+    parameters = bin_table.BinParameters()
+    table = bin_table.tabulate(ideal(run(200)), parameters)
+    known = estimate_geometry(table, parameters, CERTAIN)
+    believed = estimate_geometry(table, parameters, GeometryParameters())
     middle = len(known.samples) // 2
     assert known.rolling_radius_sum.status[middle] is BinStatus.ESTIMATED
     assert believed.rolling_radius_sum.status[middle] is BinStatus.UNOBSERVABLE
@@ -100,8 +103,8 @@ def test_a_contact_jump_is_recognised_and_nothing_of_its_bin_is_published() -> N
     step = 0.3e-3 * (motion.displacement > 1.1e-3)
     moment = -(p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius) * step
     stepped = replace(motion, yaw_acceleration=motion.yaw_acceleration + moment / p.yaw_inertia)
-    parameters = bins.BinParameters()
-    found = geometry.estimate(bins.tabulate(stepped, parameters), parameters, CERTAIN)
+    parameters = bin_table.BinParameters()
+    found = estimate_geometry(bin_table.tabulate(stepped, parameters), parameters, CERTAIN)
     crossed = int(np.searchsorted(found.bin_edges, 1.1e-3)) - 1
     jumped = [b for b, s in enumerate(found.rolling_radius_difference.status) if s is BinStatus.CONTACT_JUMP]
     assert jumped == [crossed]
@@ -111,18 +114,18 @@ def test_a_contact_jump_is_recognised_and_nothing_of_its_bin_is_published() -> N
 
 
 def test_too_little_data_is_unestimated_with_its_reason() -> None:
-    parameters = bins.BinParameters()
-    nothing = geometry.estimate(bins.init(parameters), parameters, CERTAIN)
+    parameters = bin_table.BinParameters()
+    nothing = estimate_geometry(bin_table.init(parameters), parameters, CERTAIN)
     assert nothing.status is Status.UNESTIMATED
     assert nothing.reason
-    short = geometry.estimate(bins.tabulate(ideal(run(20)), parameters), parameters, CERTAIN)
+    short = estimate_geometry(bin_table.tabulate(ideal(run(20)), parameters), parameters, CERTAIN)
     assert short.equivalent_conicity.status is Status.UNESTIMATED
     assert "blocks" in short.reason
 
 
 def test_a_table_of_other_parameters_is_refused() -> None:
     with pytest.raises(ValueError, match="expected"):
-        geometry.estimate(bins.init(bins.BinParameters()), SETTINGS.bins, CERTAIN)
+        estimate_geometry(bin_table.init(bin_table.BinParameters()), SETTINGS.bins, CERTAIN)
 
 
 @pytest.mark.parametrize(
@@ -137,11 +140,11 @@ def test_a_table_of_other_parameters_is_refused() -> None:
 def test_gates_refuse_a_window_with_their_reason(change: dict[str, float], reason: str) -> None:
     window = mems_windows(run(60), seed=0)[0]
     bad = replace(window, quality=replace(window.quality, **change))
-    outcome = tabulate_window(bad, alignment(track(1)), SETTINGS)
+    outcome = tabulate_window(bad, alignment(track(1)), SETTINGS.windows)
     assert isinstance(outcome, Refusal)
     assert reason in outcome.reason
 
 
 def test_a_section_without_alignment_refuses_for_now() -> None:
-    outcome = tabulate_window(mems_windows(run(60), seed=0)[0], None, SETTINGS)
+    outcome = tabulate_window(mems_windows(run(60), seed=0)[0], None, SETTINGS.windows)
     assert outcome == Refusal(NO_ALIGNMENT)

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimation.arrays import FloatArray
-from estimation.high_pass import HighPass, without_slow_part
-from estimation.wander_smoother import without_wander
+from estimation.filters.smoothing_spline import without_wander
+from estimation.filters.wander_removal import HighPass, without_slow_part
+from estimation.values.arrays import FloatArray
 
 CUT_OFF = 40.0
 STEP = 0.5

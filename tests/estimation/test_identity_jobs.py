@@ -11,10 +11,13 @@ import pytest
 from smooth_wheelset import SmoothTable, alignment, mems_windows, track
 from test_bad_input_jobs import run_jobs
 
-from estimation.alerts import AlertKind
-from estimation.ports import FleetRecord, Mounting, Storage, TrackSectionRecord, VehicleRecord, WheelsetRecord
-from estimation.types import FLEET, RECORDED, TrackAlignment, WheelsetGeometry, Window
-from estimation.vehicle import VehicleParameters
+from estimation.storage import Storage
+from estimation.values.alerts import AlertKind
+from estimation.values.geometry import WheelsetGeometry
+from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.track import FLEET, RECORDED, TrackAlignment, TrackSectionRecord
+from estimation.values.windows import Window
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 
 LENGTH = 2800.0

@@ -9,8 +9,9 @@ import padasip
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles import recursive_least_squares
 
-from estimation import least_squares, recursive
+from estimation.tables import least_squares
 
 
 def _data(seed: int, n: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -40,9 +41,9 @@ def _theta(moments: least_squares.Moments) -> np.ndarray:
 )
 def test_any_split_equals_the_recursion(seed: int, forgetting: float, cuts: list[int], *, left_first: bool) -> None:
     features, measured, known = _data(seed)
-    state = recursive.init(features[:20], measured[:20], known[:20], forgetting)
+    state = recursive_least_squares.init(features[:20], measured[:20], known[:20], forgetting)
     for x, y, omega in zip(features[20:], measured[20:], known[20:], strict=True):
-        state = recursive.update(state, x, y, omega, forgetting)
+        state = recursive_least_squares.update(state, x, y, omega, forgetting)
     bounds = [0, *sorted(cuts), len(measured)]
     parts = [_one_cell(features[a:b], (measured - known)[a:b], forgetting) for a, b in pairwise(bounds)]
     if left_first:

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from gauge_passes import LENGTH, Section, passes, section
 
-from estimation.arrays import FloatArray
-from estimation.track.local_filter import smoother, without_slow_part
-from estimation.track.long_alignment import LongAlignment, long_alignment
-from estimation.track.panel import PanelParameters, init, update
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.track.panel.basis import PanelParameters
+from estimation.track.panel.long_waves import LongAlignment, long_alignment
+from estimation.track.panel.normal_equations import init, update
+from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass
-from estimation.track.solution import PanelSolution, result
+from estimation.values.arrays import FloatArray
 
 PANEL = PanelParameters(length=LENGTH, hats=21)
 GRID = np.arange(PANEL.points) * PANEL.step

@@ -7,9 +7,10 @@ import pytest
 from sqlalchemy import update
 from test_refresh_alignment import DAY_NS, counts, in_force, put, register, report
 
-from estimation.contact.profiles import Profile, wheel_profile
-from estimation.ports import MeasuredProfiles, Reprofiling, TrackSectionRecord
-from estimation.types import Status
+from estimation.contact.profiles import MeasuredProfiles, Profile, wheel_profile
+from estimation.values.quantities import Status
+from estimation.values.registry import Reprofiling
+from estimation.values.track import TrackSectionRecord
 from fleet_db.models import MeasuredProfilesRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from oracles import recursive_least_squares
 from smooth_wheelset import SmoothTable, ideal, run
 
-from estimation import paper, recursive
+from estimation.estimators import paper_equations
 
 
 def test_the_compiled_recursion_is_the_plain_one() -> None:
@@ -13,20 +14,20 @@ def test_the_compiled_recursion_is_the_plain_one() -> None:
     features = np.column_stack([rng.standard_normal((900, 2)) * [2e-3, 5e-2], np.ones(900)])
     output = features @ [3.0, -2.0, 0.5] + 0.01 * rng.standard_normal(900)
     index = rng.integers(0, 3, 900)
-    parameters = paper.PaperParameters(threshold=50, forgetting=0.999)
-    theta, count = paper.recursion_in_bins(features, output, index, 4, parameters)
+    parameters = paper_equations.PaperParameters(threshold=50, forgetting=0.999)
+    theta, count = paper_equations.recursion_in_bins(features, output, index, 4, parameters)
     assert count.tolist() == [*np.bincount(index, minlength=4).tolist()]
     assert np.isnan(theta[3]).all()
     for b in range(3):
         X, z = features[index == b], output[index == b]
-        state = recursive.init(X[:50], z[:50], np.zeros(50))
+        state = recursive_least_squares.init(X[:50], z[:50], np.zeros(50))
         for x, value in zip(X[50:], z[50:], strict=True):
-            state = recursive.update(state, x, float(value), 0.0, 0.999)
+            state = recursive_least_squares.update(state, x, float(value), 0.0, 0.999)
         np.testing.assert_allclose(theta[b], state.theta, rtol=1e-8)
 
 
 def test_radius_difference_and_angle_difference_converge_and_the_angle_sum_does_not() -> None:
-    found = paper.estimate(ideal(run(200)), paper.PaperParameters())
+    found = paper_equations.estimate(ideal(run(200)), paper_equations.PaperParameters())
     table = SmoothTable()
     good = found.samples > 2000
     x = found.centre[good]

@@ -15,21 +15,24 @@ from sqlalchemy import update
 
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.ports import (
-    FleetRecord,
-    JobRun,
-    Mounting,
-    Storage,
+from estimation.storage import Storage
+from estimation.tables.window import NO_ALIGNMENT
+from estimation.track.settings import AlignmentSettings
+from estimation.track.survey_check import Judgement, judge_recorded
+from estimation.track.versions import material, shifted_otherwise, with_findings_before
+from estimation.values.quantities import Status
+from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.runs import JobRun
+from estimation.values.track import (
+    FLEET,
+    RECORDED,
+    Findings,
+    GaugeShift,
+    TrackAlignment,
     TrackReport,
     TrackSectionRecord,
-    VehicleRecord,
-    WheelsetRecord,
-    WindowState,
 )
-from estimation.track.epochs import AlignmentSettings, material, shifted_otherwise, with_findings_before
-from estimation.track.recorded import Judgement, judge_recorded
-from estimation.types import FLEET, RECORDED, Findings, GaugeShift, Status, TrackAlignment, Window
-from estimation.window_table import NO_ALIGNMENT
+from estimation.values.windows import Window, WindowState
 from fleet_db.models import TrackAlignmentRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
@@ -253,7 +256,7 @@ def test_the_verdict_on_a_recording_stays_over_the_epochs_that_do_not_judge(
         asked.append(place_std)
         return judge_recorded(*given, place_std=place_std)  # type: ignore[arg-type] - as they come
 
-    monkeypatch.setattr("estimation.track.recordings.judge_recorded", judged)
+    monkeypatch.setattr("estimation.track.update.judge_recorded", judged)
     register(storage)
     with storage.write() as unit:
         unit.tracks.add_alignment(surveyed(factor))

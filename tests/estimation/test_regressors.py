@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from smooth_wheelset import SmoothTable, ideal, run, track
 
-from estimation.geometry import ParameterUncertainty
-from estimation.motion import Motion
-from estimation.regressors import YAW_TARGETS, regression
-from estimation.types import FLEET, Findings, GaugeShift, Status, TrackAlignment
-from estimation.vehicle import VehicleParameters
+from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.values.motion import Motion
+from estimation.values.quantities import Status
+from estimation.values.track import FLEET, Findings, GaugeShift, TrackAlignment
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.regressors import YAW_TARGETS, regression
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 
 BELIEVED = VehicleParameters()

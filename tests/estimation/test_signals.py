@@ -10,12 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from smooth_wheelset import alignment, mems_windows, run, track
 
-from estimation import signals
 from estimation.errors import ParameterError
-from estimation.high_pass import HighPass, without_slow_part
-from estimation.motion import Motion
+from estimation.filters.wander_removal import HighPass, without_slow_part
+from estimation.motion.parameters import Refusal, SignalParameters
+from estimation.motion.track_relative import motion
+from estimation.values.motion import Motion
 
-PARAMETERS = signals.SignalParameters()
+PARAMETERS = SignalParameters()
 
 
 def _fast(x: np.ndarray, distance: np.ndarray, design: HighPass = PARAMETERS.design) -> np.ndarray:
@@ -26,7 +27,7 @@ def _fast(x: np.ndarray, distance: np.ndarray, design: HighPass = PARAMETERS.des
 def test_the_motion_is_that_of_the_wheelset_without_its_slow_part() -> None:
     m = run(60, swing=3.0)
     (window,) = mems_windows(m, seed=0, density=0.0)
-    found = signals.motion(window, alignment(track(1)), PARAMETERS)
+    found = motion(window, alignment(track(1)), PARAMETERS)
     assert isinstance(found, Motion)
     distance = m.distance[::4] - m.distance[0]
     keep = found.valid
@@ -57,8 +58,8 @@ def test_offset_and_constant_drift_of_a_sensor_change_nothing() -> None:
     tilted = replace(
         window, lateral_acceleration=window.lateral_acceleration + 0.4, yaw_acceleration=window.yaw_acceleration - 3.0
     )
-    a = signals.motion(window, alignment(track(1)), PARAMETERS)
-    b = signals.motion(tilted, alignment(track(1)), PARAMETERS)
+    a = motion(window, alignment(track(1)), PARAMETERS)
+    b = motion(tilted, alignment(track(1)), PARAMETERS)
     assert isinstance(a, Motion)
     assert isinstance(b, Motion)
     np.testing.assert_allclose(a.displacement[a.valid], b.displacement[b.valid], atol=1e-9)
@@ -73,8 +74,8 @@ def test_short_gaps_are_bridged_but_not_used_and_long_ones_split() -> None:
     valid[14_000:] = False
     acceleration = np.where(valid, window.lateral_acceleration, np.nan)
     gappy = replace(window, lateral_acceleration=acceleration, valid=valid)
-    found = signals.motion(gappy, alignment(track(1)), PARAMETERS)
-    whole = signals.motion(window, alignment(track(1)), PARAMETERS)
+    found = motion(gappy, alignment(track(1)), PARAMETERS)
+    whole = motion(window, alignment(track(1)), PARAMETERS)
     assert isinstance(found, Motion)
     assert isinstance(whole, Motion)
     trim = 250
@@ -97,11 +98,11 @@ def test_short_gaps_are_bridged_but_not_used_and_long_ones_split() -> None:
 )
 def test_what_cannot_be_used_is_refused_with_its_reason(change: dict[str, np.ndarray], reason: str) -> None:
     (window,) = mems_windows(run(60), seed=0)
-    found = signals.motion(replace(window, **change), alignment(track(1)), PARAMETERS)
-    assert isinstance(found, signals.Refusal)
+    found = motion(replace(window, **change), alignment(track(1)), PARAMETERS)
+    assert isinstance(found, Refusal)
     assert reason in found.reason
 
 
 def test_impossible_parameters_are_refused() -> None:
     with pytest.raises(ParameterError, match="longest_wavelength"):
-        signals.SignalParameters(longest_wavelength=-1.0)
+        SignalParameters(longest_wavelength=-1.0)

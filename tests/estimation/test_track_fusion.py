@@ -9,13 +9,13 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 from smooth_wheelset import mems_windows, run
 
-from estimation.arrays import FloatArray
-from estimation.signals import SignalParameters
-from estimation.track.joined_windows import whole_runs
-from estimation.track.local_filter import smoother, without_slow_part
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.motion.joined_windows import whole_runs
+from estimation.motion.parameters import SignalParameters
 from estimation.track.passes import Pass, passes
-from estimation.types import Window
-from estimation.vehicle import VehicleParameters
+from estimation.values.arrays import FloatArray
+from estimation.values.windows import Window
+from estimation.vehicle.equations_of_motion import VehicleParameters
 
 VEHICLE = VehicleParameters()
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from gauge_passes import LENGTH, Wheels, passes, section
 
-from estimation.arrays import FloatArray
-from estimation.track.evidence import Evidence
-from estimation.track.findings import Told, findings
-from estimation.track.local_filter import smoother, without_slow_part
-from estimation.track.panel import PanelParameters
-from estimation.track.positions import PositionParameters, journeys
-from estimation.track.settling import Settled, SettlingParameters, settle
-from estimation.track.wheel_functions import whole_shifts
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.track.gauge.wheel_functions import whole_shifts
+from estimation.track.iteration import Settled, SettlingParameters, settle
+from estimation.track.journeys import PositionParameters, journeys
+from estimation.track.panel.basis import PanelParameters
+from estimation.track.panel.prior_alignment import Evidence
+from estimation.track.results import Told, findings
+from estimation.values.arrays import FloatArray
 
 PANEL = PanelParameters(length=LENGTH, hats=21)
 GRID = np.arange(PANEL.points) * PANEL.step

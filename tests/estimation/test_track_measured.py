@@ -14,11 +14,11 @@ from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.errors import ContactError, ProfileError
-from estimation.track.local_filter import smoother, without_slow_part
-from estimation.track.measured import MeasuredCurve, measured_curve
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
 from estimation.track.passes import Pass
 from estimation.track.section import SectionEstimate, SectionParameters, estimate_section
-from estimation.types import Status
+from estimation.values.quantities import Status
 
 STD = 0.1e-3  # m
 

@@ -13,14 +13,15 @@ from smooth_wheelset import SmoothTable, mems_windows, run, track
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
-from estimation.signals import SignalParameters
-from estimation.track.joined_windows import whole_runs
-from estimation.track.local_filter import smoother, trusted, without_slow_part
-from estimation.track.panel import PanelParameters, PanelState, hat_functions, init, update
+from estimation.filters.local_cubic import smoother, trusted, without_slow_part
+from estimation.motion.joined_windows import whole_runs
+from estimation.motion.parameters import SignalParameters
+from estimation.track.panel.basis import PanelParameters, hat_functions
+from estimation.track.panel.normal_equations import PanelState, init, update
+from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass, gridded, passes
-from estimation.track.solution import PanelSolution, result
-from estimation.types import Status
-from estimation.vehicle import VehicleParameters
+from estimation.values.quantities import Status
+from estimation.vehicle.equations_of_motion import VehicleParameters
 
 PARAMETERS = PanelParameters(length=3000.0, hats=31)
 FLEET = ((0.05, 17.0), (0.10, 17.0), (0.16, 17.0), (0.05, 23.0), (0.10, 23.0), (0.16, 23.0))  # cone, speed

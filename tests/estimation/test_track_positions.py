@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from test_track_panel import PARAMETERS, fleet_passes
 
-from estimation.track.panel import init, update
+from estimation.track.journeys import Journey, PositionParameters, corrected, journeys
+from estimation.track.panel.normal_equations import init, update
+from estimation.track.panel.solution import result
 from estimation.track.passes import Pass
-from estimation.track.positions import Correction, Journey, PositionParameters, corrected, correlate, journeys, refine
-from estimation.track.solution import result
+from estimation.track.positions import correlate, refine
+from estimation.values.track import Correction
 
 POSITIONS = PositionParameters()
 OFFSETS = {"17 m/s": 14.0, "23 m/s": -9.5}  # m

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.track.local_filter import smoother, without_slow_part
-from estimation.track.recorded import judge_recorded
-from estimation.types import FLEET, Status, TrackAlignment
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.track.survey_check import judge_recorded
+from estimation.values.quantities import Status
+from estimation.values.track import FLEET, TrackAlignment
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 
 LENGTH, STEP, CUT_OFF = 4000.0, 0.5, 30.0

@@ -8,12 +8,12 @@ from functools import cache
 import numpy as np
 from gauge_passes import LENGTH, Section, Wheels, passes, section
 
-from estimation.ports import TrackSectionRecord
-from estimation.track.epochs import AlignmentSettings
-from estimation.track.panel import PanelParameters
-from estimation.track.recordings import Finding, find
+from estimation.track.panel.basis import PanelParameters
 from estimation.track.section import SectionParameters
-from estimation.types import RECORDED, Status, TrackAlignment
+from estimation.track.settings import AlignmentSettings
+from estimation.track.update import Finding, find
+from estimation.values.quantities import Status
+from estimation.values.track import RECORDED, TrackAlignment, TrackSectionRecord
 
 RECORD = TrackSectionRecord("S", 1, "Section", "56E1", 0.05, 1.435, LENGTH)
 SETTINGS = AlignmentSettings(section=SectionParameters(panel=PanelParameters(hats=21)))

@@ -10,13 +10,13 @@ import pytest
 from smooth_wheelset import SmoothTable, mems_windows, track
 from test_track_panel import PARAMETERS
 
-from estimation.signals import SignalParameters
-from estimation.track.joined_windows import whole_runs
-from estimation.track.local_filter import smoother, without_slow_part
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.motion.joined_windows import whole_runs
+from estimation.motion.parameters import SignalParameters
 from estimation.track.passes import Pass, passes
 from estimation.track.residuals import USUAL, USUAL_LEAST, Residuals
 from estimation.track.section import SectionEstimate, SectionParameters, estimate_section
-from estimation.vehicle import VehicleParameters
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
 
 HOLLOW = ("hollow", 0.05, 20.0)  # name, cone, speed

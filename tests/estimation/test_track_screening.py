@@ -12,14 +12,15 @@ from hypothesis import strategies as st
 from section_runs import SETTINGS, honest, made, mirror_mounted, turned_windows, windows
 from smooth_wheelset import GOOD, alignment, track
 
-from estimation.track.agreement import agreement as agree
-from estimation.track.agreement import felt, laid
 from estimation.track.examination import examine
-from estimation.track.panel import PanelParameters, init, update
+from estimation.track.panel.basis import PanelParameters
+from estimation.track.panel.normal_equations import init, update
+from estimation.track.panel.solution import result
 from estimation.track.passes import Pass
-from estimation.track.screening import PassStatus, screen
-from estimation.track.solution import result
-from estimation.types import TrackAlignment
+from estimation.track.screening.agreement import agreement as agree
+from estimation.track.screening.agreement import felt, laid
+from estimation.track.screening.screen import PassStatus, screen
+from estimation.values.track import TrackAlignment
 
 PANEL = PanelParameters(length=3000.0, hats=21)
 KNOWN = alignment(track(1))
@@ -161,7 +162,7 @@ WINDOW = windows(1)[0]
 
 
 def refusal(window: object) -> str:
-    told = examine(window, SETTINGS)  # type: ignore[arg-type] - every caller hands a window
+    told = examine(window, SETTINGS.windows)  # type: ignore[arg-type] - every caller hands a window
     assert told.passes == ()
     assert told.outcome.status is PassStatus.REFUSED
     assert (told.outcome.wheelset, told.outcome.vehicle, told.outcome.start_ns) == ("W1", "V1", WINDOW.start_ns)
@@ -189,7 +190,7 @@ def test_windows_without_a_pass_say_why() -> None:
 def test_honest_windows_are_examined_without_a_word() -> None:
     for number in range(6):
         for window in (*windows(number), *turned_windows(0)):
-            told = examine(window, SETTINGS)
+            told = examine(window, SETTINGS.windows)
             assert len(told.passes) == 1
             assert told.outcome.reason == ""
 
@@ -198,7 +199,9 @@ def test_honest_windows_are_examined_without_a_word() -> None:
 @given(at=st.integers(3500, 11_500), metres=st.floats(2.0, 60.0), back=st.booleans())
 def test_a_position_that_jumps_inside_a_window_ends_the_pass_there(at: int, metres: float, back: bool) -> None:  # noqa: FBT001 - drawn
     jump = -metres if back else metres
-    told = examine(replace(WINDOW, distance=WINDOW.distance + jump * (np.arange(len(WINDOW.valid)) >= at)), SETTINGS)
+    told = examine(
+        replace(WINDOW, distance=WINDOW.distance + jump * (np.arange(len(WINDOW.valid)) >= at)), SETTINGS.windows
+    )
     assert told.outcome.status is PassStatus.USED
     assert f"jumps once against the speed, by {metres:.1f} m" in told.outcome.reason
     assert len(told.passes) == 2

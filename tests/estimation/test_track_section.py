@@ -13,10 +13,11 @@ from smooth_wheelset import track
 from test_track_panel import PARAMETERS, fleet_passes
 from test_track_positions import OFFSETS, SCALES
 
-from estimation.track.local_filter import smoother, without_slow_part
+from estimation.filters.local_cubic import smoother, without_slow_part
 from estimation.track.passes import Pass
 from estimation.track.section import SectionEstimate, SectionParameters, estimate_section
-from estimation.types import FLEET, Status, TrackAlignment
+from estimation.values.quantities import Status
+from estimation.values.track import FLEET, TrackAlignment
 
 SECTION = SectionParameters(panel=PARAMETERS)
 

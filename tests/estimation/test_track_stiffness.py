@@ -8,16 +8,16 @@ from functools import cache
 import pytest
 from smooth_wheelset import mems_windows, run
 
-from estimation.signals import SignalParameters
-from estimation.track.findings import findings
-from estimation.track.joined_windows import whole_runs
-from estimation.track.local_filter import smoother, without_slow_part
-from estimation.track.panel import PanelParameters
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.motion.joined_windows import whole_runs
+from estimation.motion.parameters import SignalParameters
+from estimation.track.iteration import Settled, SettlingParameters, settle
+from estimation.track.journeys import PositionParameters, journeys
+from estimation.track.panel.basis import PanelParameters
+from estimation.track.panel.stiffness_ratio import SYSTEMATIC_STD, Ratio, adjusted
 from estimation.track.passes import Pass, passes
-from estimation.track.positions import PositionParameters, journeys
-from estimation.track.settling import Settled, SettlingParameters, settle
-from estimation.track.stiffness import SYSTEMATIC_STD, Ratio, adjusted
-from estimation.vehicle import VehicleParameters
+from estimation.track.results import findings
+from estimation.vehicle.equations_of_motion import VehicleParameters
 
 CONES = (0.05, 0.10, 0.16)
 SOFT, RIGHT = 17.0, 23.0  # m/s of the vehicle that is believed 20 % too soft, and of one that is known

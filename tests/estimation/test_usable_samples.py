@@ -10,24 +10,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from smooth_wheelset import SmoothTable, alignment, mems_windows, run, track
 
-from estimation import signals
-from estimation.motion import Motion
-from estimation.restored_alignment import restored
-from estimation.straight_part import straight_part
-from estimation.track.local_filter import smoother, without_slow_part
-from estimation.types import FLEET, TrackAlignment, TrackLayout, Window
-from estimation.usable_samples import CurveLimits, straight
-from estimation.vehicle import VehicleParameters
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.motion.alignment_lookup import restored
+from estimation.motion.curves import straight, straight_part
+from estimation.motion.parameters import CurveLimits, Refusal, SignalParameters
+from estimation.motion.track_relative import motion
+from estimation.values.motion import Motion
+from estimation.values.track import FLEET, TrackAlignment, TrackLayout
+from estimation.values.windows import Window
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.curves import Curve
 from ingest.simulator.motion import simulate_wheelset
 from ingest.simulator.track import TrackRecipe, make_track
 
-PARAMETERS = signals.SignalParameters()
+PARAMETERS = SignalParameters()
 LIMITS = CurveLimits(1e-4, 0.02, 30.0)
 
 
 def moved(window: Window, layout: TrackLayout | None = None) -> Motion:
-    found = signals.motion(window, alignment(track(1)), PARAMETERS, layout)
+    found = motion(window, alignment(track(1)), PARAMETERS, layout)
     assert isinstance(found, Motion)
     return found
 
@@ -99,12 +100,12 @@ def test_a_simulated_curve_spoils_the_motion_unless_it_is_on_file() -> None:
     )
     assert bent.curves is not None
     laid = TrackLayout("S1", 1, bent.s, bent.curves.curvature, bent.curves.cant)
-    refused = signals.motion(window, alignment(bent), PARAMETERS)
-    assert isinstance(refused, signals.Refusal)
+    refused = motion(window, alignment(bent), PARAMETERS)
+    assert isinstance(refused, Refusal)
     assert "a curve is felt and no layout is on file" in refused.reason
     errors = []
     for known in (None, laid):
-        found = signals.motion(window, alignment(bent), replace(PARAMETERS, most_lean=1.0), known)
+        found = motion(window, alignment(bent), replace(PARAMETERS, most_lean=1.0), known)
         assert isinstance(found, Motion)
         true = m.relative_displacement[::4]
         parts = np.flatnonzero(np.diff(np.concatenate([[0], found.valid.astype(int), [0]]))).reshape(-1, 2)
@@ -123,7 +124,7 @@ def test_passes_keep_to_the_straight_too() -> None:
     assert isinstance(kept, Window)
     assert kept.valid.mean() == pytest.approx(0.5, abs=0.04)
     assert straight_part(window, None, PARAMETERS) is window
-    assert straight_part(window, layout((0.0, 1e-3, 0.0), (13_000.0, 1e-3, 0.0)), PARAMETERS) == signals.Refusal(
+    assert straight_part(window, layout((0.0, 1e-3, 0.0), (13_000.0, 1e-3, 0.0)), PARAMETERS) == Refusal(
         "the window lies in curves"
     )
     leaning = replace(
@@ -132,7 +133,7 @@ def test_passes_keep_to_the_straight_too() -> None:
         mass_lateral_acceleration=window.mass_lateral_acceleration + np.where(window.distance > middle, 0.2, 0.0),
     )
     refused = straight_part(leaning, None, PARAMETERS)
-    assert isinstance(refused, signals.Refusal)
+    assert isinstance(refused, Refusal)
     assert "changes by 0.2" in refused.reason
 
 
@@ -177,16 +178,16 @@ def test_a_gap_of_a_tenth_of_a_second_costs_a_second_and_not_the_stretch() -> No
 )
 def test_a_window_that_loses_too_much_says_what_it_lost(change: dict[str, np.ndarray], words: list[str]) -> None:
     window = replace(mems_windows(run(60), seed=0)[0], **change)
-    found = signals.motion(window, alignment(track(1)), replace(PARAMETERS, least_used=0.2))
-    assert isinstance(found, signals.Refusal)
+    found = motion(window, alignment(track(1)), replace(PARAMETERS, least_used=0.2))
+    assert isinstance(found, Refusal)
     for word in words:
         assert word in found.reason
 
 
 def test_a_window_in_a_curve_says_so() -> None:
     window = mems_windows(run(60), seed=0)[0]
-    found = signals.motion(window, alignment(track(1)), PARAMETERS, layout((0.0, 1e-3, 0.0), (13_000.0, 1e-3, 0.0)))
-    assert found == signals.Refusal("no sample can be used: 100% in curves")
+    found = motion(window, alignment(track(1)), PARAMETERS, layout((0.0, 1e-3, 0.0), (13_000.0, 1e-3, 0.0)))
+    assert found == Refusal("no sample can be used: 100% in curves")
 
 
 def fleet_alignment(cut_off: float) -> TrackAlignment:
@@ -201,7 +202,7 @@ def fleet_alignment(cut_off: float) -> TrackAlignment:
 
 def test_an_alignment_without_long_waves_serves_as_well_as_a_whole_one() -> None:
     window = mems_windows(run(60), seed=0, density=0.0)[0]
-    short = signals.motion(window, fleet_alignment(40.0), PARAMETERS)
+    short = motion(window, fleet_alignment(40.0), PARAMETERS)
     assert isinstance(short, Motion)
     whole = moved(window)
     both = short.valid & whole.valid
@@ -217,7 +218,7 @@ def test_where_the_alignment_is_not_known_nothing_is_restored_or_used() -> None:
     holed[(known.s > 600) & (known.s < 640)] = np.nan
     track_ = replace(known, alignment=holed)
     assert not np.isfinite(restored(track_)[(known.s > 565) & (known.s < 675)]).any()
-    found = signals.motion(mems_windows(run(60), seed=0)[0], track_, PARAMETERS)
+    found = motion(mems_windows(run(60), seed=0)[0], track_, PARAMETERS)
     assert isinstance(found, Motion)
     at = mems_windows(run(60), seed=0)[0].distance
     assert not found.valid[(at > 565) & (at < 675)].any()

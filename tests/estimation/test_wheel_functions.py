@@ -10,8 +10,7 @@ from gauge_passes import Wheels
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimation.arrays import FloatArray
-from estimation.track.wheel_functions import (
+from estimation.track.gauge.wheel_functions import (
     STRAY,
     Places,
     WheelFunctions,
@@ -21,7 +20,8 @@ from estimation.track.wheel_functions import (
     shift_of,
     without_common,
 )
-from estimation.types import GaugeShift
+from estimation.values.arrays import FloatArray
+from estimation.values.track import GaugeShift
 
 SAMPLES = 6000
 SEEN = np.linspace(-2.5e-3, 2.5e-3, 51)  # m, where many samples were

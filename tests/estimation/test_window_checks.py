@@ -9,20 +9,21 @@ import pytest
 from section_runs import SETTINGS, mirror_mounted, turned_windows, windows
 from smooth_wheelset import alignment, track
 
-from estimation import bins, geometry
-from estimation.signals import Refusal
-from estimation.types import Window
-from estimation.window_checks import direction
-from estimation.window_table import tabulate_window
+from estimation.geometry.estimate import estimate_geometry
+from estimation.motion.checks import direction
+from estimation.motion.parameters import Refusal
+from estimation.tables import bin_table
+from estimation.tables.window import tabulate_window
+from estimation.values.windows import Window
 
 KNOWN = alignment(track(1))
 
 
 def curve(found: tuple[Window, ...], *, mounted_reversed: bool = False) -> np.ndarray:
-    tables = [tabulate_window(window, KNOWN, SETTINGS, mounted_reversed=mounted_reversed) for window in found]
+    tables = [tabulate_window(window, KNOWN, SETTINGS.windows, mounted_reversed=mounted_reversed) for window in found]
     assert not any(isinstance(table, Refusal) for table in tables), tables
-    merged = bins.merge_all([table for table in tables if not isinstance(table, Refusal)], SETTINGS.bins)
-    return geometry.estimate(merged, SETTINGS.bins, SETTINGS.geometry).rolling_radius_difference.value
+    merged = bin_table.merge_all([table for table in tables if not isinstance(table, Refusal)], SETTINGS.bins)
+    return estimate_geometry(merged, SETTINGS.bins, SETTINGS.geometry).rolling_radius_difference.value
 
 
 def test_a_wheelset_that_runs_the_other_way_is_the_mirror_image_of_itself_and_comes_out_the_same() -> None:
@@ -40,7 +41,7 @@ def test_a_wheelset_mounted_reversed_is_its_own_mirror_image() -> None:
 
 
 def reason(window: Window) -> str:
-    told = tabulate_window(window, KNOWN, SETTINGS)
+    told = tabulate_window(window, KNOWN, SETTINGS.windows)
     assert isinstance(told, Refusal)
     return told.reason
 

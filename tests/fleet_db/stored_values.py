@@ -10,34 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from estimation.alerts import Alert, AlertKind, Condition, Severity
-from estimation.contact.profiles import Profile
-from estimation.ports import (
-    ChunkRecord,
-    FleetRecord,
-    GeometryRecord,
-    MeasuredProfiles,
-    Mounting,
-    Storage,
-    TrackSectionRecord,
-    TrendRecord,
-    VehicleRecord,
-    WheelsetRecord,
-)
-from estimation.types import (
-    BinStatus,
-    BinTable,
-    BinValues,
-    Estimate,
-    Forecast,
-    Status,
-    TrackAlignment,
-    TrackLayout,
-    WearTrend,
-    WheelsetGeometry,
-    Window,
-    WindowQuality,
-)
+from estimation.contact.profiles import MeasuredProfiles, Profile
+from estimation.storage import Storage
+from estimation.values.alerts import Alert, AlertKind, Condition, Severity
+from estimation.values.geometry import BinStatus, BinTable, BinValues, GeometryRecord, WheelsetGeometry
+from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.receipts import ChunkRecord
+from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
+from estimation.values.trend import TrendRecord, WearTrend
+from estimation.values.windows import Window, WindowQuality
 
 SECOND = 1_000_000_000
 LENGTH = 20 * SECOND

@@ -22,7 +22,7 @@ from alembic.runtime.migration import MigrationContext
 from sqlalchemy import Engine
 
 from estimation.errors import MigrationError, ParameterError, StorageError
-from estimation.types import RECORDED
+from estimation.values.track import RECORDED
 from fleet_db.migrate import SCRIPTS, check_head, head, upgrade
 from fleet_db.models import Base
 from fleet_db.packed.alignment import pack_alignment

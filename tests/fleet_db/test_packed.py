@@ -12,9 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from estimation.arrays import FloatArray
 from estimation.errors import StorageError
-from estimation.types import FLEET, BinTable, Estimate, Findings, Forecast, GaugeShift, Status
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import BinTable
+from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.track import FLEET, Findings, GaugeShift
 from fleet_db.packed.alignment import pack_alignment, unpack_alignment
 from fleet_db.packed.bin_table import pack_bin_table, unpack_bin_table
 from fleet_db.packed.geometry import pack_geometry, unpack_geometry

@@ -12,8 +12,8 @@ import sqlalchemy
 import stored_values as make
 from sqlalchemy.exc import IntegrityError
 
-from estimation.alerts import Alert, AlertEventKind, AlertKind, AlertScope, Condition, Severity
 from estimation.errors import ConflictError, NotFoundError, ParameterError
+from estimation.values.alerts import Alert, AlertEventKind, AlertKind, AlertScope, Condition, Severity
 from fleet_db.models import AlertRow
 from fleet_db.storage import SqlStorage
 

@@ -8,7 +8,7 @@ import pytest
 import stored_values as make
 
 from estimation.errors import ConflictError, NotFoundError, ParameterError
-from estimation.ports import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from fleet_db.storage import SqlStorage
 
 HOUR = 3600 * make.SECOND

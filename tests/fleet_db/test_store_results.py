@@ -10,8 +10,7 @@ import stored_values as make
 from sqlalchemy import update
 
 from estimation.errors import ConflictError, NotFoundError, ParameterError
-from estimation.ports import GeometryRecord
-from estimation.types import COMBINATIONS, BinStatus
+from estimation.values.geometry import COMBINATIONS, BinStatus, GeometryRecord
 from fleet_db.models import GeometryRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage

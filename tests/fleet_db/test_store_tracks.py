@@ -9,8 +9,9 @@ import pytest
 import stored_values as make
 
 from estimation.errors import ConflictError
-from estimation.ports import AlignmentRecord, TrackReport, WindowPosition, WindowState
-from estimation.types import FLEET, RECORDED, Findings, GaugeShift, Status, TrackAlignment
+from estimation.values.quantities import Status
+from estimation.values.track import FLEET, RECORDED, AlignmentRecord, Findings, GaugeShift, TrackAlignment, TrackReport
+from estimation.values.windows import WindowPosition, WindowState
 from fleet_db.packed.alignment import pack_alignment, unpack_alignment
 from fleet_db.storage import SqlStorage
 

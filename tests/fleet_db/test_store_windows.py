@@ -8,9 +8,10 @@ from dataclasses import replace
 import pytest
 import stored_values as make
 
-from estimation.arrays import same_values
 from estimation.errors import ConflictError, NotFoundError, StorageError
-from estimation.ports import Reprofiling, WindowState
+from estimation.values.arrays import same_values
+from estimation.values.registry import Reprofiling
+from estimation.values.windows import WindowState
 from fleet_db.storage import SqlStorage
 from fleet_db.telemetry import WindowFiles, window_digest
 

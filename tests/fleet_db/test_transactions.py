@@ -16,7 +16,7 @@ import pytest
 import stored_values as make
 
 from estimation.errors import AlreadyRunningError, ConflictError, StorageError
-from estimation.ports import FleetRecord
+from estimation.values.registry import FleetRecord
 from fleet_db import locks
 from fleet_db.migrate import upgrade
 from fleet_db.session import database_engine

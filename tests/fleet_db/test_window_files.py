@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from estimation.arrays import same_values
 from estimation.errors import StorageError
-from estimation.types import ACCELERATIONS, Window, WindowQuality
+from estimation.values.arrays import same_values
+from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
 from fleet_db.telemetry import WindowFiles, pack_window, unpack_window, window_digest
 
 ANY_FLOAT = st.floats(allow_nan=True, allow_infinity=True)

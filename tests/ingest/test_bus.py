@@ -15,10 +15,9 @@ import pytest
 from vehicle_bus import SECOND_NS, Run
 
 from estimation.errors import ConflictError, ParameterError
-from estimation.types import FrameBatch
 from ingest.bus import BusListener, messages_of, open_bus, record, send
 from ingest.canopen import SYNC_ID
-from ingest.frames import concatenate
+from ingest.frames import FrameBatch, concatenate
 from ingest.logs import read_log
 
 GROUP = "239.74.163.77"

@@ -7,13 +7,12 @@ import pytest
 from vehicle_bus import CATALOGUE, INTERVAL_NS, SECOND_NS, START_NS, VEHICLE, Run
 
 from estimation.errors import LogFileError
-from estimation.types import FrameBatch
 from ingest import catalogue as kinds
 from ingest.align.clock import check_sync_rate
 from ingest.align.samples import NodeSamples, node_samples
 from ingest.align.ticks import Placed, place
 from ingest.canopen import SYNC_ID, TIME_ID, sync_counter, time_of_day, vehicle_time_ns
-from ingest.frames import concatenate, merge, sort_by_time, take
+from ingest.frames import FrameBatch, concatenate, merge, sort_by_time, take
 
 ACCELERATION_1 = 0x181
 STATUS_1 = 0x281

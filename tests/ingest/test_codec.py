@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimation.errors import ParameterError
-from estimation.types import ACCELERATIONS, ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from estimation.values.windows import ACCELERATIONS
 from ingest.catalogue import MessagePlan, default_catalogue
 from ingest.codec import decode, encode
-from ingest.frames import batch_of, concatenate, take
+from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, batch_of, concatenate, take
 
 CATALOGUE = default_catalogue()
 DATABASE = cantools.database.load_file(str(files("ingest.dbc") / "treadwatch.dbc"))

@@ -6,9 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimation.arrays import same_values
-from estimation.types import FrameBatch
-from ingest.frames import between, concatenate, merge, take
+from estimation.values.arrays import same_values
+from ingest.frames import FrameBatch, between, concatenate, merge, take
 
 FRAME = st.tuples(st.integers(0, 5), st.sampled_from([0x80, 0x181, 0x182]), st.integers(0, 2))
 

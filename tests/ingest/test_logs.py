@@ -11,11 +11,10 @@ import can
 import numpy as np
 import pytest
 
-from estimation.arrays import same_values
 from estimation.errors import LogFileError
-from estimation.types import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from estimation.values.arrays import same_values
 from ingest.bus import messages_of
-from ingest.frames import empty_batch
+from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, empty_batch
 from ingest.logs import read_log, write_log
 from ingest.logs.library import read_with_library, write_with_library
 from ingest.logs.limits import ReadLimits

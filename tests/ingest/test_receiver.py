@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from vehicle_bus import INTERVAL_NS, SECOND_NS, START_NS, VEHICLE, Run, register
 
 from estimation.errors import ConflictError, LogFileError, NotFoundError, StorageError
-from estimation.ports import UnitOfWork, WindowState
-from estimation.types import FrameBatch
+from estimation.storage import UnitOfWork
+from estimation.values.windows import WindowState
 from fleet_db.raw import RawStore
 from fleet_db.storage import SqlStorage
 from ingest.canopen import SYNC_ID, TIME_ID
 from ingest.catalogue import default_catalogue
 from ingest.chunks import WAITING
-from ingest.frames import concatenate, sort_by_time, take
+from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.logs import write_log
 from ingest.receiver import ChunkReceipt, Receiver
 

@@ -7,8 +7,8 @@ import pytest
 from vehicle_bus import CATALOGUE, INTERVAL_NS, OFFSETS_M, SECOND_NS, SECTION, START_NS, VEHICLE, Run
 
 from estimation.errors import ParameterError
-from estimation.ports import Mounting, VehicleRecord
-from estimation.types import Window
+from estimation.values.registry import Mounting, VehicleRecord
+from estimation.values.windows import Window
 from ingest import catalogue as kinds
 from ingest.align.ticks import place
 from ingest.align.windows import (

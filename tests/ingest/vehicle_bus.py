@@ -7,20 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimation.ports import (
-    FleetRecord,
-    Mounting,
-    TrackSectionRecord,
-    UnitOfWork,
-    VehicleRecord,
-    WheelsetRecord,
-)
-from estimation.types import ACCELERATIONS, FrameBatch
+from estimation.storage import UnitOfWork
+from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.track import TrackSectionRecord
+from estimation.values.windows import ACCELERATIONS
 from ingest import catalogue as kinds
 from ingest.canopen import sync_counter, time_of_day
 from ingest.catalogue import default_catalogue
 from ingest.codec import encode
-from ingest.frames import concatenate, sort_by_time
+from ingest.frames import FrameBatch, concatenate, sort_by_time
 
 CATALOGUE = default_catalogue()
 INTERVAL_NS = CATALOGUE.sample_interval_ns

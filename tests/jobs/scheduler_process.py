@@ -15,7 +15,7 @@ from threading import Event
 from estimation.errors import AlreadyRunningError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.scheduler import serve_jobs, stop_on_signals
-from estimation.ports import FleetRecord
+from estimation.values.registry import FleetRecord
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimation.alert_transitions import DAY_NS, acknowledge, close, link, shelve, transition
-from estimation.alerts import Alert, AlertEventKind, AlertKind, Condition, Finding, Severity, Transition
+from estimation.alerts.life_cycle import DAY_NS, acknowledge, close, link, shelve, transition
+from estimation.alerts.rules.book import AlertDelays
 from estimation.errors import ConflictError, InputError
-from estimation.rules import AlertDelays
+from estimation.values.alerts import Alert, AlertEventKind, AlertKind, Condition, Finding, Severity, Transition
 
 DELAYS = AlertDelays(on_evaluations=1, off_evaluations=2, acknowledgement_days=30.0)
 

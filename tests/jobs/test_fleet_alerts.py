@@ -10,14 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wheelset_life import DAY_NS, START_NS, SetClock, register, run_windows
 
-from estimation.alert_transitions import acknowledge
-from estimation.alerts import Alert, AlertEventKind, AlertKind, AlertScope, Condition, Severity
+from estimation.alerts.fleet_alerts import HOUR_NS, in_storm, opened, refreshed
+from estimation.alerts.life_cycle import acknowledge
+from estimation.alerts.rules.book import NoDataRule, RuleBook, StormRule
 from estimation.errors import ConflictError, InputError
-from estimation.fleet_alerts import HOUR_NS, in_storm, opened, refreshed
 from estimation.jobs import evaluate_alerts
 from estimation.jobs.job import JobContext, run_job
-from estimation.ports import JobRun, Storage
-from estimation.rules import NoDataRule, RuleBook, StormRule
+from estimation.storage import Storage
+from estimation.values.alerts import Alert, AlertEventKind, AlertKind, AlertScope, Condition, Severity
+from estimation.values.runs import JobRun
 
 RAISED, UPDATED, ACKNOWLEDGED, CLEARED, CLOSED = (
     AlertEventKind.RAISED,

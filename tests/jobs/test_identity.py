@@ -10,11 +10,12 @@ import pytest
 from test_wear_jobs import feed, open_alert, run_jobs, told
 from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, register, run_windows
 
-from estimation.alerts import AlertEventKind, AlertKind, Condition
-from estimation.identity import Mistake, Observation, identity_events
-from estimation.jobs.identities import latest_break
-from estimation.ports import GeometryRecord, Mounting, Storage
-from estimation.types import BinValues, WheelsetGeometry
+from estimation.alerts.identity import Mistake, Observation, identity_events
+from estimation.jobs.steps.identities import latest_break
+from estimation.storage import Storage
+from estimation.values.alerts import AlertEventKind, AlertKind, Condition
+from estimation.values.geometry import BinValues, GeometryRecord, WheelsetGeometry
+from estimation.values.registry import Mounting
 
 KM_A_DAY = 1000.0
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from api.rules_file import load_rules
+from estimation.alerts.rules.book import RuleBook, SpeedBand, StormRule
 from estimation.errors import InputError
-from estimation.rules import RuleBook, SpeedBand, StormRule, load_rules
 
 
 def written(tmp_path: Path, text: str) -> Path:

@@ -9,8 +9,7 @@ import pytest
 from scipy import stats
 from wheelset_life import DAY_NS, geometry_of, known, window_record
 
-from estimation.alerts import Severity
-from estimation.rules import (
+from estimation.alerts.rules.book import (
     ConicityLimitRule,
     LimitForecastRule,
     NoDataRule,
@@ -18,15 +17,15 @@ from estimation.rules import (
     SensorFaultRule,
     SpeedBand,
     WheelAsymmetryRule,
-    asymmetry_of,
-    conicity_limit_finding,
-    limit_forecast_finding,
-    no_data_finding,
-    sensor_fault_finding,
-    wheel_asymmetry_finding,
 )
-from estimation.trend import TrendPoint, refresh
-from estimation.types import Estimate, Forecast, Status
+from estimation.alerts.rules.conicity_limit import conicity_limit_finding
+from estimation.alerts.rules.limit_forecast import limit_forecast_finding
+from estimation.alerts.rules.no_data import no_data_finding
+from estimation.alerts.rules.sensor_fault import sensor_fault_finding
+from estimation.alerts.rules.wheel_asymmetry import asymmetry_of, wheel_asymmetry_finding
+from estimation.trend.trend import TrendPoint, refresh
+from estimation.values.alerts import Severity
+from estimation.values.quantities import Estimate, Forecast, Status
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,8 @@ from wheelset_life import SetClock
 from estimation.errors import InputError, NotFoundError
 from estimation.jobs.catalogue import ALL_JOBS, job_named, run_all
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.ports import FleetRecord, Storage
+from estimation.storage import Storage
+from estimation.values.registry import FleetRecord
 
 
 def context_of(storage: Storage, stopping: Callable[[], bool] | None = None) -> JobContext:

@@ -19,7 +19,8 @@ from wheelset_life import SetClock
 from estimation.errors import AlreadyRunningError, StorageError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.scheduler import build_scheduler, serve_jobs
-from estimation.ports import JobRun, Storage, UnitOfWork
+from estimation.storage import Storage, UnitOfWork
+from estimation.values.runs import JobRun
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 

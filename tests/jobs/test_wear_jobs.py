@@ -7,13 +7,15 @@ from collections.abc import Sequence
 import pytest
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, wear
 
-from estimation.alert_transitions import acknowledge
-from estimation.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, Condition
+from estimation.alerts.life_cycle import acknowledge
+from estimation.alerts.rules.book import NoDataRule, RuleBook
 from estimation.jobs import evaluate_alerts, refresh_trends
 from estimation.jobs.job import JobContext, run_job
-from estimation.ports import JobRun, Mounting, Reprofiling, Storage
-from estimation.rules import NoDataRule, RuleBook
-from estimation.types import Status
+from estimation.storage import Storage
+from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, Condition
+from estimation.values.quantities import Status
+from estimation.values.registry import Mounting, Reprofiling
+from estimation.values.runs import JobRun
 
 RAISED, UPDATED, CLEARED, CLOSED = (
     AlertEventKind.RAISED,

@@ -6,17 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.ports import (
-    FleetRecord,
-    GeometryRecord,
-    Mounting,
-    Storage,
-    VehicleRecord,
-    WheelsetRecord,
-    WindowRecord,
-    WindowState,
-)
-from estimation.types import BinStatus, BinValues, Estimate, Status, WheelsetGeometry, Window, WindowQuality
+from estimation.storage import Storage
+from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
+from estimation.values.quantities import Estimate, Status
+from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.windows import Window, WindowQuality, WindowRecord, WindowState
 
 DAY_NS = 86_400_000_000_000
 WINDOW_NS = 30_000_000_000

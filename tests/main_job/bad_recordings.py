@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from estimation.types import FrameBatch
 from ingest import catalogue as kinds
 from ingest.catalogue import default_catalogue
 from ingest.codec import decode, encode
-from ingest.frames import concatenate, sort_by_time, take
+from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.logs import read_log, write_log
 
 Signals = dict[str, npt.NDArray[np.float64]]

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
-from estimation.settings import EstimationSettings
+from estimation.jobs.settings import EstimationSettings
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 

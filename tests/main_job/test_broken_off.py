@@ -16,8 +16,9 @@ from tiny_fleet import DEAD, WORN, Deployment, results
 
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
-from estimation.ports import JobRun, WindowState
-from estimation.settings import EstimationSettings
+from estimation.jobs.settings import EstimationSettings
+from estimation.values.runs import JobRun
+from estimation.values.windows import WindowState
 from fleet_db.models import WindowBinTableRow
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage

@@ -14,7 +14,7 @@ import pytest
 from matplotlib import image
 from tiny_fleet import DEAD, WORN
 
-from estimation.types import COMBINATIONS
+from estimation.values.geometry import COMBINATIONS
 
 TREADWATCH = Path(sys.executable).with_name("treadwatch")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from tiny_fleet import DEAD, WORN, Deployment, results, rows, whole_history
 
-from estimation.ports import GeometryRecord
-from estimation.types import Status
+from estimation.values.geometry import GeometryRecord
+from estimation.values.quantities import Status
 from ingest.simulator.fleet import FleetReport
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from tiny_fleet import Deployment, deployment, true_conicity
 
-from estimation.types import FLEET, Status
+from estimation.values.quantities import Status
+from estimation.values.track import FLEET
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.fleet import FleetReport, run_fleet
 from ingest.simulator.scenario import Scenario

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.arrays import FloatArray
+from estimation.values.arrays import FloatArray
 
 HALF = 0.7452
 RADIUS = 0.45

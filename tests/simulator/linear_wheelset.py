@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimation.arrays import FloatArray
-from estimation.vehicle import VehicleParameters
+from estimation.values.arrays import FloatArray
+from estimation.vehicle.equations_of_motion import VehicleParameters
 
 
 def linear_system(p: VehicleParameters, V: float, conicity: float, angle_slope: float, roll_slope: float) -> FloatArray:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from analytic_contact import cones
 
-from estimation.arrays import FloatArray
 from estimation.errors import InputError, ParameterError
-from estimation.vehicle import VehicleParameters
+from estimation.values.arrays import FloatArray
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.curves import Curve
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 from ingest.simulator.sensors import ideal_node, measure

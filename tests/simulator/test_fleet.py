@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from scenario_text import SMALL
 
-from estimation.arrays import same_values
 from estimation.errors import ScenarioError
-from estimation.types import ACCELERATIONS, FrameBatch
+from estimation.values.arrays import same_values
+from estimation.values.windows import ACCELERATIONS
 from ingest.canopen import vehicle_time_ns
 from ingest.catalogue import default_catalogue
 from ingest.codec import Decoded, decode
+from ingest.frames import FrameBatch
 from ingest.logs import read_log
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_motion, wheelset_record
 from ingest.simulator.fleet import FleetReport, prepare, run_fleet, simulate_campaign

@@ -12,9 +12,9 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from scipy.optimize import brentq
 
-from estimation.arrays import FloatArray, same_values
 from estimation.errors import ParameterError
-from estimation.vehicle import (
+from estimation.values.arrays import FloatArray, same_values
+from estimation.vehicle.equations_of_motion import (
     ContactState,
     VehicleParameters,
     WheelsetState,
@@ -75,7 +75,7 @@ def test_accelerations_are_those_of_the_equations(rough_track: TrackTruth) -> No
 def reference(
     p: VehicleParameters, table: AnalyticTable, track: TrackTruth, speed: FloatArray, start: float, initial: FloatArray
 ) -> FloatArray:
-    """Integrate with scipy's 8th-order method, its own interpolators, and the equations of ``estimation.vehicle``."""
+    """Integrate with scipy's 8th-order method, its own interpolators, and the equations of motion."""
     grid = (table.lateral_displacement, table.gauge_deviation)
     names = ("rolling_radius_left", "rolling_radius_right", "contact_angle_left", "contact_angle_right", "roll")
     values = [getattr(table, name) for name in names]

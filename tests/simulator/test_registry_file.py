@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scenario_text import SMALL
 
-from estimation.arrays import FloatArray, same_values
 from estimation.contact.profiles import wheel_profile
 from estimation.errors import InputError
-from estimation.types import Status
+from estimation.values.arrays import FloatArray, same_values
+from estimation.values.quantities import Status
 from fleet_db.storage import SqlStorage
 from ingest.registry_file import load_registry, read_registry
 from ingest.simulator.campaign import scenario_track, vehicle_run

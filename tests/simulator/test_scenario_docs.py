@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from estimation.vehicle import VehicleParameters
+from estimation.vehicle.equations_of_motion import VehicleParameters
 
 DOCS = Path(__file__).parents[2] / "docs"
 INGEST = Path(__file__).parents[2] / "ingest"

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from section_text import SMALL_SECTION
 
-from estimation.arrays import same_values
 from estimation.errors import NotFoundError, ScenarioError
-from estimation.types import ACCELERATIONS
-from estimation.vehicle import VehicleParameters
+from estimation.values.arrays import same_values
+from estimation.values.windows import ACCELERATIONS
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.section_file import builtin_section_scenarios, load_section_scenario, read_section_scenario
 from ingest.simulator.section_run import SectionRun, simulate_section
 from ingest.simulator.section_scenario import SectionScenario

@@ -16,9 +16,9 @@ from estimation.estimators.tracks import (
     section_passes,
     straight_track,
 )
-from estimation.settings import EstimationSettings
-from estimation.track.epochs import AlignmentSettings
+from estimation.jobs.settings import EstimationSettings
 from estimation.track.passes import Pass
+from estimation.track.settings import AlignmentSettings
 from ingest.simulator.section_file import read_section_scenario
 from ingest.simulator.section_run import SECTION, SectionRun, simulate_section
 
@@ -35,7 +35,7 @@ def small_run(tmp_path_factory: pytest.TempPathFactory) -> SectionRun:
 
 @pytest.fixture(scope="module")
 def found(small_run: SectionRun) -> list[Pass]:
-    return section_passes(small_run.all_windows(), SETTINGS, ALIGNMENT)
+    return section_passes(small_run.all_windows(), SETTINGS.windows, ALIGNMENT)
 
 
 def test_a_known_alignment_puts_every_window_where_it_was(small_run: SectionRun, found: list[Pass]) -> None:
@@ -61,7 +61,7 @@ def test_a_window_of_a_journey_that_nobody_knows_is_left_out(small_run: SectionR
     window = next(iter(small_run.windows("W00")))
     assert known.placed(replace(window, vehicle="stranger")) is None
     assert known.correction_of(replace(window, start_ns=0)) is None
-    assert list(motions([replace(window, vehicle="stranger")], known, SETTINGS)) == []
+    assert list(motions([replace(window, vehicle="stranger")], known, SETTINGS.windows)) == []
 
 
 def test_the_gauge_alone_is_taken_over(small_run: SectionRun, found: list[Pass]) -> None:
@@ -84,8 +84,8 @@ def test_no_pass_tells_nothing(small_run: SectionRun) -> None:
 def test_without_track_y_is_taken_for_y_minus_d(small_run: SectionRun) -> None:
     exact = replace(small_run, scenario=replace(small_run.scenario, position_offset=0.0, position_scale=0.0))
     windows = list(exact.windows("W00"))
-    blind = list(motions(windows, TrackKnowledge(straight_track(SECTION, 2000.0)), SETTINGS))
-    seen = list(motions(windows, TrackKnowledge(exact.true_track()), SETTINGS))
+    blind = list(motions(windows, TrackKnowledge(straight_track(SECTION, 2000.0)), SETTINGS.windows))
+    seen = list(motions(windows, TrackKnowledge(exact.true_track()), SETTINGS.windows))
     for y, relative in zip(blind, seen, strict=True):
         both = y.valid & relative.valid
         d = (y.displacement - relative.displacement)[both]

@@ -9,10 +9,10 @@ import pytest
 from analytic_contact import smooth_pair
 from scipy.signal import welch
 
-from estimation.arrays import FloatArray
 from estimation.errors import ParameterError
-from estimation.types import ACCELERATIONS
-from estimation.vehicle import VehicleParameters
+from estimation.values.arrays import FloatArray
+from estimation.values.windows import ACCELERATIONS
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
 from ingest.simulator.sensors import Channel, SensorNode, draw_offsets, ideal_node, measure
 from ingest.simulator.track import TrackRecipe, make_track

@@ -1,0 +1,1 @@
+"""Facts about a wheelset in; alert transitions out."""

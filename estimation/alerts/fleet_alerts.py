@@ -1,0 +1,142 @@
+"""Fleet alerts: many new alerts of one kind in one fleet become one that stands for them. Pure functions.
+
+A fleet alert says nothing that its members do not say. It is as severe as the worst open member, unknown where all of
+them are, closed when the last of them closes, and its evidence lists them. Its times are those of its members, thus
+of the data. ``version`` is left to the store.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from estimation.alerts.life_cycle import DELAYS, SEVERITY_RANK, updated, without_stale_acknowledgement
+from estimation.alerts.rules.book import RuleBook, StormRule
+from estimation.errors import InputError
+from estimation.values.alerts import Alert, AlertEventKind, AlertKind, Condition, Transition
+from estimation.values.json_value import JsonValue
+
+HOUR_NS = 3_600_000_000_000
+
+
+def in_storm(opened_ns: Sequence[int], rule: StormRule) -> list[bool]:
+    """Return of each alert whether it is one of too many.
+
+    Parameters
+    ----------
+    opened_ns
+        When the alerts of one kind in one fleet were opened, by the time of the data; in any order.
+    rule
+        How many, within how many hours.
+
+    Returns
+    -------
+    list of bool
+        In the order given: true where some stretch of ``within_hours`` (both ends included) holds the alert and more
+        than ``more_than`` altogether.
+    """
+    order = sorted(range(len(opened_ns)), key=lambda i: opened_ns[i])
+    within_ns = round(rule.within_hours * HOUR_NS)
+    found = [False] * len(opened_ns)
+    first = 0
+    for last, i in enumerate(order):
+        while opened_ns[i] - opened_ns[order[first]] > within_ns:
+            first += 1
+        if last - first + 1 > rule.more_than:
+            for one in order[first : last + 1]:
+                found[one] = True
+    return found
+
+
+def opened(fleet: str, kind: AlertKind, members: Sequence[Alert], book: RuleBook) -> Alert:
+    """Return the fleet alert that members-to-be call for, to be stored before them so that they can name it.
+
+    It lists them only once they are stored, see :func:`refreshed`; to be raised after that.
+
+    Raises
+    ------
+    InputError
+        There are no members.
+    """
+    if not members:
+        raise InputError("a fleet alert needs members", field="members")
+    worst = _worst(members)
+    return Alert(
+        alert_id=0,
+        fleet=fleet,
+        wheelset=None,
+        kind=kind,
+        severity=worst.severity,
+        condition=_condition(members),
+        opened_ns=min(member.opened_ns for member in members),
+        last_seen_ns=max(member.last_seen_ns for member in members),
+        occurrence_count=len(members),
+        probability=None,
+        evidence={
+            "more_than": book.storm.more_than,
+            "within_hours": book.storm.within_hours,
+            "members": [],
+            DELAYS: {"acknowledgement_days": book.delays_of(kind).acknowledgement_days},
+        },
+        action=worst.action,
+        raise_limit=None,
+        clear_limit=None,
+    )
+
+
+def refreshed(alert: Alert, members: Sequence[Alert], now_ns: int) -> Transition | None:
+    """Return what its members, as they are now, make of an open fleet alert; None where nothing has changed.
+
+    Parameters
+    ----------
+    alert
+        The fleet alert as stored.
+    members
+        All of its members as stored, open and closed.
+    now_ns
+        Our time; only an acknowledgement that has run out depends on it.
+    """
+    after = replace(
+        without_stale_acknowledgement(alert, now_ns),
+        last_seen_ns=max(alert.last_seen_ns, *(member.last_seen_ns for member in members)),
+        occurrence_count=len(members),
+        evidence={**alert.evidence, "members": [_listed(member) for member in members]},
+    )
+    still_open = [member for member in members if member.closed_ns is None]
+    if not still_open:
+        return _closed(after, members)
+    worst = _worst(still_open)
+    if SEVERITY_RANK[worst.severity] > SEVERITY_RANK[alert.severity]:
+        after = replace(after, acknowledged_by=None, acknowledged_ns=None)
+    after = replace(after, severity=worst.severity, action=worst.action, condition=_condition(still_open))
+    return updated(alert, after)
+
+
+def _closed(alert: Alert, members: Sequence[Alert]) -> Transition:
+    closed_ns = max(member.closed_ns or member.last_seen_ns for member in members)
+    after = replace(alert, closed_ns=closed_ns, close_reason="all members closed")
+    if any(member.condition is not Condition.CLEARED for member in members):
+        return Transition(after, (AlertEventKind.CLOSED,))
+    after = replace(
+        after, condition=Condition.CLEARED, cleared_ns=closed_ns, acknowledged_by=None, acknowledged_ns=None
+    )
+    return Transition(after, (AlertEventKind.CLEARED, AlertEventKind.CLOSED))
+
+
+def _worst(members: Sequence[Alert]) -> Alert:
+    return max(members, key=lambda member: SEVERITY_RANK[member.severity])  # the first of equals
+
+
+def _condition(members: Sequence[Alert]) -> Condition:
+    unknown = all(member.condition is Condition.UNKNOWN for member in members)
+    return Condition.UNKNOWN if unknown else Condition.ACTIVE
+
+
+def _listed(member: Alert) -> dict[str, JsonValue]:
+    return {
+        "wheelset": member.wheelset,
+        "alert_id": member.alert_id,
+        "severity": member.severity.value,
+        "condition": member.condition.value,
+        "open": member.closed_ns is None,
+    }

@@ -1,0 +1,261 @@
+"""Is a wheelset still the one that the registry names? Judged by its geometry before and after.
+
+Wear changes a rolling radius difference R(y - d) slowly. Where it has jumped, two mistakes explain it exactly: the
+wheelset runs the other way round than on file, then R(x) has become -R(-x), which wheels of unequal shape show; or two
+wheelsets have been exchanged, then each has what was the other's. Only what is explained is reported, and only where
+the explanation fits far better than staying the same.
+
+Distances between curves are root mean squares over the bins that both have, in standard deviations that include wear,
+a common error of scale, and what a band-passed signal leaves open of the level.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import WheelsetGeometry
+
+
+class Mistake(StrEnum):
+    """What the registry has wrong."""
+
+    REVERSED = "reversed"  # left wheel on the other side than on file
+    SWAPPED = "swapped"  # two wheelsets, each under the other's name
+
+
+@dataclass(frozen=True, slots=True)
+class IdentityParameters:
+    """When a jump is one, and when it is explained."""
+
+    trusted_std: float = 1.4  # by which published standard deviations are multiplied
+    floor: float = 0.004e-3  # m of R, besides
+    relative: float = 0.02  # of R: errors of scale that differ from interval to interval
+    level: float = 0.01e-3  # m of R, of the level that is left open
+    wear_per_1000_km: float = 0.02e-3  # m of R, the most that is usual
+    uneven: float = 0.3  # share of wear that differs between the two wheels
+    least_jump: float = 2.0  # standard deviations, rms over the bins
+    most_left: float = 1.2  # standard deviations that an explanation may leave
+    least_gain: float = 2.0  # times less than staying the same leaves
+    reach: float = 3.5e-3  # m of lateral displacement that is looked at
+    least_bins: int = 8
+    least_windows: int = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """The geometry of one wheelset over one stretch of mileage, as an identity is judged by."""
+
+    wheelset: str
+    from_ns: int
+    to_ns: int
+    mileage_km: float
+    geometry: WheelsetGeometry
+
+
+@dataclass(frozen=True, slots=True)
+class IdentityEvent:
+    """A jump of a wheelset's geometry with its explanation; it lies between ``before_ns`` and ``after_ns``."""
+
+    wheelset: str
+    mistake: Mistake
+    partner: str | None  # the other wheelset of a swap
+    before_ns: int  # end of the last data before
+    after_ns: int  # begin of the first data after
+    measured_ns: int  # end of the data that showed it
+    jump: float  # standard deviations between before and after
+    left: float  # standard deviations that the explanation leaves
+
+
+@dataclass(frozen=True, slots=True)
+class _Curve:
+    at: FloatArray  # (b,) m
+    value: FloatArray  # (b,) m, NaN where not known
+    std: FloatArray  # (b,) m
+
+
+def identity_events(
+    histories: Mapping[str, Sequence[Observation]], parameters: IdentityParameters | None = None
+) -> dict[str, IdentityEvent]:
+    """Return by wheelset the first jump of its geometry that a mistake of the registry explains.
+
+    Parameters
+    ----------
+    histories
+        By wheelset its geometries since its last reprofiling or known event, in order of mileage.
+    parameters
+        When a jump is one.
+    """
+    p = parameters or IdentityParameters()
+    jumps = {serial: jump for serial, seen in histories.items() if (jump := _first_jump(seen, p)) is not None}
+    found: dict[str, IdentityEvent] = {}
+    for serial, (before, after) in jumps.items():
+        event = reversed_between(before, after, p)
+        if event is not None:
+            found[serial] = event
+    pairs = []
+    serials = sorted(jumps)
+    for i, first in enumerate(serials):
+        for second in serials[i + 1 :]:
+            swap = swapped_between(jumps[first], jumps[second], p)
+            if swap is not None:
+                pairs.append(swap)
+    for one, other in sorted(pairs, key=lambda pair: (max(pair[0].left, pair[1].left), pair[0].wheelset)):
+        better = all(event.wheelset not in found or event.left < found[event.wheelset].left for event in (one, other))
+        taken = any(
+            serial in found and found[serial].mistake is Mistake.SWAPPED for serial in (one.wheelset, other.wheelset)
+        )
+        if better and not taken:
+            found |= {one.wheelset: one, other.wheelset: other}
+    return found
+
+
+def _first_jump(seen: Sequence[Observation], p: IdentityParameters) -> tuple[Observation, Observation] | None:
+    """Return the first two observations between which the geometry jumps, the one with both kinds in it left out."""
+    usable = [item for item in seen if item.geometry.windows >= p.least_windows]
+    for i in range(len(usable) - 1):
+        before, next_one = usable[i], usable[i + 1]
+        if not _jumps(before, next_one, p):
+            continue
+        if i + 2 == len(usable):
+            return before, next_one
+        # the interval in which it happened is a mixture: what follows it says what it has become
+        settled = usable[i + 2]
+        return (before, settled) if _jumps(next_one, settled, p) else (before, next_one)
+    return None
+
+
+def _jumps(before: Observation, after: Observation, p: IdentityParameters) -> bool:
+    worn = _worn(before, after, p)
+    whole = _distance(_curve(before), _curve(after), worn, p)
+    parts = _even(_curve(before)), _even(_curve(after))
+    even = _distance(*parts, p.uneven * worn, p)
+    return any(value is not None and value >= p.least_jump for value in (whole, even))
+
+
+def reversed_between(
+    before: Observation, after: Observation, parameters: IdentityParameters | None = None
+) -> IdentityEvent | None:
+    """Return the event where what came after is the mirror image of what was before; None where it is not.
+
+    Only the even part of R tells: the odd part is its own mirror image.
+    """
+    p = parameters or IdentityParameters()
+    worn = _worn(before, after, p)
+    first, second = _curve(before), _curve(after)
+    same = _distance(_even(first), _even(second), p.uneven * worn, p)
+    mirrored = _distance(_even(_mirrored(first)), _even(second), p.uneven * worn, p)
+    whole = _distance(_mirrored(first), second, worn, p)
+    if same is None or mirrored is None or whole is None:
+        return None
+    left = max(mirrored, whole)
+    if same < p.least_jump or left > p.most_left or same < p.least_gain * mirrored:
+        return None
+    return _event(Mistake.REVERSED, None, (before, after), same, left)
+
+
+def swapped_between(
+    first: tuple[Observation, Observation],
+    second: tuple[Observation, Observation],
+    parameters: IdentityParameters | None = None,
+) -> tuple[IdentityEvent, IdentityEvent] | None:
+    """Return the events of both where each has after what was the other's before, at one time; None where not so.
+
+    Parameters
+    ----------
+    first, second
+        Before and after of two wheelsets.
+    parameters
+        When a jump is one.
+    """
+    p = parameters or IdentityParameters()
+    if max(first[0].to_ns, second[0].to_ns) > min(first[1].from_ns, second[1].from_ns):
+        return None  # one had changed while the other had not yet
+    before, after = [_curve(pair[0]) for pair in (first, second)], [_curve(pair[1]) for pair in (first, second)]
+    worn = max(_worn(*pair, p) for pair in (first, second))
+    stayed = [_distance(before[i], after[i], worn, p) for i in (0, 1)]
+    crossed = [_distance(before[1 - i], after[i], worn, p) for i in (0, 1)]
+    if None in stayed or None in crossed:
+        return None
+    jumps = [float(value) for value in stayed if value is not None]
+    left = [float(value) for value in crossed if value is not None]
+    if min(jumps) < p.least_jump or max(left) > p.most_left or min(jumps) < p.least_gain * max(left):
+        return None
+    one = _event(Mistake.SWAPPED, second[0].wheelset, first, jumps[0], left[0])
+    other = _event(Mistake.SWAPPED, first[0].wheelset, second, jumps[1], left[1])
+    # both at one time: it happened after the last data of either before, and before the first of either after
+    begin, end = max(one.before_ns, other.before_ns), min(one.after_ns, other.after_ns)
+    return (
+        replace(one, before_ns=min(begin, one.after_ns), after_ns=max(end, one.before_ns)),
+        replace(other, before_ns=min(begin, other.after_ns), after_ns=max(end, other.before_ns)),
+    )
+
+
+def _event(
+    mistake: Mistake, partner: str | None, pair: tuple[Observation, Observation], jump: float, left: float
+) -> IdentityEvent:
+    before, after = pair
+    return IdentityEvent(
+        wheelset=before.wheelset,
+        mistake=mistake,
+        partner=partner,
+        before_ns=before.to_ns,
+        after_ns=after.from_ns,
+        measured_ns=after.to_ns,
+        jump=jump,
+        left=left,
+    )
+
+
+def _worn(before: Observation, after: Observation, p: IdentityParameters) -> float:
+    return p.wear_per_1000_km * abs(after.mileage_km - before.mileage_km) / 1000.0
+
+
+def _curve(item: Observation) -> _Curve:
+    geometry = item.geometry
+    centre = 0.5 * (geometry.bin_edges[1:] + geometry.bin_edges[:-1])
+    values = geometry.rolling_radius_difference
+    known = np.isfinite(values.value) & np.isfinite(values.std)
+    return _Curve(centre, np.where(known, values.value, np.nan), np.where(known, values.std, np.nan))
+
+
+def _mirrored(curve: _Curve) -> _Curve:
+    """Return the curve of the wheelset the other way round, -R(-x), on the same bins."""
+    return _Curve(curve.at, -_at_other_side(curve, curve.value), _at_other_side(curve, curve.std))
+
+
+def _even(curve: _Curve) -> _Curve:
+    """Return the even part (R(x) + R(-x)) / 2 for x > 0."""
+    other, other_std = _at_other_side(curve, curve.value), _at_other_side(curve, curve.std)
+    right = curve.at > 0.0
+    return _Curve(curve.at[right], 0.5 * (curve.value + other)[right], 0.5 * np.hypot(curve.std, other_std)[right])
+
+
+def _at_other_side(curve: _Curve, values: FloatArray) -> FloatArray:
+    """Return ``values`` at -x, NaN where one of the bins between which it lies is not known."""
+    return np.interp(-curve.at, curve.at, values, left=np.nan, right=np.nan)
+
+
+def _distance(first: _Curve, second: _Curve, worn: float, p: IdentityParameters) -> float | None:
+    """Return the rms of the difference over its standard deviation; None where too few bins are common."""
+    if len(first.at) != len(second.at) or not np.allclose(first.at, second.at):
+        return None
+    common = np.isfinite(first.value + second.value) & (np.abs(first.at) <= p.reach)
+    both_sides = bool((first.at < 0.0).any())
+    if np.count_nonzero(common) < (p.least_bins if both_sides else p.least_bins // 2):
+        return None
+    a, b = first.value[common], second.value[common]
+    variance = (
+        (p.trusted_std**2) * (first.std[common] ** 2 + second.std[common] ** 2)
+        + p.floor**2
+        + (p.relative * 0.5 * (a + b)) ** 2
+        + worn**2
+    )
+    # the level is a nuisance with a prior of its own
+    weight = 1.0 / variance
+    level = float((weight * (b - a)).sum() / (weight.sum() + p.level**-2))
+    return float(np.sqrt(np.mean((b - a - level) ** 2 / variance)))

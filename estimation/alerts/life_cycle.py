@@ -1,0 +1,325 @@
+"""What happens to an alert: pure functions from (alert, fact) to the alert afterwards and the events to record.
+
+Life of an alert. A breach opens it (``pending`` until the on-delay is over, then ``active`` and raised). The same again
+updates it. Data that no longer say anything make it ``unknown``. Beyond the clear limit, for the off-delay, it is
+cleared and with that closed. A reprofiling or an exchange closes it with its reason. A closed alert never changes; a
+later breach opens a new one.
+
+Times of an alert are those of the data that moved it, so that the same data give the same alerts whenever they are
+evaluated; the time of recording is on the events. ``version`` is left to the store, which counts it: what comes out
+carries the version that went in. The delays as they were when it was raised, and how far they have been counted, stand
+under ``delays`` in its evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from estimation.alerts.rules.book import AlertDelays
+from estimation.errors import ConflictError, InputError
+from estimation.values.alerts import Alert, AlertEventKind, Condition, Finding, Severity, Transition
+from estimation.values.json_value import JsonValue
+
+DELAYS = "delays"
+DAY_NS = 86_400_000_000_000
+PROBABILITY_BANDS = (0.05, 0.5, 0.8, 0.95, 0.99)
+MOST_REFERENCES = 20
+REFERENCE_LENGTH = 200
+SEVERITY_RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.CRITICAL: 2}
+
+
+def transition(
+    open_alert: Alert | None,
+    finding: Finding,
+    now_ns: int,
+    *,
+    fleet: str,
+    delays: AlertDelays | None = None,
+) -> Transition | None:
+    """Return what a finding does to the open alert of its wheelset and kind.
+
+    Parameters
+    ----------
+    open_alert
+        The open alert, or None.
+    finding
+        What the rule says now.
+    now_ns
+        Our time; only acknowledgements that have run out depend on it.
+    fleet
+        Fleet of the wheelset, for a new alert.
+    delays
+        Delays of the rule, for a new alert; an open alert keeps those that it was raised with.
+
+    Returns
+    -------
+    Transition or None
+        None where nothing changes; a repeat with the same data is such a case. ``events`` is empty where only
+        counters or a pending alert changed.
+
+    Raises
+    ------
+    ConflictError
+        The alert is closed, or of another wheelset or kind.
+    """
+    if open_alert is None:
+        return _opened(finding, fleet, delays or AlertDelays()) if finding.breached else None
+    _must_be_open(open_alert)
+    if (open_alert.wheelset, open_alert.kind) != (finding.wheelset, finding.kind):
+        raise ConflictError("the finding is not about this alert", kind="alert", key=str(open_alert.alert_id))
+    if open_alert.condition is Condition.PENDING:
+        return _pending(open_alert, finding)
+    return _raised(without_stale_acknowledgement(open_alert, now_ns), open_alert, finding)
+
+
+def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
+    at_once = delays.on_evaluations <= 1
+    counters: dict[str, JsonValue] = {
+        "on_evaluations": delays.on_evaluations,
+        "off_evaluations": delays.off_evaluations,
+        "acknowledgement_days": delays.acknowledgement_days,
+        "clear_seen": 0,
+        "counted_ns": finding.measured_ns,
+    }
+    alert = Alert(
+        alert_id=0,
+        fleet=fleet,
+        wheelset=finding.wheelset,
+        kind=finding.kind,
+        severity=finding.severity,
+        condition=Condition.ACTIVE if at_once else Condition.PENDING,
+        opened_ns=finding.measured_ns,
+        last_seen_ns=finding.measured_ns,
+        occurrence_count=1,
+        probability=finding.probability,
+        evidence={**finding.evidence, DELAYS: counters},
+        action=finding.action,
+        raise_limit=finding.raise_limit,
+        clear_limit=finding.clear_limit,
+    )
+    return Transition(alert, (AlertEventKind.RAISED,) if at_once else ())
+
+
+def _pending(alert: Alert, finding: Finding) -> Transition | None:
+    """Count a breach towards the on-delay; without one the alert ends before anybody heard of it."""
+    if finding.breached is None or not _is_news(alert, finding):
+        return None
+    if not finding.breached:
+        gone = replace(
+            alert,
+            condition=Condition.CLEARED,
+            cleared_ns=finding.measured_ns,
+            closed_ns=finding.measured_ns,
+            close_reason="not confirmed within the on-delay",
+        )
+        return _changed(alert, gone, ())
+    seen = _seen_again(alert, finding)
+    if seen.occurrence_count < _delay(alert, "on_evaluations"):
+        return _changed(alert, seen, ())
+    return _changed(alert, replace(seen, condition=Condition.ACTIVE), (AlertEventKind.RAISED,))
+
+
+def _raised(alert: Alert, stored: Alert, finding: Finding) -> Transition | None:
+    if finding.breached is None:
+        after = _unknown(alert, finding)
+    elif finding.breached:
+        after = _seen_again(alert, finding) if _is_news(alert, finding) else _refreshed(alert, finding)
+        after = replace(_counted(after, finding, clear_seen=0), condition=Condition.ACTIVE)
+    elif finding.cleared:
+        return _clearing(alert, stored, finding)
+    else:  # between the limits: still true, not seen again
+        after = replace(_counted(_refreshed(alert, finding), finding, clear_seen=0), condition=Condition.ACTIVE)
+    return updated(stored, after)
+
+
+def _unknown(alert: Alert, finding: Finding) -> Alert:
+    """Keep the numbers that raised it, and say why they are no longer known."""
+    evidence = {**alert.evidence, "unknown_because": finding.evidence.get("unknown_because")}
+    return replace(alert, condition=Condition.UNKNOWN, evidence=evidence)
+
+
+def _clearing(alert: Alert, stored: Alert, finding: Finding) -> Transition | None:
+    news = _is_news(alert, finding)
+    seen = _delay(alert, "clear_seen") + (1 if news else 0)
+    after = _counted(_refreshed(alert, finding), finding, clear_seen=seen)
+    if seen < _delay(alert, "off_evaluations"):
+        return updated(stored, replace(after, condition=Condition.ACTIVE))
+    after = replace(
+        after,
+        condition=Condition.CLEARED,
+        cleared_ns=finding.measured_ns,
+        closed_ns=finding.measured_ns,
+        close_reason="cleared",
+        acknowledged_by=None,
+        acknowledged_ns=None,
+    )
+    return _changed(stored, after, (AlertEventKind.CLEARED, AlertEventKind.CLOSED))
+
+
+def _seen_again(alert: Alert, finding: Finding) -> Alert:
+    after = _counted(_refreshed(alert, finding), finding, clear_seen=0)
+    return replace(
+        after,
+        last_seen_ns=max(alert.last_seen_ns, finding.measured_ns),
+        occurrence_count=alert.occurrence_count + 1,
+    )
+
+
+def _refreshed(alert: Alert, finding: Finding) -> Alert:
+    """Take over what the finding says; a rise in severity ends the acknowledgement."""
+    after = replace(
+        alert,
+        severity=finding.severity,
+        probability=finding.probability,
+        evidence={**finding.evidence, DELAYS: alert.evidence.get(DELAYS)},
+        action=finding.action,
+        raise_limit=finding.raise_limit,
+        clear_limit=finding.clear_limit,
+    )
+    if SEVERITY_RANK[finding.severity] > SEVERITY_RANK[alert.severity]:
+        return replace(after, acknowledged_by=None, acknowledged_ns=None)
+    return after
+
+
+def without_stale_acknowledgement(alert: Alert, now_ns: int) -> Alert:
+    """Return the alert without an acknowledgement that has run out."""
+    days = _number(_counters(alert).get("acknowledgement_days"), AlertDelays().acknowledgement_days)
+    if alert.acknowledged_ns is not None and now_ns - alert.acknowledged_ns > days * DAY_NS:
+        return replace(alert, acknowledged_by=None, acknowledged_ns=None)
+    return alert
+
+
+def updated(before: Alert, after: Alert) -> Transition | None:
+    """Return the change, told of only where it matters to a reader of the feed; None where there is none."""
+    events = (AlertEventKind.UPDATED,) if _material(before) != _material(after) else ()
+    return _changed(before, after, events)
+
+
+def _changed(before: Alert, after: Alert, events: tuple[AlertEventKind, ...]) -> Transition | None:
+    if before == after:
+        return None
+    return Transition(after, events)
+
+
+def _material(alert: Alert) -> tuple[object, ...]:
+    """Return what a reader of the feed wants to hear of."""
+    band = None if alert.probability is None else sum(alert.probability >= edge for edge in PROBABILITY_BANDS)
+    evidence = {key: value for key, value in alert.evidence.items() if key != DELAYS}
+    limits = (alert.raise_limit, alert.clear_limit)
+    return alert.severity, alert.condition, band, evidence, alert.action, limits, alert.acknowledged_by
+
+
+def _is_news(alert: Alert, finding: Finding) -> bool:
+    return _counters(alert).get("counted_ns") != finding.measured_ns
+
+
+def _counters(alert: Alert) -> Mapping[str, JsonValue]:
+    counters = alert.evidence.get(DELAYS)
+    return counters if isinstance(counters, dict) else {}
+
+
+def _counted(alert: Alert, finding: Finding, *, clear_seen: int) -> Alert:
+    counters = {**_counters(alert), "clear_seen": clear_seen, "counted_ns": finding.measured_ns}
+    return replace(alert, evidence={**alert.evidence, DELAYS: counters})
+
+
+def _delay(alert: Alert, name: str) -> int:
+    return int(_number(_counters(alert).get(name), 0.0 if name == "clear_seen" else 1.0))
+
+
+def _number(value: JsonValue, default: float) -> float:
+    return float(value) if isinstance(value, (int, float)) else default
+
+
+def close(alert: Alert, reason: str, at_ns: int) -> Transition:
+    """Close an alert for a reason outside the data: reprofiled, exchanged, closed by somebody.
+
+    The condition stays as it was: what was true then is on record. A pending alert goes without an event.
+
+    Raises
+    ------
+    ConflictError
+        It is closed already.
+    """
+    _must_be_open(alert)
+    if not reason.strip():
+        raise InputError("closing an alert needs a reason", field="reason")
+    after = replace(alert, closed_ns=at_ns, close_reason=reason.strip())
+    return Transition(after, () if alert.condition is Condition.PENDING else (AlertEventKind.CLOSED,))
+
+
+def acknowledge(alert: Alert, by: str, now_ns: int) -> Transition:
+    """Somebody has seen the alert.
+
+    Raises
+    ------
+    ConflictError
+        It is closed, still pending, or acknowledged already.
+    InputError
+        No name.
+    """
+    _must_be_raised(alert)
+    if not by.strip():
+        raise InputError("an acknowledgement needs a name", field="by")
+    if alert.acknowledged_by is not None:
+        raise _conflict(alert, f"already acknowledged by {alert.acknowledged_by}")
+    after = replace(alert, acknowledged_by=by.strip(), acknowledged_ns=now_ns)
+    return Transition(after, (AlertEventKind.ACKNOWLEDGED,))
+
+
+def shelve(alert: Alert, until_ns: int, reason: str, now_ns: int) -> Transition:
+    """Put the alert out of sight until a time; it goes on living and comes back by itself.
+
+    Raises
+    ------
+    ConflictError
+        It is closed or still pending.
+    InputError
+        The time has passed, or no reason is given.
+    """
+    _must_be_raised(alert)
+    if until_ns <= now_ns:
+        raise InputError("the end of shelving lies in the past", field="until")
+    if not reason.strip():
+        raise InputError("shelving needs a reason", field="reason")
+    after = replace(alert, shelved_until_ns=until_ns, shelved_reason=reason.strip())
+    return Transition(after, (AlertEventKind.SHELVED,))
+
+
+def link(alert: Alert, ref: str) -> Transition | None:
+    """Note the reference of another system, such as a work order; None where it is noted already.
+
+    Closed alerts take references too: the work order often comes after.
+
+    Raises
+    ------
+    ConflictError
+        The alert has as many references as it can hold.
+    InputError
+        The reference is empty or too long.
+    """
+    wanted = ref.strip()
+    if not 0 < len(wanted) <= REFERENCE_LENGTH:
+        raise InputError(f"a reference has 1 to {REFERENCE_LENGTH} characters", field="external_refs")
+    if wanted in alert.external_refs:
+        return None
+    if len(alert.external_refs) >= MOST_REFERENCES:
+        raise _conflict(alert, f"the alert has {MOST_REFERENCES} references already")
+    after = replace(alert, external_refs=(*alert.external_refs, wanted))
+    return Transition(after, (AlertEventKind.UPDATED,))
+
+
+def _must_be_open(alert: Alert) -> None:
+    if alert.closed_ns is not None:
+        raise _conflict(alert, f"the alert is closed ({alert.close_reason or 'no reason given'})")
+
+
+def _must_be_raised(alert: Alert) -> None:
+    _must_be_open(alert)
+    if alert.condition is Condition.PENDING:
+        raise _conflict(alert, "the alert has not been raised yet")
+
+
+def _conflict(alert: Alert, reason: str) -> ConflictError:
+    return ConflictError(reason, kind="alert", key=str(alert.alert_id))

@@ -1,0 +1,1 @@
+"""The alert rules: facts about a wheelset in, findings out. One file a rule."""

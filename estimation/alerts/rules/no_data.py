@@ -1,0 +1,55 @@
+"""Rule: a wheelset in service of which nothing could be estimated for some days."""
+
+from __future__ import annotations
+
+from estimation.alerts.rules.book import NoDataRule
+from estimation.values.alerts import AlertKind, Finding, Severity
+
+DAY_NS = 86_400_000_000_000
+
+
+def no_data_finding(
+    rule: NoDataRule, wheelset: str, last_usable_ns: int | None, in_service_since_ns: int, now_ns: int
+) -> Finding:
+    """Return whether the wheelset has fallen silent.
+
+    Parameters
+    ----------
+    rule
+        Days.
+    wheelset
+        Serial.
+    last_usable_ns
+        End of the newest window that was estimated or waits for it; None where there is none.
+    in_service_since_ns
+        When it was mounted; silence counts from there.
+    now_ns
+        Our time.
+
+    Returns
+    -------
+    Finding
+        Its ``measured_ns`` is when the silence began to count, not the time of asking, so that asking again says
+        the same.
+    """
+    since = max(in_service_since_ns, last_usable_ns if last_usable_ns is not None else in_service_since_ns)
+    silent_days = (now_ns - since) / DAY_NS
+    breached = silent_days > rule.days
+    critical = silent_days > rule.critical_days
+    return Finding(
+        wheelset=wheelset,
+        kind=AlertKind.NO_DATA,
+        breached=breached,
+        cleared=not breached,
+        severity=Severity.CRITICAL if critical else Severity.WARNING,
+        probability=1.0 if breached else 0.0,
+        evidence={
+            "last_usable_ns": last_usable_ns,
+            "in_service_since_ns": in_service_since_ns,
+            "limit_days": rule.critical_days if critical else rule.days,
+        },
+        action="check_sensor_and_connection",
+        raise_limit=rule.days,
+        clear_limit=rule.days,
+        measured_ns=since + round((rule.critical_days if critical else rule.days) * DAY_NS) if breached else since,
+    )

@@ -1,0 +1,69 @@
+"""Rule: too many of a wheelset's latest windows come from a sensor that cannot be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from scipy.special import betainc
+
+from estimation.alerts.rules import evidence
+from estimation.alerts.rules.book import SensorFaultRule
+from estimation.values.alerts import AlertKind, Finding, Severity
+from estimation.values.windows import WindowRecord
+
+
+def faulty(rule: SensorFaultRule, window: WindowRecord) -> str:
+    """Return what is wrong with the sensor in this window; empty where nothing is."""
+    quality = window.quality
+    if quality.sensor_fault:
+        return "self_test_or_emergency"
+    if quality.clipped > rule.clipped_share:
+        return "clipping"
+    if quality.invalid > rule.invalid_share:
+        return "invalid_values"
+    return ""
+
+
+def sensor_fault_finding(
+    rule: SensorFaultRule, wheelset: str, windows: Sequence[WindowRecord], measured_ns: int
+) -> Finding:
+    """Return what the latest windows say of the sensor.
+
+    With k faulty ones of n, the probability that the share of faulty windows exceeds a limit is that of a
+    Beta(k + 1, n - k + 1), the posterior of a flat prior.
+
+    Parameters
+    ----------
+    rule
+        Shares and probabilities.
+    wheelset
+        Serial.
+    windows
+        Windows of the mounting in service, any order; the newest ``rule.latest_windows`` are looked at.
+    measured_ns
+        Used where there is no window.
+    """
+    latest = sorted(windows, key=lambda w: w.start_ns)[-rule.latest_windows :]
+    reasons = [r for r in (faulty(rule, w) for w in latest) if r]
+    n, k = len(latest), len(reasons)
+    enough = n >= rule.minimum_windows
+    over = float(1.0 - betainc(k + 1, n - k + 1, rule.raise_share))
+    below_clear = float(betainc(k + 1, n - k + 1, rule.clear_share))
+    return Finding(
+        wheelset=wheelset,
+        kind=AlertKind.SENSOR_FAULT,
+        breached=over >= rule.raise_probability if enough else None,
+        cleared=below_clear >= rule.clear_probability if enough else None,
+        severity=Severity.WARNING,
+        probability=evidence.number(over, 3) if enough else None,
+        evidence={
+            "faulty_windows": k,
+            "windows": n,
+            "reasons": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
+            "unknown_because": None if enough else f"{n} windows, {rule.minimum_windows} needed",
+        },
+        action="replace_sensor",
+        raise_limit=rule.raise_share,
+        clear_limit=rule.clear_share,
+        measured_ns=max((w.start_ns + w.length_ns for w in latest), default=measured_ns),
+    )

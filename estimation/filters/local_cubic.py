@@ -1,0 +1,54 @@
+"""One high-pass for everything that is compared along a section: a signal minus its local cubic fit.
+
+The local fit over distance has weights of compact support that reproduce every cubic, so the filter is the same for
+every pass, forgets what lies further away than its reach, and takes out the slow wandering of integrated sensors.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy import signal
+
+from estimation.values.arrays import BoolArray, FloatArray
+
+Precision = TypeVar("Precision", bound=np.floating[Any])
+REACH_IN_WIDTHS = 3.5
+CUT_OFF_IN_WIDTHS = 3.43  # wavelength that is halved over the width of the weights: (1 + u) exp(-u) = 1/2, u = 1.678
+
+
+def smoother(cut_off: float, step: float) -> FloatArray:
+    """Return the weights (2 m + 1,) of the local cubic fit on a grid of ``step`` m; they sum to one.
+
+    Parameters
+    ----------
+    cut_off
+        Wavelength, m, of which half remains after the high-pass.
+    step
+        Grid spacing, m.
+    """
+    width = cut_off / CUT_OFF_IN_WIDTHS
+    m = int(np.ceil(REACH_IN_WIDTHS * width / step))
+    u = np.arange(-m, m + 1) * step / width
+    weights = np.exp(-0.5 * u * u)
+    moments = [float((weights * u**k).sum()) for k in (0, 2, 4)]
+    # (a + b u^2) w(u) with sum 1 and no second moment reproduces cubics
+    a, b = np.linalg.solve([[moments[0], moments[1]], [moments[1], moments[2]]], [1.0, 0.0])
+    return np.asarray((a + b * u * u) * weights)
+
+
+def without_slow_part(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) -> npt.NDArray[Precision]:
+    """Return ``signals`` (m, n) minus their local fit; the first and last len(weights)//2 samples mean nothing."""
+    kernel = weights[None, :] if signals.ndim > 1 else weights
+    return np.asarray(signals - signal.fftconvolve(signals, kernel, mode="same", axes=-1))
+
+
+def trusted(valid: BoolArray, weights: FloatArray) -> BoolArray:
+    """Return where every sample within the reach of the filter is valid."""
+    m = len(weights) // 2
+    padded = np.concatenate([np.zeros(m), ~valid, np.zeros(m)])
+    padded[:m] = padded[len(padded) - m :] = 1.0
+    sums = np.concatenate([[0.0], np.cumsum(padded)])
+    return np.asarray(sums[2 * m + 1 :] - sums[: -(2 * m + 1)] == 0)

@@ -1,0 +1,75 @@
+"""The slow wander of integrated signals, by a fixed-interval smoother in distance.
+
+An integrated acceleration is what the wheelset did plus a wander. The wander is modelled as an integrated random walk
+of third order *in distance*: its third derivative by distance is white. The most probable wander w given the whole
+stretch of u is then the smoothing spline
+
+    minimise  sum_i ds_i (u_i - w(s_i))^2 + mu integral (w''')^2 ds,        mu = (L / 2 pi)^6,
+
+which is what a Kalman filter over the stretch and the Rauch-Tung-Striebel smoother back give, computed as one sparse
+least-squares problem. Of a wave of length l it leaves 1 / (1 + (l/L)^6): half at the cut-off L, 98.5 % at L/2, 1.5 %
+at 2 L. At the ends of a stretch, where a filter would have to guess, the spline runs on as a parabola.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.linalg import cho_factor, cho_solve
+
+from estimation.values.arrays import BoolArray, FloatArray
+
+ORDER = 3  # of the derivative that is white
+DEGREE = 3  # of the spline's pieces
+KNOTS_PER_CUT_OFF = 12  # twice as many change what is left of a wave by less than a hundredth of it
+
+
+def without_wander(
+    signals: FloatArray, distance: FloatArray, known: BoolArray, cut_off: float, removed: FloatArray
+) -> FloatArray:
+    """Return ``signals`` (m, n) less their wander.
+
+    Parameters
+    ----------
+    signals
+        (m, n).
+    distance
+        (n,) m, not decreasing, from zero.
+    known
+        (n,) samples that count; the others are given the wander of their neighbours.
+    cut_off
+        Wavelength of which half is left, m.
+    removed
+        (k, n) functions that are taken out whole beside the wander, such as what an offset integrates to.
+    """
+    step = float(distance[-1]) / max(int(np.ceil(KNOTS_PER_CUT_OFF * distance[-1] / cut_off)), 1)
+    spline = _spline(distance, step)
+    penalty = _roughness(spline.shape[1], step, cut_off)
+    weight = np.where(known, np.gradient(distance), 0.0)
+    count = len(penalty)
+    weighted_spline, weighted_removed = spline.T.multiply(weight).tocsr(), removed * weight
+    gram = np.empty((count + len(removed), count + len(removed)))
+    gram[:count, :count] = (weighted_spline @ spline).toarray() + penalty
+    gram[:count, count:] = weighted_spline @ removed.T
+    gram[count:, :count] = gram[:count, count:].T
+    gram[count:, count:] = weighted_removed @ removed.T
+    gram[np.diag_indices_from(gram)] *= 1 + 1e-12  # what is removed may be nearly a spline itself
+    right = np.concatenate([weighted_spline @ signals.T, weighted_removed @ signals.T])
+    solution = cho_solve(cho_factor(gram), right)
+    return np.asarray(signals - (spline @ solution[:count]).T - solution[count:].T @ removed)
+
+
+def _spline(distance: FloatArray, step: float):  # type: ignore[no-untyped-def]  # noqa: ANN202 - a sparse array of scipy
+    """Return the B-splines (n, k) on knots every ``step``, sparse."""
+    length = float(distance[-1])
+    knots = step * np.arange(-DEGREE, round(length / step) + DEGREE + 1)
+    return BSpline.design_matrix(np.clip(distance, 0.0, length * (1 - 1e-12)), knots, DEGREE)
+
+
+def _roughness(count: int, step: float, cut_off: float) -> FloatArray:
+    """Return mu times the integral of the squared third derivative as a quadratic form (k, k) of the coefficients.
+
+    The third derivative of a cubic spline is constant between knots: the third difference over ``step``^3.
+    """
+    difference = np.diff(np.eye(count), ORDER, axis=0)
+    return np.asarray((cut_off / (2 * np.pi)) ** (2 * ORDER) * step ** (1 - 2 * ORDER) * difference.T @ difference)

@@ -1,0 +1,200 @@
+"""From a bin table to the published geometry of a wheelset: four combinations, conicity, each with its interval.
+
+Standard deviations come from blocks of data: every number is recomputed with one group of blocks left out
+(delete-a-group jackknife). The uncertainty of the vehicle parameters is added through the sensitivities that the table
+carries. A number whose total standard deviation is not well below what is known beforehand is published as unestimated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
+from estimation.geometry.displacement_error import DisplacementError
+from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.tables import least_squares
+from estimation.tables.bin_table import BinParameters
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.geometry import BinStatus, BinTable, BinValues, WheelsetGeometry
+from estimation.values.intervals import jackknife_std, normal_equivalent
+from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS
+
+FEWEST_GROUPS = 4
+
+FEWEST_BINS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class GeometryParameters:
+    """When a number may be published."""
+
+    least_samples: float = 100.0  # per bin, effective
+    jump_step: float = 0.15e-3  # m of rL - rR inside one bin that marks a contact jump
+    jump_residual: float = 4.0  # times the median residual of the bins
+    jump_residual_floor: float = 0.01e-3  # m of rL - rR; below it no residual is a jump
+    uncertainty: ParameterUncertainty = field(default_factory=ParameterUncertainty)
+    prior_radius: float = 2.0e-3  # m, std of S - 2 r0 and of R known beforehand
+    prior_angle: float = 0.15  # rad, std of A and D known beforehand
+    informative: float = 0.5  # publish below this share of the prior std
+    curve: CurveParameters = field(default_factory=CurveParameters)
+
+
+@dataclass(frozen=True, slots=True)
+class _Replicates:
+    """Solutions of the whole table (row 0) and with each group left out (rows 1..)."""
+
+    lateral: FloatArray  # (1 + g, b, 4, 7)
+    yaw: FloatArray  # (1 + g, b, 4, 5)
+    residual: FloatArray  # (b,) rms residual of the yaw equation as a rolling radius difference, m
+    groups_in_bin: FloatArray  # (b,)
+
+
+def estimate_geometry(table: BinTable, bins: BinParameters, parameters: GeometryParameters) -> WheelsetGeometry:
+    """Return what ``table`` says of the wheelset.
+
+    Parameters
+    ----------
+    table
+        Statistics made with ``bins``.
+    bins
+        Parameters of the table; its vehicle scales the residuals.
+    parameters
+        Gates and uncertainties.
+
+    Raises
+    ------
+    ValueError
+        ``table`` was made with other parameters than ``bins``.
+    """
+    if table.parameter_key != bins.key:
+        raise ValueError(f"table of parameters {table.parameter_key}, expected {bins.key}")
+    samples = table.weight.sum(axis=0)
+    replicates = _replicates(table, bins)
+    few = (samples < parameters.least_samples) | (replicates.groups_in_bin < FEWEST_GROUPS)
+    jump = ~few & _jumps(replicates, few, parameters)
+    unc = parameters.uncertainty
+    centre = 0.5 * (table.edges[:-1] + table.edges[1:])
+    noise = _displacement_noise(replicates, few | jump, bins)
+    error = DisplacementError.of(
+        noise, centre, samples, integrated=bins.band_limited, scale=unc.displacement, blur=unc.blur
+    )
+    hidden = _Hidden(few, jump, centre, error, parameters.informative)
+    S = _combination(replicates.lateral[:, :, 0], unc.lateral(), hidden, parameters.prior_radius)
+    D = _combination(replicates.lateral[:, :, 2], unc.lateral(), hidden, parameters.prior_angle)
+    A = _combination(replicates.yaw[:, :, 0], unc.yaw(), hidden, parameters.prior_angle)
+    R = _combination(replicates.yaw[:, :, 1], unc.yaw(), hidden, parameters.prior_radius)
+    shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 5, 3): R across each bin, by target
+    curve = curve_estimates(
+        CurveReplicates(
+            edges=table.edges,
+            difference=shape[:, :, 0, :],
+            sensitivity=shape[0, :, 1:, :] * unc.yaw()[:, None],
+            usable=~few,
+            error=error,
+            count=float(table.windows),
+            band_limited=bins.band_limited,
+        ),
+        parameters.curve,
+    )
+    return WheelsetGeometry(
+        bin_edges=table.edges,
+        samples=samples,
+        rolling_radius_sum=S,
+        rolling_radius_difference=R,
+        contact_angle_sum=A,
+        contact_angle_difference=D,
+        amplitude=curve.amplitude,
+        conicity=curve.conicity,
+        headline_amplitude=curve.headline_amplitude,
+        equivalent_conicity=curve.headline,
+        nonlinearity=curve.nonlinearity,
+        zero_crossing=curve.zero_crossing,
+        windows=table.windows,
+        parameter_key=table.parameter_key,
+        status=curve.headline.status,
+        reason=curve.headline.reason,
+    )
+
+
+def _replicates(table: BinTable, bins: BinParameters) -> _Replicates:
+    present = table.weight.sum(axis=1) > 0
+    weight = _leave_one_out(table.weight, present)
+    b = weight.shape[1]
+    lateral = _solve(_leave_one_out(table.lateral, present), weight, len(LATERAL_TARGETS))
+    yaw = _solve(_leave_one_out(table.yaw, present), weight, len(YAW_TARGETS))
+    vehicle = bins.vehicle
+    per_metre = vehicle.half_contact_distance * vehicle.longitudinal_creep_coefficient / vehicle.nominal_radius
+    return _Replicates(
+        lateral.theta.reshape(-1, b, REGRESSORS, len(LATERAL_TARGETS)),
+        yaw.theta.reshape(-1, b, REGRESSORS, len(YAW_TARGETS)),
+        np.sqrt(yaw.residual_variance[:b]) / per_metre,
+        (table.weight > 0).sum(axis=0).astype(np.float64),
+    )
+
+
+def _leave_one_out(groups: FloatArray, present: BoolArray) -> FloatArray:
+    total = groups.sum(axis=0)
+    return np.concatenate([total[None], total[None] - groups[present]])
+
+
+def _solve(packed: FloatArray, weight: FloatArray, targets: int) -> least_squares.Solution:
+    size = packed.shape[-1]
+    return least_squares.solve(packed.reshape(-1, size), weight.reshape(-1), REGRESSORS, targets)
+
+
+def _jumps(replicates: _Replicates, few: BoolArray, parameters: GeometryParameters) -> BoolArray:
+    """Bins whose rolling radius difference steps: a large rise across the bin, or residuals far above the others'."""
+    rise = np.abs(replicates.yaw[0, :, 2, 0])
+    typical = np.nanmedian(replicates.residual[~few]) if (~few).any() else 0.0
+    limit = max(parameters.jump_residual * float(typical), parameters.jump_residual_floor)
+    return np.asarray((rise > parameters.jump_step) | (replicates.residual > limit))
+
+
+def _displacement_noise(replicates: _Replicates, out: BoolArray, bins: BinParameters) -> float:
+    """Return the std of the error of y - d, m, from residual over slope in the bins where that is least.
+
+    Least, because curvature and jumps near by add to the residual; over the root of two, because rL - rR has lost its
+    slow part like y - d, and has an error of the same size.
+    """
+    slope = np.abs(replicates.yaw[0, :, 2, 0]) / bins.width
+    use = ~out & np.isfinite(slope) & np.isfinite(replicates.residual)
+    if use.sum() < FEWEST_BINS:
+        return 0.0
+    steep = use & (slope >= np.median(slope[use]))
+    return float(np.quantile(replicates.residual[steep] / slope[steep], 0.25) / np.sqrt(2.0))
+
+
+@dataclass(frozen=True, slots=True)
+class _Hidden:
+    """What decides over all combinations of a bin alike."""
+
+    few: BoolArray  # (b,)
+    jump: BoolArray  # (b,)
+    centre: FloatArray  # (b,) m
+    error: DisplacementError
+    informative: float
+
+
+def _combination(theta: FloatArray, relative: FloatArray, hidden: _Hidden, prior: float) -> BinValues:
+    """One coefficient over the bins: (1 + g, b, 1 + k) replicates and sensitivities to value, std, status."""
+    value = theta[0, :, 0]
+    sampled = normal_equivalent(jackknife_std(theta[:, :, 0]), len(theta) - 1)
+    parameters = np.sqrt(((theta[0, :, 1:] * relative) ** 2).sum(axis=1))
+    met = ~hidden.few & np.isfinite(value)
+    displaced = hidden.error.std_of_bins(hidden.centre, value, met & ~hidden.jump, met)
+    std = np.sqrt(sampled**2 + parameters**2 + displaced**2)
+    vague = ~(std < hidden.informative * prior)
+    status = tuple(
+        BinStatus.TOO_FEW
+        if f
+        else BinStatus.CONTACT_JUMP
+        if j
+        else BinStatus.UNOBSERVABLE
+        if v
+        else BinStatus.ESTIMATED
+        for f, j, v in zip(hidden.few, hidden.jump, vague, strict=True)
+    )
+    unknown = hidden.few | hidden.jump | vague
+    return BinValues(np.where(unknown, np.nan, value), np.where(unknown, np.nan, std), status)

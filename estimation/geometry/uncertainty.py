@@ -1,0 +1,79 @@
+"""What is not known of the vehicle and of the track, as standard deviations of a geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray
+from estimation.values.track import RECORDED, Findings, TrackAlignment
+
+BLUR_WHERE_LEFT = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
+
+BLUR = 0.22  # the same where what the gauge does to the wheelset is taken off: it is told so well
+
+BLUR_WHERE_FOUND = 0.32  # the same where the gauge had to be found too
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterUncertainty:
+    """Relative standard deviation of what the estimator believes of the vehicle; zero for a simulation's own truth.
+
+    The defaults read +-20 % of the creep coefficients, +-10 % of the springs and +-5 % of the masses as 95 % limits.
+    ``ratio``, where it has been learnt, is that of yaw stiffness over longitudinal creep coefficient; it then stands in
+    the yaw equation for both.
+    """
+
+    creep: float = 0.10
+    stiffness: float = 0.05
+    mass: float = 0.025
+    ratio: float | None = None
+    displacement: float = 0.0  # of a common stretch of y - d that the alignment leaves open
+    blur: float = 0.0  # m, of where contact jumps are on a gauge that varies
+
+    def on(self, tracks: Iterable[TrackAlignment], wheelset: str | None = None) -> ParameterUncertainty:
+        """Return what is left unknown of a geometry that rests on these alignments, with what they have taught.
+
+        Parameters
+        ----------
+        tracks
+            Alignments that its windows were estimated with.
+        wheelset
+            Its serial; where left out, whatever an alignment has taught counts.
+        """
+        used = list(tracks)
+        taught = [_taught(track, wheelset) for track in used]
+        learnt = [findings.stiffness_ratio_std for findings in taught if findings is not None]
+        return replace(
+            self,
+            ratio=max(learnt) if learnt and len(learnt) == len(used) else self.ratio,
+            displacement=max((track.scale_std for track in used), default=self.displacement),
+            blur=max((_blur(track, wheelset) for track in used), default=self.blur),
+        )
+
+    def lateral(self) -> FloatArray:
+        """(6,) relative stds in the order of LATERAL_TARGETS after z1."""
+        return np.array([self.creep, self.creep, self.mass, self.mass, self.stiffness, self.stiffness])
+
+    def yaw(self) -> FloatArray:
+        """(4,) relative stds in the order of YAW_TARGETS after z2."""
+        if self.ratio is not None:
+            return np.array([0.0, self.ratio, self.mass, self.creep])
+        return np.array([self.creep, self.stiffness, self.mass, self.creep])
+
+
+def _taught(track: TrackAlignment, wheelset: str | None) -> Findings | None:
+    """Return what has been found on ``track``; windows on a recording do not wait until their wheelset has been met."""
+    if track.findings is None or wheelset is None or track.source != RECORDED:
+        return track.findings
+    return track.findings if wheelset in track.findings.gauge_shifts else None
+
+
+def _blur(track: TrackAlignment, wheelset: str | None) -> float:
+    """Return the std, m, of where contact jumps are on the gauge of ``track``: until its effect is known, all of it."""
+    shifts = {} if track.findings is None else track.findings.gauge_shifts
+    taken_off = bool(shifts) if wheelset is None else wheelset in shifts
+    share = BLUR_WHERE_LEFT if not taken_off else BLUR if track.gauge_known else BLUR_WHERE_FOUND
+    return share * float(np.std(track.gauge_deviation))

@@ -1,0 +1,88 @@
+"""Which wheelsets of an epoch have freshly measured profiles, and what these say on the section."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+from estimation.contact.profiles import MeasuredProfiles
+from estimation.errors import ContactError, DamagedError, ProfileError
+from estimation.storage import UnitOfWork
+from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
+from estimation.values.track import TrackSectionRecord
+from estimation.values.windows import WindowRecord
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Curves by the life of a wheelset, and what to say of measurements that cannot be used."""
+
+    curves: Mapping[str, MeasuredCurve] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def measured(
+    unit: UnitOfWork,
+    section: TrackSectionRecord,
+    records: Sequence[WindowRecord],
+    lives: Sequence[str],
+    within_km: float,
+) -> Measured:
+    """Return what profiles say that were measured within ``within_km`` of the windows, by the lathe's last visit.
+
+    Parameters
+    ----------
+    unit
+        The registry is read.
+    section
+        Its rails and gauge.
+    records, lives
+        Windows, and the life of its wheelset for each.
+    within_km
+        Mileage between measurement and window at which the profile still is what it was.
+    """
+    curves: dict[str, MeasuredCurve] = {}
+    notes: list[str] = []
+    for life, record in {life: record for record, life in zip(records, lives, strict=True)}.items():
+        try:
+            found = _newest(unit, record, within_km)
+        except DamagedError as error:  # the others go on
+            notes.append(str(error))
+            continue
+        if found is None:
+            continue
+        name = _name(found)
+        try:
+            curves[life] = _curve(name, found, section)
+        except (ContactError, ProfileError) as error:
+            notes.append(f"measured profiles of {name} are not used: {error}")
+    return Measured(curves, tuple(dict.fromkeys(notes)))
+
+
+def _newest(unit: UnitOfWork, record: WindowRecord, within_km: float) -> MeasuredProfiles | None:
+    """Return the last measurement of a wheelset with the profiles that it had in a window."""
+    turned = [item.at_ns for item in unit.registry.wheelset(record.wheelset).reprofilings]
+    near = [
+        item
+        for item in unit.registry.measured_profiles(record.wheelset)
+        if abs(item.mileage_km - record.mileage_km) <= within_km
+        and all((at_ns <= item.at_ns) == (at_ns <= record.start_ns) for at_ns in turned)
+    ]
+    return near[-1] if near else None
+
+
+def _name(item: MeasuredProfiles) -> str:
+    return f"{item.wheelset} of {datetime.fromtimestamp(item.at_ns // 10**9, UTC):%Y-%m-%d}"
+
+
+def _curve(name: str, item: MeasuredProfiles, section: TrackSectionRecord) -> MeasuredCurve:
+    return measured_curve(
+        name,
+        item.left,
+        item.right,
+        item.std,
+        rail=section.rail_profile,
+        inclination=section.rail_inclination,
+        gauge=section.nominal_gauge_m,
+    )

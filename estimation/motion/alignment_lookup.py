@@ -1,0 +1,82 @@
+"""An alignment that has lost its long wavelengths, made fit to be taken from a motion that loses them otherwise.
+
+What a fleet finds is F d, the alignment d behind the filter of ``track.local_filter``. The motion needs G (y - d) with
+a filter G of its own, and G (y - F d) would leave G (1 - F) d: a quarter of the alignment at the cut-off. So F is
+undone as far as G can bear it: G grows small faster than F, and what is multiplied by up to 1/(2 e) here comes out
+of G smaller than it went in.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import fft
+from scipy.interpolate import CubicSpline
+
+from estimation.filters.local_cubic import smoother
+from estimation.values.arrays import FloatArray
+from estimation.values.track import TrackAlignment
+
+FEWEST_POINTS = 4  # of a spline
+
+WHOLE = 2.0  # times the wavelength that is looked at: an alignment that reaches further holds it unchanged
+
+SPLINE_MARGIN = 20  # points of the stored alignment beyond the window, so that the spline's ends do not matter
+
+
+def alignment_at(distance: FloatArray, track: TrackAlignment, longest: float) -> FloatArray:
+    """Return d (n,) by a cubic spline through the stored alignment; NaN off the section and where it is not known."""
+    d = np.full(len(distance), np.nan)
+    with np.errstate(invalid="ignore"):
+        on_track = np.flatnonzero((distance >= track.s[0]) & (distance <= track.s[-1]))
+    if not len(on_track):
+        return d
+    at = distance[on_track]
+    first = max(int(np.searchsorted(track.s, at.min())) - SPLINE_MARGIN, 0)
+    last = int(np.searchsorted(track.s, at.max())) + SPLINE_MARGIN
+    whole = track.alignment if track.cut_off >= WHOLE * longest else restored(track)
+    s, alignment = track.s[first:last], whole[first:last]
+    known = np.isfinite(alignment)
+    if known.sum() < FEWEST_POINTS:
+        return d
+    after = np.searchsorted(s, at).clip(1, len(s) - 1)
+    between = known[after - 1] & known[after]
+    spline = CubicSpline(s[known], alignment[known], extrapolate=False)
+    d[on_track[between]] = spline(at[between])
+    return d
+
+
+LEAST_LEFT = 0.03  # e: where F leaves less than about this, less is undone
+
+
+def restored(track: TrackAlignment) -> FloatArray:
+    """Return the alignment (n,), m, with F undone; as it is where the track has no cut-off. NaN stays NaN.
+
+    Within a cut-off of a place that is not known nothing can be undone well: NaN too.
+
+    Parameters
+    ----------
+    track
+        Alignment on a uniform grid.
+    """
+    if not np.isfinite(track.cut_off):
+        return track.alignment
+    step = float(track.s[1] - track.s[0])
+    weights = smoother(track.cut_off, step)
+    lost = round(track.cut_off / step)
+    result = np.full(len(track.s), np.nan)
+    finite = np.isfinite(track.alignment)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], finite.astype(np.int8), [0]])))
+    for start, stop in edges.reshape(-1, 2):
+        inner = slice(start + lost, max(stop - lost, start + lost))
+        result[inner] = _undone(track.alignment[start:stop], weights)[lost : lost + inner.stop - inner.start]
+    return result
+
+
+def _undone(filtered: FloatArray, weights: FloatArray) -> FloatArray:
+    n, reach = len(filtered), len(weights)
+    size = fft.next_fast_len(n + reach, real=True)
+    kernel = np.zeros(size)
+    kernel[: len(weights)] = weights
+    left = 1 - fft.rfft(np.roll(kernel, -(len(weights) // 2))).real  # F by wavenumber: the weights are symmetric
+    inverse = left / (left**2 + LEAST_LEFT**2)
+    return np.asarray(fft.irfft(fft.rfft(filtered, size) * inverse, size)[:n])

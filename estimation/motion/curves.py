@@ -1,0 +1,94 @@
+"""Curves felt where no layout is on file: on straight track an axlebox does not lean.
+
+In a curve the lateral accelerometers of wheelset and mass feel V^2 kappa - g theta, the acceleration that the cant
+leaves uncompensated. An offset of the sensor looks the same, but does not change within a minute. What cannot be felt:
+a window that lies in one curve as a whole, and a curve whose cant is that of the speed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimation.motion.parameters import CurveLimits, Refusal, SignalParameters
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.track import TrackLayout
+from estimation.values.windows import Window
+
+EVERY = 1.0  # m, to which a layout is refined before it is looked at
+
+
+def straight(distance: FloatArray, layout: TrackLayout, limits: CurveLimits) -> BoolArray:
+    """Return which places (n,) lie on track that is straight within ``limits``; places off the layout do not."""
+    grid = np.union1d(np.arange(layout.s[0], layout.s[-1], EVERY), layout.s)
+    bent = (np.abs(np.interp(grid, layout.s, layout.curvature)) > limits.curvature) | (
+        np.abs(np.interp(grid, layout.s, layout.cant)) > limits.cant
+    )
+    near = np.concatenate([[0], np.cumsum(bent)])
+    with np.errstate(invalid="ignore"):
+        on_layout = (distance >= layout.s[0]) & (distance <= layout.s[-1])
+    at = np.where(np.isfinite(distance), distance, layout.s[0])
+    first = np.searchsorted(grid, at - limits.margin, side="left")
+    last = np.searchsorted(grid, at + limits.margin, side="right")
+    return np.asarray(on_layout & (near[last] == near[first]))
+
+
+MEAN_S = 5.0  # over which the motion of the wheelset averages out
+
+LEAST_SHARE = 0.5  # of the samples that a mean needs
+
+
+def felt_curve(window: Window, usable: BoolArray, most_lean: float) -> str:
+    """Return that a curve is felt; empty where the lean (:func:`lean`) changes by no more than ``most_lean``, m/s2."""
+    leaning = lean(window, usable)
+    if leaning <= most_lean:
+        return ""
+    return (
+        f"a curve is felt and no layout is on file: the slow lateral acceleration changes by {leaning:.2f} m/s2,"
+        f" at most {most_lean:g} may be drift"
+    )
+
+
+def lean(window: Window, usable: BoolArray) -> float:
+    """Return by how much the slow lateral acceleration of wheelset and mass together changes in a window, m/s2.
+
+    Parameters
+    ----------
+    window
+        Measured accelerations.
+    usable
+        (n,) samples that count.
+    """
+    size = round(MEAN_S / window.sample_interval_s)
+    count = len(usable) // size
+    known = usable[: count * size].reshape(count, size)
+    felt = 0.5 * (window.lateral_acceleration + window.mass_lateral_acceleration)[: count * size].reshape(count, size)
+    enough = known.mean(axis=1) >= LEAST_SHARE
+    if not enough.any():
+        return 0.0
+    means = np.where(known, felt, 0.0).sum(axis=1)[enough] / known.sum(axis=1)[enough]
+    return float(np.ptp(means))
+
+
+def straight_part(window: Window, layout: TrackLayout | None, parameters: SignalParameters) -> Window | Refusal:
+    """Return the window with the samples in curves not valid, or why nothing is left.
+
+    Parameters
+    ----------
+    window
+        Samples, at positions as measured.
+    layout
+        Curves of the section; None where none is on file: then a window that feels a curve is refused.
+    parameters
+        What counts as straight.
+    """
+    if layout is None:
+        with np.errstate(invalid="ignore"):
+            running = np.asarray(window.valid & (window.speed >= parameters.least_speed_m_s))
+        felt = felt_curve(window, running, parameters.most_lean)
+        return Refusal(felt) if felt else window
+    left = window.valid & straight(window.distance, layout, parameters.curve_limits)
+    if not left.any() and window.valid.any():
+        return Refusal("the window lies in curves")
+    return replace(window, valid=left)

@@ -1,0 +1,59 @@
+"""Where the gauge puts a wheelset along a window, from what it feels there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimation.filters.local_cubic import smoother
+from estimation.filters.wander_removal import without_slow_part
+from estimation.motion.integration import distance_run, stretches
+from estimation.motion.parameters import SignalParameters
+from estimation.motion.rolling_radius_difference import FusionParameters, felt_along, fused
+from estimation.values.arrays import FloatArray
+from estimation.values.track import TrackAlignment
+from estimation.values.windows import Window
+from estimation.vehicle.equations_of_motion import VehicleParameters
+
+LONGEST = 120.0  # m, wavelength of rL - rR; what is longer is small: -2 l r0 d''
+
+
+def gauge_shift(
+    window: Window, track: TrackAlignment, vehicle: VehicleParameters, parameters: SignalParameters
+) -> FloatArray | None:
+    """Return by how much the gauge moves the wheelset (n,), m, NaN where that cannot be said.
+
+    None where nothing is known of it: on constant gauge, or of a wheelset that the section has not met.
+
+    Parameters
+    ----------
+    window
+        As the wheelset sees it, at true positions.
+    track
+        Alignment with the gauge deviation and what was found of wheelsets.
+    vehicle
+        Parameters of Eq. 1 and Eq. 2, which turn motion into rL - rR.
+    parameters
+        Gates on gaps, length and speed.
+    """
+    table = None if track.findings is None else track.findings.gauge_shifts.get(window.wheelset)
+    if track.findings is None or table is None:
+        return None
+    fusion = FusionParameters()
+    ends = fusion.step * (len(smoother(fusion.crossover, fusion.step)) // 2)
+    more = track.findings.stiffness_ratio.get(window.vehicle, 1.0) - 1.0
+    e = np.interp(window.distance, track.s, track.gauge_deviation, left=np.nan, right=np.nan)
+    shift = np.full(len(window.valid), np.nan)
+    with np.errstate(invalid="ignore"):
+        usable = np.asarray(window.valid & np.isfinite(e) & (window.speed >= parameters.least_speed_m_s))
+    for start, stop in stretches(usable, window, parameters):
+        part = slice(start, stop)
+        run = distance_run(window, np.asarray(usable[part]), part)
+        grid = fused(felt_along(window, np.asarray(usable[part]), part, vehicle, run), vehicle, fusion)
+        certain = (grid.run >= grid.run[0] + ends) & (grid.run <= grid.run[-1] - ends)
+        if not certain.any():
+            continue
+        whole = (grid.difference + more * grid.elastic)[None, :]
+        (fast,) = without_slow_part(np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, LONGEST)
+        known = usable[part] & (run >= grid.run[0] + ends) & (run <= grid.run[-1] - ends)
+        shift[part][known] = table.at(np.interp(run[known], grid.run, fast), e[part][known])
+    return shift

@@ -1,0 +1,94 @@
+"""Windows that follow each other without a break, joined: what is filtered along the track is lost at two ends only."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
+
+Item = TypeVar("Item")
+MOST = 4  # windows; the pass of a longer run is cut, so that a window that comes late changes little
+
+
+def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = MOST) -> list[list[Item]]:
+    """Return the items in groups that follow each other without a break.
+
+    Parameters
+    ----------
+    items
+        In any order.
+    keys
+        Of each item: what it must share with the one before, its start and its end, ns.
+    most
+        Items in a group.
+    """
+    order = sorted(range(len(items)), key=lambda i: (str(keys[i][0]), keys[i][1]))
+    return [[items[i] for i in group] for group in _unbroken(order, keys.__getitem__, most)]
+
+
+def whole_runs(windows: Iterable[Window]) -> Iterator[Window]:
+    """Yield windows that come in order of time, those that follow each other without a break as one, however many.
+
+    Long wavelengths need long stretches: what is near the end of a window is lost to the filters, what is near a seam
+    is not.
+    """
+    for run in _unbroken(windows, _shared_start_end, sys.maxsize):
+        yield joined(run)
+
+
+def _shared_start_end(window: Window) -> tuple[Hashable, int, int]:
+    shared = (window.wheelset, window.vehicle, window.axle, window.track_section, window.sample_interval_s)
+    return shared, window.start_ns, window.start_ns + window.length_ns
+
+
+def _unbroken(
+    items: Iterable[Item], key: Callable[[Item], tuple[Hashable, int, int]], most: int
+) -> Iterator[list[Item]]:
+    """Yield runs of at most ``most`` items, each with what the one before has in common and a start where it ends."""
+    run: list[Item] = []
+    last: tuple[Hashable, int] | None = None
+    for item in items:
+        shared, start, end = key(item)
+        if run and (last != (shared, start) or len(run) == most):
+            yield run
+            run = []
+        run.append(item)
+        last = shared, end
+    if run:
+        yield run
+
+
+def joined(windows: Sequence[Window]) -> Window:
+    """Return windows that follow each other as one; the quality is the worst of each measure, shares are means."""
+    first = windows[0]
+    if len(windows) == 1:
+        return first
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(window, name) for window in windows])
+        for name in (*ACCELERATIONS, "speed", "distance", "valid")
+    }
+    return replace(
+        first,
+        length_ns=sum(window.length_ns for window in windows),
+        quality=_quality([window.quality for window in windows]),
+        **arrays,
+    )
+
+
+def _quality(parts: Sequence[WindowQuality]) -> WindowQuality:
+    return WindowQuality(
+        coverage=float(np.mean([part.coverage for part in parts])),
+        longest_gap_s=max(part.longest_gap_s for part in parts),
+        gaps=sum(part.gaps for part in parts),
+        clipped=float(np.mean([part.clipped for part in parts])),
+        invalid=float(np.mean([part.invalid for part in parts])),
+        speed_min_m_s=min(part.speed_min_m_s for part in parts),
+        speed_max_m_s=max(part.speed_max_m_s for part in parts),
+        position_quality=min(part.position_quality for part in parts),
+        sensor_fault=any(part.sensor_fault for part in parts),
+    )

@@ -1,0 +1,142 @@
+"""From measured accelerations to band-limited motion relative to the track.
+
+Rates and displacements are running integrals of the accelerations. Offsets and drift make them wander; so from every
+signal the part that varies slowly *along the track* is taken out (``high_pass``). The filter is linear, takes
+stretches of any length and speed, and is applied once to each side that is compared (y - d as a whole), so that it
+favours neither.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+
+from estimation.filters.wander_removal import modelled_gaps, without_slow_part
+from estimation.motion.alignment_lookup import alignment_at
+from estimation.motion.curves import felt_curve
+from estimation.motion.integration import bridged, distance_run, running_integrals, stretches
+from estimation.motion.parameters import Refusal, SignalParameters
+from estimation.motion.usable_samples import Usable, usable_samples
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.motion import NOT_SIGNALS, Motion
+from estimation.values.track import TrackAlignment, TrackLayout
+from estimation.values.windows import Window
+
+NANOSECONDS = 1_000_000_000
+
+
+def motion(
+    window: Window,
+    track: TrackAlignment,
+    parameters: SignalParameters,
+    layout: TrackLayout | None = None,
+    gauge_shift: FloatArray | None = None,
+) -> Motion | Refusal:
+    """Return the band-limited motion of ``window`` relative to ``track``, or why it cannot be had.
+
+    Parameters
+    ----------
+    window
+        Measured accelerations, speed and distance, (n,) each.
+    track
+        Alignment of the window's section; samples outside it are passed over. Wavelengths that it does not hold are
+        taken out of the motion too.
+    parameters
+        Cut-off wavelength and gates.
+    layout
+        Curves of the section, which are passed over; None where none is on file.
+    gauge_shift
+        (n,) m, by how much the gauge moves the wheelset, NaN where that cannot be said; None where it is not known.
+    """
+    longest = min(parameters.longest_wavelength, track.cut_off)
+    d = alignment_at(window.distance, track, longest)
+    if gauge_shift is not None:
+        d += gauge_shift  # it runs as it would at nominal gauge on a track that is aligned so
+    limits = parameters.curve_limits
+    usable = usable_samples(window, np.isfinite(d), layout, parameters.least_speed_m_s, limits)
+    refusal = _unusable(window, usable, layout, parameters)
+    if refusal is not None:
+        return refusal
+    dt = window.sample_interval_s
+    runs = stretches(usable.samples, window, parameters, round(parameters.modelled_gap_s / dt))
+    signals, valid = _filtered(window, d, usable.samples, runs, replace(parameters, longest_wavelength=longest))
+    refusal = _too_little(valid, runs, usable, parameters)
+    if refusal is not None:
+        return refusal
+    seconds = window.start_ns / NANOSECONDS + np.arange(len(valid)) * dt
+    block = np.floor(seconds / parameters.block_s).astype(np.int64)
+    signals["speed"] = np.where(window.speed > 0, window.speed, np.nan)
+    ratio = 1.0 if track.findings is None else track.findings.stiffness_ratio.get(window.vehicle, 1.0)
+    return Motion(**signals, valid=valid, block=block, band_limited=True, stiffness_ratio=ratio)
+
+
+def _unusable(
+    window: Window, usable: Usable, layout: TrackLayout | None, parameters: SignalParameters
+) -> Refusal | None:
+    if not usable.samples.any():
+        return Refusal(f"no sample can be used: {usable.causes}")
+    felt = felt_curve(window, usable.samples, parameters.most_lean) if layout is None else ""
+    return Refusal(felt) if felt else None
+
+
+def _filtered(
+    window: Window, d: FloatArray, usable: BoolArray, runs: list[tuple[int, int]], parameters: SignalParameters
+) -> tuple[dict[str, FloatArray], BoolArray]:
+    """Return the signals of a motion by name, NaN outside the stretches, and which samples of them count (n,)."""
+    n, dt = len(usable), window.sample_interval_s
+    signals = {item.name: np.full(n, np.nan) for item in fields(Motion) if item.name not in NOT_SIGNALS}
+    valid = np.zeros(n, dtype=np.bool_)
+    trim, margin = round(parameters.trimmed_s / dt), round(parameters.gap_margin_s / dt)
+    for start, stop in runs:
+        part = slice(start, stop)
+        known = np.asarray(usable[part])
+        fast = without_slow_part(
+            _integrated(window, d, known, part),
+            distance_run(window, known, part),
+            known,
+            parameters.longest_wavelength,
+            parameters.design,
+            parameters.bridged_samples,
+        )
+        for name, values in zip(_INTEGRATED, fast, strict=True):
+            signals[name][part] = values
+        valid[start + trim : stop - trim] = usable[start + trim : stop - trim]
+        for first, behind in modelled_gaps(known, parameters.bridged_samples):
+            valid[max(start + first - margin, 0) : start + behind + margin] = False
+    return signals, valid
+
+
+_INTEGRATED = (
+    "displacement",
+    "lateral_velocity",
+    "lateral_acceleration",
+    "yaw",
+    "yaw_rate",
+    "yaw_acceleration",
+    "roll",
+    "roll_rate",
+    "stretch",
+    "stretch_rate",
+)
+
+
+def _too_little(
+    valid: BoolArray, runs: list[tuple[int, int]], usable: Usable, parameters: SignalParameters
+) -> Refusal | None:
+    lost = f"; lost: {usable.causes}" if usable.causes else ""
+    if not runs:
+        return Refusal(f"no uninterrupted stretch of {parameters.shortest_stretch_s:g} s{lost}")
+    if valid.mean() < parameters.least_used:
+        return Refusal(f"{valid.mean():.0%} of the samples can be used, {parameters.least_used:.0%} are needed{lost}")
+    return None
+
+
+def _integrated(window: Window, d: FloatArray, known: BoolArray, part: slice) -> FloatArray:
+    """Return accelerations, rates and displacements (10, n) of one stretch in the order of ``_INTEGRATED``."""
+    accelerations, rates, displacements = running_integrals(window, known, part)
+    y, ψ, φ, ym = displacements
+    dy, dψ, dφ, dym = rates
+    ddy, ddψ = accelerations[:2]
+    along = bridged(d[part], np.isfinite(d[part]))
+    return np.stack([y - along, dy, ddy, ψ, dψ, ddψ, φ, dφ, ym - y, dym - dy])

@@ -1,0 +1,1 @@
+"""Motion in; a bin table of mergeable sufficient statistics out."""

@@ -1,0 +1,161 @@
+"""Bin tables: the piecewise, locally linear least squares of a wheelset, on mergeable statistics.
+
+Samples are dealt to bins of lateral displacement y - d (Eq. 19-21). Inside a bin, with u = (y - d - centre)/width, the
+lateral equation has the regressors [x1, x1 u, x2, x2 u] and the yaw equation [(l W/2) psi, c, c u, c u^2]: S, D and A
+are constant or linear across the bin, R is quadratic, so that the variation of R inside the bin cannot pose as A.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+from functools import reduce
+from itertools import pairwise
+
+import numpy as np
+
+from estimation.errors import ParameterError
+from estimation.tables import least_squares
+from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.geometry import BinTable
+from estimation.values.motion import Motion
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS, regression
+
+TABLE_VERSION = 3
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio
+
+
+@dataclass(frozen=True, slots=True)
+class BinParameters:
+    """Everything that shapes the statistics of a bin table."""
+
+    width: float = 0.25e-3  # m
+    reach: float = 7.0e-3  # m; bins cover -reach..reach
+    groups: int = 16  # of the jackknife
+    source: str = "ideal"  # what the motion came from, signal filters included
+    band_limited: bool = False  # offsets carry no meaning
+    vehicle: VehicleParameters = field(default_factory=VehicleParameters)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.width < self.reach:
+            raise ParameterError(f"bin width {self.width} m must be positive and below reach", field="width")
+        if self.groups < 4:  # noqa: PLR2004 - a jackknife over fewer says nothing
+            raise ParameterError(f"{self.groups} groups; at least 4 are needed", field="groups")
+
+    @property
+    def edges(self) -> FloatArray:
+        """Bin edges (b + 1,), m; a bin is centred on zero displacement."""
+        half = int(np.ceil(self.reach / self.width - 0.5))
+        return np.asarray((np.arange(-half, half + 2) - 0.5) * self.width, dtype=np.float64)
+
+    @property
+    def key(self) -> str:
+        """Digest of the parameters; tables with different keys never merge."""
+        text = json.dumps({"version": TABLE_VERSION, **asdict(self)}, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def init(parameters: BinParameters) -> BinTable:
+    """Return the empty table."""
+    edges = parameters.edges
+    shape = (parameters.groups, len(edges) - 1)
+    return BinTable(
+        parameter_key=parameters.key,
+        edges=edges,
+        weight=np.zeros(shape),
+        lateral=np.zeros((*shape, least_squares.packed_size(REGRESSORS, len(LATERAL_TARGETS)))),
+        yaw=np.zeros((*shape, least_squares.packed_size(REGRESSORS, len(YAW_TARGETS)))),
+        samples=0,
+        windows=0,
+    )
+
+
+def group_of(block: IntArray, groups: int) -> IntArray:
+    """Return the group of each block: in turn, and each round begins at another group.
+
+    Were it in turn alone, a vehicle that passes at the same time every day would fill the same few groups for ever.
+
+    Parameters
+    ----------
+    block
+        (n,) number of the block.
+    groups
+        Number of groups.
+    """
+    turn = (block // groups).astype(np.uint64) * _GOLDEN >> np.uint64(32)  # spreads any regular step evenly
+    return np.asarray((block + (turn * np.uint64(groups) >> np.uint64(32)).astype(np.int64)) % groups)
+
+
+def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
+    """Reduce one stretch of motion to its bin table; blocks are dealt to the groups by :func:`group_of`."""
+    edges = parameters.edges
+    bins = len(edges) - 1
+    position = (motion.displacement - edges[0]) / parameters.width
+    inside = motion.valid & (motion.block >= 0) & np.isfinite(position) & (position >= 0) & (position < bins)
+    index = np.where(inside, position, 0.0).astype(np.int64)
+    u = position - index - 0.5
+    cell = np.where(inside, group_of(motion.block, parameters.groups) * bins + index, -1)
+    equations = regression(motion, parameters.vehicle)
+    x1, x2 = equations.lateral.T
+    a, c = equations.yaw.T
+    cells = parameters.groups * bins
+    lateral = least_squares.collect(np.column_stack([x1, x1 * u, x2, x2 * u]), equations.lateral_targets, cell, cells)
+    yaw = least_squares.collect(np.column_stack([a, c, c * u, c * u * u]), equations.yaw_targets, cell, cells)
+    shape = (parameters.groups, bins)
+    return BinTable(
+        parameter_key=parameters.key,
+        edges=edges,
+        weight=lateral.weight.reshape(shape),
+        lateral=lateral.packed.reshape(*shape, -1),
+        yaw=yaw.packed.reshape(*shape, -1),
+        samples=int(inside.sum()),
+        windows=1,
+    )
+
+
+def merge(first: BinTable, second: BinTable, forgetting: float = 1.0) -> BinTable:
+    """Return ``forgetting * first + second``; associative, and commutative without forgetting.
+
+    Raises
+    ------
+    ValueError
+        The tables were made with different parameters.
+    """
+    if first.parameter_key != second.parameter_key:
+        raise ValueError(f"bin tables of parameters {first.parameter_key} and {second.parameter_key} do not merge")
+    return BinTable(
+        parameter_key=first.parameter_key,
+        edges=first.edges,
+        weight=forgetting * first.weight + second.weight,
+        lateral=forgetting * first.lateral + second.lateral,
+        yaw=forgetting * first.yaw + second.yaw,
+        samples=first.samples + second.samples,
+        windows=first.windows + second.windows,
+    )
+
+
+def merge_all(tables: list[BinTable], parameters: BinParameters) -> BinTable:
+    """Merge in the order given, without forgetting."""
+    return reduce(merge, tables, init(parameters))
+
+
+def merge_with_mileage(
+    tables: list[tuple[float, BinTable]], half_life_km: float, parameters: BinParameters
+) -> BinTable:
+    """Merge tables in order of mileage, halving the weight of what was seen ``half_life_km`` earlier.
+
+    Parameters
+    ----------
+    tables
+        (mileage in km, table), ascending.
+    half_life_km
+        Distance after which an observation counts half.
+    """
+    if not tables:
+        return init(parameters)
+    state = tables[0][1]
+    for (before, _), (mileage, table) in pairwise(tables):
+        state = merge(state, table, float(0.5 ** ((mileage - before) / half_life_km)))
+    return state

@@ -1,0 +1,197 @@
+"""Weighted least squares on mergeable sufficient statistics.
+
+For ``z = X theta`` the sums ``X'X``, ``X'z``, ``z'z`` and the weight hold all that the data say of ``theta``. Sums
+of two stretches of data merge as ``W^n2 * first + second`` with forgetting factor ``W`` and ``n2`` samples in the
+second, so least squares with forgetting is a monoid: a window is reduced in one pass, windows merge in any grouping,
+and the answer equals that of the recursion sample by sample (Eq. 10-14 of the paper; the tests hold the oracle).
+
+A sample has ``p`` regressors and ``t`` targets (the first is the measurement, the others are its derivatives by
+uncertain parameters, see ``estimation.vehicle.regressors``). The packed moments of a cell are, in this order: the upper
+triangle of ``X'X`` row by row (p (p + 1) / 2), ``X'Z`` row by row (p t), and ``z'z`` of the first target (1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from estimation.values.arrays import FloatArray, IntArray, frozen_array
+
+SMALLEST_EIGENVALUE = 1e-10  # of the scaled normal matrix; below it a direction is not in the data
+
+
+def packed_size(regressors: int, targets: int) -> int:
+    """Return the length of the packed moments of one cell."""
+    return regressors * (regressors + 1) // 2 + regressors * targets + 1
+
+
+@dataclass(frozen=True, slots=True)
+class Moments:
+    """Sufficient statistics of ``c`` cells (bins, or groups x bins)."""
+
+    regressors: int
+    targets: int
+    packed: FloatArray  # (c, packed_size)
+    weight: FloatArray  # (c,) sum of the weights W^(age in samples of the cell)
+    count: IntArray  # (c,) samples
+
+    def __post_init__(self) -> None:
+        c = len(self.weight)
+        size = packed_size(self.regressors, self.targets)
+        object.__setattr__(self, "packed", frozen_array(self.packed, (c, size), name="packed"))
+        object.__setattr__(self, "weight", frozen_array(self.weight, (c,), name="weight"))
+        object.__setattr__(self, "count", frozen_array(self.count, (c,), np.int64, name="count"))
+
+
+@numba.njit(cache=True, nogil=True)
+def _collect(
+    features: FloatArray,
+    targets: FloatArray,
+    cell: IntArray,
+    forgetting: float,
+    packed: FloatArray,
+    weight: FloatArray,
+    count: IntArray,
+) -> None:
+    n, p = features.shape
+    t = targets.shape[1]
+    for i in range(n):
+        c = cell[i]
+        if c < 0:
+            continue
+        row = packed[c]
+        if forgetting != 1.0:
+            row *= forgetting
+        weight[c] = weight[c] * forgetting + 1.0
+        count[c] += 1
+        k = 0
+        for a in range(p):
+            xa = features[i, a]
+            for b in range(a, p):
+                row[k] += xa * features[i, b]
+                k += 1
+        for a in range(p):
+            xa = features[i, a]
+            for j in range(t):
+                row[k] += xa * targets[i, j]
+                k += 1
+        row[k] += targets[i, 0] * targets[i, 0]
+
+
+def collect(features: FloatArray, targets: FloatArray, cell: IntArray, cells: int, forgetting: float = 1.0) -> Moments:
+    """Reduce samples to the moments of their cells, in one pass, in the order given.
+
+    Parameters
+    ----------
+    features
+        (n, p) regressors.
+    targets
+        (n, t) targets; column 0 is the measurement.
+    cell
+        (n,) cell of each sample, 0..cells-1; negative: the sample belongs nowhere.
+    cells
+        Number of cells.
+    forgetting
+        Forgetting factor per sample of the cell, 0 < W <= 1 (Eq. 12-13).
+
+    Raises
+    ------
+    ValueError
+        Lengths differ, a cell is out of range, or the factor is not in (0, 1].
+    """
+    if not 0.0 < forgetting <= 1.0:
+        raise ValueError(f"forgetting factor {forgetting} is not in (0, 1]")
+    if not len(features) == len(targets) == len(cell):
+        raise ValueError(f"lengths differ: {len(features)}, {len(targets)}, {len(cell)}")
+    if len(cell) and int(cell.max()) >= cells:
+        raise ValueError(f"cell {int(cell.max())} of {cells}")
+    p, t = features.shape[1], targets.shape[1]
+    packed = np.zeros((cells, packed_size(p, t)))
+    weight = np.zeros(cells)
+    count = np.zeros(cells, dtype=np.int64)
+    _collect(
+        np.ascontiguousarray(features, dtype=np.float64),
+        np.ascontiguousarray(targets, dtype=np.float64),
+        np.ascontiguousarray(cell, dtype=np.int64),
+        forgetting,
+        packed,
+        weight,
+        count,
+    )
+    return Moments(p, t, packed, weight, count)
+
+
+def merge(first: Moments, second: Moments, forgetting: float = 1.0) -> Moments:
+    """Return the moments of ``first`` followed by ``second`` (associative; commutative too when W = 1)."""
+    if (first.regressors, first.targets, len(first.weight)) != (
+        second.regressors,
+        second.targets,
+        len(second.weight),
+    ):
+        raise ValueError("moments of different models do not merge")
+    fade = np.power(forgetting, second.count.astype(np.float64))
+    return Moments(
+        first.regressors,
+        first.targets,
+        fade[:, None] * first.packed + second.packed,
+        fade * first.weight + second.weight,
+        first.count + second.count,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """Least-squares solution of each cell; NaN where the normal matrix is singular."""
+
+    theta: FloatArray  # (c, p, t) one column a target
+    residual_variance: FloatArray  # (c,) of the first target
+    inverse: FloatArray  # (c, p, p) inverse of X'X (through the scaled eigenvectors)
+
+    def __post_init__(self) -> None:
+        c, p, t = self.theta.shape
+        object.__setattr__(self, "theta", frozen_array(self.theta, (c, p, t), name="theta"))
+        object.__setattr__(self, "inverse", frozen_array(self.inverse, (c, p, p), name="inverse"))
+
+
+def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int) -> Solution:
+    """Solve the normal equations of every cell after scaling each regressor to unit length.
+
+    Parameters
+    ----------
+    packed
+        (c, packed_size) moments.
+    weight
+        (c,) sums of weights.
+    """
+    p, t = regressors, targets
+    c = len(packed)
+    gram, cross, square = unpack(packed, p, t)
+    scale = np.sqrt(np.einsum("cii->ci", gram))
+    safe = np.where(scale > 0, scale, 1.0)
+    scaled = gram / (safe[:, :, None] * safe[:, None, :])
+    values, vectors = np.linalg.eigh(scaled)
+    ok = values[:, 0] > SMALLEST_EIGENVALUE
+    inverse_values = np.where(ok[:, None], 1.0 / np.where(ok[:, None], values, 1.0), np.nan)
+    scaled_inverse = np.einsum("cij,cj,ckj->cik", vectors, inverse_values, vectors)
+    inverse = scaled_inverse / (safe[:, :, None] * safe[:, None, :])
+    theta = np.einsum("cij,cjt->cit", inverse, cross)
+    first = theta[:, :, 0]
+    explained = np.einsum("ci,ci->c", first, cross[:, :, 0])
+    freedom = np.maximum(weight - p, 1.0)
+    residual_variance = np.maximum(square - explained, 0.0) / freedom
+    return Solution(theta.reshape(c, p, t), residual_variance, inverse)
+
+
+def unpack(packed: FloatArray, regressors: int, targets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return X'X (c, p, p), X'Z (c, p, t) and z'z (c,) from packed moments (c, packed_size)."""
+    p, t = regressors, targets
+    c = len(packed)
+    triangle = p * (p + 1) // 2
+    rows, columns = np.triu_indices(p)
+    gram = np.empty((c, p, p))
+    gram[:, rows, columns] = packed[:, :triangle]
+    gram[:, columns, rows] = packed[:, :triangle]
+    cross = packed[:, triangle : triangle + p * t].reshape(c, p, t)
+    return gram, cross, packed[:, -1]

@@ -1,0 +1,114 @@
+"""The gauge deviation along a section by search: at every place the one at which the passes agree, and smooth.
+
+With h(R, e) of every wheelset known, each gauge deviation puts every pass at a place on the track; at the right one all
+passes say the same of the alignment there. Their disagreement has several minima over e, so all of a grid are looked
+at, and the best smooth way through them along the section is found by dynamic programming.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.track.gauge.least_squares_step import FEWEST_PASSES
+from estimation.track.panel.basis import PanelParameters, gauge_at, hat_functions, on_grid
+from estimation.track.panel.solution import PanelSolution
+from estimation.track.passes import Pass
+from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.track import GaugeShift
+
+
+@dataclass(frozen=True, slots=True)
+class SearchParameters:
+    """How the gauge deviation is looked for."""
+
+    most: float = 7e-3  # m
+    step: float = 0.25e-3  # m
+    noise: float = 0.12e-3  # m of y - d - h(R, e) of a pass
+    change: float = 0.5e-3  # m from one grid point to the next, std
+    std: float = 2e-3  # m, expected
+    most_cost: float = 30.0  # that one place may make: an impact is no proof
+
+    @property
+    def levels(self) -> FloatArray:
+        """Gauge deviations (l,) that are looked at, m."""
+        count = round(self.most / self.step)
+        return np.asarray(np.arange(-count, count + 1) * self.step, dtype=np.float64)
+
+
+def searched(
+    passes: Sequence[Pass],
+    solution: PanelSolution,
+    panel: PanelParameters,
+    shifts: Mapping[str, GaugeShift],
+    parameters: SearchParameters,
+) -> FloatArray:
+    """Return the gauge deviation (n,), m, with mean zero, at which ``passes`` agree best.
+
+    Parameters
+    ----------
+    passes, solution, panel
+        As solved last; ``panel.gauge`` is where the slow part of y - d is taken at.
+    shifts
+        All that the gauge does to each wheelset.
+    parameters
+        Grid, noise and smoothness.
+    """
+    levels = parameters.levels
+    sums, squares = np.zeros((2, panel.points, len(levels)))
+    count, met = np.zeros((2, panel.points))
+    for item in passes:
+        placed = _placed(item, solution, panel, shifts)
+        if placed is None:
+            continue
+        at, at_nominal, R = placed
+        each = at_nominal[:, None] - item.side * shifts[item.wheelset].over(R, levels)
+        weight = panel.weight_of(item.wheelset)
+        sums[at] += weight * each
+        squares[at] += weight * (each * each)
+        count[at] += weight
+        met[at] += 1
+    disagreement = squares - sums**2 / np.where(count > 0.0, count, 1.0)[:, None]
+    cost = disagreement / (2.0 * parameters.noise**2)
+    cost = np.minimum(cost - cost.min(axis=1, keepdims=True), parameters.most_cost)
+    enough = met >= FEWEST_PASSES
+    cost[~enough] = 0.0
+    gauge = levels[_best_way(cost + 0.5 * (levels / parameters.std) ** 2, levels / parameters.change)]
+    return np.asarray(np.where(enough, gauge - gauge[enough].mean(), 0.0)) if enough.any() else gauge
+
+
+def _placed(
+    item: Pass, solution: PanelSolution, panel: PanelParameters, shifts: Mapping[str, GaugeShift]
+) -> tuple[IntArray, FloatArray, FloatArray] | None:
+    """Return grid points (m,), d plus the shift as this pass sees it (m,), m, and R (m,)."""
+    felt = on_grid(item, panel)
+    if felt is None or item.wheelset not in solution.wheelsets:
+        return None
+    curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
+    R = np.clip(felt.difference, -panel.reach, panel.reach)
+    nominal = item.side * (curve[: panel.hats] @ hat_functions(R, panel.knots) + curve[-1] * felt.elastic)
+    shift = item.side * shifts[item.wheelset].at(felt.difference, gauge_at(felt.points, panel))
+    weights = smoother(panel.cut_off, panel.step)
+    whole = nominal + shift
+    y = without_slow_part(felt.displacement + felt.shift - whole, weights) + whole
+    return felt.points[felt.inside], (y - nominal)[felt.inside], felt.difference[felt.inside]
+
+
+def _best_way(cost: FloatArray, level: FloatArray) -> IntArray:
+    """Return the indices (n,) of the way with the least sum of ``cost`` (n, l) and half the squares of its steps."""
+    step = 0.5 * (level[:, None] - level[None, :]) ** 2  # (to, from)
+    n, count = cost.shape
+    came_from = np.zeros((n, count), dtype=np.int64)
+    total = cost[0]
+    for i in range(1, n):
+        ways = total[None, :] + step
+        came_from[i] = ways.argmin(axis=1)
+        total = ways[np.arange(count), came_from[i]] + cost[i]
+    way = np.zeros(n, dtype=np.int64)
+    way[-1] = int(total.argmin())
+    for i in range(n - 1, 0, -1):
+        way[i - 1] = came_from[i, way[i]]
+    return way

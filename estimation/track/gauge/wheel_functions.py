@@ -1,0 +1,192 @@
+"""One radius function per wheel, and where a gauge deviation puts the wheelset.
+
+With x = y - d and e the gauge deviation, the left wheel sits at x - e/2 against its rail and the right one at -x - e/2,
+positive towards the flange, so R(x, e) = rho_L(x - e/2) - rho_R(-x - e/2): linear in hat functions of the two. Solved
+for x it says where the wheelset runs at a given R and e.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.track.panel.basis import PanelParameters, columns, gauge_at, hat_functions, on_grid
+from estimation.track.panel.solution import PanelSolution
+from estimation.track.passes import Pass
+from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.track import GaugeShift
+
+KNOT_STEP = 0.125e-3  # m
+KNOTS: FloatArray = np.asarray(np.arange(-80, 81) * KNOT_STEP, dtype=np.float64)  # m
+ROUGHNESS = 1e-5  # relative to the data
+STRAY = 0.5e-3  # m of misfit: further off lie impacts and what the filter makes of them
+DIFFERENCES = np.linspace(-6e-3, 6e-3, 161)  # m
+GAUGES: FloatArray = np.asarray(np.arange(-32, 33) * 0.25e-3, dtype=np.float64)  # m
+REACH = np.arange(-440, 441) * 25e-6  # m of x in which R is looked for
+LEAST_SLOPE = 0.02  # of R over x: no wheelset has less
+FACTORS = (0.5, 0.65, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0)
+MOST_WHEELSETS = 6  # that tell a factor
+CURVE_KNOTS = DIFFERENCES[::2]  # m
+FAR = 0.8  # quantile of |R|
+
+
+@dataclass(frozen=True, slots=True)
+class WheelFunctions:
+    """Radius of each wheel against its own lateral position, positive towards the flange, up to a constant."""
+
+    knots: FloatArray  # (k,) m, increasing
+    left: FloatArray  # (k,) m
+    right: FloatArray  # (k,) m
+
+    def __post_init__(self) -> None:
+        for name in ("knots", "left", "right"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (len(self.knots),), name=name))
+
+    def difference(self, displacement: FloatArray, gauge_deviation: FloatArray) -> FloatArray:
+        """Return rL - rR, m, at y - d and gauge deviation, m; arrays of one shape."""
+        half = 0.5 * gauge_deviation
+        left = np.interp(displacement - half, self.knots, self.left)
+        return np.asarray(left - np.interp(-displacement - half, self.knots, self.right))
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Where one wheelset sat: x = y - d whole, how far from the model, R, and the gauge deviation (n,), m."""
+
+    displacement: FloatArray
+    misfit: FloatArray
+    difference: FloatArray
+    gauge: FloatArray
+
+    def calm(self, every: int = 1) -> Places:
+        """Return every so many of those that the model reaches."""
+        near = np.flatnonzero(np.abs(self.misfit) < STRAY)[::every]
+        return Places(self.displacement[near], self.misfit[near], self.difference[near], self.gauge[near])
+
+
+def places(passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters) -> dict[str, Places]:
+    """Return the places of every wheelset, seen from itself; what the filter takes from y - d is put back from h(R, e).
+
+    Parameters
+    ----------
+    passes, solution, panel
+        As solved; ``panel.gauge`` given.
+    """
+    weights = smoother(panel.cut_off, panel.step)
+    found: dict[str, list[FloatArray]] = {}
+    for item in passes:
+        felt = on_grid(item, panel)
+        if felt is None or item.wheelset not in solution.wheelsets:
+            continue
+        curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
+        own = curve @ columns(felt, panel)
+        rest = without_slow_part(felt.displacement - item.side * own, weights)
+        d = np.where(felt.inside, solution.alignment[np.clip(felt.points, 0, panel.points - 1)], np.nan)
+        misfit = item.side * (rest - d)
+        model = own - curve[-1] * felt.elastic + item.side * felt.shift
+        met: BoolArray = np.isfinite(misfit) & (np.abs(felt.difference) < panel.reach)
+        rows = np.stack([model + misfit, misfit, felt.difference, gauge_at(felt.points, panel)])
+        found.setdefault(item.wheelset, []).append(rows[:, met])
+    return {name: Places(*np.concatenate(rows, axis=1)) for name, rows in found.items()}
+
+
+def fit(seen: Places, factor: float = 1.0) -> WheelFunctions:
+    """Return the functions of the wheels of one wheelset, gauge deviations taken ``factor`` times."""
+    x, half = seen.displacement, 0.5 * factor * seen.gauge
+    B = sparse.hstack([_hats(x - half, KNOTS), -_hats(-x - half, KNOTS)]).tocsr()
+    normal, k = B.T @ B, len(KNOTS)
+    scale = normal.diagonal().mean()
+    bend = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(k - 2, k))
+    smooth = sparse.block_diag([bend.T @ bend, bend.T @ bend])
+    level = sparse.csr_matrix(np.ones((1, 2 * k)) / k)  # a constant belongs to either wheel
+    known = scale * (ROUGHNESS * smooth + 1e-10 * sparse.eye(2 * k) + 1e-6 * (level.T @ level))
+    both = spsolve((normal + known).tocsc(), B.T @ seen.difference)
+    return WheelFunctions(KNOTS, both[:k], both[k:])
+
+
+def shift_of(wheels: WheelFunctions) -> GaugeShift:
+    """Return where a gauge deviation puts a wheelset with ``wheels``: R(x, e) solved for x, less that at e = 0."""
+    x, e = np.meshgrid(REACH, GAUGES, indexing="ij")
+    R = wheels.difference(x, e)
+    rise = np.maximum(np.diff(R, axis=0), LEAST_SLOPE * np.diff(REACH)[:, None])  # jumps down are never run
+    rising = np.concatenate([np.zeros((1, len(GAUGES))), np.cumsum(rise, axis=0)])
+    middle = len(REACH) // 2
+    rising += R[middle] - rising[middle]
+    at = np.stack([np.interp(DIFFERENCES, rising[:, j], REACH) for j in range(len(GAUGES))], axis=1)
+    return GaugeShift(DIFFERENCES, GAUGES, at - at[:, [len(GAUGES) // 2]])
+
+
+def without_common(shifts: Mapping[str, GaugeShift]) -> dict[str, GaugeShift]:
+    """Return the shifts less their mean at R = 0: a shift of all wheelsets alike cannot be told from the track."""
+    mean = np.mean([one.shift[len(DIFFERENCES) // 2] for one in shifts.values()], axis=0)
+    return {name: replace(one, shift=one.shift - mean) for name, one in shifts.items()}
+
+
+def whole_shifts(solution: PanelSolution, panel: PanelParameters) -> dict[str, GaugeShift]:
+    """Return all that the gauge does: what the panel knew beforehand, and h1 and h2 on top, as far as e was met."""
+    assert panel.gauge is not None
+    k, k1 = panel.hats, panel.gauge_hats
+    met = float(np.abs(panel.gauge).max())
+    e = np.clip(GAUGES, -met, met) / panel.gauge_unit
+    hats = hat_functions(np.clip(DIFFERENCES, -panel.reach, panel.reach), panel.gauge_knots)
+    found = {}
+    for name, curve in zip(solution.wheelsets, solution.curves[0], strict=True):
+        shift = np.outer(curve[k : k + k1] @ hats, e) + np.outer(curve[k + k1 : k + 2 * k1] @ hats, e * e)
+        known = None if panel.shifts is None else panel.shifts.get(name)
+        found[name] = GaugeShift(DIFFERENCES, GAUGES, shift if known is None else shift + known.shift)
+    return found
+
+
+def gauge_factor(seen: Mapping[str, Places]) -> float:
+    """Return what estimated gauge deviations are to be multiplied with: wheels that fit best tell the size.
+
+    h1 and e have a common factor that the panel leaves open, a wheel does not.
+    """
+    some = [one.calm(2) for _, one in sorted(seen.items())][:: max(len(seen) // MOST_WHEELSETS, 1)][:MOST_WHEELSETS]
+    misfits = [sum(_misfit(one, factor) for one in some) for factor in FACTORS]
+    best = min(max(int(np.argmin(misfits)), 1), len(FACTORS) - 2)
+    near = slice(best - 1, best + 2)
+    bend, slope, _ = np.polyfit(np.log(FACTORS[near]), misfits[near], 2)
+    if bend <= 0:
+        return FACTORS[best]
+    return float(np.clip(np.exp(-slope / (2 * bend)), FACTORS[best - 1], FACTORS[best + 1]))
+
+
+def gauge_sign(seen: Mapping[str, Places], shifts: Mapping[str, GaugeShift]) -> int:
+    """Return the sign that estimated gauge deviations are to be multiplied with.
+
+    It is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is taken from
+    what wheels are, steeper towards the flange: far from the centre a wheelset runs further out in wide gauge.
+    """
+    return 1 if sum(_outwards(one, shifts[name]) for name, one in seen.items()) >= 0 else -1
+
+
+def _misfit(seen: Places, factor: float) -> float:
+    """Return the mean square of x less the shift, m2, around its curve over R: straight between knots."""
+    shift = shift_of(fit(seen, factor))
+    x = seen.displacement - shift.at(seen.difference, factor * seen.gauge)
+    B = _hats(seen.difference, CURVE_KNOTS)
+    curve = spsolve((B.T @ B + 1e-6 * sparse.eye(len(CURVE_KNOTS))).tocsc(), B.T @ x)
+    return float(np.mean((x - B @ curve) ** 2))
+
+
+def _hats(u: FloatArray, knots: FloatArray) -> sparse.csr_matrix:
+    """Return the hat functions over uniform ``knots`` (k,) at u (n,): (n, k)."""
+    position = np.clip((u - knots[0]) / (knots[1] - knots[0]), 0.0, len(knots) - 1.001)
+    cell = position.astype(np.int64)
+    share = position - cell
+    row = np.arange(len(u))
+    values, at = np.concatenate([1.0 - share, share]), np.concatenate([cell, cell + 1])
+    return sparse.csr_matrix((values, (np.concatenate([row, row]), at)), shape=(len(u), len(knots)))
+
+
+def _outwards(seen: Places, shift: GaugeShift) -> float:
+    """Return by how much a millimetre of gauge moves a wheelset outwards, where it is far from the centre."""
+    R = seen.difference[np.abs(seen.difference) >= np.quantile(np.abs(seen.difference), FAR)]
+    wide, narrow = (shift.at(R, np.full(len(R), gauge)) for gauge in (0.5e-3, -0.5e-3))
+    return float(np.mean(np.sign(R) * (wide - narrow)))

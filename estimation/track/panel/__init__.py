@@ -1,0 +1,1 @@
+"""Passes in; alignment and curves of the wheelsets from one linear regression out."""

@@ -1,0 +1,53 @@
+"""The alignment down to long wavelengths, once the wheelsets' curves are known.
+
+The curves come from short wavelengths, where sensors are quiet. With them every pass gives the alignment by itself,
+d = y - h(R), through a longer filter; what is published is the mean over the passes, each with its weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.filters.local_cubic import smoother, trusted, without_slow_part
+from estimation.track.panel.basis import PanelParameters, columns, on_grid
+from estimation.track.panel.solution import PanelSolution
+from estimation.track.passes import Pass
+from estimation.values.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class LongAlignment:
+    """Mean of y - h(R) over the passes, high-passed at ``cut_off`` only."""
+
+    cut_off: float  # m
+    alignment: FloatArray  # (n,) m, zero where no pass
+    pass_std: float  # m, of one pass, from the spread of the passes
+    passes: FloatArray  # (n,) sum of their weights
+
+
+def long_alignment(
+    passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters, cut_off: float
+) -> LongAlignment:
+    """Return the alignment from ``passes`` with the curves of ``solution``."""
+    weights = smoother(cut_off, panel.step)
+    total, square, count = np.zeros((3, panel.points))
+    for item in passes:
+        felt = on_grid(item, panel)
+        if felt is None or item.wheelset not in solution.wheelsets:
+            continue
+        curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
+        own = without_slow_part(felt.displacement - item.side * (curve @ columns(felt, panel)), weights)
+        inside = trusted(felt.certain, weights) & (felt.points >= 0) & (felt.points < panel.points)
+        at = felt.points[inside]
+        weight = panel.weight_of(item.wheelset)
+        total[at] += weight * own[inside]
+        square[at] += weight * own[inside] ** 2
+        count[at] += weight
+    shared = np.where(count > 0.0, count, 1.0)
+    mean = total / shared
+    several = count > 1
+    spread = (square - count * mean**2)[several].sum() / max(float((count - 1)[several].sum()), 1.0)
+    return LongAlignment(cut_off, mean, float(np.sqrt(max(spread, 0.0))), count)

@@ -1,0 +1,77 @@
+"""What a measured profile says of a wheelset's h(R) = y - d: its contact geometry on the section's rail, inverted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.profiles import Profile, rail_profile
+from estimation.values.arrays import FloatArray, frozen_array
+
+REACH = 8e-3  # m of lateral displacement
+STEP = 0.05e-3  # m
+ROOM = 0.2e-3  # m that a measured profile says nothing of beyond what its contact table covers
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredCurve:
+    """The lateral displacement relative to the track over rL - rR, as it follows from measured profiles.
+
+    Zero at rL = rR: band-limited signals carry no offset.
+    """
+
+    name: str  # of what was measured, for reports
+    difference: FloatArray  # (n,) rL - rR, m, increasing
+    displacement: FloatArray  # (n,) y - d, m
+    std: float  # m, of the displacement
+
+    def __post_init__(self) -> None:
+        n = len(self.difference)
+        for axis in ("difference", "displacement"):
+            object.__setattr__(self, axis, frozen_array(getattr(self, axis), (n,), name=axis))
+
+    def at(self, knots: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the displacement (k,), m, at some rL - rR (k,), m, and 1 where the profiles reach it, else 0 (k,)."""
+        reached = (knots >= self.difference[0] + ROOM) & (knots <= self.difference[-1] - ROOM)
+        return np.interp(knots, self.difference, self.displacement), reached.astype(np.float64)
+
+    @property
+    def spread(self) -> float:
+        """Half of the range of the displacement, m: an error ``std`` of it is a stretch by their ratio."""
+        return float(np.ptp(self.displacement)) / 2.0
+
+
+def measured_curve(
+    name: str, left: Profile, right: Profile, std: float, *, rail: str, inclination: float, gauge: float
+) -> MeasuredCurve:
+    """Return what the measured profiles of a wheelset say on a track.
+
+    Parameters
+    ----------
+    name
+        For reports.
+    left, right
+        Wheels, in the axes of ``estimation.contact.profiles``.
+    std
+        Of the displacement that follows, m.
+    rail, inclination, gauge
+        Name of the rail's profile; tangent; nominal gauge, m.
+
+    Raises
+    ------
+    ContactError
+        The profiles do not meet the rails.
+    ProfileError
+        No such rail.
+    """
+    rails = rail_profile(rail)
+    wheelset = WheelsetOnTrack(left, right, rails, rails, inclination, gauge)
+    x = STEP * np.arange(-round(REACH / STEP), round(REACH / STEP) + 1)
+    table = contact_table(wheelset, x, np.zeros(1), outside="hold")
+    R = table.rolling_radius_difference[:, 0]
+    risen = np.maximum.accumulate(R)  # h(R) is the inverse of what rises: a step of R is a flat of h
+    first = np.concatenate([[True], np.diff(risen) > 0.0])
+    difference, displacement = risen[first], x[first]
+    return MeasuredCurve(name, difference, displacement - float(np.interp(0.0, difference, displacement)), std)

@@ -1,0 +1,94 @@
+"""What was known of a section before an epoch, as the panel takes it: one more pass of a wheelset with R = 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.filters.local_cubic import smoother, trusted, without_slow_part
+from estimation.track.panel.basis import PanelParameters
+from estimation.track.panel.normal_equations import PanelState, groups_of
+from estimation.track.panel.solution import PanelSolution
+from estimation.values.arrays import FloatArray
+from estimation.values.track import TrackAlignment
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Evidence on the grid: filtered alignment (n,), zero where there is none, and its std (n,), inf there."""
+
+    alignment: FloatArray
+    std: FloatArray
+    passes: FloatArray
+    gauge: FloatArray
+    gauge_std: FloatArray
+    gauge_known: bool
+
+    @property
+    def lies(self) -> bool:
+        """Whether it says of any place how that lies; it may speak of the gauge alone."""
+        return bool(np.isfinite(self.std).any())
+
+
+def on_grid(evidence: TrackAlignment, panel: PanelParameters, cut_off: float) -> Evidence:
+    """Return ``evidence`` on the grid of the panel, high-passed at ``cut_off`` (m) if it has not been there."""
+    grid = np.arange(panel.points) * panel.step
+    certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
+    inside = np.interp(grid, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
+    d = np.interp(grid, evidence.s, np.where(certain, evidence.alignment, 0.0))
+    std = np.interp(grid, evidence.s, np.where(certain, evidence.alignment_std, 0.0))
+    if evidence.cut_off != cut_off:
+        weights = smoother(cut_off, panel.step)
+        inside = trusted(np.asarray(inside), weights)
+        d = without_slow_part(d, weights)
+    passes = np.interp(grid, evidence.s, evidence.passes.astype(np.float64))
+    return Evidence(
+        np.where(inside, d, 0.0),
+        np.where(inside, std, np.inf),
+        np.where(inside, np.rint(passes), 0.0),
+        np.interp(grid, evidence.s, evidence.gauge_deviation),
+        np.interp(grid, evidence.s, evidence.gauge_deviation_std),
+        evidence.gauge_known,
+    )
+
+
+def with_evidence(state: PanelState, known: Evidence, noise: float, most_weight: float) -> PanelState:
+    """Return the sums with the evidence added, as heavy as its variance makes it against a pass's ``noise`` (m)."""
+    with np.errstate(divide="ignore"):
+        weight = np.minimum((noise / known.std) ** 2, most_weight)
+    d = known.alignment
+    group = groups_of(np.arange(state.parameters.points), state.parameters)
+    square = state.square + np.bincount(group, weights=weight * d * d, minlength=state.parameters.groups)
+    return replace(
+        state,
+        parameters=replace(state.parameters, least_passes=1),
+        displacement=state.displacement + weight * d,
+        passes=state.passes + weight,
+        square=square,
+        lies=known.lies,
+    )
+
+
+def fleet_step(state: PanelState, solution: PanelSolution, known: Evidence) -> float | None:
+    """Return by how much the fleet as a whole is to be moved to lie on the evidence, m; None where they do not meet.
+
+    Journeys move towards the alignment of all, most of which they have made themselves: as a whole they would come
+    nearer by the share of the evidence in it, round by round, while stiffness ratios make up for what is left.
+
+    Parameters
+    ----------
+    state
+        Sums over the passes without the evidence.
+    solution
+        Of the passes with the evidence.
+    known
+        The evidence on the grid.
+    """
+    weight = solution.passes - state.passes
+    met = (weight > 0) & (state.passes > 0) & np.isfinite(solution.alignment)
+    own = np.where(met, state.passes, 1)
+    of_passes = (solution.passes * np.nan_to_num(solution.alignment) - weight * known.alignment) / own
+    slope = np.where(met, np.gradient(np.where(met, of_passes, 0.0), state.parameters.step), 0.0)
+    square = float(slope @ slope)
+    return float(slope @ np.where(met, of_passes - known.alignment, 0.0)) / square if square > 0.0 else None

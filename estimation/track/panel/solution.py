@@ -1,0 +1,225 @@
+"""The solution of a panel: every wheelset's curve, the alignment of the place, and whether they can be told at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from estimation.track.panel.basis import PanelParameters
+from estimation.track.panel.measured_curves import MeasuredCurve
+from estimation.track.panel.normal_equations import PanelState, groups_of
+from estimation.values.arrays import FloatArray
+from estimation.values.intervals import jackknife_std
+from estimation.values.quantities import Status
+
+LEAST_DIVERSITY = 0.15
+LEAST_WHEELSETS = 2
+GAUGE_RIDGE = 1e-4  # of h1 and h2 per knot, relative to the data of a knot of h0
+ELASTIC_PRIOR = 2e-7  # m2: variance of a pass over that of the coefficient of the elastic part
+PASS_STD = 0.12e-3  # m of y - d - h(R) of a pass, as measured profiles are weighed against it
+ALIKE = 20.0  # samples of a pass whose errors are one
+PARTS = 4.0  # of a measured curve, whose errors are their own
+HELD = 100.0  # times the data of a knot: a curve that only the measurement can tell
+
+
+@dataclass(frozen=True, slots=True)
+class PanelReport:
+    """Whether the passes could tell alignment and geometry apart.
+
+    ``held`` where they could not, and measured profiles have done it for them.
+    """
+
+    status: Status
+    reason: str
+    held: bool
+
+
+@dataclass(frozen=True, slots=True)
+class PanelSolution:
+    """Curves and alignment with their standard deviations from blocks along the section."""
+
+    report: PanelReport
+    wheelsets: tuple[str, ...]
+    knots: FloatArray  # (k,) R, m
+    curves: FloatArray  # (1 + g, w, c) h(R) = y - d, m, and further columns: from all data, then without each group
+    weight: FloatArray  # (w, k) how much of the data each knot has seen, in samples
+    alignment: FloatArray  # (n,) high-passed d, m; NaN where too few passes
+    alignment_std: FloatArray  # (n,) m
+    common_std: FloatArray  # (n,) m, the share of it that the curves' uncertainty makes
+    passes: FloatArray  # (n,) sum of their weights
+
+
+def result(state: PanelState, *, std: bool = True) -> PanelSolution:
+    """Return what the passes so far say of the section and of the wheelsets that passed it; quicker without std."""
+    p = state.parameters
+    w, k = len(state.wheelsets), p.columns
+    enough = state.passes >= p.least_passes
+    group = groups_of(np.arange(p.points), p)
+    normal = np.empty((p.groups, w * k, w * k))
+    right = np.empty((p.groups, w * k))
+    stacked = state.functions.reshape(w * k, p.points)
+    share = np.zeros(p.points)
+    share[enough] = 1.0 / state.passes[enough]
+    for g in range(p.groups):
+        mine = np.flatnonzero((group == g) & (state.passes > 0))
+        G = stacked[:, mine]
+        per_pass = 1.0 / state.passes[mine]
+        root = G * np.sqrt(per_pass).astype(np.float32)
+        normal[g] = linalg.block_diag(*state.gram[g]) - root @ root.T
+        right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[mine]).astype(np.float32)
+    reason = _too_little(state)
+    held = bool(reason) and not state.lies and bool(enough.any()) and bool(_measured(state))
+    curves = _curves(normal, right, state, held=held, std=std)
+    alignments = (state.displacement - _by_curves(curves, state)) * share
+    residual = _residual_rms(state, curves[0], normal, right)
+    common = jackknife_std(alignments)
+    certainty = np.hypot(common, residual * np.sqrt(share))
+    told = held or not reason
+    return PanelSolution(
+        report=PanelReport(Status.ESTIMATED if told else Status.UNESTIMATED, "" if told else reason, held),
+        wheelsets=state.wheelsets,
+        knots=p.knots,
+        curves=curves,
+        weight=np.einsum("gwkk->wk", state.gram)[:, : p.hats],
+        alignment=np.where(enough, alignments[0], np.nan),
+        alignment_std=np.where(enough, certainty, np.nan),
+        common_std=np.where(enough, common, np.nan),
+        passes=state.passes,
+    )
+
+
+def _by_curves(curves: FloatArray, state: PanelState) -> FloatArray:
+    """Return the sum over passes (r, n), m, of what curves (r, w, c) make of displacement; rounded to a nanometre."""
+    summed = state.functions.reshape(-1, state.parameters.points)
+    return np.asarray(curves.reshape(len(curves), -1).astype(np.float32) @ summed, dtype=np.float64)
+
+
+def _curves(normal: FloatArray, right: FloatArray, state: PanelState, *, held: bool, std: bool) -> FloatArray:
+    """Solve for all data and with each group left out; curves pass through zero at R = 0."""
+    w, p = len(state.wheelsets), state.parameters
+    if w == 0:
+        return np.zeros((1 + len(normal), 0, 1))
+    total, total_right = normal.sum(axis=0), right.sum(axis=0)
+    size = float(np.diag(total).reshape(w, -1)[:, : p.hats].mean())
+    prior = linalg.block_diag(*[_prior(size if size > 0.0 else 1.0, p)] * w)  # all passes too short: nothing was met
+    prior += _no_common_shift(w, p, 1e2 * float(np.diag(total).max(initial=0.0)))
+    measured, measured_right = _prior_of_measured(state, HELD * size if held else None)
+    prior, total_right = prior + measured, total_right + measured_right
+    if held:  # as little as the curves do the passes tell the stiffness: it is as assumed
+        elastic = np.arange(p.columns - 1, len(total), p.columns)
+        prior[elastic, elastic] += HELD * total[elastic, elastic]
+    curves = [
+        linalg.solve(total - left_out + prior, total_right - left_right, assume_a="sym").reshape(w, p.columns)
+        for left_out, left_right in zip(
+            [np.zeros_like(total), *(normal if std else ())],
+            [np.zeros_like(total_right), *(right if std else ())],
+            strict=True,
+        )
+    ]
+    for curve in curves:
+        curve[:, : p.hats] -= curve[:, [p.hats // 2]]
+    return np.stack(curves)
+
+
+def _prior(scale: float, p: PanelParameters) -> FloatArray:
+    """Return the normal matrix (c, c) of what is known of one wheelset's columns beforehand."""
+    blocks = [scale * (_rough(p.hats, p.roughness) + 1e-6 * np.ones((p.hats, p.hats)) / p.hats)]
+    if p.gauge is not None:
+        k = p.gauge_hats
+        blocks += [scale * (_rough(k, 3 * p.roughness) + GAUGE_RIDGE * np.eye(k))] * 2
+    return linalg.block_diag(*blocks, np.full((1, 1), ELASTIC_PRIOR))
+
+
+def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
+    """Return the curves that have been measured, by the number of their wheelset."""
+    known = state.parameters.measured or {}
+    return {number: known[name] for number, name in enumerate(state.wheelsets) if name in known}
+
+
+def _prior_of_measured(state: PanelState, held: float | None) -> tuple[FloatArray, FloatArray]:
+    """Return normal matrix (w c, w c) and right side (w c,) of h0 as measured, up to a constant.
+
+    ``held`` is the weight of a knot where only the measurement can tell the curve; None lets its std weigh it.
+    """
+    w, p = len(state.wheelsets), state.parameters
+    matrix, right = np.zeros((w * p.columns, w * p.columns)), np.zeros(w * p.columns)
+    for number, curve in _measured(state).items():
+        displacement, reached = curve.at(p.knots)
+        own = (PASS_STD / curve.std) ** 2 * ALIKE * PARTS / p.hats
+        weight = reached * (own if held is None else held)
+        if not weight.any():
+            continue
+        block = np.diag(weight) - np.outer(weight, weight) / weight.sum()  # less its mean: the filter takes constants
+        at = slice(number * p.columns, number * p.columns + p.hats)
+        matrix[at, at], right[at] = block, block @ displacement
+    return matrix, right
+
+
+def _no_common_shift(w: int, p: PanelParameters, strength: float) -> FloatArray:
+    """Return the normal matrix (w c, w c) of the mean of h1(0) and that of h2(0) over the wheelsets being zero.
+
+    A shift of all wheelsets alike in proportion to the gauge deviation, or its square, cannot be told from the track.
+    """
+    if p.gauge is None:
+        return np.zeros((w * p.columns, w * p.columns))
+    middle = p.hats + p.gauge_hats // 2
+    first, second = (np.tile(np.eye(p.columns)[at], w) / w for at in (middle, middle + p.gauge_hats))
+    return np.asarray(strength * (np.outer(first, first) + np.outer(second, second)))
+
+
+def _rough(k: int, roughness: float) -> FloatArray:
+    bend = np.diff(np.eye(k), 2, axis=0)
+    return np.asarray(roughness * bend.T @ bend + 1e-9 * np.eye(k))
+
+
+def _residual_rms(state: PanelState, curve: FloatArray, normal: FloatArray, right: FloatArray) -> float:
+    """Return the rms of y - d - h(R) over all passes, degrees of freedom taken off."""
+    c = curve.reshape(-1)
+    met = state.passes > 0
+    within = state.square.sum() - (state.displacement[met] ** 2 / state.passes[met]).sum()
+    squares = within - 2 * c @ right.sum(axis=0) + c @ normal.sum(axis=0) @ c
+    freedom = max(float(np.maximum(state.passes[met] - 1, 0.0).sum()) - len(c), 1.0)
+    return float(np.sqrt(max(squares, 0.0) / freedom))
+
+
+def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
+    """Return the rms of y - d - h(R) over the passes alone, m, what they have shaped d and h by taken off."""
+    c = solution.curves[0].reshape(len(state.wheelsets), -1)
+    d = np.nan_to_num(solution.alignment)
+    count = np.where(np.isfinite(solution.alignment), state.passes, 0)
+    rest = state.displacement - _by_curves(c[None], state)[0]
+    squares = (
+        state.square.sum()
+        - 2.0 * np.einsum("wk,gwk->", c, state.cross)
+        + np.einsum("wj,gwjk,wk->", c, state.gram, c)
+        - 2.0 * float(d @ rest)
+        + float(count @ (d * d))
+    )
+    own = state.passes[count > 0] / solution.passes[count > 0]  # share of d that the passes made
+    freedom = max(float(count.sum()) - float(own.sum()) - c.size, 1.0)
+    return float(np.sqrt(max(float(squares), 0.0) / freedom))
+
+
+def diversity(state: PanelState) -> float:
+    """Return the std of R between the passes of a place over the std of R."""
+    several = state.passes > 1
+    count = state.passes[several]
+    sums, squares = state.difference[0, several], state.difference[1, several]
+    within = float((squares - sums**2 / count).sum() / max(int((count - 1).sum()), 1))
+    total = float(squares.sum() / max(int(count.sum()), 1))
+    return float(np.sqrt(max(within, 0.0) / total)) if total > 0 else 0.0
+
+
+def _too_little(state: PanelState) -> str:
+    """Return why the passes alone cannot tell the track from the wheelsets; empty where they can."""
+    least = state.parameters.least_passes
+    if not (state.passes >= least).any():
+        return f"no place with {least} passes"
+    if len(state.wheelsets) < LEAST_WHEELSETS:
+        return "one wheelset alone cannot tell the track from its own geometry"
+    found = diversity(state)
+    if found < LEAST_DIVERSITY:
+        return f"the passes are too alike: diversity {found:.2f}, {LEAST_DIVERSITY} is needed"
+    return ""

@@ -1,0 +1,95 @@
+"""What the passes say of the vehicles themselves: yaw stiffness over creep coefficient, which scales part of R.
+
+R = rL - rR is measured as a sum of a rolling part, -(2 l r0/V) psi', that no uncertain parameter scales, and of an
+elastic part, -(r0/(l f11)) (k_psi psi + I psi''), that goes with yaw stiffness over creep coefficient. The two are out
+of phase, so a wrong ratio leaves residuals: y = d + h(R + delta E) = d + h(R) + h' delta E + ... has one more column,
+E.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.track.panel.basis import PanelParameters
+from estimation.track.panel.solution import PanelSolution
+from estimation.track.passes import Pass
+from estimation.values.intervals import jackknife_std
+
+PRIOR_STD = 0.15  # of the ratio, relative
+SYSTEMATIC_STD = 0.02  # of the ratio, relative: a model of small terms is left, blocks of data cannot show it
+DAMPING = 0.6  # of a step: position and ratio are refined at once, and each would make up for the other's error
+
+
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """Of a vehicle: true yaw stiffness over creep coefficient, relative to the assumed one."""
+
+    value: float = 1.0
+    std: float = PRIOR_STD
+
+
+def adjusted(passes: Sequence[Pass], ratios: Mapping[str, Ratio]) -> list[Pass]:
+    """Return the passes with the elastic part of R as large as the ratio of their vehicle makes it."""
+    found = []
+    for item in passes:
+        ratio = ratios.get(item.vehicle)
+        if ratio is None or item.elastic is None:
+            found.append(item)
+        else:
+            found.append(replace(item, difference=item.difference + (ratio.value - 1.0) * item.elastic))
+    return found
+
+
+def refined(
+    ratios: Mapping[str, Ratio], passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters
+) -> dict[str, Ratio]:
+    """Return the ratios after one Gauss-Newton step from the solution of the adjusted passes.
+
+    The step of a vehicle is the mean over its wheelsets, weighted by the squares of their slopes, as far as the data
+    are worth against what is known beforehand. Where measured profiles had to tell the curves, nothing is learnt.
+    """
+    if solution.report.held:
+        return {item.vehicle: Ratio() for item in passes if item.elastic is not None}
+    slopes = _slopes(solution, panel)
+    numerators: dict[str, np.ndarray] = {}
+    squares: dict[str, float] = {}
+    for vehicle, wheelset in sorted({(item.vehicle, item.wheelset) for item in passes if item.elastic is not None}):
+        if wheelset not in solution.wheelsets:
+            continue
+        w = solution.wheelsets.index(wheelset)
+        numerators[vehicle] = numerators.get(vehicle, 0.0) + slopes[w] * solution.curves[:, w, -1]
+        squares[vehicle] = squares.get(vehicle, 0.0) + slopes[w] ** 2
+    result = {}
+    for vehicle, numerator in numerators.items():
+        if not squares[vehicle] > 0.0:
+            continue  # its passes met nothing
+        steps = numerator / squares[vehicle]
+        before = ratios.get(vehicle, Ratio())
+        data_std = float(jackknife_std(steps[:, None])[0])
+        if not np.isfinite(data_std):
+            data_std = 0.0  # not computed in this round
+        worth = PRIOR_STD**2 / (PRIOR_STD**2 + data_std**2)
+        value = 1.0 + worth * (before.value + DAMPING * float(steps[0]) - 1.0)
+        result[vehicle] = Ratio(float(np.clip(value, 0.5, 1.5)), float(np.sqrt(worth) * data_std))
+    return result
+
+
+def certain(
+    ratios: Mapping[str, Ratio], passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters
+) -> dict[str, Ratio]:
+    """Return the ratios with which ``passes`` were adjusted, each with its std from the groups of ``solution``."""
+    found = refined(ratios, passes, solution, panel)
+    return {
+        vehicle: replace(ratios.get(vehicle, Ratio()), std=float(np.hypot(one.std, SYSTEMATIC_STD)))
+        for vehicle, one in found.items()
+    }
+
+
+def _slopes(solution: PanelSolution, panel: PanelParameters) -> np.ndarray:
+    """Return dh/dR (w,) of every wheelset, averaged over what it has seen."""
+    rise = np.diff(solution.curves[0, :, : panel.hats], axis=1) / np.diff(panel.knots)
+    seen = np.minimum(solution.weight[:, 1:], solution.weight[:, :-1])
+    return np.asarray((rise * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1e-12))

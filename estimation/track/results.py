@@ -1,0 +1,126 @@
+"""What the passes of a section show besides its alignment, and the report of how it was found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from estimation.track.gauge.wheel_functions import gauge_sign, places, whole_shifts
+from estimation.track.iteration import Settled
+from estimation.values.arrays import FloatArray
+from estimation.values.json_value import JsonValue
+from estimation.values.quantities import Status
+from estimation.values.track import Findings, GaugeShift
+
+LIFE = "#"  # after a wheelset's serial, then the number of its profile and that of its mileage interval
+
+UNKNOWN_SHARE = 0.3  # of its own std that an estimated gauge deviation may be off by
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """Findings, and the gauge deviation (n,) with its std, m, where the passes themselves tell it."""
+
+    findings: Findings
+    gauge: FloatArray | None
+    gauge_std: FloatArray | None
+
+
+def findings(settled: Settled, *, gauge_estimated: bool) -> Told:
+    """Return what the passes tell; ``gauge_estimated`` where the gauge of the panel came from them."""
+    ratios = {vehicle: one.value for vehicle, one in settled.ratios.items()}
+    std = max((one.std for one in settled.ratios.values()), default=0.0)
+    gauge = settled.panel.gauge
+    if gauge is None:
+        return Told(Findings(ratios, std, {}), None, None)
+    panel = settled.panel
+    shifts = whole_shifts(settled.solution, panel)
+    sign = gauge_sign(places(settled.passes, settled.solution, panel), shifts) if gauge_estimated else 1
+    if sign < 0:
+        shifts = {name: _turned(one) for name, one in shifts.items()}
+    latest = {_life(name)[0]: shifts[name] for name in sorted(shifts, key=_life)}  # of several lives the latest
+    found = Findings(ratios, std, latest)
+    if not gauge_estimated:
+        return Told(found, None, None)
+    return Told(found, sign * gauge, np.full(len(gauge), UNKNOWN_SHARE * float(gauge.std())))
+
+
+def _turned(shift: GaugeShift) -> GaugeShift:
+    """Return what a gauge of the other sign does; the grid is symmetric."""
+    return replace(shift, shift=shift.shift[:, ::-1])
+
+
+def _life(name: str) -> tuple[str, tuple[int, ...]]:
+    """Return the serial of a wheelset and the numbers of its life, in whose order lives follow each other."""
+    serial, *numbers = name.rsplit(LIFE, 2)
+    return serial, tuple(int(number) for number in numbers)
+
+
+@dataclass(frozen=True, slots=True)
+class JourneyReport:
+    """Windows of one vehicle on one run over the section: where they were, or why they were not used."""
+
+    vehicle: str
+    from_ns: int
+    to_ns: int  # start of its last window
+    passes: int
+    offset_m: float
+    scale_1: float
+    middle_m: float
+    residual_rms_m: float
+    used: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopReport:
+    """How an alignment was found, in figures; stored with it.
+
+    ``evidence`` names what was known besides the passes: the last version, a recorded alignment.
+    """
+
+    status: Status
+    reason: str
+    converged: bool  # positions and stiffness ratios; where not, ``reason`` says so, also of an estimate
+    rounds: int
+    residual_rms_m: float  # of y - d - h(R) over all passes
+    moved_m: float  # by which the last round moved a position at most
+    passes: int
+    wheelsets: int
+    mean_passes: float  # per place that has any
+    diversity: float  # std of R between the passes of a place over the std of R
+    covered: float  # share of the section whose alignment is known
+    alignment_std_m: float  # median along the section
+    evidence: tuple[str, ...] = ()
+    journeys: tuple[JourneyReport, ...] = ()
+
+    def as_json(self) -> Mapping[str, JsonValue]:
+        """Return all of it as JSON; a number that is none is null."""
+        fields: dict[str, JsonValue] = {}
+        for name, value in asdict(self).items():
+            fields[name] = _json(value)
+        return fields
+
+
+def _json(value: object) -> JsonValue:
+    if isinstance(value, dict):
+        return {str(name): _json(item) for name, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_json(item) for item in value]
+    if isinstance(value, Status):
+        return str(value)
+    if isinstance(value, bool | int | str) or value is None:
+        return value
+    assert isinstance(value, float)
+    return value if math.isfinite(value) else None
+
+
+def nothing(reason: str, evidence: tuple[str, ...] = ()) -> LoopReport:
+    """Return the report of passes that say nothing, for this reason."""
+    return LoopReport(
+        Status.UNESTIMATED, reason, converged=False, rounds=0, residual_rms_m=0.0, moved_m=0.0, passes=0, wheelsets=0,
+        mean_passes=0.0, diversity=0.0, covered=0.0, alignment_std_m=float("nan"), evidence=evidence,
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Passes in; for each pass whether it is used, and why not, out."""

@@ -1,0 +1,206 @@
+"""Whether two things were felt at one place: how far what they have in common reaches beyond chance.
+
+What a wheelset feels at a place is y = d + h(R), h near to a straight line. So two passes of one place have a
+combination of (y, R) each that is the same in both, d, whatever their wear; two passes of different places have not.
+The largest canonical correlation between them over the offsets that are searched says which, and its significance is
+that of Wilks' lambda with the number of independent samples that their autocorrelations leave (Bartlett).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import fft
+from scipy.stats import chi2
+
+from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.track.passes import Pass, gridded
+from estimation.values.arrays import FloatArray
+from estimation.values.track import TrackAlignment
+
+MEMORY = 60.0  # m: how far samples of a high-passed signal know of each other
+PIECE = 1000.0  # m
+LEAST_SAMPLES = 8.0  # independent ones, below which nothing is said
+
+
+@dataclass(frozen=True, slots=True)
+class Felt:
+    """High-passed signals on the grid: of a pass y and R; of an alignment d."""
+
+    first: int  # grid point of the first sample
+    signals: FloatArray  # (2, n) or (1, n)
+    step: float  # m
+
+    @property
+    def length(self) -> float:
+        """Length along the section, m."""
+        return float((self.signals.shape[1] - 1) * self.step)
+
+    @property
+    def last(self) -> int:
+        """Grid point of the last sample."""
+        return int(self.first + self.signals.shape[1] - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """What two have in common at the offset at which they have most."""
+
+    correlation: float  # 0 to 1, the largest canonical one
+    log10_chance: float  # of as much between different places, over all offsets searched; 0 where nothing can be said
+    shift: float  # m: the first lies so much further along than it says, by the second
+    factor: float  # y of the first over d of the second, 1 where both are in one unit and of one sign
+    samples: float  # independent ones
+
+
+NOTHING = Agreement(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def felt(item: Pass, cut_off: float, step: float) -> Felt | None:
+    """Return what a pass felt, high-passed; None where it is shorter than the filter reaches.
+
+    Parameters
+    ----------
+    item
+        The pass.
+    cut_off, step
+        Of the filter and of the grid, m.
+    """
+    weights = smoother(cut_off, step)
+    reach = len(weights) // 2
+    first, y, R = gridded(item, step)
+    if len(y) <= 2 * len(weights):
+        return None
+    signals = without_slow_part(np.stack([y, item.side * R]), weights)[:, reach:-reach]
+    return Felt(first + reach, signals, step)
+
+
+def laid(track: TrackAlignment, first: int, last: int, cut_off: float, step: float) -> Felt | None:
+    """Return the longest known stretch of an alignment between two grid points, high-passed unless it is already."""
+    grid = np.arange(first, last + 1) * step
+    known = np.isfinite(track.alignment)
+    if np.count_nonzero(known) < 2:  # noqa: PLR2004 - nothing to interpolate between
+        return None
+    inside = np.interp(grid, track.s, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
+    start, stop = _longest(inside)
+    d = np.interp(grid[start:stop], track.s[known], track.alignment[known])
+    if np.isfinite(track.cut_off):
+        return Felt(first + start, d[None, :], step) if len(d) else None
+    weights = smoother(cut_off, step)
+    reach = len(weights) // 2
+    if len(d) <= 2 * len(weights):
+        return None
+    return Felt(first + start + reach, without_slow_part(d, weights)[None, reach:-reach], step)
+
+
+def _longest(inside: FloatArray) -> tuple[int, int]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(inside).astype(np.int8), [0]])))
+    if not len(edges):
+        return 0, 0
+    starts, stops = edges[::2], edges[1::2]
+    k = int(np.argmax(stops - starts))
+    return int(starts[k]), int(stops[k])
+
+
+def agreement(first: Felt, second: Felt, largest_offset: float, least_length: float) -> Agreement:
+    """Return what two have in common within ``largest_offset`` m, on at least ``least_length`` m; else ``NOTHING``.
+
+    Where they share much, odometers of other scale drift apart by more than a wavelength; a few pieces of it are then
+    compared, each by itself, and the one that agrees neither most nor least is returned.
+
+    Parameters
+    ----------
+    first
+        A pass.
+    second
+        A pass or an alignment, on the same grid spacing.
+    largest_offset
+        By how much their positions may disagree, m, both ways.
+    least_length
+        Of what they share, m.
+    """
+    step = first.step
+    start, stop = max(first.first, second.first), min(first.last, second.last) + 1
+    if (stop - start) * step < least_length:
+        return NOTHING
+    X = first.signals[:, start - first.first : stop - first.first]
+    Z = second.signals[:, start - second.first : stop - second.first]
+    found = [
+        _of_piece(X[:, part], Z[:, part], int(largest_offset / step), step) for part in _pieces(stop - start, step)
+    ]
+    middle = found[len(found) // 2]
+    usual = sorted(found, key=lambda one: one.log10_chance)[len(found) // 2]
+    return replace(usual, shift=middle.shift) if middle.log10_chance <= usual.log10_chance else usual
+
+
+def _pieces(n: int, step: float) -> list[slice]:
+    """Return which parts of ``n`` shared samples are compared."""
+    length = int(PIECE / step)
+    if n <= 2 * length:
+        return [slice(0, n)]
+    starts = [0, (n - length) // 2, n - length]
+    return [slice(start, start + length) for start in starts]
+
+
+def _of_piece(X: FloatArray, Z: FloatArray, reach: int, step: float) -> Agreement:
+    X, Z = (signals - signals.mean(axis=1, keepdims=True) for signals in (X, Z))
+    reach = min(reach, X.shape[1] // 4)
+    squared = _canonical(X, Z, reach)
+    return _at_lag(X, Z, int(np.argmax(squared)) - reach, reach, step)
+
+
+def _canonical(X: FloatArray, Z: FloatArray, reach: int) -> FloatArray:
+    """Return the largest squared canonical correlation (2 reach + 1,) of X(i) with Z(i + lag)."""
+    n = X.shape[1]
+    size = fft.next_fast_len(n + reach, real=True)
+    fX, fZ = fft.rfft(X, size, axis=1), fft.rfft(Z, size, axis=1)
+    products = fft.irfft(np.conj(fX)[:, None] * fZ[None], size, axis=2)
+    lags = np.arange(-reach, reach + 1)
+    cross = np.moveaxis(products[:, :, lags], 2, 0) / (n - np.abs(lags))[:, None, None]
+    inner, outer = _inverse(X @ X.T / n), _inverse(Z @ Z.T / n)
+    M = np.einsum("ab,lbc,cd,led->lae", inner, cross, outer, cross)
+    trace = M[:, 0, 0] + M[:, 1, 1]
+    determinant = M[:, 0, 0] * M[:, 1, 1] - M[:, 0, 1] * M[:, 1, 0]
+    return np.asarray(0.5 * trace + np.sqrt(np.maximum(0.25 * trace**2 - determinant, 0.0)))
+
+
+def _at_lag(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> Agreement:
+    """Return the agreement of what overlaps at a lag, with its chance over all lags."""
+    n = X.shape[1] - abs(lag)
+    X, Z = (X[:, :n], Z[:, lag:]) if lag >= 0 else (X[:, -lag:], Z[:, :n])
+    X, Z = (signals - signals.mean(axis=1, keepdims=True) for signals in (X, Z))
+    p, q = len(X), len(Z)
+    both = np.concatenate([X, Z])
+    all_of = both @ both.T / n
+    cross = all_of[:p, p:]
+    M = _inverse(all_of[:p, :p]) @ cross @ _inverse(all_of[p:, p:]) @ cross.T
+    squared = np.clip(np.linalg.eigvals(M).real, 0.0, 1.0 - 1e-12)
+    samples, memory = _independent(X, Z, step)
+    if samples < LEAST_SAMPLES:
+        return NOTHING
+    wilks = -(samples - 0.5 * (p + q + 3)) * float(np.log1p(-squared).sum())
+    searched = max(2 * reach * step / memory, 1.0)
+    chance = float(chi2.logsf(wilks, p * q)) / np.log(10.0) + np.log10(searched)
+    coefficients = _inverse(all_of[1:, 1:]) @ all_of[1:, 0]  # of y on R and on the other's signals
+    return Agreement(float(np.sqrt(squared.max())), min(chance, 0.0), lag * step, float(coefficients[p - 1]), samples)
+
+
+def _inverse(gram: FloatArray) -> FloatArray:
+    """Return the inverse of a Gram matrix whose signals may be of any size, or nothing at all."""
+    size = np.sqrt(np.diag(gram))
+    size = np.where(size > 0.0, size, 1.0)
+    return np.asarray(np.linalg.inv(gram / np.outer(size, size) + 1e-12 * np.eye(len(gram))) / np.outer(size, size))
+
+
+def _independent(X: FloatArray, Z: FloatArray, step: float) -> tuple[float, float]:
+    """Return how many independent samples a correlation of X with Z has, and over how many m one of them reaches."""
+    n = X.shape[1]
+    far = min(int(MEMORY / step), n - 1)
+    size = fft.next_fast_len(n + far, real=True)
+    spectra = [np.abs(fft.rfft(signal, size)) ** 2 for signal in (*X, *Z)]
+    own = [fft.irfft(power, size)[: far + 1] for power in spectra]
+    own = [values / max(float(values[0]), 1e-300) for values in own]
+    widths = [1.0 + 2.0 * float((a[1:] * b[1:]).sum()) for a in own[: len(X)] for b in own[len(X) :]]
+    width = max(*widths, 1.0) if len(widths) > 1 else max(widths[0], 1.0)
+    return n / width, width * step

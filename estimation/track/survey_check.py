@@ -1,0 +1,249 @@
+"""A recorded alignment held against what the fleet has felt: of this section, in metres, and where it says or not.
+
+Both are compared after the same high-pass, at every offset that is searched: how much they have in common beyond
+chance, by what factor, and how far apart they are there against what their standard deviations allow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import fft
+from scipy.stats import chi2
+
+from estimation.filters.local_cubic import smoother, trusted, without_slow_part
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.track import TrackAlignment
+
+UNITS = {
+    1e3: "millimetres were taken for metres",
+    1e-3: "metres were taken for millimetres",
+    1e2: "centimetres were taken for metres",
+    1e-2: "metres were taken for centimetres",
+    1e1: "millimetres were taken for centimetres",
+    1e-1: "centimetres were taken for millimetres",
+    25.4: "millimetres were taken for inches",
+    1 / 25.4: "inches were taken for millimetres",
+    1 / 0.0254: "inches were taken for metres",
+    0.0254: "metres were taken for inches",
+    1 / 0.3048: "feet were taken for metres",
+    0.3048: "metres were taken for feet",
+}
+SAME_UNIT = 1.12  # a factor this near to that of a unit is that unit
+ALIGNING_STEPS = 5
+MEMORY = 60.0  # m: how far samples of a high-passed alignment know of each other
+
+
+@dataclass(frozen=True, slots=True)
+class JudgementParameters:
+    """When a recorded alignment is believed."""
+
+    largest_offset: float = 60.0  # m, searched both ways
+    log10_chance: float = -6.0  # of as much in common with another section, over all offsets
+    least_samples: float = 20.0  # independent ones, below which nothing is said
+    most_factor: float = 1.25  # and its inverse the least, besides what the fleet leaves open
+    largest_shift: float = 3.0  # m, besides what is known of where the fleet lies
+    most_misfit: float = 1.5  # times what the standard deviations allow, besides chance
+    chance: float = 1e-4  # of a misfit of a recording whose standard deviation is right
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What the fleet says of a recorded alignment; numbers are NaN where nothing can be said."""
+
+    usable: bool
+    reason: str  # why not; or why nothing can be said
+    scale: float  # recorded over felt, without its sign
+    shift: float  # m: what is recorded at s was felt at s + shift
+    sign: int  # 1; -1 where left and right are exchanged; 0 where nothing can be said
+    misfit: float  # rms of the difference where it lies now, over what the standard deviations allow
+    correlation: float  # at the best shift
+    samples: float  # independent ones
+
+
+def judge_recorded(
+    recorded: TrackAlignment,
+    fleet: TrackAlignment,
+    *,
+    place_std: float = 0.0,
+    parameters: JudgementParameters | None = None,
+) -> Judgement:
+    """Return whether a recorded alignment may be used, by an alignment that was found without it.
+
+    Parameters
+    ----------
+    recorded
+        With its standard deviation.
+    fleet
+        Found by the fleet alone, high-passed at its ``cut_off``, with its standard deviation; NaN where not known.
+    place_std
+        How well the fleet as a whole knows where it lies along the section, m: the scatter of its journeys' positions
+        over the root of their number. A shift that it explains is nobody's fault.
+    parameters
+        Limits.
+    """
+    p = parameters or JudgementParameters()
+    both = _on_one_grid(recorded, fleet)
+    if both is None:
+        return _nothing("the fleet does not know enough of the section")
+    r, f, variance, step = both
+    reach = int(p.largest_offset / step)
+    score, factor = _by_lag(r, f, 1.0 / variance, reach)
+    k = int(np.argmax(np.abs(score)))
+    shift = _peak(np.abs(score), k, reach) * step
+    memory = _memory(r, f, step)
+    samples = np.count_nonzero(f) * step / memory
+    if samples < p.least_samples:
+        return _nothing("the fleet does not know enough of the section")
+    explained = min(float(score[k] ** 2), 1.0 - 1e-12)
+    chance = float(chi2.logsf(-(samples - 3.0) * np.log1p(-explained), 1)) / np.log(10.0)
+    chance += float(np.log10(max(2.0 * p.largest_offset / memory, 1.0)))
+    found = Judgement(
+        usable=True,
+        reason="",
+        scale=float(np.abs(factor[k])),
+        shift=shift,
+        sign=int(np.sign(factor[k])),
+        misfit=_misfit(r, f, variance),
+        correlation=float(np.sqrt(explained)),
+        samples=samples,
+    )
+    if chance > p.log10_chance:
+        return _refused(found, _unrelated(found))
+    reasons = _misplaced(found, 1.0 + 4.0 * fleet.scale_std, 3.0 * place_std, p)
+    if reasons:
+        return _refused(found, "; ".join(reasons))
+    left = _misfit(_laid(r, f, variance, shift / step), f, variance)
+    limit = p.most_misfit * float(np.sqrt(chi2.isf(p.chance, samples) / samples))
+    if left > limit:
+        return _refused(
+            found, f"it differs {left:.1f} times as much as its standard deviation allows, {limit:.1f} is much"
+        )
+    return found
+
+
+def _misplaced(found: Judgement, open_scale: float, place_known: float, p: JudgementParameters) -> list[str]:
+    """Return what is wrong with the unit, the sides and the place of a recording.
+
+    ``open_scale`` is the factor that the fleet leaves open, ``place_known``, m, within what it knows where it lies.
+    """
+    reasons = []
+    if not 1.0 / (p.most_factor * open_scale) <= found.scale <= p.most_factor * open_scale:
+        reasons.append(_unit(found.scale))
+    if found.sign < 0:
+        reasons.append("left and right are exchanged: it is the mirror image of what the fleet has felt")
+    if abs(found.shift) > p.largest_shift + place_known:
+        within = f", and the fleet knows its place within {place_known:.1f} m" if place_known > 0.0 else ""
+        direction = "back" if found.shift > 0.0 else "along"
+        reasons.append(f"it lies {abs(found.shift):.1f} m too far {direction}{within}")
+    return reasons
+
+
+def _nothing(reason: str) -> Judgement:
+    nan = float("nan")
+    return Judgement(usable=True, reason=reason, scale=nan, shift=nan, sign=0, misfit=nan, correlation=nan, samples=0.0)
+
+
+def _refused(found: Judgement, reason: str) -> Judgement:
+    return replace(found, usable=False, reason=reason)
+
+
+def _unrelated(found: Judgement) -> str:
+    return (
+        "it has no more in common with what the fleet has felt than another section would"
+        f" (correlation {found.correlation:.2f} over {found.samples:.0f} independent samples)"
+    )
+
+
+def _unit(scale: float) -> str:
+    near = min(UNITS, key=lambda factor: abs(np.log(scale / factor)))
+    told = f"it is {scale:.3g} times what the fleet has felt"
+    return f"{told}: {UNITS[near]}" if abs(np.log(scale / near)) < np.log(SAME_UNIT) else told
+
+
+def _on_one_grid(
+    recorded: TrackAlignment, fleet: TrackAlignment
+) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
+    """Return recorded and felt alignment, high-passed, zero where one is not known, their joint variance, the step."""
+    step = float(fleet.s[1] - fleet.s[0])
+    inside = _known(recorded, fleet.s)
+    lying = np.isfinite(recorded.alignment)
+    if not inside.any():
+        return None
+    r = np.interp(fleet.s, recorded.s[lying], recorded.alignment[lying])
+    if np.isfinite(fleet.cut_off) and not np.isfinite(recorded.cut_off):
+        weights = smoother(fleet.cut_off, step)
+        inside = trusted(inside, weights)
+        r = without_slow_part(r, weights)
+    seen = inside & np.isfinite(fleet.alignment) & np.isfinite(fleet.alignment_std)
+    if np.count_nonzero(seen) * step < 2.0 * MEMORY:
+        return None
+    std = np.interp(fleet.s, recorded.s, np.nan_to_num(recorded.alignment_std))
+    variance = std**2 + np.where(seen, np.nan_to_num(fleet.alignment_std), 0.0) ** 2
+    variance = np.maximum(variance, (1e-6) ** 2)
+    return np.where(inside, r, 0.0), np.where(seen, fleet.alignment, 0.0), variance, step
+
+
+def _known(track: TrackAlignment, s: FloatArray) -> BoolArray:
+    known = np.isfinite(track.alignment) & np.isfinite(track.alignment_std)
+    return np.asarray(np.interp(s, track.s, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9)
+
+
+def _by_lag(r: FloatArray, f: FloatArray, weight: FloatArray, reach: int) -> tuple[FloatArray, FloatArray]:
+    """Return correlation and factor recorded over felt (2 reach + 1,), of r(s) with f(s + lag), by the errors of f."""
+    seen = (f != 0.0).astype(np.float64) * weight
+    size = fft.next_fast_len(len(r) + reach, real=True)
+    lags = np.arange(-reach, reach + 1)
+
+    def products(a: FloatArray, b: FloatArray) -> FloatArray:
+        return np.asarray(fft.irfft(np.conj(fft.rfft(a, size)) * fft.rfft(b, size), size)[lags])
+
+    cross = products(r, seen * f)
+    own = np.maximum(products(r * r, seen), 1e-300)
+    felt = np.maximum(products((r != 0.0).astype(np.float64), seen * f * f), 1e-300)
+    return cross / np.sqrt(own * felt), cross / felt
+
+
+def _peak(score: FloatArray, k: int, reach: int) -> float:
+    """Return the lag of a peak, in samples, between the samples."""
+    if not 0 < k < len(score) - 1:
+        return float(k - reach)
+    a, b, c = score[k - 1 : k + 2]
+    bend = a - 2 * b + c
+    return float(k - reach + (0.5 * (a - c) / bend if bend < 0.0 else 0.0))
+
+
+def _memory(r: FloatArray, f: FloatArray, step: float) -> float:
+    """Return over how many m one independent sample of the product reaches (Bartlett)."""
+    far = min(int(MEMORY / step), len(r) - 1)
+    size = fft.next_fast_len(len(r) + far, real=True)
+    own = [fft.irfft(np.abs(fft.rfft(signal, size)) ** 2, size)[: far + 1] for signal in (r, f)]
+    first, second = (values / max(float(values[0]), 1e-300) for values in own)
+    return step * max(1.0 + 2.0 * float((first[1:] * second[1:]).sum()), 1.0)
+
+
+def _laid(r: FloatArray, f: FloatArray, variance: FloatArray, lag: float) -> FloatArray:
+    """Return r where it fits f best, moved and stretched a little (Gauss-Newton), zero where it is not known."""
+    index = np.arange(len(r), dtype=np.float64)
+    u = index / len(r) - 0.5
+    moved = np.full(len(r), lag)
+    known = (r != 0.0).astype(np.float64)
+    for _ in range(ALIGNING_STEPS):
+        laid = np.interp(index - moved, index, r, left=0.0, right=0.0)
+        seen = (np.interp(index - moved, index, known, left=0.0, right=0.0) > 1.0 - 1e-9) & (f != 0.0)
+        slope = -np.gradient(laid)
+        design = np.stack([slope, slope * u]) * (seen / np.sqrt(variance))
+        rest = np.where(seen, f - laid, 0.0) / np.sqrt(variance)
+        step = np.linalg.solve(design @ design.T + 1e-9 * np.eye(2), design @ rest)
+        moved = moved + np.clip(step[0] + step[1] * u, -2.0, 2.0)
+    laid = np.interp(index - moved, index, r, left=0.0, right=0.0)
+    return np.asarray(np.where(np.interp(index - moved, index, known, left=0.0, right=0.0) > 1.0 - 1e-9, laid, 0.0))
+
+
+def _misfit(r: FloatArray, f: FloatArray, variance: FloatArray) -> float:
+    """Return the rms of the difference over what the variance allows."""
+    seen = (r != 0.0) & (f != 0.0)
+    if not seen.any():
+        return float("nan")
+    return float(np.sqrt(np.mean((r - f)[seen] ** 2 / variance[seen])))

@@ -1,0 +1,206 @@
+"""A wheelset's indicator since the last reprofiling: robust slope, value now, distance and date to its limit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from estimation.trend.wear_curve import WearCurve, fit_wear_curve
+from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.trend import WearTrend
+
+YEAR_NS = 365.25 * 86_400e9
+NO_FORECAST = Forecast(None, None, None)
+
+
+@dataclass(frozen=True, slots=True)
+class TrendPoint:
+    """One value of the indicator, from one stretch of running."""
+
+    mileage_km: float  # since the wheelset was new
+    measured_ns: int
+    value: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class TrendParameters:
+    """What shapes a trend; changing any of it changes the provenance of the next refresh."""
+
+    minimum_points: int = 2
+    minimum_span_km: float = 1.0
+    horizon_km: float = 500_000.0
+    horizon_years: float = 10.0
+    smallest_std: float = 1e-6  # a std below it is a claim nobody can make
+
+
+def refresh(
+    points: Sequence[TrendPoint],
+    limit: float,
+    params: TrendParameters | None = None,
+    *,
+    quantity: str = "equivalent_conicity",
+    note: str = "",
+) -> WearTrend:
+    """Return the trend of the points, in whatever order they come.
+
+    Parameters
+    ----------
+    points
+        Values since the last reprofiling with their standard deviations; those that are not finite are left out.
+    limit
+        The value not to be exceeded, in units of the points.
+    params
+        What shapes the trend.
+    quantity
+        Name of the indicator.
+    note
+        Remark on the points, put in front of the reason.
+
+    Returns
+    -------
+    WearTrend
+        The slopes are those at the last point; ``current`` is the fitted value there. With too few points the trend is
+        ``unestimated`` and says why; ``current`` is then the last value itself, where there is one.
+    """
+    params = params or TrendParameters()
+    usable = sorted(
+        (p for p in points if np.isfinite([p.mileage_km, p.value, p.std]).all() and p.std > 0.0),
+        key=lambda p: (p.mileage_km, p.measured_ns, p.value, p.std),
+    )
+    columns = _Columns(
+        np.array([p.mileage_km for p in usable], dtype=np.float64),
+        np.array([p.measured_ns for p in usable], dtype=np.int64),
+        np.array([p.value for p in usable], dtype=np.float64),
+        np.array([max(p.std, params.smallest_std) for p in usable], dtype=np.float64),
+    )
+    lacking = _lacking(columns, params)
+    if lacking:
+        return _unestimated(columns, limit, quantity, "; ".join(filter(None, (note, lacking))))
+    return _estimated(columns, limit, params, quantity, note)
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    mileage_km: FloatArray
+    measured_ns: IntArray
+    value: FloatArray
+    std: FloatArray
+
+
+def _lacking(points: _Columns, params: TrendParameters) -> str:
+    k = len(points.value)
+    wanted = max(2, params.minimum_points)
+    if k < wanted:
+        return f"{k} points since the last reprofiling, {wanted} needed"
+    span = float(points.mileage_km[-1] - points.mileage_km[0])
+    if span < params.minimum_span_km:
+        return f"the points span {span:.3g} km, {params.minimum_span_km:.3g} km needed"
+    return ""
+
+
+def _unestimated(points: _Columns, limit: float, quantity: str, reason: str) -> WearTrend:
+    unknown = Estimate.unknown(reason, len(points.value))
+    current, probability = unknown, None
+    if len(points.value):
+        value, std = float(points.value[-1]), float(points.std[-1])
+        half = 1.959963984540054 * std
+        current = Estimate(value, std, value - half, value + half, 1.0, Status.ESTIMATED)
+        probability = probability_above(current, limit)
+    return WearTrend(
+        quantity=quantity,
+        mileage_km=points.mileage_km,
+        measured_ns=points.measured_ns,
+        value=points.value,
+        std=points.std,
+        slope_per_1000_km=unknown,
+        slope_per_year=unknown,
+        current=current,
+        limit=limit,
+        distance_to_limit_km=NO_FORECAST,
+        date_of_limit_ns=NO_FORECAST,
+        probability_over_limit=probability,
+        status=Status.UNESTIMATED,
+        reason=reason,
+    )
+
+
+def _estimated(points: _Columns, limit: float, params: TrendParameters, quantity: str, note: str) -> WearTrend:
+    by_distance = fit_wear_curve(points.mileage_km, points.value, points.std)
+    count = float(by_distance.share.sum())
+    by_date = _fit_by_date(points)
+    slope_per_year, date = Estimate.unknown("all points have one date", count), NO_FORECAST
+    if by_date is not None:
+        slope_per_year = by_date.slope_now().estimate(count)
+        years = _forecast(by_date, limit, params.horizon_years)
+        last = int(points.measured_ns.max())
+        date = Forecast(*(None if y is None else last + round(y * YEAR_NS) for y in (years.p10, years.p50, years.p90)))
+    level = by_distance.level_now()
+    return WearTrend(
+        quantity=quantity,
+        mileage_km=points.mileage_km,
+        measured_ns=points.measured_ns,
+        value=points.value,
+        std=points.std,
+        slope_per_1000_km=_scaled(by_distance.slope_now().estimate(count), 1000.0),
+        slope_per_year=slope_per_year,
+        current=level.estimate(count),
+        limit=limit,
+        distance_to_limit_km=_forecast(by_distance, limit, params.horizon_km),
+        date_of_limit_ns=date,
+        probability_over_limit=level.above(limit),
+        status=Status.ESTIMATED,
+        reason=note,
+    )
+
+
+def _fit_by_date(points: _Columns) -> WearCurve | None:
+    order = np.argsort(points.measured_ns, kind="stable")
+    since = points.measured_ns[order] - points.measured_ns.max()
+    if since[0] == 0:
+        return None
+    return fit_wear_curve(since / YEAR_NS, points.value[order], points.std[order])
+
+
+def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:
+    return Forecast(*(curve.reaches(limit, probability, horizon) for probability in (0.1, 0.5, 0.9)))
+
+
+def _scaled(estimate: Estimate, factor: float) -> Estimate:
+    value, std, low, high = (
+        None if x is None else x * factor for x in (estimate.value, estimate.std, estimate.low, estimate.high)
+    )
+    return Estimate(value, std, low, high, estimate.count, estimate.status, estimate.reason)
+
+
+def probability_above(estimate: Estimate, limit: float) -> float | None:
+    """Return the probability that the true value lies above ``limit``; None where nothing is estimated.
+
+    The value is taken as normal with its standard deviation.
+    """
+    if estimate.value is None or estimate.std is None:
+        return None
+    if estimate.std <= 0.0:
+        return float(estimate.value > limit)
+    return float(ndtr((estimate.value - limit) / estimate.std))
+
+
+def probability_within(trend: WearTrend, distance_km: float) -> float | None:
+    """Return the probability that the limit is reached within a distance from the last point.
+
+    Interpolated between the published quantiles, so that a reader of the trend can repeat it; beyond the last known
+    quantile it stays at that quantile's probability. None where the trend is not estimated.
+    """
+    if trend.status is not Status.ESTIMATED or trend.probability_over_limit is None:
+        return None
+    ahead = trend.distance_to_limit_km
+    distances, probabilities = [0.0], [trend.probability_over_limit]
+    for probability, distance in ((0.1, ahead.p10), (0.5, ahead.p50), (0.9, ahead.p90)):
+        if distance is not None and distance > distances[-1]:
+            distances.append(distance)
+            probabilities.append(max(probability, probabilities[-1]))
+    return float(np.interp(distance_km, distances, probabilities))

@@ -1,0 +1,281 @@
+"""A robust wear curve through points with known standard deviations: level and slope now, and when a limit is reached.
+
+Model, with x the distance or the time, scaled so that the last point is at 0 and the first at -1::
+
+    value_i = a + b x_i + bend(x_i) + noise_i,    noise_i ~ N(0, (std_i^2 + tau^2) / lambda_i)
+
+The bend has two parts. One is lasting: a change of slope that dies out exponentially over one observed span, so that
+saturating or accelerating wear is carried on, damped, into the forecast. The other wanders: an integrated random walk
+(at knots before the last point, continuously after it), so that a forecast far beyond what was observed is wide.
+Extra scatter ``tau`` covers standard deviations that were too small. Outliers are noise from a second, ten times wider
+normal; ``lambda_i`` is the precision this leaves each point (expectation-maximisation). Level and slope have flat
+priors and both ``tau`` and the wandering are averaged over a grid by their marginal likelihood, so every result is a
+mixture of normals: quantiles come from its distribution function, without random numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import ndtr
+
+from estimation.values.arrays import FloatArray
+from estimation.values.quantities import Estimate, Status
+
+MOST_KNOTS = 8
+PAIRS_LIMIT = 500  # points up to which all pairs enter the pilot slope
+OUTLIER_SHARE = 0.05
+OUTLIER_WIDTH = 10.0
+POINTS_FOR_OUTLIERS = 5  # with fewer, nobody can say which one is wrong
+SCATTER_NODES = 12
+EXTRA_SCATTER = 1.0  # half-Cauchy scale of tau, in median standard deviations
+BEND_NODES = np.array([0.01, 0.15, 0.4, 1.0])  # change of slope over the observed span, in slopes
+BEND_PRIOR = np.array([0.4, 0.2, 0.2, 0.2])
+WANDERING = 0.3  # of the bend's standard deviation
+SMALLEST_STD = 1e-3  # in median standard deviations: a better point cannot make the others count for nothing
+JITTER = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
+ROUNDS = 25
+
+
+@dataclass(frozen=True, slots=True)
+class NormalMixture:
+    """A distribution as a sum of normals."""
+
+    weight: FloatArray  # (m,), sums to 1
+    mean: FloatArray  # (m,)
+    std: FloatArray  # (m,)
+
+    def above(self, limit: float) -> float:
+        """Return the probability of lying above ``limit``."""
+        return float(self.weight @ ndtr((self.mean - limit) / self.std))
+
+    def quantile(self, probability: float) -> float:
+        """Return the value below which ``probability`` lies."""
+        low, high = float(np.min(self.mean - 9 * self.std)), float(np.max(self.mean + 9 * self.std))
+        return float(brentq(lambda value: self.above(value) - (1.0 - probability), low, high, xtol=1e-9 * (high - low)))
+
+    def estimate(self, count: float) -> Estimate:
+        """Return mean, standard deviation and 95 % interval."""
+        mean = float(self.weight @ self.mean)
+        std = float(np.sqrt(self.weight @ (self.std**2 + (self.mean - mean) ** 2)))
+        return Estimate(mean, std, self.quantile(0.025), self.quantile(0.975), count, Status.ESTIMATED)
+
+
+@dataclass(frozen=True, slots=True)
+class WearCurve:
+    """The posterior of level and slope at the last point, as a mixture over the grid nodes, in the caller's units."""
+
+    weight: FloatArray  # (m,)
+    level: FloatArray  # (m,)
+    slope: FloatArray  # (m,)
+    damped: FloatArray  # (m,) change of slope still to come
+    covariance: FloatArray  # (m, 3, 3) of (level, slope, damped)
+    wandering: FloatArray  # (m,) standard deviation of the slope per square root of distance
+    span: float  # from the first to the last point
+    share: FloatArray  # (k,) lambda: what each point counts, 1 for a good one
+
+    def level_now(self) -> NormalMixture:
+        """Return the distribution of the fitted value at the last point."""
+        return NormalMixture(self.weight, self.level, np.sqrt(self.covariance[:, 0, 0]))
+
+    def slope_now(self) -> NormalMixture:
+        """Return the distribution of the slope at the last point."""
+        return NormalMixture(self.weight, self.slope, np.sqrt(self.covariance[:, 1, 1]))
+
+    def level_after(self, distance: float) -> NormalMixture:
+        """Return the distribution of the fitted value ``distance`` after the last point."""
+        effect = np.array([1.0, distance, self.span * float(_damped(np.asarray(distance / self.span)))])
+        variance = np.einsum("i,mij,j->m", effect, self.covariance, effect) + self.wandering**2 * distance**3 / 3.0
+        mean = self.level * effect[0] + self.slope * effect[1] + self.damped * effect[2]
+        return NormalMixture(self.weight, mean, np.sqrt(variance))
+
+    def reaches(self, limit: float, probability: float, horizon: float) -> float | None:
+        """Return the distance after which ``limit`` has been reached with ``probability``; None beyond the horizon.
+
+        The probability of having reached the limit at a distance is that of the level being above it there or at
+        any shorter distance looked at (its running maximum), as in Fieller's interval for a ratio.
+        """
+
+        def short(distance: float) -> float:
+            return self.level_after(distance).above(limit) - probability
+
+        if short(0.0) >= 0.0:
+            return 0.0
+        before = 0.0
+        for distance in horizon * np.linspace(0.0, 1.0, 241)[1:] ** 2:
+            if short(float(distance)) >= 0.0:
+                return float(brentq(short, before, float(distance), xtol=1e-6 * horizon))
+            before = float(distance)
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class _Scaled:
+    """The points in units of their span and of their median standard deviation, and the design matrix."""
+
+    x: FloatArray  # (k,) from -1 to 0
+    z: FloatArray  # (k,)
+    variance: FloatArray  # (k,)
+    design: FloatArray  # (k, 3 + knots): level, slope, damped change of slope, hinges
+    spacing: float
+    span: float
+    unit: float
+    shift: float
+
+
+def fit_wear_curve(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCurve:
+    """Fit the curve.
+
+    Parameters
+    ----------
+    x
+        Distance or time of each point, (k,), not decreasing, the last greater than the first.
+    value, std
+        Value and standard deviation of each point, (k,); every std greater than 0.
+
+    Returns
+    -------
+    WearCurve
+        Level in units of ``value``, slope in units of ``value`` per unit of ``x``, both at ``x[-1]``.
+
+    Raises
+    ------
+    ValueError
+        Fewer than two points, or no span between them, or a standard deviation that is not positive.
+    """
+    if len(x) < 2 or not x[-1] > x[0] or not np.all(std > 0.0):  # noqa: PLR2004 - a line needs two points
+        raise ValueError("a wear curve needs two points, a span between them and positive standard deviations")
+    points = _scale(x, value, std)
+    pilot_slope, pilot_std, residual = _pilot(points)
+    inflation = max(1.0, _weighted_median(np.abs(residual) / np.sqrt(points.variance), np.ones(len(x))) * 1.4826)
+    share = _shares(residual, points.variance * inflation**2)
+    scatter, scatter_prior = _scatter_grid(residual)
+    bend = BEND_NODES * float(np.hypot(pilot_slope, pilot_std))
+    for _ in range(ROUNDS):
+        nodes = _solve(points, share, scatter, bend, np.outer(scatter_prior, BEND_PRIOR).ravel())
+        weight, beta, _, node_scatter, _ = nodes
+        residual = points.z - points.design @ (weight @ beta)
+        update = _shares(residual, points.variance + float(weight @ node_scatter**2))
+        done = bool(np.max(np.abs(update - share)) < 1e-7)  # noqa: PLR2004 - far below what a result shows
+        share = update
+        if done:
+            break
+    return _unscale(points, _solve(points, share, scatter, bend, np.outer(scatter_prior, BEND_PRIOR).ravel()), share)
+
+
+def _scale(x: FloatArray, value: FloatArray, std: FloatArray) -> _Scaled:
+    span, unit, shift = float(x[-1] - x[0]), float(np.median(std)), float(np.median(value))
+    u = (x - x[-1]) / span
+    knots = max(0, min(MOST_KNOTS, len(x) - 2))
+    spacing = 1.0 / (knots + 1)
+    at = -spacing * np.arange(1, knots + 1)
+    # a hinge is zero after its knot, so level and slope keep their meaning at the last point
+    hinges = np.maximum(0.0, at[None, :] - u[:, None])
+    design = np.column_stack([np.ones(len(x)), u, _damped(u), hinges])
+    return _Scaled(
+        u, (value - shift) / unit, np.maximum(std / unit, SMALLEST_STD) ** 2, design, spacing, span, unit, shift
+    )
+
+
+def _damped(u: FloatArray) -> FloatArray:
+    """Return the integral of a change of slope that is 0 at u = 0 and goes to 1 as 1 - exp(-u)."""
+    return u - 1.0 + np.exp(-u)
+
+
+def _pilot(points: _Scaled) -> tuple[float, float, FloatArray]:
+    """Return slope, its standard deviation, and residuals of a line by weighted Theil-Sen."""
+    k = len(points.x)
+    first, second = np.triu_indices(k, 1) if k <= PAIRS_LIMIT else (np.arange(k // 2), np.arange(k // 2) + k - k // 2)
+    run = points.x[second] - points.x[first]
+    keep = run > 0.0
+    first, second, run = first[keep], second[keep], run[keep]
+    trust = run / np.sqrt(points.variance[first] + points.variance[second])
+    slope = _weighted_median((points.z[second] - points.z[first]) / run, trust)
+    level = _weighted_median(points.z - slope * points.x, 1.0 / np.sqrt(points.variance))
+    information = 1.0 / points.variance
+    centre = float(information @ points.x / information.sum())
+    slope_std = float(1.0 / np.sqrt(information @ (points.x - centre) ** 2))
+    return slope, slope_std, points.z - level - slope * points.x
+
+
+def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
+    order = np.argsort(values, kind="stable")
+    ranks = np.cumsum(weights[order])
+    half = 0.5 * ranks[-1]
+    low = int(np.searchsorted(ranks, half * (1.0 - 1e-12)))
+    high = int(np.searchsorted(ranks, half * (1.0 + 1e-12)))
+    return float(0.5 * (values[order[low]] + values[order[min(high, len(values) - 1)]]))
+
+
+def _shares(residual: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return lambda: the expected precision of each point under the mixture of good and wide noise, good being 1."""
+    if len(residual) < POINTS_FOR_OUTLIERS:
+        return np.ones(len(residual))
+    square = residual**2 / variance
+    odds = (
+        OUTLIER_SHARE / (1.0 - OUTLIER_SHARE) / OUTLIER_WIDTH
+        * np.exp(np.minimum(0.5 * square * (1.0 - OUTLIER_WIDTH**-2), 500.0))
+    )  # fmt: skip
+    good = 1.0 / (1.0 + odds)
+    return good + (1.0 - good) / OUTLIER_WIDTH**2
+
+
+def _scatter_grid(residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the nodes of tau (in median standard deviations) and their prior weights."""
+    largest = max(4.0, 3.0 * float(np.sqrt(np.mean(residual**2))))
+    nodes = np.concatenate([[0.0], np.geomspace(0.1, largest, SCATTER_NODES - 1)])
+    edges = np.concatenate([[0.0], [0.05], np.sqrt(nodes[1:-1] * nodes[2:]), [largest * 1.2]])
+    prior = np.diff(np.arctan(edges / EXTRA_SCATTER))  # half-Cauchy mass of each node's cell
+    return nodes, prior / prior.sum()
+
+
+_Nodes = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+
+
+def _solve(points: _Scaled, share: FloatArray, scatter: FloatArray, bend: FloatArray, prior: FloatArray) -> _Nodes:
+    """Return weight, coefficients, covariance of (level, slope, damped), tau and bend of every grid node."""
+    X, z = points.design, points.z
+    width = X.shape[1]
+    information = share / (points.variance + scatter[:, None] ** 2)  # (s, k)
+    gram = np.einsum("sk,ki,kj->sij", information, X, X, optimize=True)
+    moment = information @ (X * z[:, None])  # (s, p)
+    energy = information @ z**2  # (s,)
+    ridge = np.zeros((len(bend), width))
+    ridge[:, 2] = 1.0 / bend**2
+    ridge[:, 3:] = (1.0 / ((WANDERING * bend) ** 2 * points.spacing))[:, None]
+    A = (gram[:, None] + np.eye(width) * ridge[None, :, None, :]).reshape(-1, width, width)
+    b = np.repeat(moment, len(bend), axis=0)
+    size = np.sqrt(np.diagonal(A, axis1=1, axis2=2))  # scaled to a unit diagonal before it is factored
+    L = np.linalg.cholesky(A / (size[:, :, None] * size[:, None, :]) + JITTER * np.eye(width))
+    inverse = np.linalg.inv(L)
+    half = np.einsum("mij,mj->mi", inverse, b / size)
+    beta = np.einsum("mji,mj->mi", inverse, half) / size
+    log_size = np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1) + np.log(size).sum(axis=1)
+    log_likelihood = (
+        0.5 * np.repeat(np.log(information).sum(axis=1) - energy, len(bend))
+        + 0.5 * np.tile(np.log(ridge[:, 2:]).sum(axis=1), len(scatter))
+        - log_size
+        + 0.5 * np.sum(half**2, axis=1)
+    )
+    weight = prior * np.exp(log_likelihood - log_likelihood.max())
+    front = inverse[:, :, :3] / size[:, None, :3]  # L^-1 D^-1 restricted to level, slope and damped
+    covariance = np.einsum("mki,mkj->mij", front, front)
+    return weight / weight.sum(), beta, covariance, np.repeat(scatter, len(bend)), np.tile(bend, len(scatter))
+
+
+def _unscale(points: _Scaled, nodes: _Nodes, share: FloatArray) -> WearCurve:
+    weight, beta, covariance, _, bend = nodes
+    rise = points.unit / points.span
+    units = np.array([points.unit, rise, rise])
+    return WearCurve(
+        weight=weight,
+        level=points.shift + points.unit * beta[:, 0],
+        slope=rise * beta[:, 1],
+        damped=rise * beta[:, 2],
+        covariance=covariance * np.outer(units, units),
+        wandering=WANDERING * bend * rise / np.sqrt(points.span),
+        span=points.span,
+        share=share,
+    )

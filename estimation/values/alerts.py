@@ -1,0 +1,135 @@
+"""Alerts as values: what a rule finds, what an alert is, what happens to it.
+
+Identity of an open alert is (fleet, wheelset serial, kind); that of a fleet alert, which stands for many of them, is
+(fleet, kind). Facts are kept apart instead of one status word.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from estimation.values.json_value import JsonValue
+
+
+class AlertKind(StrEnum):
+    """Which rule speaks."""
+
+    CONICITY_LIMIT = "conicity_limit"
+    LIMIT_FORECAST = "limit_forecast"
+    WHEEL_ASYMMETRY = "wheel_asymmetry"
+    NO_DATA = "no_data"
+    SENSOR_FAULT = "sensor_fault"
+    IDENTITY = "identity"
+
+
+class AlertScope(StrEnum):
+    """What an alert is about."""
+
+    WHEELSET = "wheelset"
+    FLEET = "fleet"
+
+
+class Severity(StrEnum):
+    """How urgent."""
+
+    INFO = "info"
+    WARNING = "warning"
+    CRITICAL = "critical"
+
+
+class Condition(StrEnum):
+    """What is true of the wheelset now, whatever people did about it."""
+
+    PENDING = "pending"  # seen, on-delay not over
+    ACTIVE = "active"
+    CLEARED = "cleared"
+    UNKNOWN = "unknown"  # the data no longer say; never to be read as healthy
+
+
+class AlertEventKind(StrEnum):
+    """What the feed tells."""
+
+    RAISED = "raised"
+    UPDATED = "updated"
+    ACKNOWLEDGED = "acknowledged"
+    SHELVED = "shelved"
+    CLEARED = "cleared"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What one rule says of one wheelset at one time; ``breached`` None means the data cannot say."""
+
+    wheelset: str
+    kind: AlertKind
+    breached: bool | None
+    cleared: bool | None  # beyond the clear limit (apart from the raise limit)
+    severity: Severity
+    probability: float | None
+    evidence: Mapping[str, JsonValue]  # numbers, intervals, windows, limits
+    action: str  # suggested action code
+    raise_limit: float | None
+    clear_limit: float | None
+    measured_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Alert:
+    """One alert; ``alert_id`` 0 until stored. ``version`` counts changes (its ETag).
+
+    ``wheelset`` is None for a fleet alert. ``fleet_alert_id`` names the fleet alert that this one is a member of, which
+    it stays for good.
+    """
+
+    alert_id: int
+    fleet: str
+    wheelset: str | None
+    kind: AlertKind
+    severity: Severity
+    condition: Condition
+    opened_ns: int
+    last_seen_ns: int
+    occurrence_count: int
+    probability: float | None
+    evidence: Mapping[str, JsonValue]
+    action: str
+    raise_limit: float | None
+    clear_limit: float | None
+    cleared_ns: int | None = None
+    closed_ns: int | None = None
+    close_reason: str | None = None
+    acknowledged_by: str | None = None
+    acknowledged_ns: int | None = None
+    shelved_until_ns: int | None = None
+    shelved_reason: str | None = None
+    external_refs: tuple[str, ...] = ()
+    fleet_alert_id: int | None = None
+    version: int = 1
+
+    @property
+    def scope(self) -> AlertScope:
+        """Whether it is about a wheelset or the fleet."""
+        return AlertScope.FLEET if self.wheelset is None else AlertScope.WHEELSET
+
+
+@dataclass(frozen=True, slots=True)
+class AlertEvent:
+    """One line of the feed; ``sequence`` is commit-ordered and 0 until stored."""
+
+    sequence: int
+    kind: AlertEventKind
+    alert: Alert  # as it was right after the event
+    recorded_ns: int
+    actor: str = "treadwatch"
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """What a finding does to an alert: the alert afterwards, and the events to record."""
+
+    alert: Alert
+    events: tuple[AlertEventKind, ...] = field(default=())

@@ -1,0 +1,118 @@
+"""Bin tables, and the geometry of a wheelset that follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.json_value import JsonValue
+from estimation.values.quantities import Estimate, Status
+
+
+@dataclass(frozen=True, slots=True)
+class BinTable:
+    """Mergeable sufficient statistics of the piecewise least squares, per bin of lateral displacement and group.
+
+    Groups are what standard deviations come from: blocks of running time are dealt to ``g`` groups, and any derived
+    number is recomputed with one group left out (delete-a-group jackknife). ``lateral`` and ``yaw`` hold, per group and
+    bin, the packed moments that ``estimation.tables.least_squares`` lays out.
+    """
+
+    parameter_key: str  # digest of every parameter that shapes the statistics
+    edges: FloatArray  # (b + 1,) m
+    weight: FloatArray  # (g, b) sum of weights; the sample count without forgetting
+    lateral: FloatArray  # (g, b, q) regressors [x1, x1 u, x2, x2 u], targets z1 and its parameter sensitivities
+    yaw: FloatArray  # (g, b, r) regressors [(l W/2) psi, c, c u, c u^2], targets z2 and its sensitivities
+    samples: int  # samples ever added, without weights
+    windows: int
+
+    def __post_init__(self) -> None:
+        b = len(self.edges) - 1
+        g = len(self.weight)
+        object.__setattr__(self, "edges", frozen_array(self.edges, (b + 1,), name="edges"))
+        object.__setattr__(self, "weight", frozen_array(self.weight, (g, b), name="weight"))
+        object.__setattr__(self, "lateral", frozen_array(self.lateral, (g, b, None), name="lateral"))
+        object.__setattr__(self, "yaw", frozen_array(self.yaw, (g, b, None), name="yaw"))
+
+
+class BinStatus(StrEnum):
+    """Why a bin's number is published or not."""
+
+    ESTIMATED = "estimated"
+    TOO_FEW = "too few samples"
+    CONTACT_JUMP = "a contact jump crosses the bin"
+    UNOBSERVABLE = "the data cannot say"
+
+
+COMBINATIONS = (
+    "rolling_radius_sum",
+    "rolling_radius_difference",
+    "contact_angle_sum",
+    "contact_angle_difference",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class BinValues:
+    """One of the four combinations over the bins; NaN where not estimated."""
+
+    value: FloatArray  # (b,) m or rad
+    std: FloatArray  # (b,)
+    status: tuple[BinStatus, ...]  # (b,)
+
+    def __post_init__(self) -> None:
+        b = len(self.status)
+        object.__setattr__(self, "value", frozen_array(self.value, (b,), name="value"))
+        object.__setattr__(self, "std", frozen_array(self.std, (b,), name="std"))
+
+
+@dataclass(frozen=True, slots=True)
+class WheelsetGeometry:
+    """What the data say of one wheelset's contact geometry."""
+
+    bin_edges: FloatArray  # (b + 1,) m, lateral displacement y - d
+    samples: FloatArray  # (b,) effective samples
+    rolling_radius_sum: BinValues
+    rolling_radius_difference: BinValues
+    contact_angle_sum: BinValues
+    contact_angle_difference: BinValues
+    amplitude: FloatArray  # (k,) m
+    conicity: tuple[Estimate, ...]  # (k,) equivalent conicity at each amplitude
+    headline_amplitude: float  # m: 3 mm, or the largest amplitude covered
+    equivalent_conicity: Estimate  # at headline_amplitude
+    nonlinearity: Estimate  # NP, 1/mm as in EN 15302: (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2
+    zero_crossing: Estimate  # m, lateral displacement where rL = rR
+    windows: int
+    parameter_key: str
+    status: Status
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        b = len(self.samples)
+        object.__setattr__(self, "bin_edges", frozen_array(self.bin_edges, (b + 1,), name="bin_edges"))
+        object.__setattr__(self, "samples", frozen_array(self.samples, (b,), name="samples"))
+        object.__setattr__(self, "amplitude", frozen_array(self.amplitude, (len(self.conicity),), name="amplitude"))
+
+
+@dataclass(frozen=True, slots=True)
+class GeometryRecord:
+    """A geometry estimate with its provenance. Never changed; a later one with the same key supersedes it.
+
+    Key: (wheelset, baseline, interval). ``baseline`` counts reprofilings before it; ``interval`` is the mileage
+    interval since the baseline, and None for the current geometry (all windows since the baseline, with forgetting).
+    """
+
+    wheelset: str
+    baseline: int
+    interval: int | None
+    mileage_km: float  # weighted mean mileage of its windows since new
+    from_ns: int
+    to_ns: int
+    geometry: WheelsetGeometry
+    input_digest: str  # over keys, digests and mileages of windows, and track versions
+    track_versions: Mapping[str, Sequence[int]]  # by section, those that its windows were estimated with, increasing
+    parameters: Mapping[str, JsonValue]
+    code_version: str
+    recorded_ns: int

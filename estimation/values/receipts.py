@@ -1,0 +1,24 @@
+"""The receipt of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkRecord:
+    """The receipt of a recording: raw bytes are stored under their digest before this row is committed."""
+
+    digest: str  # sha256 of the raw bytes
+    vehicle: str
+    suffix: str  # ".blf", ".asc", ".log", ".mf4"
+    size_bytes: int
+    state: str  # "stored", "decoded", "rejected"
+    reason: str
+    first_ns: int | None  # vehicle clock, once decoded
+    last_ns: int | None
+    frames: int
+    counts: Mapping[str, int]  # marked and counted: unknown identifiers, wrong lengths, gaps, clipped, invalid ...
+    received_ns: int
+    recorded_ns: int

@@ -1,0 +1,175 @@
+"""Track sections, versions of their alignment, and what else the passes of a section show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.json_value import JsonValue
+from estimation.values.quantities import Status
+
+RECORDED = "recorded"
+
+FLEET = "fleet"
+
+
+@dataclass(frozen=True, slots=True)
+class GaugeShift:
+    """Where a gauge deviation puts a wheelset: y - d at a rolling radius difference and a gauge deviation, m.
+
+    Told as the shift against nominal gauge at the same rolling radius difference: that is measured well, and contact
+    jumps, which move over y - d with the gauge, are steps of it. Linear between the grids, flat beyond them.
+    """
+
+    difference: FloatArray  # (r,) rL - rR, m, uniform, increasing
+    gauge: FloatArray  # (e,) m, uniform, increasing
+    shift: FloatArray  # (r, e) m
+
+    def __post_init__(self) -> None:
+        for name in ("difference", "gauge"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (len(getattr(self, name)),), name=name))
+        shape = (len(self.difference), len(self.gauge))
+        object.__setattr__(self, "shift", frozen_array(self.shift, shape, name="shift"))
+
+    def at(self, difference: FloatArray, gauge_deviation: FloatArray) -> FloatArray:
+        """Return the shift (n,), m, at rL - rR (n,) and gauge deviation (n,), m."""
+        i, u = _cells(difference, self.difference)
+        j, v = _cells(gauge_deviation, self.gauge)
+        table = self.shift
+        low = (1.0 - v) * table[i, j] + v * table[i, j + 1]
+        high = (1.0 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
+        return np.asarray((1.0 - u) * low + u * high)
+
+    def over(self, difference: FloatArray, gauge_deviation: FloatArray) -> FloatArray:
+        """Return the shift (n, g), m, at every rL - rR (n,) for each of some gauge deviations (g,), m."""
+        i, u = _cells(difference, self.difference)
+        j, v = _cells(gauge_deviation, self.gauge)
+        table = (1.0 - v) * self.shift[:, j] + v * self.shift[:, j + 1]
+        return np.asarray((1.0 - u)[:, None] * table[i] + u[:, None] * table[i + 1])
+
+
+def _cells(values: FloatArray, grid: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the cell (n,) of a uniform grid in which each value lies, and where in it, 0 to 1."""
+    position = np.clip((values - grid[0]) / (grid[1] - grid[0]), 0.0, len(grid) - 1.0)
+    cell = np.minimum(position.astype(np.int64), len(grid) - 2)
+    return cell, np.asarray(position - cell)
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What the passes of a section say besides its alignment, for those who passed it."""
+
+    stiffness_ratio: Mapping[str, float]  # by vehicle: true yaw stiffness over creep coefficient, of the assumed one
+    stiffness_ratio_std: float  # largest of them
+    gauge_shifts: Mapping[str, GaugeShift]  # by wheelset, where gauge varies
+
+
+@dataclass(frozen=True, slots=True)
+class TrackAlignment:
+    """What is known of a track section: lateral alignment and gauge deviation against distance, each with its std."""
+
+    section: str
+    version: int
+    s: FloatArray  # (n,) m, uniform
+    alignment: FloatArray  # (n,) m, positive to the left
+    alignment_std: FloatArray  # (n,) m
+    gauge_deviation: FloatArray  # (n,) m, actual minus nominal gauge
+    gauge_deviation_std: FloatArray  # (n,) m
+    passes: IntArray  # (n,) passes behind each value; 0 for a recording car
+    status: Status
+    source: str = RECORDED  # or FLEET
+    cut_off: float = np.inf  # m; longer wavelengths are not in ``alignment``
+    scale_std: float = 0.0  # relative, of a common stretch of y - d that the alignment leaves open
+    gauge_known: bool = True  # False: from the passes alone, or zero for want of knowledge; see its std
+    findings: Findings | None = None  # of a fleet, on its own alignment or on a recording whose gauge varies
+
+    def __post_init__(self) -> None:
+        n = len(self.s)
+        for name in ("s", "alignment", "alignment_std", "gauge_deviation", "gauge_deviation_std"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+        object.__setattr__(self, "passes", frozen_array(self.passes, (n,), np.int64, name="passes"))
+
+
+@dataclass(frozen=True, slots=True)
+class TrackLayout:
+    """The horizontal layout of a track section as built, from the infrastructure register; straight between points."""
+
+    section: str
+    version: int
+    s: FloatArray  # (n,) m along the section, strictly increasing
+    curvature: FloatArray  # (n,) 1/m, positive in a curve to the left
+    cant: FloatArray  # (n,) m, right rail above the left one: positive where it leans into a curve to the left
+
+    def __post_init__(self) -> None:
+        n = len(self.s)
+        for name in ("s", "curvature", "cant"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+        if n < 2 or not (np.diff(self.s) > 0).all():  # noqa: PLR2004 - a stretch has two ends
+            raise ValueError("s: two points or more, strictly increasing, are needed")
+
+
+@dataclass(frozen=True, slots=True)
+class TrackSectionRecord:
+    """A stretch of line by code; ``number`` is what the vehicle says on its bus."""
+
+    code: str
+    number: int
+    name: str
+    rail_profile: str
+    rail_inclination: float
+    nominal_gauge_m: float
+    length_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentRecord:
+    """A version of a section's alignment without its arrays.
+
+    ``same_since`` is the oldest version from which it differs by less than that one left unknown: what was estimated
+    with any version since then need not be estimated again.
+    """
+
+    section: str
+    version: int
+    status: Status
+    source: str
+    same_since: int
+    cut_off_m: float  # inf where every wavelength is known
+    scale_std: float
+    gauge_known: bool
+    alignment_std_m: float | None  # median along the section; None of recordings before it was kept
+    points: int
+    recorded_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class TrackReport:
+    """What a run of the alignment job found of a section; ``version`` is the one in force afterwards, if any."""
+
+    section: str
+    version: int | None
+    made: bool  # whether that run made the version
+    status: Status
+    reason: str
+    windows: int
+    input_digest: str  # over keys and digests of windows, and the version before
+    code_version: str
+    report: Mapping[str, JsonValue]
+    recorded_ns: int
+    report_id: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """True position = measured + offset + scale (measured - middle)."""
+
+    offset: float = 0.0  # m
+    scale: float = 0.0
+    middle: float = 0.0  # m
+
+    def at(self, measured: FloatArray) -> FloatArray:
+        """Return corrected positions, m."""
+        return np.asarray(measured + self.offset + self.scale * (measured - self.middle))

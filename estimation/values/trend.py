@@ -1,0 +1,48 @@
+"""Wear trends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.quantities import Estimate, Forecast, Status
+
+
+@dataclass(frozen=True, slots=True)
+class WearTrend:
+    """An indicator since the last reprofiling, its robust slope, and when it reaches its limit."""
+
+    quantity: str  # "equivalent_conicity"
+    mileage_km: FloatArray  # (k,) since the wheelset was new
+    measured_ns: IntArray  # (k,)
+    value: FloatArray  # (k,)
+    std: FloatArray  # (k,)
+    slope_per_1000_km: Estimate
+    slope_per_year: Estimate
+    current: Estimate  # fitted value at the last point
+    limit: float
+    distance_to_limit_km: Forecast  # from the last point; 0 where already reached
+    date_of_limit_ns: Forecast
+    probability_over_limit: float | None  # now
+    status: Status
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        k = len(self.value)
+        for name in ("mileage_km", "value", "std"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
+        object.__setattr__(self, "measured_ns", frozen_array(self.measured_ns, (k,), np.int64, name="measured_ns"))
+
+
+@dataclass(frozen=True, slots=True)
+class TrendRecord:
+    """A trend as refreshed at ``recorded_ns``."""
+
+    wheelset: str
+    baseline: int
+    trend: WearTrend
+    input_digest: str
+    code_version: str
+    recorded_ns: int

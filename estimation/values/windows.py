@@ -1,0 +1,106 @@
+"""Windows of samples, and what is stored of them. SI; times are int64 ns UTC on the vehicle's clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+
+
+@dataclass(frozen=True, slots=True)
+class WindowQuality:
+    """What gates look at before a window is estimated."""
+
+    coverage: float  # share of grid points with a valid sample, 0 to 1
+    longest_gap_s: float
+    gaps: int
+    clipped: float  # share of samples with the clipping bit or a raw value at its limit
+    invalid: float  # share of samples marked invalid by the sensor
+    speed_min_m_s: float
+    speed_max_m_s: float
+    position_quality: float  # 0 (unknown) to 1
+    sensor_fault: bool  # self-test failed or an emergency was sent
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A fixed length of running time of one wheelset, on a uniform grid; accelerations are NaN where not ``valid``.
+
+    ``start_ns`` is a multiple of the window length on the vehicle's clock, so that windows do not depend on how
+    recordings were cut. ``distance`` is the position of the wheelset (not of the vehicle's antenna) along the track
+    section. ``resolution`` holds the SI value of one count of each acceleration, in the order of the fields: the
+    accelerations are whole multiples of it.
+    """
+
+    wheelset: str
+    vehicle: str
+    axle: int  # node number on the bus, 1..N
+    start_ns: int
+    length_ns: int
+    sample_interval_s: float
+    lateral_acceleration: FloatArray  # (n,) m/s2
+    yaw_acceleration: FloatArray  # (n,) rad/s2
+    roll_acceleration: FloatArray  # (n,) rad/s2
+    mass_lateral_acceleration: FloatArray  # (n,) m/s2
+    speed: FloatArray  # (n,) m/s
+    distance: FloatArray  # (n,) m along the section
+    valid: BoolArray  # (n,)
+    resolution: tuple[float, float, float, float]
+    track_section: str | None
+    odometer_m: float  # vehicle odometer at the start of the window
+    quality: WindowQuality
+
+    def __post_init__(self) -> None:
+        n = len(self.valid)
+        for name in (*ACCELERATIONS, "speed", "distance"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+        object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
+
+
+ACCELERATIONS = ("lateral_acceleration", "yaw_acceleration", "roll_acceleration", "mass_lateral_acceleration")
+
+
+class WindowState(StrEnum):
+    """Where a window stands on its way to a bin table."""
+
+    PENDING = "pending"
+    ESTIMATED = "estimated"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class WindowPosition:
+    """Where a window was along its section: true position = measured + offset + scale (measured - middle).
+
+    ``reason`` says why that is not known. ``content_digest`` is of the samples that were looked at.
+    """
+
+    wheelset: str
+    start_ns: int
+    content_digest: str
+    version: int | None  # of the alignment against which it was found
+    offset_m: float = 0.0
+    scale: float = 0.0
+    middle_m: float = 0.0
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class WindowRecord:
+    """A stored window without its samples. Key: (wheelset, start_ns)."""
+
+    wheelset: str
+    start_ns: int
+    length_ns: int
+    vehicle: str
+    axle: int
+    track_section: str | None
+    mileage_km: float  # of the wheelset since new, at the start
+    quality: WindowQuality
+    state: WindowState
+    reason: str
+    content_digest: str  # sha256 of the samples; the same content again changes nothing
+    recorded_ns: int

@@ -1,0 +1,71 @@
+"""The equations of motion solved for the contact geometry: physical unknowns, two per equation.
+
+With S = rL + rR, R = rL - rR, A = dL + dR, D = dL - dR (radii r, contact angles d), Eq. 1 and Eq. 2 read
+
+    z1 = S x1 + D x2             x1 = (f11/r0) psi - (f22/V) phi',   x2 = f23/r0 - W/2
+    z2 = A (l W/2) psi + R c     c = -l f11/r0
+
+where z1 and z2 gather all that is measured. Beside each target stand its derivatives by the logarithm of the uncertain
+parameters, at S = 2 r0: regressed like the target, they give the derivative of every estimate by every parameter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray
+from estimation.values.motion import Motion
+from estimation.vehicle.equations_of_motion import VehicleParameters
+
+LATERAL_TARGETS = ("z1", "lateral_creep", "spin_creep", "mass", "load", "lateral_stiffness", "lateral_damping")
+YAW_TARGETS = ("z2", "longitudinal_creep", "yaw_stiffness", "yaw_inertia", "spin_creep")
+REGRESSORS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Regression:
+    """Regressors and targets of both equations for n samples."""
+
+    lateral: FloatArray  # (n, 2) x1, x2
+    lateral_targets: FloatArray  # (n, 7), see LATERAL_TARGETS
+    yaw: FloatArray  # (n, 2) (l W/2) psi, c
+    yaw_targets: FloatArray  # (n, 5), see YAW_TARGETS
+
+
+def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
+    """Return regressors and targets of Eq. 1 and Eq. 2 for every sample of ``motion``.
+
+    What is known of the vehicle's stiffness ratio is taken into account.
+    """
+    f11 = parameters.longitudinal_creep_coefficient / motion.stiffness_ratio
+    p = replace(parameters, longitudinal_creep_coefficient=f11)
+    f22, f23 = p.lateral_creep_coefficient, p.lateral_spin_creep_coefficient
+    f33, r0, l = p.spin_creep_coefficient, p.nominal_radius, p.half_contact_distance  # noqa: E741 - the paper's l
+    V, ψ, dψ, ddψ = motion.speed, motion.yaw, motion.yaw_rate, motion.yaw_acceleration
+    slip = motion.lateral_velocity - V * ψ  # without the roll term, which carries S
+    rolling_slip = slip + r0 * motion.roll_rate
+
+    inertia = p.wheelset_mass * motion.lateral_acceleration
+    spring = -p.lateral_stiffness * motion.stretch
+    damper = -p.lateral_damping * motion.stretch_rate
+    spin = (2 * f23 / V) * dψ
+    weight = p.load * motion.roll
+    z1 = inertia + (2 * f22 / V) * slip + 2 * f11 * ψ + spin + weight + spring + damper
+    x1 = (f11 / r0) * ψ - (f22 / V) * motion.roll_rate
+    x2 = np.full(len(motion), f23 / r0 - p.load / 2)
+
+    yaw_inertia = p.yaw_inertia * ddψ
+    creep = 2 * l**2 * f11 * dψ / V
+    yaw_spring = p.yaw_stiffness * ψ
+    yaw_spin = -(2 * f23 / V) * rolling_slip
+    gyroscopic = (p.pitch_inertia * V / r0) * motion.roll_rate
+    z2 = yaw_inertia + gyroscopic + creep + 2 * f33 * dψ / V + yaw_spring + p.yaw_damping * dψ + yaw_spin
+    c = np.full(len(motion), -l * f11 / r0)
+    return Regression(
+        np.column_stack([x1, x2]),
+        np.column_stack([z1, (2 * f22 / V) * rolling_slip, spin, inertia, weight, spring, damper]),
+        np.column_stack([(l * p.load / 2) * ψ, c]),
+        np.column_stack([z2, creep - z2, yaw_spring, yaw_inertia, yaw_spin]),
+    )

@@ -1,0 +1,56 @@
+"""Points as a file gives them, with the line each stands on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.errors import ProfileError
+from estimation.values.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class FilePoints:
+    """Rows of a profile file in their order: lateral and vertical coordinate, mm.
+
+    Unless ``axes_known`` (z down, a wheel's y from its tread datum), axes are as the file has them.
+    """
+
+    file: str
+    y: FloatArray  # (n,) mm
+    z: FloatArray  # (n,) mm
+    lines: tuple[int, ...]  # (n,) line numbers, 1 is the first
+    axes_known: bool = False
+
+
+def points_of(file: str, rows: list[tuple[int, float, float]], *, axes_known: bool = False) -> FilePoints:
+    """Return rows of (line number, y, z) as points.
+
+    Raises
+    ------
+    ProfileError
+        Fewer than four rows.
+    """
+    if len(rows) < 4:  # noqa: PLR2004 - a profile needs four points
+        raise ProfileError(f"{len(rows)} profile points found, at least 4 are needed", file=file)
+    table = np.array([row[1:] for row in rows])
+    return FilePoints(file, table[:, 0], table[:, 1], tuple(row[0] for row in rows), axes_known)
+
+
+def number(text: str, *, file: str, line: int, field: str) -> float:
+    """Return the finite number that ``text`` is.
+
+    Raises
+    ------
+    ProfileError
+        It is no number, or not a finite one.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        raise ProfileError(f"{text!r} is not a number", file=file, line=line, field=field) from None
+    if not math.isfinite(value):
+        raise ProfileError(f"{text!r} is not a finite number", file=file, line=line, field=field)
+    return value
