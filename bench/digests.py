@@ -1,0 +1,494 @@
+"""Show that a change of the code changes no number: ``python bench/digests.py [--write FILE] [--against FILE]``.
+
+Two small simulated fleets, one on a surveyed track and one on a track that nobody has surveyed with positions off by
+20 m, go through the command line (``simulate``, ``ingest``, ``estimate``) campaign by campaign. Every result is then
+read over the REST API of ``treadwatch serve``. Nothing of the code is imported, so that the same file runs at commits
+whose modules have other names: set ``PYTHONPATH`` to the checkout that is to be measured (default: the one that holds
+this file). ``--scenario tiny`` is a third fleet, small enough for the tests.
+
+Only numbers, states, codes and times of measurement are compared, never sentences, times of recording, code versions
+or links. ``exact`` digests cover every bit of every float, ``rounded`` ones eight significant digits.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import math
+import os
+import re
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+SIGNIFICANT_DIGITS = 8
+START_S = 60.0
+ANSWER_S = 60.0
+SHOWN_DIFFERENCES = 20
+LONGEST_COLUMN = 40
+"""Numbers of a column that ``--brief`` keeps."""
+
+FAULT_NAMES = ("sensor_fault", "dead")
+"""A defective sensor in a scenario file; the first name that ``simulate`` accepts is used."""
+
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+AXLE_OFFSETS_M = (2.0, 4.5, 16.5)
+
+RULES = """\
+[no_data]  # the recordings are years old
+days = 3650.0
+critical_days = 3650.0
+"""
+
+HEAD = """\
+name = "{code}"
+description = "small fleet for digests"
+seed = {seed}
+[fleet]
+code = "{code}"
+name = "Fleet {code}"
+[section]
+code = "{code}-1"
+number = 1
+name = "Section {code}-1"
+length_m = 2400.0
+{section}
+[speed]
+lowest_m_s = 14.0
+highest_m_s = 22.0
+[sensors]
+kind = "mems"
+[bus]
+recorder_clock_offset_s = 1.5
+lost_frames_percent = 0.02
+{position}
+[sessions]
+start = 2024-01-08T05:30:00Z
+campaigns = {campaigns}
+minutes_each = {minutes}
+first_odometer_km = 1000.0
+km_between = {km_between}
+km_per_day = 500.0
+start_within_m = 150.0
+"""
+VEHICLE = """
+[[vehicles]]
+code = "{code}"
+class = "railcar"
+max_speed_km_h = 120.0
+axle_offsets_m = {offsets}
+"""
+WHEELSET = """
+[[vehicles.wheelsets]]
+serial = "{serial}"
+{keys}
+"""
+KNOWN_WHEELSETS = {
+    "K-A": (
+        "wear_mm_per_100000_km = 1.2\nreprofiled_at_odometer_km = [60000.0]",
+        "initial_wear_mm = 2.4\ninitial_mileage_km = 250000.0\nwear_mm_per_100000_km = 0.5",
+        (
+            'initial_wear_mm = 0.6\ninitial_mileage_km = 90000.0\n[vehicles.wheelsets.fault]\nkind = "{fault}"\n'
+            "from_campaign = 4"
+        ),
+    )
+}
+UNKNOWN_WHEELSETS = {
+    "U-A": (
+        "initial_wear_mm = 0.1\nwear_mm_per_100000_km = 0.9",
+        "initial_wear_mm = 0.9\nwear_mm_per_100000_km = 0.4",
+        "initial_wear_mm = 0.5\ndiameter_difference_mm = 0.3",
+    ),
+    "U-B": (
+        "initial_wear_mm = 1.2\nwear_mm_per_100000_km = 1.0",
+        "initial_wear_mm = 0.3",
+        "wear_left_mm_per_100000_km = 0.9\nwear_right_mm_per_100000_km = 0.3",
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A scenario and how its recordings are received."""
+
+    name: str
+    head: Mapping[str, object]
+    wheelsets: Mapping[str, Sequence[str]]
+
+    def toml(self, fault: str) -> str:
+        """Return the scenario file, with the word for a defective sensor that the commit knows."""
+        text = HEAD.format(**self.head)
+        for vehicle, wheelsets in self.wheelsets.items():
+            text += VEHICLE.format(code=vehicle, offsets=list(AXLE_OFFSETS_M[: len(wheelsets)]))
+            for axle, keys in enumerate(wheelsets, start=1):
+                text += WHEELSET.format(serial=f"{vehicle}{axle}", keys=keys.format(fault=fault))
+        return text
+
+
+KNOWN = Plan(
+    name="known",
+    head={
+        "code": "K",
+        "seed": 11,
+        "section": "alignment_std_mm = 2.0\nsurvey_alignment_std_mm = 0.05",
+        "position": "",
+        "campaigns": 4,
+        "minutes": 1.55,
+        "km_between": 30000.0,
+    },
+    wheelsets=KNOWN_WHEELSETS,
+)
+UNKNOWN = Plan(
+    name="unknown",
+    head={
+        "code": "U",
+        "seed": 5,
+        "section": "surveyed = false",
+        "position": "[position]\nlargest_offset_m = 20.0\nlargest_scale_percent = 0.1",
+        "campaigns": 3,
+        "minutes": 1.55,
+        "km_between": 20000.0,
+    },
+    wheelsets=UNKNOWN_WHEELSETS,
+)
+TINY = Plan(
+    name="tiny",
+    head={
+        "code": "T",
+        "seed": 3,
+        "section": "alignment_std_mm = 2.0\nsurvey_alignment_std_mm = 0.05",
+        "position": "",
+        "campaigns": 2,
+        "minutes": 1.05,
+        "km_between": 30000.0,
+    },
+    wheelsets={"T-A": ("wear_mm_per_100000_km = 1.2", "initial_wear_mm = 2.4\ninitial_mileage_km = 250000.0")},
+)
+PLANS = {plan.name: plan for plan in (KNOWN, UNKNOWN, TINY)}
+DEFAULT_PLANS = (KNOWN.name, UNKNOWN.name)
+
+ESTIMATE_KEYS = {"value", "std", "interval_95", "n_windows", "status"}
+KEPT = {
+    "geometry": ESTIMATE_KEYS
+    | {
+        *("wheelset", "baseline", "mileage_km", "measured_from", "measured_to", "equivalent_conicity_1"),
+        *("equivalent_conicity_amplitude_mm", "conicity_by_amplitude", "amplitude_mm", "nonlinearity_parameter_per_mm"),
+        *("zero_crossing_mm", "bins", "lower_mm", "upper_mm", "samples_1", "rolling_radius_sum_mm"),
+        *("rolling_radius_difference_mm", "contact_angle_sum_rad", "contact_angle_difference_rad"),
+    },
+    "trend": ESTIMATE_KEYS
+    | {
+        *("wheelset", "quantity", "baseline", "points", "mileage_km", "measured_at", "value_1", "std_1", "current_1"),
+        *("slope_1_per_1000_km", "slope_1_per_year", "limit_1", "distance_to_limit_km", "date_of_limit"),
+        *("p10", "p50", "p90", "probability_over_limit_1"),
+    },
+    "alerts": ESTIMATE_KEYS
+    | {
+        *("wheelset", "scope", "kind", "severity", "condition", "occurrence_count", "probability_1", "raise_limit"),
+        *("clear_limit", "limit_unit", "evidence", "action", "events", "event"),
+        *("quantity", "conicity", "windows", "limit", "slope_per_1000_km", "current", "distance_to_limit_km"),
+        *("within_km", "points", "limit_days", "faulty_windows", "p10", "p50", "p90"),
+        *("offset_mm", "shape_mm", "leading", "members", "with", "mistake"),
+    },
+    "tracks": {
+        *("code", "section", "version", "status", "cut_off_m", "scale_std_1", "gauge_known"),
+        *("same_since_version", "position_m", "alignment_mm", "alignment_std_mm", "gauge_deviation_mm"),
+        *("gauge_deviation_std_mm", "passes", "made_version", "n_windows", "wheelsets", "mean_passes_1"),
+        *("diversity_1", "covered_1", "converged", "rounds", "moved_m", "residual_rms_mm", "refused_windows"),
+        *("journeys", "vehicle", "measured_from", "offset_m", "scale_1", "middle_m", "used"),
+        *("report", "versions"),
+    },
+    "windows": {
+        *("wheelset", "measured_from", "measured_to", "vehicle", "axle", "track_section", "mileage_km", "state"),
+        *("quality", "coverage_1", "longest_gap_s", "gaps", "clipped_1", "invalid_1", "speed_min_m_s"),
+        *("speed_max_m_s", "position_quality_1", "sensor_fault"),
+    },
+}
+"""Keys that are compared, at any depth; a key that an answer gains later changes no digest."""
+
+TIME = re.compile(r"\d{4}-\d\d-\d\dT[\d:]+(\.\d+)?Z")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the digests; return 1 when they differ from those of ``--against``."""
+    parser = argparse.ArgumentParser("python bench/digests.py", description=__doc__)
+    parser.add_argument("--scenario", choices=tuple(PLANS), action="append", help="only this one; may be repeated")
+    parser.add_argument("--write", type=Path, metavar="FILE", help="store the canonical JSON")
+    parser.add_argument("--against", type=Path, metavar="FILE", help="compare with a stored file")
+    parser.add_argument("--rounded", action="store_true", help="compare eight significant digits instead of every bit")
+    parser.add_argument("--brief", action="store_true", help=f"keep {LONGEST_COLUMN} numbers of each column")
+    given = parser.parse_args(arguments)
+    results = {name: run(PLANS[name]) for name in given.scenario or DEFAULT_PLANS}
+    if given.brief:
+        results = brief(results)
+    for scenario, groups in results.items():
+        for group, value in groups.items():
+            print(f"{scenario:8s} {group:9s} exact {digest(value)} rounded {digest(rounded(value))}")
+    if given.write:
+        given.write.write_text(canonical(results) + "\n", encoding="utf-8")
+    if given.against is None:
+        return 0
+    reference = json.loads(given.against.read_text(encoding="utf-8"))
+    reference = {name: reference[name] for name in results}
+    if given.rounded:
+        results, reference = rounded(results), rounded(reference)
+    found = list(differences(reference, results))
+    print(f"{len(found)} differences from {given.against}")
+    for line in found[:SHOWN_DIFFERENCES]:
+        print(f"  {line}")
+    return 1 if found else 0
+
+
+def run(plan: Plan) -> dict[str, Any]:
+    """Return the results of a scenario, from frames to REST answers, by group."""
+    with tempfile.TemporaryDirectory(prefix="treadwatch-digests-") as name:
+        folder = Path(name)
+        environment = _environment(folder)
+        simulated = _simulate(plan, folder, environment)
+        by_campaign: dict[int, list[Path]] = {}
+        for vehicle in plan.wheelsets:
+            for campaign, path in enumerate(sorted(simulated.glob(f"{vehicle}/*.blf"))):
+                by_campaign.setdefault(campaign, []).append(path)
+        _command(["db", "upgrade"], folder, environment)
+        for campaign, paths in sorted(by_campaign.items()):
+            registry = [] if campaign else ["--registry", str(simulated / "registry.json")]
+            _command(["ingest", *registry, *map(str, paths)], folder, environment)
+            _command(["estimate"], folder, environment)
+        with _served(folder, environment) as url:
+            return _results(url)
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("TREADWATCH_")}
+    code = kept.get("PYTHONPATH") or str(Path(__file__).resolve().parents[1])
+    kept["PYTHONPATH"] = os.pathsep.join(str(Path(part).resolve()) for part in code.split(os.pathsep) if part)
+    rules = folder / "rules.toml"
+    rules.write_text(RULES, encoding="utf-8")
+    return kept | {
+        **dict.fromkeys(ONE_THREAD, "1"),  # sums in another order are other sums
+        "TREADWATCH_DATA_DIR": str(folder / "data"),
+        "TREADWATCH_RULES_FILE": str(rules),
+        "TREADWATCH_WINDOW_LENGTH_S": "30",
+        "TREADWATCH_LOG_LEVEL": "warning",
+    }
+
+
+def _simulate(plan: Plan, folder: Path, environment: dict[str, str]) -> Path:
+    scenario, out = folder / "scenario.toml", folder / "simulated"
+    arguments = ["simulate", "--scenario", str(scenario), "--out", str(out)]
+    for fault in FAULT_NAMES[:-1]:
+        scenario.write_text(plan.toml(fault), encoding="utf-8")
+        if _try([*arguments, "--registry-only"], folder, environment).returncode == 0:
+            break
+    else:
+        scenario.write_text(plan.toml(FAULT_NAMES[-1]), encoding="utf-8")
+    _command(arguments, folder, environment)
+    return out
+
+
+def _program() -> str:
+    return str(Path(sys.executable).parent / "treadwatch")
+
+
+def _try(arguments: Sequence[str], folder: Path, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(  # noqa: S603 - our own command
+        [_program(), *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+def _command(arguments: Sequence[str], folder: Path, environment: dict[str, str]) -> None:
+    done = _try(arguments, folder, environment)
+    if done.returncode:
+        msg = f"treadwatch {' '.join(arguments)} ended with {done.returncode}:\n{done.stdout}{done.stderr}"
+        raise RuntimeError(msg)
+
+
+@contextmanager
+def _served(folder: Path, environment: dict[str, str]) -> Iterator[str]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    own = environment | {"TREADWATCH_HOST": "127.0.0.1", "TREADWATCH_PORT": str(port)}
+    with (
+        (folder / "serve.log").open("w") as log,
+        subprocess.Popen([_program(), "serve"], cwd=folder, env=own, stdout=log, stderr=log) as server,  # noqa: S603
+    ):
+        url = f"http://127.0.0.1:{port}"
+        try:
+            deadline = time.monotonic() + START_S
+            while not _ready(url):
+                if time.monotonic() > deadline or server.poll() is not None:
+                    raise RuntimeError(f"no REST API at {url}:\n{(folder / 'serve.log').read_text()}")
+                time.sleep(0.1)
+            yield url
+        finally:
+            server.terminate()
+
+
+def _ready(url: str) -> bool:
+    try:
+        with urllib.request.urlopen(f"{url}/readyz", timeout=ANSWER_S):  # noqa: S310 - our own server
+            return True
+    except OSError:
+        return False
+
+
+def _get(url: str, path: str) -> Any:  # noqa: ANN401 - JSON
+    """Return the JSON of one resource; None where there is none yet."""
+    try:
+        with urllib.request.urlopen(url + path, timeout=ANSWER_S) as answer:  # noqa: S310 - our own server
+            return json.load(answer)
+    except urllib.error.HTTPError as error:
+        error.close()
+        if error.code != 404:
+            raise
+        return None
+
+
+def _items(url: str, path: str) -> list[Any]:
+    found: list[Any] = []
+    following: str | None = f"{path}?limit=1000"
+    while following:
+        page = _get(url, following)
+        found += page["items"]
+        following = page["next"]
+    return found
+
+
+def _results(url: str) -> dict[str, Any]:
+    wheelsets = sorted(item["serial"] for item in _items(url, "/v1/wheelsets"))
+    sections = sorted(item["code"] for item in _items(url, "/v1/track-sections"))
+    answers = {
+        "geometry": {serial: _get(url, f"/v1/wheelsets/{_quoted(serial)}/geometry") for serial in wheelsets},
+        "trend": {serial: _get(url, f"/v1/wheelsets/{_quoted(serial)}/trend") for serial in wheelsets},
+        "alerts": _alerts(url),
+        "tracks": {code: _track(url, f"/v1/track-sections/{_quoted(code)}") for code in sections},
+        "windows": {serial: _items(url, f"/v1/wheelsets/{_quoted(serial)}/windows") for serial in wheelsets},
+    }
+    return {
+        group: {key: _kept(answer, KEPT[group]) for key, answer in by_key.items()} for group, by_key in answers.items()
+    }
+
+
+def _quoted(name: str) -> str:
+    return urllib.parse.quote(name, safe="")
+
+
+def _alerts(url: str) -> dict[str, list[Any]]:
+    """Return every alert there ever was, with the kinds of its events, by wheelset and kind."""
+    found: dict[str, list[Any]] = {}
+    for alert in sorted(_items(url, "/v1/alerts"), key=lambda item: int(item["id"])):
+        alert["events"] = _get(url, f"/v1/alerts/{alert['id']}/events")["items"]
+        found.setdefault(f"{alert['wheelset'] or 'fleet'} {alert['kind']}", []).append(alert)
+        for event in alert["events"]:
+            event.pop("alert")
+    return found
+
+
+def _track(url: str, path: str) -> dict[str, Any]:
+    versions = sorted(item["version"] for item in _items(url, f"{path}/alignments"))
+    return {
+        "report": _get(url, f"{path}/alignment-report"),
+        "versions": [_get(url, f"{path}/alignment?version={version}") for version in versions],
+    }
+
+
+def _kept(value: Any, names: set[str]) -> Any:  # noqa: ANN401 - JSON
+    """Return the comparable part of an answer: named keys, and times as seconds."""
+    if isinstance(value, dict):
+        kept = {name: _kept(item, names) for name, item in sorted(value.items()) if name in names}
+        if isinstance(value.get("refused_windows"), dict):  # its keys are sentences
+            kept["refused_windows"] = sum(value["refused_windows"].values())
+        return kept
+    if isinstance(value, list):
+        if value and all(isinstance(item, str) and not TIME.fullmatch(item) for item in value):
+            return _relabelled(value)
+        return [_kept(item, names) for item in value]
+    if isinstance(value, str) and TIME.fullmatch(value):
+        return datetime.fromisoformat(value).timestamp()
+    return value
+
+
+def _relabelled(states: list[str]) -> list[str]:
+    """Return the states of a column numbered in order of appearance: the word for a state does not count."""
+    order = list(dict.fromkeys(state for state in states if state != "estimated"))
+    return [state if state == "estimated" else f"state {order.index(state)}" for state in states]
+
+
+def canonical(value: object) -> str:
+    """Return JSON with sorted keys and every bit of every float."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def digest(value: object) -> str:
+    """Return the first 16 hexadecimal digits of the SHA-256 of the canonical JSON."""
+    return hashlib.sha256(canonical(value).encode()).hexdigest()[:16]
+
+
+def rounded(value: Any) -> Any:  # noqa: ANN401 - JSON
+    """Return the value with every float at eight significant digits, and zero without its sign."""
+    if isinstance(value, dict):
+        return {name: rounded(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return [rounded(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.{SIGNIFICANT_DIGITS}g}") + 0.0
+    return value
+
+
+def brief(value: Any) -> Any:  # noqa: ANN401 - JSON
+    """Return the value with a share of the numbers of every long column, and the column's root mean square."""
+    if isinstance(value, dict):
+        return {name: brief(item) for name, item in value.items()}
+    if isinstance(value, list) and len(value) > LONGEST_COLUMN and not isinstance(value[0], dict | list):
+        numbers = [float(item) for item in value if isinstance(item, int | float)]
+        rms = math.sqrt(math.fsum(x * x for x in numbers) / len(numbers)) if numbers else None
+        return {"length": len(value), "rms": rms, "some": value[:: math.ceil(len(value) / LONGEST_COLUMN)]}
+    if isinstance(value, list):
+        return [brief(item) for item in value]
+    return value
+
+
+def differences(expected: Any, found: Any, *, relative: float = 0.0, path: str = "") -> Iterator[str]:  # noqa: ANN401 - JSON
+    """Yield a line for every place where two canonical values differ by more than ``relative``."""
+    if isinstance(expected, dict) and isinstance(found, dict):
+        for name in sorted({*expected, *found}):
+            yield from differences(expected.get(name), found.get(name), relative=relative, path=f"{path}/{name}")
+    elif isinstance(expected, list) and isinstance(found, list) and len(expected) == len(found):
+        for i, (one, other) in enumerate(zip(expected, found, strict=True)):
+            yield from differences(one, other, relative=relative, path=f"{path}/{i}")
+    elif isinstance(expected, float) or isinstance(found, float):
+        yield from _number_difference(expected, found, relative, path)
+    elif expected != found:
+        yield f"{path}: {_shown(expected)} became {_shown(found)}"
+
+
+def _number_difference(expected: Any, found: Any, relative: float, path: str) -> Iterator[str]:  # noqa: ANN401 - JSON
+    if not (isinstance(expected, int | float) and isinstance(found, int | float)):
+        yield f"{path}: {_shown(expected)} became {_shown(found)}"
+        return
+    scale = max(abs(expected), abs(found))
+    if abs(expected - found) > relative * scale:
+        yield f"{path}: {expected!r} became {found!r}, relative difference {abs(expected - found) / scale:.1e}"
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+if __name__ == "__main__":
+    sys.exit(main())
