@@ -1,0 +1,264 @@
+"""Input files in TOML and JSON: read, checked by a pydantic model, and refused with file, line and field.
+
+A file that has a schema subclasses ``InputTable`` for its tables (TOML) or objects (JSON)::
+
+    class Fleet(InputTable):
+        code: Text
+        axles: int = Field(ge=1, le=8)
+
+    fleet = read_toml(path).parse(Fleet)
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from estimation.errors import InputError
+
+Location = tuple[str | int, ...]
+Model = TypeVar("Model", bound=BaseModel)
+
+_HEADER = re.compile(r"^\s*(\[\[|\[)\s*([A-Za-z0-9_.\-]+)\s*\]")
+_KEY = re.compile(r"^\s*([A-Za-z0-9_\-]+)\s*=")
+
+
+class InputTable(BaseModel):
+    """A table whose keys are all known, each of exactly its type; a number is finite."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def field_error(reason: str, *location: str | int) -> PydanticCustomError:
+    """Return the error that a validator of an ``InputTable`` raises.
+
+    Parameters
+    ----------
+    reason
+        What is wrong, in one sentence.
+    location
+        Keys and indices from the validated value to what is wrong; none for the value itself.
+    """
+    return PydanticCustomError("field_error", "{reason}", {"reason": reason, "location": location})
+
+
+def _not_empty(text: str) -> str:
+    if not text.strip():
+        raise field_error("must not be empty")
+    return text
+
+
+def _increasing(values: list[float]) -> list[float]:
+    if any(later <= earlier for earlier, later in pairwise(values)):
+        raise field_error("the list must increase")
+    return values
+
+
+Text = Annotated[str, AfterValidator(_not_empty)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+IncreasingNumbers = Annotated[list[NotNegative], AfterValidator(_increasing)]
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """The content of an input file, and where in the file each key stands."""
+
+    path: Path
+    values: Mapping[str, Any]
+    lines: Mapping[Location, int] = field(default_factory=dict)  # by location, from 1; empty for JSON
+    error_type: type[InputError] = InputError
+
+    def error(self, reason: str, location: Location = ()) -> InputError:
+        """Return the error that names file, line and field.
+
+        Parameters
+        ----------
+        reason
+            What is wrong, in one sentence.
+        location
+            Keys and indices from the root of the file to the field; empty for the whole file.
+        """
+        written = (self.lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in self.lines)
+        return self.error_type(reason, file=self.path, line=next(written, None), field=dotted(location) or None)
+
+    def parse(self, model: type[Model]) -> Model:
+        """Return the content as a model.
+
+        Parameters
+        ----------
+        model
+            The schema of the whole file.
+
+        Raises
+        ------
+        InputError
+            As ``error_type``: a key is missing, unknown, of another type or out of range. Of several errors the first
+            in the order of the schema is reported.
+        """
+        try:
+            return model.model_validate(self.values)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            location = (*first["loc"], *first.get("ctx", {}).get("location", ()))
+            raise self.error(_reason(first, model), location) from error
+
+
+def read_toml(path: Path, error_type: type[InputError] = InputError) -> InputFile:
+    """Return the content of a TOML file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    error_type
+        The error to raise, here and when the content is parsed.
+
+    Raises
+    ------
+    InputError
+        As ``error_type``: the file cannot be read, or is no TOML.
+    """
+    text = _read_text(path, error_type)
+    try:
+        return InputFile(path, tomllib.loads(text), key_lines(text), error_type)
+    except tomllib.TOMLDecodeError as error:
+        raise error_type(f"is no TOML file: {error}", file=path) from error
+
+
+def read_json(path: Path, error_type: type[InputError] = InputError) -> InputFile:
+    """Return the content of a JSON file that holds one object.
+
+    Parameters
+    ----------
+    path
+        The file.
+    error_type
+        The error to raise, here and when the content is parsed.
+
+    Raises
+    ------
+    InputError
+        As ``error_type``: the file cannot be read, is no JSON, or holds something else than an object.
+    """
+    text = _read_text(path, error_type)
+    try:
+        values = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise error_type(f"is no JSON: {error.msg}", file=path, line=error.lineno) from error
+    if not isinstance(values, dict):
+        raise error_type("must hold one object", file=path)
+    return InputFile(path, values, error_type=error_type)
+
+
+def _read_text(path: Path, error_type: type[InputError]) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise error_type(f"cannot be read: {error.strerror or error}", file=path) from error
+    except UnicodeDecodeError as error:
+        raise error_type("is no text file", file=path) from error
+
+
+def key_lines(text: str) -> dict[Location, int]:
+    """Return the line (from 1) of every table header and bare key of a TOML text.
+
+    Parameters
+    ----------
+    text
+        The whole file.
+    """
+    lines: dict[Location, int] = {}
+    counts: dict[Location, int] = {}
+    table: Location = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := _HEADER.match(line):
+            table = _table_location(header[2].split("."), counts, is_array=header[1] == "[[")
+            lines.setdefault(table, number)
+        elif key := _KEY.match(line):
+            lines.setdefault((*table, key[1]), number)
+    return lines
+
+
+def _table_location(names: Sequence[str], counts: dict[Location, int], *, is_array: bool) -> Location:
+    """Return the location of a header, with the index of the current element of every array of tables in it."""
+    location: Location = ()
+    for depth, name in enumerate(names, start=1):
+        location = (*location, name)
+        if is_array and depth == len(names):
+            counts[location] = counts.get(location, -1) + 1
+        if location in counts:
+            location = (*location, counts[location])
+    return location
+
+
+def dotted(location: Location) -> str:
+    """Return a location as in ``vehicles[1].wheelsets[0].serial``.
+
+    Parameters
+    ----------
+    location
+        Keys and indices from the root of the file.
+    """
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
+# the sentence of each kind of error of pydantic; {value} is what the file holds
+_REASONS: Mapping[str, str] = {
+    "missing": "is missing",
+    "field_error": "{reason}",
+    "string_type": "{value!r} is not a text",
+    "int_type": "{value!r} is not a whole number",
+    "int_from_float": "{value!r} is not a whole number",
+    "float_type": "{value!r} is not a number",
+    "bool_type": "{value!r} is neither true nor false",
+    "datetime_type": "{value!r} is not a date and time",
+    "list_type": "{value!r} is not a list",
+    "model_type": "{value!r} is not a table of keys",
+    "finite_number": "{value} is not a finite number",
+    "greater_than": "{value} is outside the range: must be greater than {gt:g}",
+    "greater_than_equal": "{value} is outside the range: at least {ge:g}",
+    "less_than": "{value} is outside the range: must be less than {lt:g}",
+    "less_than_equal": "{value} is outside the range: at most {le:g}",
+    "too_short": "must have at least {min_length} entries",
+    "too_long": "{actual_length} entries, at most {max_length}",
+    "literal_error": "{value!r} is none of {expected}",
+}
+
+
+def _reason(error: ErrorDetails, model: type[BaseModel]) -> str:
+    """Return the sentence for an error of pydantic."""
+    if error["type"] == "extra_forbidden":
+        return f"unknown key; known here: {', '.join(_known_keys(model, error['loc']))}"
+    sentence = _REASONS.get(error["type"])
+    if sentence is None:
+        return error["msg"]
+    return sentence.format(value=error["input"], **error.get("ctx", {}))
+
+
+def _known_keys(model: type[BaseModel], location: Location) -> list[str]:
+    """Return the keys of the table that holds the last part of ``location``."""
+    for part in location[:-1]:
+        known = {item.alias or name: item for name, item in model.model_fields.items()}
+        if part in known:
+            model = _model_in(known[str(part)].annotation) or model
+    return sorted(item.alias or name for name, item in model.model_fields.items())
+
+
+def _model_in(annotation: object) -> type[BaseModel] | None:
+    """Return the model that an annotation holds, as ``Model``, ``list[Model]`` or ``Model | None``."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for item in get_args(annotation) if (found := _model_in(item))), None)
