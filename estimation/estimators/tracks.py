@@ -15,7 +15,7 @@ from estimation.motion.gauge_shift import gauge_shift
 from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import Refusal
 from estimation.motion.track_relative import motion
-from estimation.track.epochs import reduced
+from estimation.track.epochs import resampled
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.passes import Pass, passes
 from estimation.track.section import SectionEstimate, estimate_section
@@ -67,7 +67,7 @@ def straight_track(section: str, length: float) -> TrackAlignment:
 def section_passes(windows: Iterable[Window], parameters: WindowParameters, alignment: AlignmentSettings) -> list[Pass]:
     """Return the passes of ``windows``, as the alignment of their section is found from them."""
     return [
-        reduced(item, item.wheelset, alignment.pass_step)
+        resampled(item, item.wheelset, alignment.pass_step)
         for window in whole_runs(windows)
         for item in passes(window, parameters.vehicle, parameters.signals)
     ]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.values.arrays import FloatArray
-from estimation.values.track import RECORDED, Findings, TrackAlignment
+from estimation.values.track import RECORDED, TrackAlignment, TrackFindings
 
 BLUR_WHERE_LEFT = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
 
@@ -64,7 +64,7 @@ class ParameterUncertainty:
         return np.array([self.creep, self.stiffness, self.mass, self.creep])
 
 
-def _taught(track: TrackAlignment, wheelset: str | None) -> Findings | None:
+def _taught(track: TrackAlignment, wheelset: str | None) -> TrackFindings | None:
     """Return what has been found on ``track``; windows on a recording do not wait until their wheelset has been met."""
     if track.findings is None or wheelset is None or track.source != RECORDED:
         return track.findings

@@ -23,7 +23,7 @@ from estimation.motion.gates import gate
 from estimation.motion.joined_windows import following, joined
 from estimation.motion.parameters import Refusal
 from estimation.storage import UnitOfWork
-from estimation.track.epochs import bounded, epoch_digest, life, reduced
+from estimation.track.epochs import epoch_digest, life, limit_batch, resampled
 from estimation.track.examination import examine
 from estimation.track.passes import Pass
 from estimation.track.settings import AlignmentSettings
@@ -112,7 +112,7 @@ def _waiting(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext)
     records = unit.windows.unplaced(section.code, settings.most_windows)
     wheelsets = {serial: unit.registry.wheelset(serial) for serial in {record.wheelset for record in records}}
     lives = [life(wheelsets[record.wheelset], record, interval_km) for record in records]
-    chosen = bounded(records, lives, settings.most_wheelsets)
+    chosen = limit_batch(records, lives, settings.most_wheelsets)
     in_force = unit.tracks.alignment(section.code)
     report = unit.tracks.report(section.code)
     told = report is not None and in_force is not None and report.version == in_force.version
@@ -152,7 +152,7 @@ def _passes(context: JobContext, waiting: _Waiting) -> EpochPasses:
         context.checkpoint(done, len(waiting.records))
         done += len(group)
         for serials, made, reason in _examined(context, [record for record, _ in group], settings):
-            found += [reduced(item, group[0][1], step) for item in made]
+            found += [resampled(item, group[0][1], step) for item in made]
             members[serials[0]] = serials
             if not made:
                 refused |= dict.fromkeys(serials, reason)

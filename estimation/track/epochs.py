@@ -21,7 +21,7 @@ def life(wheelset: WheelsetRecord, record: WindowRecord, interval_km: float) -> 
     return f"{record.wheelset}#{len(turned)}#{int((record.mileage_km - begin_km) // interval_km)}"
 
 
-def bounded(
+def limit_batch(
     records: Sequence[WindowRecord], lives: Sequence[str], most_wheelsets: int
 ) -> list[tuple[WindowRecord, str]]:
     """Return the first records with their lives, as many as do not exceed the number of lives, by place in time."""
@@ -51,7 +51,7 @@ def epoch_digest(
     return text.hexdigest()
 
 
-def reduced(item: Pass, name: str, step: float) -> Pass:
+def resampled(item: Pass, name: str, step: float) -> Pass:
     """Return a pass on a grid, under the name of its wheelset's life."""
     first, displacement, difference = gridded(item, step)
     at = (first + np.arange(len(displacement))) * step

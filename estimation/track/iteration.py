@@ -7,18 +7,25 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.track.gauge.initial_shape import effect_from_residuals
-from estimation.track.gauge.least_squares_step import FEWEST_PASSES, GaugePrior, gauge_step, with_effect
-from estimation.track.gauge.search import SearchParameters, searched
-from estimation.track.gauge.wheel_functions import fit, gauge_factor, places, shift_of, whole_shifts, without_common
-from estimation.track.journeys import Journey, PositionParameters, corrected
+from estimation.track.gauge.initial_shape import initial_gauge_effect
+from estimation.track.gauge.least_squares_step import FEWEST_PASSES, GaugePrior, gauge_step, with_gauge_effect
+from estimation.track.gauge.search import SearchParameters, search_gauge
+from estimation.track.gauge.wheel_functions import (
+    contact_samples,
+    fit,
+    gauge_factor,
+    gauge_shift_of,
+    remove_common_shift,
+    total_gauge_shifts,
+)
+from estimation.track.journeys import Journey, PositionParameters, apply_correction
 from estimation.track.panel.basis import PanelParameters
 from estimation.track.panel.normal_equations import PanelState, init, update
-from estimation.track.panel.prior_alignment import Evidence, fleet_step, with_evidence
+from estimation.track.panel.prior_alignment import PriorAlignment, add_prior, fleet_step
 from estimation.track.panel.solution import PanelSolution, residual_of_passes, result
-from estimation.track.panel.stiffness_ratio import Ratio, adjusted, certain, refined
+from estimation.track.panel.stiffness_ratio import Ratio, apply_ratios, certain, refine_ratios
 from estimation.track.passes import Pass
-from estimation.track.positions import compared, correlate, moved_along, refine
+from estimation.track.positions import compared, compose, correlate_positions, refine
 from estimation.values.arrays import FloatArray
 from estimation.values.track import Correction
 
@@ -26,12 +33,12 @@ Grouped = Mapping[Journey, Sequence[Pass]]
 
 
 @dataclass(frozen=True, slots=True)
-class SettlingParameters:
+class IterationParameters:
     """When the rounds end."""
 
     rounds: int = 8  # of positions and panel at most
-    settled: float = 0.1  # m: positions that move less have converged
-    settled_ratio: float = 0.01
+    position_tolerance: float = 0.1  # m: positions that move less have converged
+    ratio_tolerance: float = 0.01
     pass_std: float = 0.15e-3  # m of y - d - h(R) of a pass, before it is known
     most_weight: float = 1000.0  # of evidence, in passes
     gauge: GaugePrior = field(default_factory=GaugePrior)
@@ -43,7 +50,7 @@ class SettlingParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class Settled:
+class IterationResult:
     """Where the rounds ended."""
 
     panel: PanelParameters  # with the gauge, where it varies
@@ -63,34 +70,36 @@ class _Course:
     """What stays the same over the rounds."""
 
     grouped: Grouped
-    known: Evidence | None
+    known: PriorAlignment | None
     anchored: bool
-    parameters: SettlingParameters
+    parameters: IterationParameters
 
 
-def settle(
+def iterate(
     grouped: Grouped,
-    known: Evidence | None,
+    known: PriorAlignment | None,
     panel: PanelParameters,
     positions: PositionParameters,
-    parameters: SettlingParameters,
-) -> Settled:
+    parameters: IterationParameters,
+) -> IterationResult:
     """Return where alignment, curves, positions and ratios agree; with the gauge where it is known or shows."""
-    lies = known is not None and known.lies
-    course = _Course(grouped, known, lies, parameters)
-    corrections = correlate(grouped, panel, positions, known.alignment if known is not None and lies else None)
-    settled = _rounds(course, panel, corrections, {}, parameters.rounds)
+    has_alignment = known is not None and known.has_alignment
+    course = _Course(grouped, known, has_alignment, parameters)
+    corrections = correlate_positions(
+        grouped, panel, positions, known.alignment if known is not None and has_alignment else None
+    )
+    iterated = _rounds(course, panel, corrections, {}, parameters.rounds)
     if known is not None and known.gauge_known and not known.gauge.any():
-        return settled
-    if not (settled.state.met >= FEWEST_PASSES).any():
-        return settled
+        return iterated
+    if not (iterated.state.met >= FEWEST_PASSES).any():
+        return iterated
     if known is None or not known.gauge_known:
-        return _with_unknown_gauge(course, settled, parameters.gauge_searches)
-    if not lies:
-        settled = _moved_to_gauge(course, settled, known.gauge, positions)
+        return _with_unknown_gauge(course, iterated, parameters.gauge_searches)
+    if not has_alignment:
+        iterated = _moved_to_gauge(course, iterated, known.gauge, positions)
         course = replace(course, anchored=True)
-    measured = replace(settled.panel, gauge=known.gauge, shifts=None)
-    found = _rounds(course, measured, settled.corrections, settled.ratios, parameters.rounds)
+    measured = replace(iterated.panel, gauge=known.gauge, shifts=None)
+    found = _rounds(course, measured, iterated.corrections, iterated.ratios, parameters.rounds)
     for _ in range(parameters.wheel_rounds):
         found = _solved(course, _repositioned(course, found), _with_wheels(found))
     return _finished(course, found)
@@ -102,21 +111,21 @@ def _rounds(
     corrections: dict[Journey, Correction],
     ratios: dict[str, Ratio],
     rounds: int,
-) -> Settled:
+) -> IterationResult:
     p, noise = course.parameters, course.parameters.pass_std
     moved, changed, done = np.inf, np.inf, 0
     while True:
         done += 1
         at = _placed(course.grouped, corrections, ratios)
         state = update(init(panel), at)
-        last = (moved < p.settled and changed < p.settled_ratio) or done >= rounds
+        last = (moved < p.position_tolerance and changed < p.ratio_tolerance) or done >= rounds
         solution = result(_told(state, course, noise), std=last)
         noise = max(residual_of_passes(state, solution), 0.1 * p.pass_std)
         if last:
             known = certain(ratios, at, solution, panel)
             last_step = float(moved), float(changed)
-            return Settled(panel, state, solution, corrections, known, tuple(at), done, *last_step, noise)
-        better = refined(ratios, at, solution, panel)
+            return IterationResult(panel, state, solution, corrections, known, tuple(at), done, *last_step, noise)
+        better = refine_ratios(ratios, at, solution, panel)
         changed = _changed(ratios, better)
         ratios = better
         placed = _refined_positions(course, corrections, ratios, state, solution, panel)
@@ -125,11 +134,13 @@ def _rounds(
 
 
 def _told(state: PanelState, course: _Course, noise: float) -> PanelState:
-    return state if course.known is None else with_evidence(state, course.known, noise, course.parameters.most_weight)
+    return state if course.known is None else add_prior(state, course.known, noise, course.parameters.most_weight)
 
 
 def _placed(grouped: Grouped, corrections: Mapping[Journey, Correction], ratios: Mapping[str, Ratio]) -> list[Pass]:
-    return adjusted([item for j, members in grouped.items() for item in corrected(members, corrections[j])], ratios)
+    return apply_ratios(
+        [item for j, members in grouped.items() for item in apply_correction(members, corrections[j])], ratios
+    )
 
 
 def _refined_positions(
@@ -140,7 +151,7 @@ def _refined_positions(
     solution: PanelSolution,
     panel: PanelParameters,
 ) -> dict[Journey, Correction]:
-    stiff = {journey: adjusted(members, ratios) for journey, members in course.grouped.items()}
+    stiff = {journey: apply_ratios(members, ratios) for journey, members in course.grouped.items()}
     better = refine(stiff, corrections, solution, panel, anchored=course.anchored)
     if not course.anchored or course.known is None:
         return better
@@ -151,40 +162,40 @@ def _refined_positions(
     return {journey: replace(one, offset=one.offset - mean + step) for journey, one in better.items()}
 
 
-def _with_unknown_gauge(course: _Course, settled: Settled, searches: int) -> Settled:
+def _with_unknown_gauge(course: _Course, iterated: IterationResult, searches: int) -> IterationResult:
     """Return the solution with a gauge deviation of the place, where that explains the residuals; else as it was."""
     p = course.parameters
-    effect = effect_from_residuals(settled.passes, settled.solution, settled.panel, p.gauge)
+    effect = initial_gauge_effect(iterated.passes, iterated.solution, iterated.panel, p.gauge)
     if effect is None:
-        return settled
-    panel = replace(settled.panel, gauge=np.zeros(settled.panel.points))
-    found = replace(settled, panel=panel, solution=with_effect(settled.solution, effect, panel))
+        return iterated
+    panel = replace(iterated.panel, gauge=np.zeros(iterated.panel.points))
+    found = replace(iterated, panel=panel, solution=with_gauge_effect(iterated.solution, effect, panel))
     for number in range(p.gauge_trial):
         found = _repositioned(course, found) if number else found
         prior = replace(p.gauge, noise=max(min(p.gauge.noise, found.noise), 0.3 * p.gauge.noise))
         gauge = gauge_step(found.passes, found.solution, found.panel, prior)
         found = _solved(course, found, replace(found.panel, gauge=gauge))
-    if found.noise > (1.0 - p.gauge_explains) * settled.noise:
-        return settled
+    if found.noise > (1.0 - p.gauge_explains) * iterated.noise:
+        return iterated
     for _ in range(searches):
         found = _repositioned(course, found)
-        shifts = whole_shifts(found.solution, found.panel)
-        gauge = searched(found.passes, found.solution, found.panel, shifts, p.search)
+        shifts = total_gauge_shifts(found.solution, found.panel)
+        gauge = search_gauge(found.passes, found.solution, found.panel, shifts, p.search)
         found = _solved(course, found, replace(found.panel, gauge=gauge))
         found = _solved(course, _repositioned(course, found), _with_wheels(found, sized=True))
     return _finished(course, found)
 
 
-def _with_wheels(found: Settled, *, sized: bool = False) -> PanelParameters:
+def _with_wheels(found: IterationResult, *, sized: bool = False) -> PanelParameters:
     """Return the panel with what the gauge does by the wheels that fit best, and a gauge ``sized`` by them."""
     assert found.panel.gauge is not None
-    seen = places(found.passes, found.solution, found.panel)
+    seen = contact_samples(found.passes, found.solution, found.panel)
     factor = gauge_factor(seen) if sized else 1.0
-    shifts = {name: shift_of(fit(one.calm(), factor)) for name, one in seen.items()}
-    return replace(found.panel, gauge=factor * found.panel.gauge, shifts=without_common(shifts))
+    shifts = {name: gauge_shift_of(fit(one.inliers(), factor)) for name, one in seen.items()}
+    return replace(found.panel, gauge=factor * found.panel.gauge, shifts=remove_common_shift(shifts))
 
 
-def _solved(course: _Course, found: Settled, panel: PanelParameters, *, std: bool = False) -> Settled:
+def _solved(course: _Course, found: IterationResult, panel: PanelParameters, *, std: bool = False) -> IterationResult:
     """Return ``found`` with curves and alignment for ``panel``."""
     state = update(init(panel), list(found.passes))
     solution = result(_told(state, course, found.noise), std=std)
@@ -192,9 +203,9 @@ def _solved(course: _Course, found: Settled, panel: PanelParameters, *, std: boo
     return replace(found, panel=panel, state=state, solution=solution, noise=noise, rounds=found.rounds + 1)
 
 
-def _repositioned(course: _Course, found: Settled) -> Settled:
+def _repositioned(course: _Course, found: IterationResult) -> IterationResult:
     """Return ``found`` with better positions and stiffness ratios, and the passes moved by them."""
-    ratios = refined(found.ratios, found.passes, found.solution, found.panel)
+    ratios = refine_ratios(found.ratios, found.passes, found.solution, found.panel)
     corrections = _refined_positions(course, found.corrections, ratios, found.state, found.solution, found.panel)
     moved = max(_apart(found.corrections[j], corrections[j], members) for j, members in course.grouped.items())
     at = tuple(_placed(course.grouped, corrections, ratios))
@@ -202,20 +213,22 @@ def _repositioned(course: _Course, found: Settled) -> Settled:
     return replace(found, corrections=corrections, ratios=ratios, passes=at, moved=float(moved), changed=changed)
 
 
-def _finished(course: _Course, found: Settled) -> Settled:
+def _finished(course: _Course, found: IterationResult) -> IterationResult:
     """Return ``found`` with standard deviations."""
     whole = _solved(course, found, found.panel, std=True)
     return replace(whole, ratios=certain(whole.ratios, whole.passes, whole.solution, whole.panel), rounds=found.rounds)
 
 
-def _moved_to_gauge(course: _Course, settled: Settled, gauge: FloatArray, positions: PositionParameters) -> Settled:
+def _moved_to_gauge(
+    course: _Course, iterated: IterationResult, gauge: FloatArray, positions: PositionParameters
+) -> IterationResult:
     """Return the fleet moved to where a recorded gauge lies: the gauge that the passes tell is compared with it."""
-    trial = _with_unknown_gauge(course, settled, 1)
+    trial = _with_unknown_gauge(course, iterated, 1)
     if trial.panel.gauge is None:
-        return settled  # the gauge hardly shows: then it hardly matters where it lies
+        return iterated  # the gauge hardly shows: then it hardly matters where it lies
     both = [compared(sign * trial.panel.gauge, gauge, trial.panel, positions) for sign in (1.0, -1.0)]
     correction = max(both, key=lambda found: found[1])[0]
-    return replace(trial, corrections={j: moved_along(one, correction) for j, one in trial.corrections.items()})
+    return replace(trial, corrections={j: compose(one, correction) for j, one in trial.corrections.items()})
 
 
 def _changed(before: Mapping[str, Ratio], after: Mapping[str, Ratio]) -> float:

@@ -41,6 +41,6 @@ def journeys(passes: Sequence[Pass], parameters: PositionParameters) -> dict[Jou
     return found
 
 
-def corrected(passes: Sequence[Pass], correction: Correction) -> list[Pass]:
+def apply_correction(passes: Sequence[Pass], correction: Correction) -> list[Pass]:
     """Return the passes at their corrected positions."""
     return [replace(item, at=correction.at(item.at)) for item in passes]

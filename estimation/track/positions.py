@@ -18,15 +18,15 @@ import numpy as np
 from scipy import signal
 
 from estimation.filters.local_cubic import smoother, without_slow_part
-from estimation.track.journeys import Journey, PositionParameters, corrected
-from estimation.track.panel.basis import PanelParameters, unexplained
+from estimation.track.journeys import Journey, PositionParameters, apply_correction
+from estimation.track.panel.basis import PanelParameters, pass_residual
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.passes import Pass, gridded
 from estimation.values.arrays import FloatArray
 from estimation.values.track import Correction
 
 
-def correlate(
+def correlate_positions(
     grouped: Mapping[Journey, Sequence[Pass]],
     panel: PanelParameters,
     parameters: PositionParameters,
@@ -73,8 +73,8 @@ def refine(
     for journey, members in grouped.items():
         correction = corrections[journey]
         normal, right = 1e-12 * np.eye(2), np.zeros(2)
-        for item in corrected(members, correction):
-            rest = unexplained(item, solution.curves[0, solution.wheelsets.index(item.wheelset)], panel)
+        for item in apply_correction(members, correction):
+            rest = pass_residual(item, solution.curves[0, solution.wheelsets.index(item.wheelset)], panel)
             if rest is None:
                 continue
             at, own = rest
@@ -96,7 +96,7 @@ def _mean_displacement(
     weights = smoother(panel.cut_off, panel.step)
     total, count = np.zeros(panel.points), np.zeros(panel.points)
     for journey, members in grouped.items():
-        for item in corrected(members, corrections[journey]):
+        for item in apply_correction(members, corrections[journey]):
             points, y = _filtered_displacement(item, weights, panel)
             np.add.at(total, points, y)
             np.add.at(count, points, 1.0)
@@ -127,7 +127,7 @@ def _lags(
     """
     weights = smoother(panel.cut_off, panel.step)
     found = []
-    for item in corrected(members, correction):
+    for item in apply_correction(members, correction):
         points, y = _filtered_displacement(item, weights, panel)
         pieces = max(round(len(points) * panel.step / parameters.piece), 1)
         parts = [part for part in np.array_split(np.arange(len(points)), pieces) if len(part)]
@@ -179,7 +179,7 @@ def compared(
     return _fitted(Correction(middle=0.5 * panel.length), [peak[:2] for peak in met]), score
 
 
-def moved_along(first: Correction, second: Correction) -> Correction:
+def compose(first: Correction, second: Correction) -> Correction:
     """Return the correction that does what ``first`` and then ``second`` do, both small."""
     at = first.middle - second.middle
     return replace(first, offset=first.offset + second.offset + second.scale * at, scale=first.scale + second.scale)

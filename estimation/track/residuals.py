@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimation.track.iteration import Settled
+from estimation.track.iteration import IterationResult
 from estimation.track.journeys import Journey, PositionParameters, journeys
-from estimation.track.panel.basis import unexplained
+from estimation.track.panel.basis import pass_residual
 
 USUAL = 1.5  # times the median of the wheelsets
 USUAL_LEAST = 0.12e-3  # m
@@ -56,14 +56,14 @@ class _Tally:
     wheelsets: dict[str, _Sums] = field(default_factory=lambda: defaultdict(_Sums))
 
 
-def residuals(settled: Settled, positions: PositionParameters) -> Residuals:
+def residuals(iterated: IterationResult, positions: PositionParameters) -> Residuals:
     """Return the residuals of a settled section."""
-    tally, d = _Tally(), settled.solution.alignment
-    for journey, members in journeys(settled.passes, positions).items():
+    tally, d = _Tally(), iterated.solution.alignment
+    for journey, members in journeys(iterated.passes, positions).items():
         for item in members:
             own = tally.journeys[journey], tally.wheelsets[item.wheelset]
-            curve = settled.solution.curves[0, settled.solution.wheelsets.index(item.wheelset)]
-            told = unexplained(item, curve, settled.panel)
+            curve = iterated.solution.curves[0, iterated.solution.wheelsets.index(item.wheelset)]
+            told = pass_residual(item, curve, iterated.panel)
             if told is None:
                 continue
             at, values = told

@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from estimation.track.gauge.wheel_functions import gauge_sign, places, whole_shifts
-from estimation.track.iteration import Settled
+from estimation.track.gauge.wheel_functions import contact_samples, gauge_sign, total_gauge_shifts
+from estimation.track.iteration import IterationResult
 from estimation.values.arrays import FloatArray
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
-from estimation.values.track import Findings, GaugeShift
+from estimation.values.track import GaugeShift, TrackFindings
 
 LIFE = "#"  # after a wheelset's serial, then the number of its profile and that of its mileage interval
 
@@ -21,31 +21,31 @@ UNKNOWN_SHARE = 0.3  # of its own std that an estimated gauge deviation may be o
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class SectionResults:
     """Findings, and the gauge deviation (n,) with its std, m, where the passes themselves tell it."""
 
-    findings: Findings
+    findings: TrackFindings
     gauge: FloatArray | None
     gauge_std: FloatArray | None
 
 
-def findings(settled: Settled, *, gauge_estimated: bool) -> Told:
+def findings(iterated: IterationResult, *, gauge_estimated: bool) -> SectionResults:
     """Return what the passes tell; ``gauge_estimated`` where the gauge of the panel came from them."""
-    ratios = {vehicle: one.value for vehicle, one in settled.ratios.items()}
-    std = max((one.std for one in settled.ratios.values()), default=0.0)
-    gauge = settled.panel.gauge
+    ratios = {vehicle: one.value for vehicle, one in iterated.ratios.items()}
+    std = max((one.std for one in iterated.ratios.values()), default=0.0)
+    gauge = iterated.panel.gauge
     if gauge is None:
-        return Told(Findings(ratios, std, {}), None, None)
-    panel = settled.panel
-    shifts = whole_shifts(settled.solution, panel)
-    sign = gauge_sign(places(settled.passes, settled.solution, panel), shifts) if gauge_estimated else 1
+        return SectionResults(TrackFindings(ratios, std, {}), None, None)
+    panel = iterated.panel
+    shifts = total_gauge_shifts(iterated.solution, panel)
+    sign = gauge_sign(contact_samples(iterated.passes, iterated.solution, panel), shifts) if gauge_estimated else 1
     if sign < 0:
         shifts = {name: _turned(one) for name, one in shifts.items()}
     latest = {_life(name)[0]: shifts[name] for name in sorted(shifts, key=_life)}  # of several lives the latest
-    found = Findings(ratios, std, latest)
+    found = TrackFindings(ratios, std, latest)
     if not gauge_estimated:
-        return Told(found, None, None)
-    return Told(found, sign * gauge, np.full(len(gauge), UNKNOWN_SHARE * float(gauge.std())))
+        return SectionResults(found, None, None)
+    return SectionResults(found, sign * gauge, np.full(len(gauge), UNKNOWN_SHARE * float(gauge.std())))
 
 
 def _turned(shift: GaugeShift) -> GaugeShift:
@@ -76,7 +76,7 @@ class JourneyReport:
 
 
 @dataclass(frozen=True, slots=True)
-class LoopReport:
+class AlignmentReport:
     """How an alignment was found, in figures; stored with it.
 
     ``evidence`` names what was known besides the passes: the last version, a recorded alignment.
@@ -118,9 +118,9 @@ def _json(value: object) -> JsonValue:
     return value if math.isfinite(value) else None
 
 
-def nothing(reason: str, evidence: tuple[str, ...] = ()) -> LoopReport:
+def nothing(reason: str, evidence: tuple[str, ...] = ()) -> AlignmentReport:
     """Return the report of passes that say nothing, for this reason."""
-    return LoopReport(
+    return AlignmentReport(
         Status.UNESTIMATED, reason, converged=False, rounds=0, residual_rms_m=0.0, moved_m=0.0, passes=0, wheelsets=0,
         mean_passes=0.0, diversity=0.0, covered=0.0, alignment_std_m=float("nan"), evidence=evidence,
     )  # fmt: skip

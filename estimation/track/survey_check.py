@@ -36,7 +36,7 @@ MEMORY = 60.0  # m: how far samples of a high-passed alignment know of each othe
 
 
 @dataclass(frozen=True, slots=True)
-class JudgementParameters:
+class SurveyCheckParameters:
     """When a recorded alignment is believed."""
 
     largest_offset: float = 60.0  # m, searched both ways
@@ -49,7 +49,7 @@ class JudgementParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class Judgement:
+class SurveyCheck:
     """What the fleet says of a recorded alignment; numbers are NaN where nothing can be said."""
 
     usable: bool
@@ -62,13 +62,13 @@ class Judgement:
     samples: float  # independent ones
 
 
-def judge_recorded(
+def check_survey(
     recorded: TrackAlignment,
     fleet: TrackAlignment,
     *,
     place_std: float = 0.0,
-    parameters: JudgementParameters | None = None,
-) -> Judgement:
+    parameters: SurveyCheckParameters | None = None,
+) -> SurveyCheck:
     """Return whether a recorded alignment may be used, by an alignment that was found without it.
 
     Parameters
@@ -83,7 +83,7 @@ def judge_recorded(
     parameters
         Limits.
     """
-    p = parameters or JudgementParameters()
+    p = parameters or SurveyCheckParameters()
     both = _on_one_grid(recorded, fleet)
     if both is None:
         return _nothing("the fleet does not know enough of the section")
@@ -99,7 +99,7 @@ def judge_recorded(
     explained = min(float(score[k] ** 2), 1.0 - 1e-12)
     chance = float(chi2.logsf(-(samples - 3.0) * np.log1p(-explained), 1)) / np.log(10.0)
     chance += float(np.log10(max(2.0 * p.largest_offset / memory, 1.0)))
-    found = Judgement(
+    found = SurveyCheck(
         usable=True,
         reason="",
         scale=float(np.abs(factor[k])),
@@ -123,7 +123,7 @@ def judge_recorded(
     return found
 
 
-def _misplaced(found: Judgement, open_scale: float, place_known: float, p: JudgementParameters) -> list[str]:
+def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: SurveyCheckParameters) -> list[str]:
     """Return what is wrong with the unit, the sides and the place of a recording.
 
     ``open_scale`` is the factor that the fleet leaves open, ``place_known``, m, within what it knows where it lies.
@@ -140,16 +140,18 @@ def _misplaced(found: Judgement, open_scale: float, place_known: float, p: Judge
     return reasons
 
 
-def _nothing(reason: str) -> Judgement:
+def _nothing(reason: str) -> SurveyCheck:
     nan = float("nan")
-    return Judgement(usable=True, reason=reason, scale=nan, shift=nan, sign=0, misfit=nan, correlation=nan, samples=0.0)
+    return SurveyCheck(
+        usable=True, reason=reason, scale=nan, shift=nan, sign=0, misfit=nan, correlation=nan, samples=0.0
+    )
 
 
-def _refused(found: Judgement, reason: str) -> Judgement:
+def _refused(found: SurveyCheck, reason: str) -> SurveyCheck:
     return replace(found, usable=False, reason=reason)
 
 
-def _unrelated(found: Judgement) -> str:
+def _unrelated(found: SurveyCheck) -> str:
     return (
         "it has no more in common with what the fleet has felt than another section would"
         f" (correlation {found.correlation:.2f} over {found.samples:.0f} independent samples)"

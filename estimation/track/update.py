@@ -16,8 +16,8 @@ from estimation.track.passes import Pass
 from estimation.track.screening.screen import PassOutcome, Screened, screen
 from estimation.track.section import SectionEstimate, SectionParameters, estimate_section
 from estimation.track.settings import AlignmentSettings
-from estimation.track.survey_check import judge_recorded
-from estimation.track.versions import material, shifted_otherwise, with_findings_before
+from estimation.track.survey_check import check_survey
+from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
 from estimation.values.track import RECORDED, TrackAlignment, TrackSectionRecord
 
 
@@ -77,7 +77,7 @@ def find(
     if estimate.alignment is None:
         kept = None if recording else in_force  # a recording of the gauge alone says of no place how it lies
         return Finding(estimate, kept, made=False, trusted=False, outcomes=screened.outcomes)
-    told = with_findings_before(estimate.alignment, in_force)
+    told = carry_over_findings(estimate.alignment, in_force)
     return Finding(estimate, told, made=True, trusted=False, outcomes=screened.outcomes)
 
 
@@ -88,7 +88,7 @@ def _beside_recording(
     if judge:
         blind = estimate_section(section, screened.used, None, parameters)
         if blind.alignment is not None:
-            judgement = judge_recorded(recorded, blind.alignment, place_std=_place_std(blind))
+            judgement = check_survey(recorded, blind.alignment, place_std=_place_std(blind))
             if not judgement.usable:
                 told = f"not used: {judgement.reason}"
                 return Finding(blind, blind.alignment, True, False, screened.outcomes, told)  # noqa: FBT003 - made, not trusted
@@ -105,8 +105,8 @@ def _with_gauge_shifts(kept: Finding, recorded: TrackAlignment, settings: Alignm
     varies = recorded.gauge_known and float(np.std(recorded.gauge_deviation)) >= LEAST_GAUGE
     if not varies or found is None or found.findings is None or not found.findings.gauge_shifts:
         return kept
-    told = with_findings_before(replace(recorded, findings=found.findings), recorded)
-    if not (material(recorded, told, settings) or shifted_otherwise(recorded, told, settings)):
+    told = carry_over_findings(replace(recorded, findings=found.findings), recorded)
+    if not (requires_reestimation(recorded, told, settings) or gauge_shift_changed(recorded, told, settings)):
         return kept
     return replace(kept, alignment=told, made=True)
 

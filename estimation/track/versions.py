@@ -8,14 +8,14 @@ import numpy as np
 
 from estimation.track.settings import AlignmentSettings
 from estimation.values.arrays import FloatArray
-from estimation.values.track import RECORDED, Findings, GaugeShift, TrackAlignment
+from estimation.values.track import RECORDED, GaugeShift, TrackAlignment, TrackFindings
 
 SAME_GAUGE = 0.8  # correlation of two estimates of one gauge
 
 OFTEN = 1e-3  # m of rL - rR, both ways: further out few passes are
 
 
-def material(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettings) -> bool:
+def requires_reestimation(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettings) -> bool:
     """Whether what was estimated with ``old`` should be estimated again with ``new``.
 
     It should where ``new`` differs by more than ``old`` left unknown, is much more certain, reaches further, or knows
@@ -54,11 +54,11 @@ def _moved(old: FloatArray, new: FloatArray, std: float, settings: AlignmentSett
     return far or stretch > settings.same_stretch
 
 
-def _differs(old: Findings | None, new: Findings | None, settings: AlignmentSettings) -> bool:
+def _differs(old: TrackFindings | None, new: TrackFindings | None, settings: AlignmentSettings) -> bool:
     """Whether two versions tell another stiffness ratio of any vehicle; one that is not told of is as assumed."""
     if new is None:
         return False
-    was = old or Findings({}, 0.0, {})
+    was = old or TrackFindings({}, 0.0, {})
     same = max(settings.same_ratio, 2.0 * was.stiffness_ratio_std)
     vehicles = was.stiffness_ratio.keys() | new.stiffness_ratio.keys()
     return any(abs(new.stiffness_ratio.get(one, 1.0) - was.stiffness_ratio.get(one, 1.0)) > same for one in vehicles)
@@ -74,7 +74,7 @@ def _met(old: TrackAlignment, new: TrackAlignment) -> bool:
     return bool(new.findings.gauge_shifts.keys() - (old.findings.gauge_shifts.keys() if old.findings else set()))
 
 
-def shifted_otherwise(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettings) -> bool:
+def gauge_shift_changed(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettings) -> bool:
     """Whether ``new`` tells another gauge shift of a wheelset, as after wear or the lathe; both on one gauge."""
     if old.findings is None or new.findings is None:
         return False
@@ -89,7 +89,7 @@ def _apart(first: GaugeShift, second: GaugeShift, size: float) -> float:
     return float(np.sqrt(np.mean((first.over(R, e) - second.over(R, e)) ** 2)))
 
 
-def with_findings_before(found: TrackAlignment, before: TrackAlignment | None) -> TrackAlignment:
+def carry_over_findings(found: TrackAlignment, before: TrackAlignment | None) -> TrackAlignment:
     """Return an alignment that also tells what was found of vehicles and wheelsets that this epoch has not met.
 
     Their windows are estimated again with it as those of the others. What was told of shifts goes with the gauge that
@@ -104,7 +104,7 @@ def with_findings_before(found: TrackAlignment, before: TrackAlignment | None) -
     missed = old.stiffness_ratio.keys() - new.stiffness_ratio.keys()
     std = max(new.stiffness_ratio_std, old.stiffness_ratio_std) if missed else new.stiffness_ratio_std
     ratios = {**old.stiffness_ratio, **new.stiffness_ratio}
-    return replace(found, findings=Findings(ratios, std, shifts))
+    return replace(found, findings=TrackFindings(ratios, std, shifts))
 
 
 def _alike(first: FloatArray, second: FloatArray) -> bool:

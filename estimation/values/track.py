@@ -59,7 +59,7 @@ def _cells(values: FloatArray, grid: FloatArray) -> tuple[IntArray, FloatArray]:
 
 
 @dataclass(frozen=True, slots=True)
-class Findings:
+class TrackFindings:
     """What the passes of a section say besides its alignment, for those who passed it."""
 
     stiffness_ratio: Mapping[str, float]  # by vehicle: true yaw stiffness over creep coefficient, of the assumed one
@@ -84,7 +84,7 @@ class TrackAlignment:
     cut_off: float = np.inf  # m; longer wavelengths are not in ``alignment``
     scale_std: float = 0.0  # relative, of a common stretch of y - d that the alignment leaves open
     gauge_known: bool = True  # False: from the passes alone, or zero for want of knowledge; see its std
-    findings: Findings | None = None  # of a fleet, on its own alignment or on a recording whose gauge varies
+    findings: TrackFindings | None = None  # of a fleet, on its own alignment or on a recording whose gauge varies
 
     def __post_init__(self) -> None:
         n = len(self.s)

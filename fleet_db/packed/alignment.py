@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
-from estimation.values.track import RECORDED, Findings, GaugeShift, TrackAlignment
+from estimation.values.track import RECORDED, GaugeShift, TrackAlignment, TrackFindings
 from fleet_db.packed.numbers import number_to_json, real_from_json
 from fleet_db.packing import pack, unpack
 
@@ -65,7 +65,7 @@ def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment
     )
 
 
-def _findings_apart(findings: Findings) -> tuple[JsonValue, dict[str, npt.NDArray[Any]]]:
+def _findings_apart(findings: TrackFindings) -> tuple[JsonValue, dict[str, npt.NDArray[Any]]]:
     """Return findings as JSON and arrays: the grids of what gauge does, and (wheelset, r, e) what it does."""
     names = sorted(findings.gauge_shifts)
     told: JsonValue = {
@@ -83,8 +83,8 @@ def _findings_apart(findings: Findings) -> tuple[JsonValue, dict[str, npt.NDArra
     }
 
 
-def _findings(told: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Findings:
-    return Findings(
+def _findings(told: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> TrackFindings:
+    return TrackFindings(
         stiffness_ratio={name: real_from_json(value) for name, value in told["stiffness_ratio"].items()},
         stiffness_ratio_std=real_from_json(told["stiffness_ratio_std"]),
         gauge_shifts={

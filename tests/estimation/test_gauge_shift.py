@@ -15,7 +15,7 @@ from estimation.motion.parameters import SignalParameters
 from estimation.motion.track_relative import motion
 from estimation.values.arrays import FloatArray
 from estimation.values.motion import Motion
-from estimation.values.track import Findings, GaugeShift, TrackAlignment
+from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import WheelsetMotion
@@ -43,7 +43,7 @@ def known(*, per_difference: float = PER_DIFFERENCE, ratio: float = 1.0, serial:
     return replace(
         place,
         gauge_deviation=2e-3 * np.sin(2 * np.pi * place.s / 40.0),
-        findings=Findings({"V1": ratio}, 0.01, {serial: table}),
+        findings=TrackFindings({"V1": ratio}, 0.01, {serial: table}),
     )
 
 

@@ -11,7 +11,7 @@ from gauge_passes import LENGTH, Section, passes, section
 
 from estimation.filters.local_cubic import smoother, without_slow_part
 from estimation.track.panel.basis import PanelParameters
-from estimation.track.panel.long_waves import LongAlignment, long_alignment
+from estimation.track.panel.long_waves import LongWaveAlignment, long_wave_alignment
 from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass
@@ -41,13 +41,13 @@ def true(cut_off: float) -> FloatArray:
     return without_slow_part(np.interp(GRID, place().s, place().alignment), smoother(cut_off, PANEL.step))
 
 
-def error(found: LongAlignment, cut_off: float) -> float:
+def error(found: LongWaveAlignment, cut_off: float) -> float:
     seen = found.passes == found.passes.max()
     return float((found.alignment - true(cut_off))[seen].std())
 
 
 def test_waves_that_the_panel_has_lost_come_back() -> None:
-    found = long_alignment(felt(), solved(), PANEL, 120.0)
+    found = long_wave_alignment(felt(), solved(), PANEL, 120.0)
     seen = found.passes == 9
     lost = float((np.nan_to_num(solved().alignment) - true(120.0))[seen].std())
     assert seen.mean() > 0.75  # twice the reach of a filter of 120 m is lost at each end
@@ -56,14 +56,14 @@ def test_waves_that_the_panel_has_lost_come_back() -> None:
 
 
 def test_the_std_of_a_pass_is_the_scatter_of_the_passes() -> None:
-    found = long_alignment(felt(), solved(), PANEL, 120.0)
+    found = long_wave_alignment(felt(), solved(), PANEL, 120.0)
     assert found.pass_std == pytest.approx(NOISE, rel=0.2)
-    loud = long_alignment(felt(noise=4 * NOISE), solved(), PANEL, 120.0)
+    loud = long_wave_alignment(felt(noise=4 * NOISE), solved(), PANEL, 120.0)
     assert loud.pass_std == pytest.approx(4 * NOISE, rel=0.2)
 
 
 def test_at_the_cut_off_of_the_panel_it_is_the_alignment_of_the_panel() -> None:
-    found = long_alignment(felt(), solved(), PANEL, PANEL.cut_off)
+    found = long_wave_alignment(felt(), solved(), PANEL, PANEL.cut_off)
     seen = (found.passes == 9) & np.isfinite(solved().alignment)
     np.testing.assert_allclose(found.alignment[seen], solved().alignment[seen], atol=1e-6)
 
@@ -74,8 +74,8 @@ def test_passes_of_wheelsets_without_curve_and_short_ones_say_nothing() -> None:
     short = replace(
         some[0], at=some[0].at[:80], displacement=some[0].displacement[:80], difference=some[0].difference[:80]
     )
-    found = long_alignment([stranger, short], solved(), PANEL, 120.0)
+    found = long_wave_alignment([stranger, short], solved(), PANEL, 120.0)
     assert not found.passes.any()
     assert not found.alignment.any()
-    both = long_alignment([*some, stranger, short], solved(), PANEL, 120.0)
-    np.testing.assert_array_equal(both.alignment, long_alignment(some, solved(), PANEL, 120.0).alignment)
+    both = long_wave_alignment([*some, stranger, short], solved(), PANEL, 120.0)
+    np.testing.assert_array_equal(both.alignment, long_wave_alignment(some, solved(), PANEL, 120.0).alignment)

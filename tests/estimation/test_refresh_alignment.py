@@ -18,17 +18,17 @@ from estimation.jobs.job import Job, JobContext, run_job
 from estimation.storage import Storage
 from estimation.tables.window import NO_ALIGNMENT
 from estimation.track.settings import AlignmentSettings
-from estimation.track.survey_check import Judgement, judge_recorded
-from estimation.track.versions import material, shifted_otherwise, with_findings_before
+from estimation.track.survey_check import SurveyCheck, check_survey
+from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
 from estimation.values.quantities import Status
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobRun
 from estimation.values.track import (
     FLEET,
     RECORDED,
-    Findings,
     GaugeShift,
     TrackAlignment,
+    TrackFindings,
     TrackReport,
     TrackSectionRecord,
 )
@@ -252,9 +252,9 @@ def test_the_verdict_on_a_recording_stays_over_the_epochs_that_do_not_judge(
     storage = sqlite_storage
     asked = []
 
-    def judged(*given: object, place_std: float = 0.0) -> Judgement:
+    def judged(*given: object, place_std: float = 0.0) -> SurveyCheck:
         asked.append(place_std)
-        return judge_recorded(*given, place_std=place_std)  # type: ignore[arg-type] - as they come
+        return check_survey(*given, place_std=place_std)  # type: ignore[arg-type] - as they come
 
     monkeypatch.setattr("estimation.track.update.judge_recorded", judged)
     register(storage)
@@ -502,34 +502,34 @@ def test_only_what_matters_is_another_alignment() -> None:
         False,  # noqa: FBT003 - the gauge is not known
     )
     hole = np.where(np.arange(n) < 100, np.nan, d)
-    assert not material(old, replace(old, version=2), settings)
-    assert not material(old, replace(old, alignment=d + 0.08e-3), settings)
-    assert material(old, replace(old, alignment=d + 0.12e-3), settings)
-    assert not material(old, replace(old, alignment=1.004 * d), settings)
-    assert material(old, replace(old, alignment=1.006 * d), settings)  # does not average out
-    assert material(old, replace(old, alignment_std=0.6 * std), settings)
-    assert material(replace(old, alignment=hole), old, settings)
-    assert material(old, replace(old, cut_off=np.inf), settings)
-    assert material(replace(old, scale_std=0.03), replace(old, scale_std=0.01), settings)
+    assert not requires_reestimation(old, replace(old, version=2), settings)
+    assert not requires_reestimation(old, replace(old, alignment=d + 0.08e-3), settings)
+    assert requires_reestimation(old, replace(old, alignment=d + 0.12e-3), settings)
+    assert not requires_reestimation(old, replace(old, alignment=1.004 * d), settings)
+    assert requires_reestimation(old, replace(old, alignment=1.006 * d), settings)  # does not average out
+    assert requires_reestimation(old, replace(old, alignment_std=0.6 * std), settings)
+    assert requires_reestimation(replace(old, alignment=hole), old, settings)
+    assert requires_reestimation(old, replace(old, cut_off=np.inf), settings)
+    assert requires_reestimation(replace(old, scale_std=0.03), replace(old, scale_std=0.01), settings)
     sure = replace(old, alignment_std=0.1 * std)
-    assert not material(sure, replace(sure, alignment=d + 0.04e-3, alignment_std=0.01 * std), settings)
-    assert material(sure, replace(sure, alignment=d + 0.06e-3), settings)
+    assert not requires_reestimation(sure, replace(sure, alignment=d + 0.04e-3, alignment_std=0.01 * std), settings)
+    assert requires_reestimation(sure, replace(sure, alignment=d + 0.06e-3), settings)
     wide = 1e-3 * rng.standard_normal(n)
-    assert material(old, replace(old, gauge_deviation=wide), settings)
-    assert not material(old, replace(old, gauge_deviation=0.1 * wide), settings)
-    told = replace(old, findings=Findings({"A": 0.96}, 0.01, {}))
-    assert not material(told, replace(old, findings=Findings({"A": 0.975}, 0.01, {})), settings)
-    assert material(told, replace(old, findings=Findings({"A": 0.99}, 0.01, {})), settings)
-    assert material(told, replace(old, findings=Findings({"B": 1.0}, 0.01, {})), settings)
+    assert requires_reestimation(old, replace(old, gauge_deviation=wide), settings)
+    assert not requires_reestimation(old, replace(old, gauge_deviation=0.1 * wide), settings)
+    told = replace(old, findings=TrackFindings({"A": 0.96}, 0.01, {}))
+    assert not requires_reestimation(told, replace(old, findings=TrackFindings({"A": 0.975}, 0.01, {})), settings)
+    assert requires_reestimation(told, replace(old, findings=TrackFindings({"A": 0.99}, 0.01, {})), settings)
+    assert requires_reestimation(told, replace(old, findings=TrackFindings({"B": 1.0}, 0.01, {})), settings)
     recorded = replace(old, source=RECORDED, gauge_known=True)
     wheel = GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.zeros((3, 2)))
-    with_one = replace(recorded, findings=Findings({}, 0.01, {"A1": wheel}))
-    with_two = replace(recorded, findings=Findings({}, 0.01, {"A1": wheel, "A2": wheel}))
-    assert material(recorded, with_one, settings)
-    assert material(with_one, with_two, settings)
-    assert not material(with_two, with_two, settings)
-    doubtful = replace(old, findings=Findings({"A": 0.96}, 0.04, {}))
-    assert not material(doubtful, replace(old, findings=Findings({"A": 0.99}, 0.01, {})), settings)
+    with_one = replace(recorded, findings=TrackFindings({}, 0.01, {"A1": wheel}))
+    with_two = replace(recorded, findings=TrackFindings({}, 0.01, {"A1": wheel, "A2": wheel}))
+    assert requires_reestimation(recorded, with_one, settings)
+    assert requires_reestimation(with_one, with_two, settings)
+    assert not requires_reestimation(with_two, with_two, settings)
+    doubtful = replace(old, findings=TrackFindings({"A": 0.96}, 0.04, {}))
+    assert not requires_reestimation(doubtful, replace(old, findings=TrackFindings({"A": 0.99}, 0.01, {})), settings)
 
 
 def test_another_gauge_shift_is_one_that_noise_does_not_make() -> None:
@@ -542,13 +542,13 @@ def test_another_gauge_shift_is_one_that_noise_does_not_make() -> None:
         zero = np.zeros(n)
         return TrackAlignment(
             "S1", 1, np.arange(n) * 1.0, zero, zero, gauge, zero, zero.astype(np.int64), Status.ESTIMATED,
-            findings=Findings({}, 0.01, table),
+            findings=TrackFindings({}, 0.01, table),
         )  # fmt: skip
 
-    assert not shifted_otherwise(told(0.1), told(0.2), settings)
-    assert shifted_otherwise(told(0.1), told(0.3), settings)
-    assert not shifted_otherwise(told(None), told(0.3), settings)
-    assert not shifted_otherwise(replace(told(0.1), findings=None), told(0.3), settings)
+    assert not gauge_shift_changed(told(0.1), told(0.2), settings)
+    assert gauge_shift_changed(told(0.1), told(0.3), settings)
+    assert not gauge_shift_changed(told(None), told(0.3), settings)
+    assert not gauge_shift_changed(replace(told(0.1), findings=None), told(0.3), settings)
 
 
 def test_what_was_found_of_those_who_stayed_away_is_kept() -> None:
@@ -558,17 +558,17 @@ def test_what_was_found_of_those_who_stayed_away_is_kept() -> None:
     base = TrackAlignment(
         "S1", 1, np.arange(n) * 1.0, zero, zero, gauge, zero, np.full(n, 5), Status.ESTIMATED, FLEET
     )  # fmt: skip
-    before = replace(base, findings=Findings({"A": 0.9, "B": 1.1}, 0.02, {"A1": wheel, "B1": wheel}))
+    before = replace(base, findings=TrackFindings({"A": 0.9, "B": 1.1}, 0.02, {"A1": wheel, "B1": wheel}))
     again = replace(base, gauge_deviation=gauge + 0.3e-3 * rng.standard_normal(n))
-    epoch = Findings({"A": 0.95}, 0.01, {"A1": wheel})
-    kept = with_findings_before(replace(again, findings=epoch), before).findings
+    epoch = TrackFindings({"A": 0.95}, 0.01, {"A1": wheel})
+    kept = carry_over_findings(replace(again, findings=epoch), before).findings
     assert kept is not None
     assert (kept.stiffness_ratio, kept.stiffness_ratio_std) == ({"A": 0.95, "B": 1.1}, 0.02)
     assert set(kept.gauge_shifts) == {"A1", "B1"}
-    other = with_findings_before(replace(base, gauge_deviation=-gauge, findings=epoch), before).findings
+    other = carry_over_findings(replace(base, gauge_deviation=-gauge, findings=epoch), before).findings
     assert other is not None
     assert set(other.gauge_shifts) == {"A1"}  # the gauge under the others was another one
     every = replace(epoch, stiffness_ratio={"A": 1.0, "B": 1.0})
     found = replace(again, findings=every)
-    assert with_findings_before(found, before).findings == replace(every, gauge_shifts=kept.gauge_shifts)
-    assert with_findings_before(found, None) is found
+    assert carry_over_findings(found, before).findings == replace(every, gauge_shifts=kept.gauge_shifts)
+    assert carry_over_findings(found, None) is found

@@ -13,7 +13,7 @@ from smooth_wheelset import SmoothTable, ideal, run, track
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.motion import Motion
 from estimation.values.quantities import Status
-from estimation.values.track import FLEET, Findings, GaugeShift, TrackAlignment
+from estimation.values.track import FLEET, GaugeShift, TrackAlignment, TrackFindings
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
@@ -72,7 +72,7 @@ def test_sensitivity_to_longitudinal_creep_is_the_derivative_of_the_radius_diffe
 
 def track_of(std: float | None, scale_std: float = 0.0) -> TrackAlignment:
     zero = np.zeros(2)
-    found = None if std is None else Findings({"V1": 1.1}, std, {})
+    found = None if std is None else TrackFindings({"V1": 1.1}, std, {})
     return TrackAlignment(
         "S",
         1,
@@ -102,10 +102,10 @@ def test_a_geometry_is_as_sure_of_the_ratio_as_the_least_sure_of_its_alignments(
     ("change", "share"),
     [
         ({}, 0.5),  # nothing is known of what it does
-        ({"findings": Findings({"V1": 1.1}, 0.01, {})}, 0.5),
-        ({"findings": Findings({"V1": 1.1}, 0.01, {"W2": WHEEL})}, 0.5),
-        ({"findings": Findings({"V1": 1.1}, 0.01, {"W1": WHEEL})}, 0.22),
-        ({"findings": Findings({"V1": 1.1}, 0.01, {"W1": WHEEL}), "gauge_known": False, "source": FLEET}, 0.32),
+        ({"findings": TrackFindings({"V1": 1.1}, 0.01, {})}, 0.5),
+        ({"findings": TrackFindings({"V1": 1.1}, 0.01, {"W2": WHEEL})}, 0.5),
+        ({"findings": TrackFindings({"V1": 1.1}, 0.01, {"W1": WHEEL})}, 0.22),
+        ({"findings": TrackFindings({"V1": 1.1}, 0.01, {"W1": WHEEL}), "gauge_known": False, "source": FLEET}, 0.32),
     ],
 )
 def test_contact_jumps_are_as_far_off_as_the_gauge_is_left_in(change: dict[str, Any], share: float) -> None:
@@ -117,7 +117,7 @@ def test_contact_jumps_are_as_far_off_as_the_gauge_is_left_in(change: dict[str, 
 
 
 def test_a_recording_has_taught_nothing_of_a_wheelset_that_it_has_not_met() -> None:
-    told = replace(track_of(0.01), findings=Findings({"V1": 1.1}, 0.01, {"W1": WHEEL}))
+    told = replace(track_of(0.01), findings=TrackFindings({"V1": 1.1}, 0.01, {"W1": WHEEL}))
     assert ParameterUncertainty().on([told], "W1").ratio == 0.01
     assert ParameterUncertainty().on([told], "W2").ratio is None
     assert ParameterUncertainty().on([replace(told, source=FLEET)], "W2").ratio == 0.01

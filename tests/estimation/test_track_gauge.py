@@ -9,12 +9,12 @@ import pytest
 from gauge_passes import LENGTH, Wheels, passes, section
 
 from estimation.filters.local_cubic import smoother, without_slow_part
-from estimation.track.gauge.wheel_functions import whole_shifts
-from estimation.track.iteration import Settled, SettlingParameters, settle
+from estimation.track.gauge.wheel_functions import total_gauge_shifts
+from estimation.track.iteration import IterationParameters, IterationResult, iterate
 from estimation.track.journeys import PositionParameters, journeys
 from estimation.track.panel.basis import PanelParameters
-from estimation.track.panel.prior_alignment import Evidence
-from estimation.track.results import Told, findings
+from estimation.track.panel.prior_alignment import PriorAlignment
+from estimation.track.results import SectionResults, findings
 from estimation.values.arrays import FloatArray
 
 PANEL = PanelParameters(length=LENGTH, hats=21)
@@ -26,14 +26,14 @@ LATEST = {"A": 0.05, "B": 0.08, "C": 0.12}
 
 
 @cache
-def settled(gauge_std: float) -> Settled:
+def iterated(gauge_std: float) -> IterationResult:
     positions = PositionParameters()
     grouped = journeys(passes(section(gauge_std), CONES, 4), positions)
-    return settle(grouped, None, PANEL, positions, SettlingParameters())
+    return iterate(grouped, None, PANEL, positions, IterationParameters())
 
 
-def told(gauge_std: float) -> Told:
-    return findings(settled(gauge_std), gauge_estimated=True)
+def told(gauge_std: float) -> SectionResults:
+    return findings(iterated(gauge_std), gauge_estimated=True)
 
 
 def true_gauge(gauge_std: float = GAUGE_STD) -> FloatArray:
@@ -41,7 +41,7 @@ def true_gauge(gauge_std: float = GAUGE_STD) -> FloatArray:
     return np.interp(GRID, place.s, place.gauge)
 
 
-def alignment_error(found: Settled, gauge_std: float) -> float:
+def alignment_error(found: IterationResult, gauge_std: float) -> float:
     place = section(gauge_std)
     true = without_slow_part(np.interp(GRID, place.s, place.alignment), smoother(PANEL.cut_off, PANEL.step))
     return float((found.solution.alignment - true)[INNER].std())
@@ -64,7 +64,7 @@ def test_alignment_and_gauge_come_out_of_the_passes_with_the_right_sign() -> Non
     found, true = told(GAUGE_STD).gauge, true_gauge()[INNER]
     assert found is not None
     assert np.corrcoef(found[INNER], true)[0, 1] > 0.97
-    assert alignment_error(settled(GAUGE_STD), GAUGE_STD) < 0.12e-3
+    assert alignment_error(iterated(GAUGE_STD), GAUGE_STD) < 0.12e-3
 
 
 @pytest.mark.parametrize("serial", ["A", "B", "C"])
@@ -76,7 +76,7 @@ def test_the_shifts_found_tell_where_the_gauge_found_puts_a_wheelset(serial: str
 
 def test_of_several_lives_of_a_wheelset_the_latest_counts() -> None:
     """Intervals of mileage follow each other as numbers: 10 comes after 9."""
-    lives = whole_shifts(settled(GAUGE_STD).solution, settled(GAUGE_STD).panel)
+    lives = total_gauge_shifts(iterated(GAUGE_STD).solution, iterated(GAUGE_STD).panel)
     assert set(lives) == set(CONES)
     shifts = told(GAUGE_STD).findings.gauge_shifts
     assert set(shifts) == set(LATEST)
@@ -85,7 +85,7 @@ def test_of_several_lives_of_a_wheelset_the_latest_counts() -> None:
 
 
 def test_a_gauge_that_does_not_vary_is_not_made_up() -> None:
-    found = settled(0.0)
+    found = iterated(0.0)
     assert found.panel.gauge is None
     one = told(0.0)
     assert (one.gauge, one.gauge_std, dict(one.findings.gauge_shifts)) == (None, None, {})
@@ -96,10 +96,12 @@ def test_a_recorded_gauge_says_where_the_passes_lie() -> None:
     """Nobody knows the alignment, and every odometer is 6 m off."""
     recorded = np.interp(GRID - 6.0, GRID, true_gauge())
     nothing = np.zeros(PANEL.points)
-    known = Evidence(nothing, np.full(PANEL.points, np.inf), nothing, recorded, nothing + 0.2e-3, gauge_known=True)
+    known = PriorAlignment(
+        nothing, np.full(PANEL.points, np.inf), nothing, recorded, nothing + 0.2e-3, gauge_known=True
+    )
     positions = PositionParameters()
     grouped = journeys(passes(section(GAUGE_STD), CONES, 3), positions)
-    found = settle(grouped, known, PANEL, positions, SettlingParameters())
+    found = iterate(grouped, known, PANEL, positions, IterationParameters())
     for correction in found.corrections.values():
         assert correction.at(np.array([1000.0]))[0] - 1000.0 == pytest.approx(6.0, abs=0.5)
     one = findings(found, gauge_estimated=False)

@@ -16,7 +16,7 @@ from estimation.errors import ParameterError
 from estimation.filters.local_cubic import smoother, trusted, without_slow_part
 from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
-from estimation.track.panel.basis import PanelParameters, hat_functions
+from estimation.track.panel.basis import PanelParameters, basis_functions
 from estimation.track.panel.normal_equations import PanelState, init, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass, gridded, passes
@@ -70,7 +70,7 @@ def test_a_sample_is_trusted_when_all_within_reach_are_valid() -> None:
 @given(R=st.lists(st.floats(-4e-3, 4e-3), min_size=1, max_size=30))
 def test_hats_add_up_to_one_and_reproduce_straight_lines(R: list[float]) -> None:
     knots = PARAMETERS.knots
-    values = hat_functions(np.array(R), knots)
+    values = basis_functions(np.array(R), knots)
     np.testing.assert_allclose(values.sum(axis=0), 1.0, atol=1e-12)
     np.testing.assert_allclose(knots @ values, R, atol=1e-12)
 
@@ -118,9 +118,9 @@ def test_any_order_and_grouping_of_the_passes_gives_the_same(order: list[int], c
     chosen = [found[i] for i in order]
     state: PanelState = update(update(init(small), chosen[:cut]), chosen[cut:])
     reference = update(init(small), [found[i] for i in range(6)])
-    places = [state.wheelsets.index(name) for name in reference.wheelsets]
+    contact_samples = [state.wheelsets.index(name) for name in reference.wheelsets]
     for name in ("gram", "cross"):
-        ours, theirs = getattr(state, name)[:, places], getattr(reference, name)
+        ours, theirs = getattr(state, name)[:, contact_samples], getattr(reference, name)
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
     np.testing.assert_array_equal(state.passes, reference.passes)
     np.testing.assert_allclose(state.displacement, reference.displacement, rtol=1e-9, atol=1e-15)
@@ -138,7 +138,7 @@ def test_one_wheelset_alone_or_wheelsets_all_alike_say_nothing() -> None:
 
 def test_nothing_and_what_is_too_short_are_unestimated() -> None:
     assert result(init(PanelParameters(length=500.0, hats=5))).report.status is Status.UNESTIMATED
-    stray = Pass("W", "V", 0, np.arange(90) * 0.08, np.zeros(90), np.zeros(90))
-    assert update(init(PARAMETERS), [stray]).passes.sum() == 0
+    outlier_factor = Pass("W", "V", 0, np.arange(90) * 0.08, np.zeros(90), np.zeros(90))
+    assert update(init(PARAMETERS), [outlier_factor]).passes.sum() == 0
     with pytest.raises(ParameterError, match="cut_off"):
         PanelParameters(cut_off=0.0)

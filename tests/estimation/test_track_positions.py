@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from test_track_panel import PARAMETERS, fleet_passes
 
-from estimation.track.journeys import Journey, PositionParameters, corrected, journeys
+from estimation.track.journeys import Journey, PositionParameters, apply_correction, journeys
 from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import result
 from estimation.track.passes import Pass
-from estimation.track.positions import correlate, refine
+from estimation.track.positions import correlate_positions, refine
 from estimation.values.track import Correction
 
 POSITIONS = PositionParameters()
@@ -42,11 +42,13 @@ def _left_over(corrections: dict[Journey, Correction]) -> np.ndarray:
 def test_offsets_and_scales_are_found_by_correlation_and_refined_by_the_panel() -> None:
     grouped = journeys(_displaced(), POSITIONS)
     assert len(grouped) == len(OFFSETS)
-    corrections = correlate(grouped, PARAMETERS, POSITIONS)
+    corrections = correlate_positions(grouped, PARAMETERS, POSITIONS)
     coarse = _left_over(corrections)
     assert np.abs(coarse).max() < 2.0
     for _ in range(4):
-        moved = [item for journey, members in grouped.items() for item in corrected(members, corrections[journey])]
+        moved = [
+            item for journey, members in grouped.items() for item in apply_correction(members, corrections[journey])
+        ]
         solution = result(update(init(PARAMETERS), moved))
         corrections = refine(grouped, corrections, solution, PARAMETERS)
     fine = _left_over(corrections)
@@ -56,7 +58,7 @@ def test_offsets_and_scales_are_found_by_correlation_and_refined_by_the_panel() 
 
 def test_passes_that_lie_right_are_left_where_they_are() -> None:
     grouped = journeys(fleet_passes(), POSITIONS)
-    corrections = correlate(grouped, PARAMETERS, POSITIONS)
+    corrections = correlate_positions(grouped, PARAMETERS, POSITIONS)
     assert max(abs(c.offset) for c in corrections.values()) < 1.0
 
 
@@ -68,7 +70,7 @@ def test_a_pass_of_somewhere_else_is_not_dragged_along() -> None:
         for item in fleet_passes()
         if item.vehicle == "17 m/s"
     ]
-    corrections = correlate(journeys([*fleet_passes(), *stranger], POSITIONS), PARAMETERS, POSITIONS)
+    corrections = correlate_positions(journeys([*fleet_passes(), *stranger], POSITIONS), PARAMETERS, POSITIONS)
     foreign = next(c for (vehicle, _), c in corrections.items() if vehicle == "stranger")
     assert abs(foreign.offset - np.mean([c.offset for c in corrections.values()])) < 1.5
 

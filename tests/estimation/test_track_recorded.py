@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimation.filters.local_cubic import smoother, without_slow_part
-from estimation.track.survey_check import judge_recorded
+from estimation.track.survey_check import check_survey
 from estimation.values.quantities import Status
 from estimation.values.track import FLEET, TrackAlignment
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
@@ -56,7 +56,7 @@ def test_honest_recordings_are_believed_wherever_the_fleet_lies_within_its_own_d
     for seed in range(8):
         rng = np.random.default_rng(seed)
         found = fleet(seed, offset=rng.uniform(-2, 2), stretch=rng.uniform(-3e-4, 3e-4))
-        told = judge_recorded(recording(seed, std, spacing), found)
+        told = check_survey(recording(seed, std, spacing), found)
         assert told.usable, (seed, told)
         assert told.scale == pytest.approx(1.0, abs=0.06)
         assert told.sign == 1
@@ -72,7 +72,7 @@ def test_a_wrong_unit_is_named(factor: float, said: str, *, of_std: bool) -> Non
     for seed in range(3):
         good = recording(seed, 0.05e-3)
         std = good.alignment_std * (factor if of_std else 1.0)
-        told = judge_recorded(replace(good, alignment=factor * good.alignment, alignment_std=std), fleet(seed))
+        told = check_survey(replace(good, alignment=factor * good.alignment, alignment_std=std), fleet(seed))
         assert not told.usable
         assert said in told.reason
         assert told.scale == pytest.approx(factor, rel=0.05)
@@ -82,12 +82,12 @@ def test_a_wrong_unit_is_named(factor: float, said: str, *, of_std: bool) -> Non
 def test_a_shifted_recording_is_found_and_measured(shift: float) -> None:
     for seed in range(4):
         good = recording(seed, 0.1e-3)
-        told = judge_recorded(replace(good, s=good.s + shift), fleet(seed))
+        told = check_survey(replace(good, s=good.s + shift), fleet(seed))
         assert not told.usable
         assert f"{abs(told.shift):.1f} m too far {'along' if shift > 0 else 'back'}" in told.reason
         assert told.shift == pytest.approx(-shift, abs=0.3)
         assert told.misfit > 2.0
-        excused = judge_recorded(replace(good, s=good.s + shift), fleet(seed), place_std=4.0)
+        excused = check_survey(replace(good, s=good.s + shift), fleet(seed), place_std=4.0)
         assert excused.usable  # a fleet that does not know its own place cannot say
 
 
@@ -114,7 +114,7 @@ def test_with_uncertain_positions_a_shift_of_10_m_takes_many_journeys_to_be_foun
     for seed in range(3):
         good = recording(seed, 0.1e-3)
         off = fleet_off * place_std(journeys)
-        told = judge_recorded(replace(good, s=good.s + 10.0), fleet(seed, offset=off), place_std=place_std(journeys))
+        told = check_survey(replace(good, s=good.s + 10.0), fleet(seed, offset=off), place_std=place_std(journeys))
         assert told.usable is not found
         assert ("too far along" in told.reason) is found
 
@@ -122,18 +122,18 @@ def test_with_uncertain_positions_a_shift_of_10_m_takes_many_journeys_to_be_foun
 def test_mirrored_and_foreign_recordings_are_refused() -> None:
     for seed in range(6):
         good, found = recording(seed, 0.05e-3), fleet(seed)
-        mirrored = judge_recorded(replace(good, alignment=-good.alignment), found)
+        mirrored = check_survey(replace(good, alignment=-good.alignment), found)
         assert not mirrored.usable
         assert mirrored.sign == -1
         assert "mirror image" in mirrored.reason
         for other in (recording(seed + 50, 0.05e-3), replace(good, alignment=good.alignment[::-1])):
-            told = judge_recorded(other, found)
+            told = check_survey(other, found)
             assert not told.usable
             assert "no more in common" in told.reason
 
 
 def test_a_recording_that_claims_too_much_is_refused() -> None:
-    told = judge_recorded(replace(recording(1, 0.5e-3), alignment_std=recording(1, 0.05e-3).alignment_std), fleet(1))
+    told = check_survey(replace(recording(1, 0.5e-3), alignment_std=recording(1, 0.05e-3).alignment_std), fleet(1))
     assert not told.usable
     assert "standard deviation" in told.reason
 
@@ -144,8 +144,8 @@ def test_a_fleet_that_knows_too_little_says_nothing_against_a_recording() -> Non
     none = replace(found, alignment=np.full(len(found.s), np.nan))
     elsewhere = replace(recording(1, 1e-4), s=recording(1, 1e-4).s + 1e5)
     for told in (
-        judge_recorded(recording(1, 1e-4), few), judge_recorded(recording(1, 1e-4), none),
-        judge_recorded(elsewhere, found),
+        check_survey(recording(1, 1e-4), few), check_survey(recording(1, 1e-4), none),
+        check_survey(elsewhere, found),
     ):  # fmt: skip
         assert told.usable
         assert told.sign == 0

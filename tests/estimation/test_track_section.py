@@ -53,7 +53,7 @@ def test_positions_and_alignment_settle_together() -> None:
     found = first_version()
     assert found.report.status is Status.ESTIMATED
     assert found.report.converged
-    assert found.report.moved_m < SECTION.settling.settled
+    assert found.report.moved_m < SECTION.iteration.iterated
     assert found.report.evidence == ()
     assert all(journey.used for journey in found.report.journeys)
     assert known(found).source == FLEET
@@ -64,10 +64,13 @@ def test_positions_and_alignment_settle_together() -> None:
 
 @pytest.mark.parametrize(
     ("limits", "said", "unsaid"),
-    [({"settled_ratio": 1e-9}, "stiffness ratios", "positions"), ({"settled": 1e-9}, "positions", "stiffness ratios")],
+    [
+        ({"ratio_tolerance": 1e-9}, "stiffness ratios", "positions"),
+        ({"position_tolerance": 1e-9}, "positions", "stiffness ratios"),
+    ],
 )
 def test_what_has_not_settled_is_estimated_and_says_so(limits: dict[str, float], said: str, unsaid: str) -> None:
-    impatient = replace(SECTION, settling=replace(SECTION.settling, **limits))  # type: ignore[arg-type] - floats all
+    impatient = replace(SECTION, iteration=replace(SECTION.iteration, **limits))  # type: ignore[arg-type] - floats all
     found = estimate_section("S", displaced(fleet_passes()), None, impatient)
     assert found.report.status is Status.ESTIMATED
     assert found.alignment is not None

@@ -11,10 +11,10 @@ from smooth_wheelset import mems_windows, run
 from estimation.filters.local_cubic import smoother, without_slow_part
 from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
-from estimation.track.iteration import Settled, SettlingParameters, settle
+from estimation.track.iteration import IterationParameters, IterationResult, iterate
 from estimation.track.journeys import PositionParameters, journeys
 from estimation.track.panel.basis import PanelParameters
-from estimation.track.panel.stiffness_ratio import SYSTEMATIC_STD, Ratio, adjusted
+from estimation.track.panel.stiffness_ratio import SYSTEMATIC_STD, Ratio, apply_ratios
 from estimation.track.passes import Pass, passes
 from estimation.track.results import findings
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -38,20 +38,20 @@ def believed(share: float) -> tuple[Pass, ...]:
 
 
 @cache
-def settled(share: float) -> Settled:
+def iterated(share: float) -> IterationResult:
     positions = PositionParameters()
-    return settle(journeys(believed(share), positions), None, PANEL, positions, SettlingParameters())
+    return iterate(journeys(believed(share), positions), None, PANEL, positions, IterationParameters())
 
 
 def test_a_vehicle_believed_too_soft_is_found_out_on_unknown_track() -> None:
-    found = settled(0.8).ratios
+    found = iterated(0.8).ratios
     assert found[f"{SOFT:g}"].value == pytest.approx(1 / 0.8, rel=0.02)
     assert found[f"{RIGHT:g}"].value == pytest.approx(1.0, abs=0.02)
 
 
 def test_the_std_of_a_ratio_covers_its_error_and_is_what_geometry_is_told() -> None:
     """Without a std the intervals of the geometry would hold the ratio for certain."""
-    one = settled(0.8)
+    one = iterated(0.8)
     truth = {f"{SOFT:g}": 1 / 0.8, f"{RIGHT:g}": 1.0}
     for vehicle, ratio in one.ratios.items():
         assert SYSTEMATIC_STD < ratio.std < 0.05
@@ -66,7 +66,7 @@ def test_an_adjusted_pass_is_that_of_the_vehicle_as_it_is() -> None:
     soft, right = (list(believed(share)[: len(CONES)]) for share in (0.8, 1.0))
     weights = smoother(PANEL.difference_cut_off, 0.25)
     inner = slice(len(weights) // 2, -(len(weights) // 2))
-    for before, ours, true in zip(soft, adjusted(soft, {f"{SOFT:g}": Ratio(1 / 0.8)}), right, strict=True):
+    for before, ours, true in zip(soft, apply_ratios(soft, {f"{SOFT:g}": Ratio(1 / 0.8)}), right, strict=True):
         wrong, left, whole = (
             without_slow_part(values, weights)[inner].std()
             for values in (before.difference - true.difference, ours.difference - true.difference, true.difference)
@@ -77,6 +77,6 @@ def test_an_adjusted_pass_is_that_of_the_vehicle_as_it_is() -> None:
 
 def test_passes_of_vehicles_nothing_is_known_of_stay_as_they_are() -> None:
     found = list(believed(0.8))
-    assert adjusted(found, {}) == found
+    assert apply_ratios(found, {}) == found
     plain = [replace(item, elastic=None) for item in found]
-    assert adjusted(plain, {f"{SOFT:g}": Ratio(1.25)}) == plain
+    assert apply_ratios(plain, {f"{SOFT:g}": Ratio(1.25)}) == plain

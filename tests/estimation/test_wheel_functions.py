@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimation.track.gauge.wheel_functions import (
-    STRAY,
-    Places,
+    INLIER_MISFIT,
+    ContactSamples,
     WheelFunctions,
     fit,
     gauge_factor,
+    gauge_shift_of,
     gauge_sign,
-    shift_of,
-    without_common,
+    remove_common_shift,
 )
 from estimation.values.arrays import FloatArray
 from estimation.values.track import GaugeShift
@@ -27,12 +27,12 @@ SAMPLES = 6000
 SEEN = np.linspace(-2.5e-3, 2.5e-3, 51)  # m, where many samples were
 
 
-def places(cone: float, *, size: float = 1.0, seed: int = 1, noise: float = 2e-6) -> Places:
+def contact_samples(cone: float, *, size: float = 1.0, seed: int = 1, noise: float = 2e-6) -> ContactSamples:
     """Return places of wheels of ``cone`` whose gauge deviation is told ``size`` times too small."""
     rng = np.random.default_rng(seed)
     x, e = 2e-3 * rng.standard_normal(SAMPLES), 2e-3 * rng.standard_normal(SAMPLES)
     difference = Wheels(cone).difference(x, e) + noise * rng.standard_normal(SAMPLES)
-    return Places(x, np.zeros(SAMPLES), difference, e / size)
+    return ContactSamples(x, np.zeros(SAMPLES), difference, e / size)
 
 
 def without_constant(values: FloatArray) -> FloatArray:
@@ -48,7 +48,7 @@ def true_shift(cone: float, difference: FloatArray, gauge: float) -> FloatArray:
 
 @pytest.mark.parametrize("cone", [0.05, 0.16])
 def test_the_radius_of_each_wheel_comes_out_up_to_a_constant(cone: float) -> None:
-    found = fit(places(cone))
+    found = fit(contact_samples(cone))
     for side in ("left", "right"):
         radius = np.interp(SEEN, found.knots, getattr(found, side))
         true = getattr(Wheels(cone), side)(SEEN)
@@ -58,7 +58,7 @@ def test_the_radius_of_each_wheel_comes_out_up_to_a_constant(cone: float) -> Non
 @pytest.mark.parametrize("cone", [0.05, 0.16])
 @pytest.mark.parametrize("gauge", [-2e-3, 1e-3])
 def test_where_a_gauge_puts_a_wheelset_is_where_its_radii_differ_as_much(cone: float, gauge: float) -> None:
-    table = shift_of(fit(places(cone)))
+    table = gauge_shift_of(fit(contact_samples(cone)))
     difference = Wheels(cone).difference(np.linspace(-2e-3, 2e-3, 41), np.zeros(41))
     found = table.at(difference, np.full(41, gauge))
     np.testing.assert_allclose(found, true_shift(cone, difference, gauge), atol=0.03e-3)
@@ -69,7 +69,7 @@ def test_a_contact_jump_is_a_step_of_the_radius_difference_that_moves_with_the_g
     """R at the foot of the step of the left wheel: half the gauge deviation further out, whatever its size."""
     knots = np.linspace(-9e-3, 9e-3, 721)
     jump = np.where(knots > 1e-3, 0.3e-3, 0.0)
-    table = shift_of(WheelFunctions(knots, 0.1 * knots + jump, 0.1 * knots))
+    table = gauge_shift_of(WheelFunctions(knots, 0.1 * knots + jump, 0.1 * knots))
     before, after = 0.2 * 0.9e-3, 0.2 * 1.1e-3 + 0.3e-3  # at nominal gauge, on both sides of the step
     middle = np.array([0.5 * (before + after)])
     for gauge in (-1e-3, 1e-3):
@@ -79,7 +79,7 @@ def test_a_contact_jump_is_a_step_of_the_radius_difference_that_moves_with_the_g
 def test_a_radius_difference_that_falls_is_never_run_through() -> None:
     knots = np.linspace(-9e-3, 9e-3, 181)
     hollow = 0.1 * knots - np.where(knots > 1e-3, 0.2e-3, 0.0)
-    table = shift_of(WheelFunctions(knots, hollow, 0.1 * knots))
+    table = gauge_shift_of(WheelFunctions(knots, hollow, 0.1 * knots))
     assert np.isfinite(table.shift).all()
     assert np.abs(table.shift).max() < 22e-3
 
@@ -95,7 +95,7 @@ def test_of_straight_wheels_a_gauge_shifts_by_the_share_of_their_slopes(
 ) -> None:
     """From sL (x - e/2) + sR (x + e/2) = R."""
     knots = np.linspace(-9e-3, 9e-3, 19)
-    table = shift_of(WheelFunctions(knots, slopes[0] * knots, slopes[1] * knots))
+    table = gauge_shift_of(WheelFunctions(knots, slopes[0] * knots, slopes[1] * knots))
     expected = 0.5 * e * (slopes[0] - slopes[1]) / (slopes[0] + slopes[1])
     assert table.at(np.array([R]), np.array([e]))[0] == pytest.approx(expected, abs=2e-6)
 
@@ -103,21 +103,25 @@ def test_of_straight_wheels_a_gauge_shifts_by_the_share_of_their_slopes(
 @pytest.mark.parametrize("size", [0.6, 1.0, 1.7])
 def test_a_gauge_of_wrong_size_is_put_nearer_and_one_of_right_size_stays(size: float) -> None:
     """The rounds ask again."""
-    seen = {f"W{number}": places(cone, size=size, seed=number) for number, cone in enumerate((0.05, 0.1, 0.16))}
+    seen = {
+        f"W{number}": contact_samples(cone, size=size, seed=number) for number, cone in enumerate((0.05, 0.1, 0.16))
+    }
     left = abs(np.log(size / gauge_factor(seen)))
     assert left < 0.1 + 0.6 * abs(np.log(size))
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_the_sign_of_a_gauge_is_that_which_makes_wheels_steeper_towards_the_flange(sign: int) -> None:
-    seen = {f"W{number}": places(cone, size=sign, seed=number) for number, cone in enumerate((0.05, 0.1, 0.16))}
-    shifts = {name: shift_of(fit(one.calm())) for name, one in seen.items()}
+    seen = {
+        f"W{number}": contact_samples(cone, size=sign, seed=number) for number, cone in enumerate((0.05, 0.1, 0.16))
+    }
+    shifts = {name: gauge_shift_of(fit(one.inliers())) for name, one in seen.items()}
     assert gauge_sign(seen, shifts) == sign
 
 
 def test_what_all_wheelsets_do_alike_belongs_to_the_track() -> None:
-    tables = {f"W{cone}": shift_of(fit(places(cone))) for cone in (0.05, 0.1, 0.16)}
-    left = without_common(tables)
+    tables = {f"W{cone}": gauge_shift_of(fit(contact_samples(cone))) for cone in (0.05, 0.1, 0.16)}
+    left = remove_common_shift(tables)
     middle = len(tables["W0.1"].difference) // 2
     at_zero = np.stack([one.shift[middle] for one in left.values()])
     np.testing.assert_allclose(at_zero.mean(axis=0), 0.0, atol=1e-12)
@@ -127,11 +131,11 @@ def test_what_all_wheelsets_do_alike_belongs_to_the_track() -> None:
 
 
 def test_places_that_the_model_does_not_reach_are_left_out() -> None:
-    seen = places(0.1)
-    misfit = np.where(np.arange(SAMPLES) % 3 == 0, 2 * STRAY, 0.0)
-    calm = replace(seen, misfit=misfit).calm()
-    np.testing.assert_array_equal(calm.displacement, seen.displacement[misfit == 0.0])
-    assert len(seen.calm(4).gauge) == SAMPLES / 4
+    seen = contact_samples(0.1)
+    misfit = np.where(np.arange(SAMPLES) % 3 == 0, 2 * INLIER_MISFIT, 0.0)
+    inliers = replace(seen, misfit=misfit).inliers()
+    np.testing.assert_array_equal(inliers.displacement, seen.displacement[misfit == 0.0])
+    assert len(seen.inliers(4).gauge) == SAMPLES / 4
 
 
 @given(R=st.floats(-8e-3, 8e-3), e=st.floats(-9e-3, 9e-3))

@@ -16,7 +16,7 @@ from estimation.errors import StorageError
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.track import FLEET, Findings, GaugeShift
+from estimation.values.track import FLEET, GaugeShift, TrackFindings
 from fleet_db.packed.alignment import pack_alignment, unpack_alignment
 from fleet_db.packed.bin_table import pack_bin_table, unpack_bin_table
 from fleet_db.packed.geometry import pack_geometry, unpack_geometry
@@ -106,7 +106,7 @@ def test_what_the_passes_of_a_section_found_comes_back_exactly(wheelsets: int) -
     shifts = {
         f"W{k}": GaugeShift((k + 1) * difference, gauge, np.outer(difference**k, gauge)) for k in range(wheelsets)
     }
-    found = Findings({"V1": 1.01, "V2": 0.93}, 0.004, shifts)
+    found = TrackFindings({"V1": 1.01, "V2": 0.93}, 0.004, shifts)
     alignment = replace(
         make.alignment(1), source=FLEET, cut_off=120.0, scale_std=0.01, gauge_known=False, findings=found
     )

@@ -10,12 +10,20 @@ import stored_values as make
 
 from estimation.errors import ConflictError
 from estimation.values.quantities import Status
-from estimation.values.track import FLEET, RECORDED, AlignmentRecord, Findings, GaugeShift, TrackAlignment, TrackReport
+from estimation.values.track import (
+    FLEET,
+    RECORDED,
+    AlignmentRecord,
+    GaugeShift,
+    TrackAlignment,
+    TrackFindings,
+    TrackReport,
+)
 from estimation.values.windows import WindowPosition, WindowState
 from fleet_db.packed.alignment import pack_alignment, unpack_alignment
 from fleet_db.storage import SqlStorage
 
-FOUND = Findings(
+FOUND = TrackFindings(
     {"V-1": 1.05}, 0.02, {"W-1": GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.ones((3, 2)))}
 )
 

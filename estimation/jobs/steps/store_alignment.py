@@ -14,7 +14,7 @@ from estimation.track.passes import Pass
 from estimation.track.screening.screen import PassStatus
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import Finding
-from estimation.track.versions import material
+from estimation.track.versions import requires_reestimation
 from estimation.values.json_value import JsonValue
 from estimation.values.track import Correction, TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.windows import WindowPosition, WindowRecord, WindowState
@@ -74,7 +74,7 @@ def _next_version(unit: UnitOfWork, epoch: Epoch, alignment: TrackAlignment, con
     now = unit.tracks.in_force(epoch.section.code)
     base = unit.tracks.alignment(epoch.section.code, now.same_since) if now is not None else None
     same_since = None
-    if base is not None and not material(base, alignment, context.setting(AlignmentSettings)):
+    if base is not None and not requires_reestimation(base, alignment, context.setting(AlignmentSettings)):
         same_since = base.version
     return unit.tracks.add_alignment(alignment, same_since=same_since, recorded_ns=context.clock.now_ns())
 
@@ -124,7 +124,7 @@ def _positions(
     against = {key: outcome for key, outcome in told if key not in journey_of}
     spoken = {key for key, outcome in against.items() if outcome.status is PassStatus.REFUSED}
     reasons = {**epoch.passes.refused, **{key: outcome.reason for key, outcome in against.items()}}
-    strays = {(one.vehicle, one.from_ns): one.reason for one in finding.estimate.report.journeys if not one.used}
+    outliers = {(one.vehicle, one.from_ns): one.reason for one in finding.estimate.report.journeys if not one.used}
     found = []
     for record in epoch.records:
         key = (record.wheelset, record.start_ns)
@@ -134,7 +134,7 @@ def _positions(
             believed = finding.trusted and key not in spoken
             found.append(plain if believed else replace(plain, reason=reasons[key]))
         elif finding.alignment is not None and key in journey_of:
-            found.append(_corrected(plain, journey_of[key], finding, strays, settings))
+            found.append(_corrected(plain, journey_of[key], finding, outliers, settings))
     return found
 
 
@@ -142,15 +142,15 @@ def _corrected(
     plain: WindowPosition,
     journey: Journey,
     finding: Finding,
-    strays: Mapping[Journey, str],
+    outliers: Mapping[Journey, str],
     settings: AlignmentSettings,
 ) -> WindowPosition:
     correction = finding.estimate.corrections.get(journey)
     if finding.trusted:
         far = correction is not None and _largest(correction) > settings.trusted_offset
         return plain if correction is None or not far else _moved(plain, correction)
-    if journey in strays:
-        return replace(plain, reason=f"its position along the section is not certain: {strays[journey]}")
+    if journey in outliers:
+        return replace(plain, reason=f"its position along the section is not certain: {outliers[journey]}")
     if correction is None:
         return replace(plain, reason="its position along the section is not certain")
     return _moved(plain, correction)

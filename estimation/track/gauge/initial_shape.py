@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.filters.local_cubic import smoother, without_slow_part
-from estimation.track.gauge.least_squares_step import GaugePrior, gauge_step, with_effect
-from estimation.track.panel.basis import PanelParameters, columns, hat_functions, on_grid
+from estimation.track.gauge.least_squares_step import GaugePrior, gauge_step, with_gauge_effect
+from estimation.track.panel.basis import PanelParameters, basis_functions, columns, on_grid
 from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import PanelSolution, residual_of_passes, result
 from estimation.track.passes import Pass
@@ -29,7 +29,7 @@ TRIAL_LENGTH = 4000.0  # m
 LEAST_GAUGE = 0.3e-3  # m, std in the first trial: noise alone makes less, and as little would not matter
 
 
-def effect_from_residuals(
+def initial_gauge_effect(
     passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters, prior: GaugePrior
 ) -> FloatArray | None:
     """Return h1 (w, gauge_hats), m for ``panel.gauge_unit`` of gauge, of a panel solved without gauge.
@@ -51,7 +51,7 @@ def _leading(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the two leading vectors over (w, knots of R >= 0), and how many samples each knot has."""
     weights = smoother(panel.cut_off, panel.step)
-    knots = panel.gauge_knots[panel.gauge_hats // 2 :]
+    knots = panel.gauge_knots[panel.gauge_basis_count // 2 :]
     k, w = len(knots), len(solution.wheelsets)
     sums, own, count = np.zeros((panel.points, w * k)), np.zeros((w * k, w * k)), np.zeros(w * k)
     for item in passes:
@@ -65,7 +65,7 @@ def _leading(
         met = np.isfinite(residual)
         residual = item.side * np.clip(np.where(met, residual, 0.0), -CLIPPED, CLIPPED)
         R = felt.difference[felt.inside]
-        hats = hat_functions(np.minimum(np.abs(R), panel.reach), knots) * met
+        hats = basis_functions(np.minimum(np.abs(R), panel.reach), knots) * met
         felt_there = panel.weight_of(item.wheelset) * hats * np.sign(R) * residual
         mine = slice(number * k, (number + 1) * k)
         sums[at, mine] += item.side * felt_there.T
@@ -95,7 +95,7 @@ def _tried(
     met = [wheelsets.index(name) for name in start.wheelsets]
     tried: list[float] = []
     for effect in candidates:
-        gauge = gauge_step(part, with_effect(start, effect[met], zero), zero, prior)
+        gauge = gauge_step(part, with_gauge_effect(start, effect[met], zero), zero, prior)
         if not tried and gauge.std() < LEAST_GAUGE:
             return None
         given = replace(small, gauge=gauge)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.filters.local_cubic import smoother, without_slow_part
-from estimation.track.panel.basis import OnGrid, PanelParameters, columns, gauge_at, hat_functions, on_grid
+from estimation.track.panel.basis import OnGrid, PanelParameters, basis_functions, columns, gauge_at, on_grid
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.passes import Pass
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
@@ -48,7 +48,7 @@ class _Seen:
     root: float  # of the weight of the pass
 
 
-def with_effect(solution: PanelSolution, effect: FloatArray, panel: PanelParameters) -> PanelSolution:
+def with_gauge_effect(solution: PanelSolution, effect: FloatArray, panel: PanelParameters) -> PanelSolution:
     """Return a solution without gauge with h1 (w, gauge_hats), m for ``panel.gauge_unit`` of gauge, put in."""
     h0, elastic = solution.curves[:, :, : panel.hats], solution.curves[:, :, -1:]
     h1 = np.broadcast_to(effect, (len(h0), *effect.shape))
@@ -101,8 +101,8 @@ def _seen(item: Pass, solution: PanelSolution, panel: PanelParameters, weights: 
 
 def _slope(felt: OnGrid, curve: FloatArray, panel: PanelParameters) -> FloatArray:
     """Return dh/de (m,) = h1 + 2 e h2."""
-    k, k1 = panel.hats, panel.gauge_hats
-    coarse = hat_functions(np.clip(felt.difference, -panel.reach, panel.reach), panel.gauge_knots)
+    k, k1 = panel.hats, panel.gauge_basis_count
+    coarse = basis_functions(np.clip(felt.difference, -panel.reach, panel.reach), panel.gauge_knots)
     e = gauge_at(felt.points, panel) / panel.gauge_unit
     return np.asarray((curve[k : k + k1] @ coarse + 2 * e * (curve[k + k1 : k + 2 * k1] @ coarse)) / panel.gauge_unit)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from estimation.filters.local_cubic import smoother, without_slow_part
 from estimation.track.gauge.least_squares_step import FEWEST_PASSES
-from estimation.track.panel.basis import PanelParameters, gauge_at, hat_functions, on_grid
+from estimation.track.panel.basis import PanelParameters, basis_functions, gauge_at, on_grid
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.passes import Pass
 from estimation.values.arrays import FloatArray, IntArray
@@ -39,7 +39,7 @@ class SearchParameters:
         return np.asarray(np.arange(-count, count + 1) * self.step, dtype=np.float64)
 
 
-def searched(
+def search_gauge(
     passes: Sequence[Pass],
     solution: PanelSolution,
     panel: PanelParameters,
@@ -89,7 +89,7 @@ def _placed(
         return None
     curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
     R = np.clip(felt.difference, -panel.reach, panel.reach)
-    nominal = item.side * (curve[: panel.hats] @ hat_functions(R, panel.knots) + curve[-1] * felt.elastic)
+    nominal = item.side * (curve[: panel.hats] @ basis_functions(R, panel.knots) + curve[-1] * felt.elastic)
     shift = item.side * shifts[item.wheelset].at(felt.difference, gauge_at(felt.points, panel))
     weights = smoother(panel.cut_off, panel.step)
     whole = nominal + shift

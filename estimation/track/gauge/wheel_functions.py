@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from estimation.filters.local_cubic import smoother, without_slow_part
-from estimation.track.panel.basis import PanelParameters, columns, gauge_at, hat_functions, on_grid
+from estimation.track.panel.basis import PanelParameters, basis_functions, columns, gauge_at, on_grid
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.passes import Pass
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array
@@ -24,7 +24,7 @@ from estimation.values.track import GaugeShift
 KNOT_STEP = 0.125e-3  # m
 KNOTS: FloatArray = np.asarray(np.arange(-80, 81) * KNOT_STEP, dtype=np.float64)  # m
 ROUGHNESS = 1e-5  # relative to the data
-STRAY = 0.5e-3  # m of misfit: further off lie impacts and what the filter makes of them
+INLIER_MISFIT = 0.5e-3  # m of misfit: further off lie impacts and what the filter makes of them
 DIFFERENCES = np.linspace(-6e-3, 6e-3, 161)  # m
 GAUGES: FloatArray = np.asarray(np.arange(-32, 33) * 0.25e-3, dtype=np.float64)  # m
 REACH = np.arange(-440, 441) * 25e-6  # m of x in which R is looked for
@@ -55,7 +55,7 @@ class WheelFunctions:
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
+class ContactSamples:
     """Where one wheelset sat: x = y - d whole, how far from the model, R, and the gauge deviation (n,), m."""
 
     displacement: FloatArray
@@ -63,13 +63,15 @@ class Places:
     difference: FloatArray
     gauge: FloatArray
 
-    def calm(self, every: int = 1) -> Places:
+    def inliers(self, every: int = 1) -> ContactSamples:
         """Return every so many of those that the model reaches."""
-        near = np.flatnonzero(np.abs(self.misfit) < STRAY)[::every]
-        return Places(self.displacement[near], self.misfit[near], self.difference[near], self.gauge[near])
+        near = np.flatnonzero(np.abs(self.misfit) < INLIER_MISFIT)[::every]
+        return ContactSamples(self.displacement[near], self.misfit[near], self.difference[near], self.gauge[near])
 
 
-def places(passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters) -> dict[str, Places]:
+def contact_samples(
+    passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters
+) -> dict[str, ContactSamples]:
     """Return the places of every wheelset, seen from itself; what the filter takes from y - d is put back from h(R, e).
 
     Parameters
@@ -92,10 +94,10 @@ def places(passes: Sequence[Pass], solution: PanelSolution, panel: PanelParamete
         met: BoolArray = np.isfinite(misfit) & (np.abs(felt.difference) < panel.reach)
         rows = np.stack([model + misfit, misfit, felt.difference, gauge_at(felt.points, panel)])
         found.setdefault(item.wheelset, []).append(rows[:, met])
-    return {name: Places(*np.concatenate(rows, axis=1)) for name, rows in found.items()}
+    return {name: ContactSamples(*np.concatenate(rows, axis=1)) for name, rows in found.items()}
 
 
-def fit(seen: Places, factor: float = 1.0) -> WheelFunctions:
+def fit(seen: ContactSamples, factor: float = 1.0) -> WheelFunctions:
     """Return the functions of the wheels of one wheelset, gauge deviations taken ``factor`` times."""
     x, half = seen.displacement, 0.5 * factor * seen.gauge
     B = sparse.hstack([_hats(x - half, KNOTS), -_hats(-x - half, KNOTS)]).tocsr()
@@ -109,7 +111,7 @@ def fit(seen: Places, factor: float = 1.0) -> WheelFunctions:
     return WheelFunctions(KNOTS, both[:k], both[k:])
 
 
-def shift_of(wheels: WheelFunctions) -> GaugeShift:
+def gauge_shift_of(wheels: WheelFunctions) -> GaugeShift:
     """Return where a gauge deviation puts a wheelset with ``wheels``: R(x, e) solved for x, less that at e = 0."""
     x, e = np.meshgrid(REACH, GAUGES, indexing="ij")
     R = wheels.difference(x, e)
@@ -121,19 +123,19 @@ def shift_of(wheels: WheelFunctions) -> GaugeShift:
     return GaugeShift(DIFFERENCES, GAUGES, at - at[:, [len(GAUGES) // 2]])
 
 
-def without_common(shifts: Mapping[str, GaugeShift]) -> dict[str, GaugeShift]:
+def remove_common_shift(shifts: Mapping[str, GaugeShift]) -> dict[str, GaugeShift]:
     """Return the shifts less their mean at R = 0: a shift of all wheelsets alike cannot be told from the track."""
     mean = np.mean([one.shift[len(DIFFERENCES) // 2] for one in shifts.values()], axis=0)
     return {name: replace(one, shift=one.shift - mean) for name, one in shifts.items()}
 
 
-def whole_shifts(solution: PanelSolution, panel: PanelParameters) -> dict[str, GaugeShift]:
+def total_gauge_shifts(solution: PanelSolution, panel: PanelParameters) -> dict[str, GaugeShift]:
     """Return all that the gauge does: what the panel knew beforehand, and h1 and h2 on top, as far as e was met."""
     assert panel.gauge is not None
-    k, k1 = panel.hats, panel.gauge_hats
+    k, k1 = panel.hats, panel.gauge_basis_count
     met = float(np.abs(panel.gauge).max())
     e = np.clip(GAUGES, -met, met) / panel.gauge_unit
-    hats = hat_functions(np.clip(DIFFERENCES, -panel.reach, panel.reach), panel.gauge_knots)
+    hats = basis_functions(np.clip(DIFFERENCES, -panel.reach, panel.reach), panel.gauge_knots)
     found = {}
     for name, curve in zip(solution.wheelsets, solution.curves[0], strict=True):
         shift = np.outer(curve[k : k + k1] @ hats, e) + np.outer(curve[k + k1 : k + 2 * k1] @ hats, e * e)
@@ -142,12 +144,12 @@ def whole_shifts(solution: PanelSolution, panel: PanelParameters) -> dict[str, G
     return found
 
 
-def gauge_factor(seen: Mapping[str, Places]) -> float:
+def gauge_factor(seen: Mapping[str, ContactSamples]) -> float:
     """Return what estimated gauge deviations are to be multiplied with: wheels that fit best tell the size.
 
     h1 and e have a common factor that the panel leaves open, a wheel does not.
     """
-    some = [one.calm(2) for _, one in sorted(seen.items())][:: max(len(seen) // MOST_WHEELSETS, 1)][:MOST_WHEELSETS]
+    some = [one.inliers(2) for _, one in sorted(seen.items())][:: max(len(seen) // MOST_WHEELSETS, 1)][:MOST_WHEELSETS]
     misfits = [sum(_misfit(one, factor) for one in some) for factor in FACTORS]
     best = min(max(int(np.argmin(misfits)), 1), len(FACTORS) - 2)
     near = slice(best - 1, best + 2)
@@ -157,7 +159,7 @@ def gauge_factor(seen: Mapping[str, Places]) -> float:
     return float(np.clip(np.exp(-slope / (2 * bend)), FACTORS[best - 1], FACTORS[best + 1]))
 
 
-def gauge_sign(seen: Mapping[str, Places], shifts: Mapping[str, GaugeShift]) -> int:
+def gauge_sign(seen: Mapping[str, ContactSamples], shifts: Mapping[str, GaugeShift]) -> int:
     """Return the sign that estimated gauge deviations are to be multiplied with.
 
     It is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is taken from
@@ -166,9 +168,9 @@ def gauge_sign(seen: Mapping[str, Places], shifts: Mapping[str, GaugeShift]) -> 
     return 1 if sum(_outwards(one, shifts[name]) for name, one in seen.items()) >= 0 else -1
 
 
-def _misfit(seen: Places, factor: float) -> float:
+def _misfit(seen: ContactSamples, factor: float) -> float:
     """Return the mean square of x less the shift, m2, around its curve over R: straight between knots."""
-    shift = shift_of(fit(seen, factor))
+    shift = gauge_shift_of(fit(seen, factor))
     x = seen.displacement - shift.at(seen.difference, factor * seen.gauge)
     B = _hats(seen.difference, CURVE_KNOTS)
     curve = spsolve((B.T @ B + 1e-6 * sparse.eye(len(CURVE_KNOTS))).tocsc(), B.T @ x)
@@ -185,7 +187,7 @@ def _hats(u: FloatArray, knots: FloatArray) -> sparse.csr_matrix:
     return sparse.csr_matrix((values, (np.concatenate([row, row]), at)), shape=(len(u), len(knots)))
 
 
-def _outwards(seen: Places, shift: GaugeShift) -> float:
+def _outwards(seen: ContactSamples, shift: GaugeShift) -> float:
     """Return by how much a millimetre of gauge moves a wheelset outwards, where it is far from the centre."""
     R = seen.difference[np.abs(seen.difference) >= np.quantile(np.abs(seen.difference), FAR)]
     wide, narrow = (shift.at(R, np.full(len(R), gauge)) for gauge in (0.5e-3, -0.5e-3))

@@ -28,7 +28,7 @@ class PanelParameters:
     impact: float = 6.0e-3  # m of R; beyond lie flange impacts, hunting and clipped sensors: what is near is left out
     hats: int = 41
     gauge: FloatArray | None = field(default=None, compare=False)  # (points,) m, deviation; None: none is modelled
-    gauge_hats: int = 15
+    gauge_basis_count: int = 15
     shifts: Mapping[str, GaugeShift] | None = field(default=None, compare=False)  # of wheelsets, as far as known
     measured: Mapping[str, MeasuredCurve] | None = field(default=None, compare=False)  # of wheelsets, as far as known
     weights: Mapping[str, float] | None = field(default=None, compare=False)  # of a pass, by wheelset; 1 unless told
@@ -56,12 +56,12 @@ class PanelParameters:
     @property
     def gauge_knots(self) -> FloatArray:
         """Knots (gauge_hats,) of R, m, of h1 and h2."""
-        return _knots(self.reach, self.gauge_hats)
+        return _knots(self.reach, self.gauge_basis_count)
 
     @property
     def columns(self) -> int:
         """Unknowns per wheelset: h0, then h1 and h2 where gauge is modelled, then the elastic part."""
-        return self.hats + (0 if self.gauge is None else 2 * self.gauge_hats) + 1
+        return self.hats + (0 if self.gauge is None else 2 * self.gauge_basis_count) + 1
 
     def weight_of(self, wheelset: str) -> float:
         """Return how much a pass of this wheelset counts."""
@@ -96,7 +96,7 @@ def filtered(
     return felt.points[felt.inside], item.side * B, y, item.side * R
 
 
-def unexplained(item: Pass, curve: FloatArray, parameters: PanelParameters) -> tuple[IntArray, FloatArray] | None:
+def pass_residual(item: Pass, curve: FloatArray, parameters: PanelParameters) -> tuple[IntArray, FloatArray] | None:
     """Return grid points (m,) and the filtered y - h(R) (m,) of a pass, m; None where it is too short.
 
     Parameters
@@ -161,9 +161,9 @@ def _shift(item: Pass, points: IntArray, R: FloatArray, parameters: PanelParamet
 def columns(felt: OnGrid, parameters: PanelParameters) -> FloatArray:
     """Return the functions (k, m) of a pass that its displacement is a sum of, before the filter."""
     R = np.clip(felt.difference, -parameters.reach, parameters.reach)
-    rows = [hat_functions(R, parameters.knots)]
+    rows = [basis_functions(R, parameters.knots)]
     if parameters.gauge is not None:
-        coarse = hat_functions(R, parameters.gauge_knots)
+        coarse = basis_functions(R, parameters.gauge_knots)
         e = gauge_at(felt.points, parameters) / parameters.gauge_unit
         rows += [coarse * e, coarse * e**2]
     return np.concatenate([*rows, felt.elastic[None, :]])
@@ -176,7 +176,7 @@ def gauge_at(points: IntArray, parameters: PanelParameters) -> FloatArray:
     return np.where(on, parameters.gauge[np.clip(points, 0, parameters.points - 1)], 0.0)
 
 
-def hat_functions(R: FloatArray, knots: FloatArray) -> FloatArray:
+def basis_functions(R: FloatArray, knots: FloatArray) -> FloatArray:
     """Return the values (k, n) of the piecewise linear functions of R; beyond the outer knots they go on straight."""
     cell = np.clip(np.searchsorted(knots, R) - 1, 0, len(knots) - 2)
     share = (R - knots[cell]) / (knots[cell + 1] - knots[cell])

@@ -19,7 +19,7 @@ from estimation.values.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class LongAlignment:
+class LongWaveAlignment:
     """Mean of y - h(R) over the passes, high-passed at ``cut_off`` only."""
 
     cut_off: float  # m
@@ -28,9 +28,9 @@ class LongAlignment:
     passes: FloatArray  # (n,) sum of their weights
 
 
-def long_alignment(
+def long_wave_alignment(
     passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters, cut_off: float
-) -> LongAlignment:
+) -> LongWaveAlignment:
     """Return the alignment from ``passes`` with the curves of ``solution``."""
     weights = smoother(cut_off, panel.step)
     total, square, count = np.zeros((3, panel.points))
@@ -50,4 +50,4 @@ def long_alignment(
     mean = total / shared
     several = count > 1
     spread = (square - count * mean**2)[several].sum() / max(float((count - 1)[several].sum()), 1.0)
-    return LongAlignment(cut_off, mean, float(np.sqrt(max(spread, 0.0))), count)
+    return LongWaveAlignment(cut_off, mean, float(np.sqrt(max(spread, 0.0))), count)

@@ -43,7 +43,7 @@ class PanelState:
     passes: FloatArray  # (n,) sum of their weights
     difference: FloatArray  # (2, n) sums of the filtered R and of its square
     met: IntArray  # (n,) passes, whatever they weigh
-    lies: bool = False  # evidence of how the place lies is among the sums
+    has_alignment: bool = False  # evidence of how the place lies is among the sums
 
 
 def init(parameters: PanelParameters) -> PanelState:

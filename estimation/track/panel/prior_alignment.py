@@ -15,7 +15,7 @@ from estimation.values.track import TrackAlignment
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class PriorAlignment:
     """Evidence on the grid: filtered alignment (n,), zero where there is none, and its std (n,), inf there."""
 
     alignment: FloatArray
@@ -26,12 +26,12 @@ class Evidence:
     gauge_known: bool
 
     @property
-    def lies(self) -> bool:
+    def has_alignment(self) -> bool:
         """Whether it says of any place how that lies; it may speak of the gauge alone."""
         return bool(np.isfinite(self.std).any())
 
 
-def on_grid(evidence: TrackAlignment, panel: PanelParameters, cut_off: float) -> Evidence:
+def prior_on_grid(evidence: TrackAlignment, panel: PanelParameters, cut_off: float) -> PriorAlignment:
     """Return ``evidence`` on the grid of the panel, high-passed at ``cut_off`` (m) if it has not been there."""
     grid = np.arange(panel.points) * panel.step
     certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
@@ -43,7 +43,7 @@ def on_grid(evidence: TrackAlignment, panel: PanelParameters, cut_off: float) ->
         inside = trusted(np.asarray(inside), weights)
         d = without_slow_part(d, weights)
     passes = np.interp(grid, evidence.s, evidence.passes.astype(np.float64))
-    return Evidence(
+    return PriorAlignment(
         np.where(inside, d, 0.0),
         np.where(inside, std, np.inf),
         np.where(inside, np.rint(passes), 0.0),
@@ -53,7 +53,7 @@ def on_grid(evidence: TrackAlignment, panel: PanelParameters, cut_off: float) ->
     )
 
 
-def with_evidence(state: PanelState, known: Evidence, noise: float, most_weight: float) -> PanelState:
+def add_prior(state: PanelState, known: PriorAlignment, noise: float, most_weight: float) -> PanelState:
     """Return the sums with the evidence added, as heavy as its variance makes it against a pass's ``noise`` (m)."""
     with np.errstate(divide="ignore"):
         weight = np.minimum((noise / known.std) ** 2, most_weight)
@@ -66,11 +66,11 @@ def with_evidence(state: PanelState, known: Evidence, noise: float, most_weight:
         displacement=state.displacement + weight * d,
         passes=state.passes + weight,
         square=square,
-        lies=known.lies,
+        has_alignment=known.has_alignment,
     )
 
 
-def fleet_step(state: PanelState, solution: PanelSolution, known: Evidence) -> float | None:
+def fleet_step(state: PanelState, solution: PanelSolution, known: PriorAlignment) -> float | None:
     """Return by how much the fleet as a whole is to be moved to lie on the evidence, m; None where they do not meet.
 
     Journeys move towards the alignment of all, most of which they have made themselves: as a whole they would come

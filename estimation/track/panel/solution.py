@@ -70,7 +70,7 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
         normal[g] = linalg.block_diag(*state.gram[g]) - root @ root.T
         right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[mine]).astype(np.float32)
     reason = _too_little(state)
-    held = bool(reason) and not state.lies and bool(enough.any()) and bool(_measured(state))
+    held = bool(reason) and not state.has_alignment and bool(enough.any()) and bool(_measured(state))
     curves = _curves(normal, right, state, held=held, std=std)
     alignments = (state.displacement - _by_curves(curves, state)) * share
     residual = _residual_rms(state, curves[0], normal, right)
@@ -127,7 +127,7 @@ def _prior(scale: float, p: PanelParameters) -> FloatArray:
     """Return the normal matrix (c, c) of what is known of one wheelset's columns beforehand."""
     blocks = [scale * (_rough(p.hats, p.roughness) + 1e-6 * np.ones((p.hats, p.hats)) / p.hats)]
     if p.gauge is not None:
-        k = p.gauge_hats
+        k = p.gauge_basis_count
         blocks += [scale * (_rough(k, 3 * p.roughness) + GAUGE_RIDGE * np.eye(k))] * 2
     return linalg.block_diag(*blocks, np.full((1, 1), ELASTIC_PRIOR))
 
@@ -164,8 +164,8 @@ def _no_common_shift(w: int, p: PanelParameters, strength: float) -> FloatArray:
     """
     if p.gauge is None:
         return np.zeros((w * p.columns, w * p.columns))
-    middle = p.hats + p.gauge_hats // 2
-    first, second = (np.tile(np.eye(p.columns)[at], w) / w for at in (middle, middle + p.gauge_hats))
+    middle = p.hats + p.gauge_basis_count // 2
+    first, second = (np.tile(np.eye(p.columns)[at], w) / w for at in (middle, middle + p.gauge_basis_count))
     return np.asarray(strength * (np.outer(first, first) + np.outer(second, second)))
 
 

@@ -31,7 +31,7 @@ class Ratio:
     std: float = PRIOR_STD
 
 
-def adjusted(passes: Sequence[Pass], ratios: Mapping[str, Ratio]) -> list[Pass]:
+def apply_ratios(passes: Sequence[Pass], ratios: Mapping[str, Ratio]) -> list[Pass]:
     """Return the passes with the elastic part of R as large as the ratio of their vehicle makes it."""
     found = []
     for item in passes:
@@ -43,7 +43,7 @@ def adjusted(passes: Sequence[Pass], ratios: Mapping[str, Ratio]) -> list[Pass]:
     return found
 
 
-def refined(
+def refine_ratios(
     ratios: Mapping[str, Ratio], passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters
 ) -> dict[str, Ratio]:
     """Return the ratios after one Gauss-Newton step from the solution of the adjusted passes.
@@ -81,7 +81,7 @@ def certain(
     ratios: Mapping[str, Ratio], passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters
 ) -> dict[str, Ratio]:
     """Return the ratios with which ``passes`` were adjusted, each with its std from the groups of ``solution``."""
-    found = refined(ratios, passes, solution, panel)
+    found = refine_ratios(ratios, passes, solution, panel)
     return {
         vehicle: replace(ratios.get(vehicle, Ratio()), std=float(np.hypot(one.std, SYSTEMATIC_STD)))
         for vehicle, one in found.items()

@@ -180,8 +180,8 @@ def _at_lag(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> 
     if samples < LEAST_SAMPLES:
         return NOTHING
     wilks = -(samples - 0.5 * (p + q + 3)) * float(np.log1p(-squared).sum())
-    searched = max(2 * reach * step / memory, 1.0)
-    chance = float(chi2.logsf(wilks, p * q)) / np.log(10.0) + np.log10(searched)
+    search_gauge = max(2 * reach * step / memory, 1.0)
+    chance = float(chi2.logsf(wilks, p * q)) / np.log(10.0) + np.log10(search_gauge)
     coefficients = _inverse(all_of[1:, 1:]) @ all_of[1:, 0]  # of y on R and on the other's signals
     return Agreement(float(np.sqrt(squared.max())), min(chance, 0.0), lag * step, float(coefficients[p - 1]), samples)
 
