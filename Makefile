@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test check lint bench bench-estimation clean
+.PHONY: demo test check lint bench bench-estimation mutants clean
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	@echo "building the virtual environment in $(VENV) (about a minute)"
@@ -36,6 +36,9 @@ bench-estimation: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m bench $(ARGS)
+
+mutants: $(VENV)/.dev
+	$(BIN)/python -m bench mutants $(ARGS)
 
 clean:
 	rm -rf $(VENV) build *.egg-info treadwatch-data

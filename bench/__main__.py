@@ -1,4 +1,4 @@
-"""Run the benchmarks and print one table: ``python -m bench [name ...]``; ``section`` has options of its own."""
+"""Run the benchmarks and print one table: ``python -m bench [name ...]``; some have options of their own."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from rich.table import Table
 from bench.report import BenchRow
 
 NAMES = ("contact", "estimation", "recursion", "decoding", "simulator")
+WITH_OPTIONS = ("section", "mutants")
 LONG = ("signals", "curves")  # of many minutes, run where they are named
 
 
 def main() -> int:
     """Run what was asked for, or all; return 1 when a row falls short."""
-    if sys.argv[1:2] == ["section"]:
-        return int(import_module("bench.section").main(sys.argv[2:]))
+    if len(sys.argv) > 1 and sys.argv[1] in WITH_OPTIONS:
+        return int(import_module(f"bench.{sys.argv[1]}").main(sys.argv[2:]))
     wanted = _names() or NAMES
     console = Console()
     table = Table("what", "measured", "reach", "met", title="treadwatch bench", title_justify="left", show_lines=True)
@@ -44,7 +45,8 @@ def _names() -> list[str]:
         nargs="*",
         type=_name,
         metavar="name",
-        help=f"default: {', '.join(NAMES)}; of many minutes: {', '.join(LONG)}; 'section --help' tells of another",
+        help=f"default: {', '.join(NAMES)}; of many minutes: {', '.join(LONG)};"
+        f" with options of their own: {', '.join(WITH_OPTIONS)}",
     )
     names: list[str] = parser.parse_args().name
     return names
