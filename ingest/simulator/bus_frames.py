@@ -129,7 +129,7 @@ def _wheelset_node(
 ) -> Iterator[FrameBatch]:
     wheelset, node = run.vehicle.wheelsets[axle], axle + 1
     dead = failed(wheelset, run.campaign)
-    if dead and wheelset.fault is not None and wheelset.fault.kind is FaultKind.SILENT:
+    if dead and wheelset.fault is not None and wheelset.fault.kind is FaultKind.NO_TRANSMISSION:
         return
     every = np.arange(len(ticks.t_ns))
     plan = catalogue.find(kinds.ACCELERATION, node)

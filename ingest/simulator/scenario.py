@@ -18,8 +18,8 @@ SECOND_NS = 1_000_000_000
 class FaultKind(StrEnum):
     """How a sensor node fails."""
 
-    DEAD = "dead"  # its signals say "not available", its self-test fails, an emergency is sent
-    SILENT = "silent"  # no frame of the node any more
+    SENSOR_FAULT = "sensor_fault"  # its signals are "not available", its self-test fails, an emergency is sent
+    NO_TRANSMISSION = "no_transmission"  # no frame of the node any more
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,8 @@ from pathlib import Path
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.errors import ProfileError, ScenarioError
 from ingest.simulator.motion import MINIMUM_SPEED
-from ingest.simulator.scenario_file import sensor_node
 from ingest.simulator.section_scenario import ProfilePair, SectionScenario, VehicleErrors
-from ingest.simulator.toml_table import TomlTable, key_lines
+from ingest.simulator.toml_table import TomlTable, key_lines, sensor_node
 
 MM = 1e-3
 PERCENT = 1e-2

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from estimation.errors import ScenarioError
+from ingest.simulator.sensors import FULL_RATE_HZ, Channel, SensorNode, ideal_node
 
 Path_ = tuple[str | int, ...]
 _HEADER = re.compile(r"^\s*(\[\[|\[)\s*([A-Za-z0-9_.\-]+)\s*\]")
@@ -181,3 +182,40 @@ def dotted(place: Path_) -> str:
     for part in place:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
     return text
+
+
+MICRO_G = 9.80665e-6
+
+
+def sensor_node(table: TomlTable) -> SensorNode:
+    """Return the sensor node that a ``sensors`` table describes."""
+    kind = table.text("kind", "mems")
+    rate = table.integer("rate_hz", 250, low=1, high=FULL_RATE_HZ)
+    if FULL_RATE_HZ % rate:
+        raise table.fail(f"{rate} Hz does not divide {FULL_RATE_HZ} Hz", "rate_hz")
+    if kind == "ideal":
+        table.end()
+        return ideal_node(rate)
+    if kind != "mems":
+        raise table.fail(f"{kind!r} is neither 'mems' nor 'ideal'", "kind")
+    linear = Channel(
+        noise_density=MICRO_G * table.number("lateral_noise_ug_per_root_hz", 100.0),
+        offset=1e3 * MICRO_G * table.number("lateral_offset_mg", 20.0),
+        drift=MICRO_G * table.number("lateral_drift_ug_per_root_s", 20.0),
+        limit=1e6 * MICRO_G * table.number("lateral_limit_g", 50.0, above=True),
+    )
+    mass = Channel(
+        noise_density=MICRO_G * table.number("mass_noise_ug_per_root_hz", 100.0),
+        offset=1e3 * MICRO_G * table.number("mass_offset_mg", 10.0),
+        drift=MICRO_G * table.number("mass_drift_ug_per_root_s", 20.0),
+        limit=1e6 * MICRO_G * table.number("mass_limit_g", 2.0, above=True),
+    )
+    angular = Channel(
+        noise_density=table.number("angular_noise_rad_s2_per_root_hz", 2e-3),
+        offset=table.number("angular_offset_rad_s2", 0.05),
+        drift=table.number("angular_drift_rad_s2_per_root_s", 2e-4),
+        limit=table.number("angular_limit_rad_s2", 100.0, above=True),
+    )
+    filtered = table.flag("anti_alias", default=True)
+    table.end()
+    return SensorNode(linear, angular, angular, mass, rate_hz=rate, anti_alias=filtered)

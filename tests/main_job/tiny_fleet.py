@@ -79,7 +79,7 @@ initial_wear_mm = 2.4
 initial_mileage_km = 250000.0
 
 [vehicles.wheelsets.fault]
-kind = "dead"
+kind = "sensor_fault"
 from_campaign = 3
 """
 WINDOW_S = 30.0

@@ -31,7 +31,7 @@ def test_a_scenario_is_si_inside(tmp_path: Path) -> None:
     assert first.rate_left == first.rate_right == pytest.approx(1e-3 / 1e8)
     assert (second.rate_left, second.rate_right) == (pytest.approx(0.5e-11), pytest.approx(0.1e-11))
     assert third.fault is not None
-    assert third.fault.kind is FaultKind.SILENT
+    assert third.fault.kind is FaultKind.NO_TRANSMISSION
     assert scenario.section.inclination == pytest.approx(0.05)
     assert scenario.sessions.duration == pytest.approx(12.0)
     assert scenario.sensors.lateral.noise_density == pytest.approx(100e-6 * 9.80665)
@@ -68,14 +68,14 @@ BAD = [
     ('kind = "mems"', 'kind = "magic"', "sensors.kind", "neither"),
     ('kind = "mems"', 'kind = "mems"\nrate_hz = 300', "sensors.rate_hz", "divide"),
     ('kind = "mems"', 'kind = "ideal"\nlateral_limit_g = 4', "sensors.lateral_limit_g", "unknown"),
-    ('kind = "dead"', 'kind = "asleep"', "vehicles[0].wheelsets[1].fault.kind", "none of"),
+    ('kind = "sensor_fault"', 'kind = "asleep"', "vehicles[0].wheelsets[1].fault.kind", "none of"),
     ("from_campaign = 1", "from_campaign = 9", "vehicles[0].wheelsets[2].fault.from_campaign", "outside"),
     ('serial = "C"', 'serial = "A"', "vehicles", "'A' occurs twice"),
     ('serial = "C"', 'serial = "C"\nwheel_profile = "P9"', "vehicles[0].wheelsets[2].wheel_profile", "P9"),
     ('code = "S-9"', 'code = "S-9"\nrail_profile = "X"', "section.rail_profile", "'X'"),
     ("axle_offsets_m = [2.0, 4.5, 12.0]", "axle_offsets_m = [2.0, 4.5]", "vehicles[0].axle_offsets_m", "3 wheelsets"),
     ("axle_offsets_m = [2.0, 4.5, 12.0]", "axle_offsets_m = [2, 1, 3]", "vehicles[0].axle_offsets_m", "increase"),
-    ("axle_offsets_m = [2.0, 4.5, 12.0]", 'axle_offsets_m = [2, "a", 3]', "vehicles[0].axle_offsets_m", "number"),
+    ("axle_offsets_m = [2.0, 4.5, 12.0]", 'axle_offsets_m = [2, "a", 3]', "vehicles[0].axle_offsets_m[1]", "number"),
     ('name = "Small fleet"', 'name = ""', "fleet.name", "empty"),
 ]
 

@@ -58,13 +58,13 @@ initial_wear_mm = 0.4
 initial_mileage_km = 80000.0
 
 [vehicles.wheelsets.fault]
-kind = "dead"
+kind = "sensor_fault"
 from_campaign = 2
 
 [[vehicles.wheelsets]]
 serial = "C"
 
 [vehicles.wheelsets.fault]
-kind = "silent"
+kind = "no_transmission"
 from_campaign = 1
 """

@@ -1,0 +1,62 @@
+"""The documents name every key, and give an example that works."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from pydantic import BaseModel
+
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from ingest.simulator.scenario_file import ScenarioTable
+
+DOCS = Path(__file__).parents[3] / "docs"
+INGEST = Path(__file__).parents[3] / "ingest"
+
+
+def keys_of(model: type[BaseModel]) -> set[str]:
+    """Return every key of a schema and of the tables within."""
+    keys: set[str] = set()
+    for name, item in model.model_fields.items():
+        keys.add(item.alias or name)
+        if (inner := model_in(item.annotation)) is not None:
+            keys |= keys_of(inner)
+    return keys
+
+
+def model_in(annotation: object) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for item in get_args(annotation) if (found := model_in(item))), None)
+
+
+def undocumented(keys: set[str], document: str) -> set[str]:
+    assert len(keys) > 20
+    text = (DOCS / document).read_text()
+    return {key for key in keys if not re.search(rf"[`.\[\"*]{key}[`\].\"*]", text)}
+
+
+def test_every_key_of_a_schema_is_documented() -> None:
+    assert undocumented(keys_of(ScenarioTable), "scenarios.md") == set()
+
+
+@pytest.mark.parametrize(
+    ("source", "document"),
+    [
+        ("simulator/section_file.py", "compare.md"),
+        ("registry_file.py", "registry.md"),
+    ],
+)
+def test_every_key_is_documented(source: str, document: str) -> None:
+    asked = r"\.(?:text|integer|number|flag|numbers|moment_ns|optional_moment_ns|table|tables|objects|optional_object)"
+    keys = set(re.findall(asked + r'\(\s*"(\w+)"', (INGEST / source).read_text()))
+    assert undocumented(keys, document) == set()
+
+
+def test_parameters_of_the_dynamics_are_documented() -> None:
+
+    text = (DOCS / "scenarios.md").read_text()
+    assert [item.name for item in fields(VehicleParameters) if f"`{item.name}`" not in text] == []
