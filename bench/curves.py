@@ -48,7 +48,7 @@ def _one(task: tuple[int, float]) -> tuple[float, float, tuple[bool, ...]]:
     cant = 2 * 0.7452 * 400.0 / (1e3 * radius_km) / 9.81 * BALANCED
     curves = (Curve(-500.0, 30_000.0, 1e3 * radius_km, cant, 100.0),) if np.isfinite(radius_km) else ()
     run = on_track(wheelset, "mixed", SEED, curves)
-    settings = EstimationSettings(signals=replace(SignalParameters(), most_lean=np.inf))
+    settings = EstimationSettings(signals=replace(SignalParameters(), max_cant_deficiency_change=np.inf))
     moved = (motion(window, run.track, settings.signals) for window in run.windows)
     tables = [bin_table.tabulate(item, settings.bins) for item in moved if not isinstance(item, Refusal)]
     found = estimate_geometry(bin_table.merge_all(tables, settings.bins), settings.bins, settings.geometry)

@@ -25,7 +25,7 @@ from scipy.signal import butter, sosfiltfilt
 from api.factory import open_store
 from api.settings import Settings
 from bench.decision_cases import UNIT, Case, estimated, merged, moved, received, score
-from estimation.filters.wander_removal import HighPass, without_slow_part
+from estimation.filters.wander_removal import HighPass, remove_wander
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
@@ -42,7 +42,7 @@ from ingest.simulator.scenario_file import load_scenario
 
 SEEDS = (15302, 1, 2)
 LENGTHS_S = (20.0, 60.0, 300.0)
-CUT_OFF = SignalParameters().longest_wavelength
+CUT_OFF = SignalParameters().cutoff_wavelength
 WELL_FILLED = 1000  # samples in a bin
 CREEP = ("longitudinal_creep_coefficient", "lateral_creep_coefficient", "lateral_spin_creep_coefficient")
 
@@ -85,7 +85,7 @@ def cut_offs(cases: Sequence[Case]) -> None:
     """Print what the cut-off wavelength does."""
     print("longest wavelength kept")
     for wavelength in (20.0, 30.0, 40.0, 60.0, 120.0):
-        signals = SignalParameters(longest_wavelength=wavelength)
+        signals = SignalParameters(cutoff_wavelength=wavelength)
         print(f"  {wavelength:g} m: {score(cases, estimated(cases, signals))}")
 
 
@@ -146,7 +146,7 @@ def projection(values: FloatArray, distance: FloatArray, _dt: float) -> FloatArr
 
 def _high_passed(values: FloatArray, distance: FloatArray, design: HighPass) -> FloatArray:
     known = np.ones(len(values), dtype=np.bool_)
-    return np.asarray(without_slow_part(values[None, :], distance, known, CUT_OFF, design)[0])
+    return np.asarray(remove_wander(values[None, :], distance, known, CUT_OFF, design)[0])
 
 
 def butterworth(values: FloatArray, distance: FloatArray, dt: float) -> FloatArray:

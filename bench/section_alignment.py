@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from estimation.filters.local_cubic import smoother, without_slow_part
-from estimation.motion.alignment_lookup import restored
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.motion.alignment_lookup import deconvolved
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackAlignment
 from ingest.simulator.section_run import SectionRun
@@ -39,19 +39,19 @@ def alignment_score(run: SectionRun, found: TrackAlignment) -> AlignmentScore:
     """Return the error of ``found``, its place and stretch as a whole fitted: nobody can tell these."""
     grid, step = found.s, float(found.s[1] - found.s[0])
     inner = (grid > ENDS) & (grid < grid[-1] - ENDS) & np.isfinite(found.alignment)
-    own = np.isfinite(found.cut_off)
-    weights = smoother(found.cut_off, step) if own else None
+    own = np.isfinite(found.cutoff_wavelength)
+    weights = local_cubic_kernel(found.cutoff_wavelength, step) if own else None
 
     def truth(s: FloatArray) -> FloatArray:
         return np.interp(s, run.track.s, run.track.alignment)
 
     def filtered(values: FloatArray) -> FloatArray:
-        return values if weights is None else without_slow_part(values, weights)
+        return values if weights is None else high_pass(values, weights)
 
     place = _fitted(run, found, inner, lambda s: filtered(truth(s)))
     error = (found.alignment - filtered(truth(place)))[inner]
     true_band = in_band(truth(place), step)
-    fullest = found.alignment if found.cut_off >= 2.0 * BAND[1] else restored(found)
+    fullest = found.alignment if found.cutoff_wavelength >= 2.0 * BAND[1] else deconvolved(found)
     known = np.isfinite(fullest)
     whole = np.interp(grid, grid[known], fullest[known])
     inside = np.abs(error - error.mean()) <= NORMAL * found.alignment_std[inner]

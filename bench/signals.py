@@ -13,10 +13,10 @@ from rich.table import Table
 
 from bench.report import BenchRow
 from bench.signal_cases import AMPLITUDES, COURSES, Run, simulate, wheelsets
-from estimation.filters.wander_removal import HighPass, without_slow_part
+from estimation.filters.wander_removal import HighPass, remove_wander
 from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.settings import EstimationSettings
-from estimation.motion.integration import distance_run, stretches
+from estimation.motion.integration import distance_run, segments
 from estimation.motion.parameters import Refusal, SignalParameters
 from estimation.motion.track_relative import motion
 from estimation.motion.usable_samples import usable_samples
@@ -29,11 +29,11 @@ from estimation.vehicle.regressors import regression
 SEEDS = (1, 2)
 SHIPPED = SignalParameters()
 DESIGNS: Mapping[str, SignalParameters] = {
-    "projection 60 m": replace(SHIPPED, design=HighPass.PROJECTION, longest_wavelength=60.0),
+    "projection 60 m": replace(SHIPPED, design=HighPass.PROJECTION, cutoff_wavelength=60.0),
     "projection 40 m": replace(SHIPPED, design=HighPass.PROJECTION),
-    "smoother 60 m": replace(SHIPPED, longest_wavelength=60.0),
+    "smoother 60 m": replace(SHIPPED, cutoff_wavelength=60.0),
     "smoother 40 m": SHIPPED,
-    "smoother 30 m": replace(SHIPPED, longest_wavelength=30.0),
+    "smoother 30 m": replace(SHIPPED, cutoff_wavelength=30.0),
 }
 IN_FORCE, EARLIER = "smoother 40 m", "projection 60 m"
 ALL = "all"
@@ -153,14 +153,14 @@ def _true(run: Run, number: int, parameters: SignalParameters) -> FloatArray:
     usable = usable_samples(window, everywhere, run.layout, parameters.least_speed_m_s, parameters.curve_limits).samples
     gap = round(parameters.modelled_gap_s / window.sample_interval_s)
     result = np.full(true.shape, np.nan)
-    for start, stop in stretches(usable, window, parameters, gap):
+    for start, stop in segments(usable, window, parameters, gap):
         part = slice(start, stop)
         distance = distance_run(window, usable[part], part)
-        result[:, part] = without_slow_part(
+        result[:, part] = remove_wander(
             true[:, part],
             distance,
             usable[part],
-            parameters.longest_wavelength,
+            parameters.cutoff_wavelength,
             parameters.design,
             parameters.bridged_samples,
         )

@@ -98,8 +98,8 @@ def ideal_motion(motion: WheelsetMotion) -> Motion:
         yaw_acceleration=motion.yaw_acceleration,
         roll=motion.roll,
         roll_rate=motion.roll_rate,
-        stretch=motion.mass_lateral_displacement - motion.lateral_displacement,
-        stretch_rate=motion.mass_lateral_velocity - motion.lateral_velocity,
+        suspension_deflection=motion.mass_lateral_displacement - motion.lateral_displacement,
+        suspension_deflection_rate=motion.mass_lateral_velocity - motion.lateral_velocity,
         valid=motion.t > 2.0,  # noqa: PLR2004 - the start from rest is over
         block=np.floor(motion.t / BLOCK_S).astype(np.int64),
         band_limited=False,

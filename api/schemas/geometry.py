@@ -100,7 +100,7 @@ def geometry(record: GeometryRecord) -> Geometry:
         recorded_at=to_rfc3339(record.recorded_ns),
         n_windows=found.windows,
         equivalent_conicity_1=uncertain(found.equivalent_conicity),
-        equivalent_conicity_amplitude_mm=finite(found.headline_amplitude, MM),
+        equivalent_conicity_amplitude_mm=finite(found.reported_amplitude, MM),
         conicity_by_amplitude=[
             ConicityAtAmplitude(amplitude_mm=float(amplitude) * MM, equivalent_conicity_1=uncertain(conicity))
             for amplitude, conicity in zip(found.amplitude, found.conicity, strict=True)

@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from estimation.estimators.tracks import section_passes
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.jobs.settings import EstimationSettings
 from estimation.track.results import LIFE
 from estimation.track.section import SectionEstimate, estimate_section
@@ -51,7 +51,7 @@ def _along(axes: Axes, run: SectionRun, estimate: SectionEstimate, what: str) ->
     step = float(track.s[1] - track.s[0])
     true = np.interp(track.s, run.track.s, getattr(run.track, what))
     if what == "alignment":
-        true = without_slow_part(true, smoother(track.cut_off, step))
+        true = high_pass(true, local_cubic_kernel(track.cutoff_wavelength, step))
     shown = (track.s >= SHOWN[0]) & (track.s <= SHOWN[1])
     inner = (track.s > SHOWN[0] / 10) & (track.s < track.s[-1] - SHOWN[0] / 10)
     value, std = getattr(track, what), getattr(track, f"{what}_std")

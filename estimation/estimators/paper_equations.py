@@ -76,8 +76,8 @@ def _lateral(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) ->
     """Return y'' - Omega1 (Eq. 15)."""
     known = (
         -(2 * p.lateral_creep_coefficient / V) * motion.lateral_velocity
-        + p.lateral_damping * motion.stretch_rate
-        + p.lateral_stiffness * motion.stretch
+        + p.lateral_damping * motion.suspension_deflection_rate
+        + p.lateral_stiffness * motion.suspension_deflection
         - (2 * p.lateral_spin_creep_coefficient / V) * motion.yaw_rate
         - p.load * motion.roll
     ) / p.wheelset_mass

@@ -19,17 +19,17 @@ REACH_IN_WIDTHS = 3.5
 CUT_OFF_IN_WIDTHS = 3.43  # wavelength that is halved over the width of the weights: (1 + u) exp(-u) = 1/2, u = 1.678
 
 
-def smoother(cut_off: float, step: float) -> FloatArray:
+def local_cubic_kernel(cutoff_wavelength: float, step: float) -> FloatArray:
     """Return the weights (2 m + 1,) of the local cubic fit on a grid of ``step`` m; they sum to one.
 
     Parameters
     ----------
-    cut_off
+    cutoff_wavelength
         Wavelength, m, of which half remains after the high-pass.
     step
         Grid spacing, m.
     """
-    width = cut_off / CUT_OFF_IN_WIDTHS
+    width = cutoff_wavelength / CUT_OFF_IN_WIDTHS
     m = int(np.ceil(REACH_IN_WIDTHS * width / step))
     u = np.arange(-m, m + 1) * step / width
     weights = np.exp(-0.5 * u * u)
@@ -39,13 +39,13 @@ def smoother(cut_off: float, step: float) -> FloatArray:
     return np.asarray((a + b * u * u) * weights)
 
 
-def without_slow_part(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) -> npt.NDArray[Precision]:
+def high_pass(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) -> npt.NDArray[Precision]:
     """Return ``signals`` (m, n) minus their local fit; the first and last len(weights)//2 samples mean nothing."""
     kernel = weights[None, :] if signals.ndim > 1 else weights
     return np.asarray(signals - signal.fftconvolve(signals, kernel, mode="same", axes=-1))
 
 
-def trusted(valid: BoolArray, weights: FloatArray) -> BoolArray:
+def valid_support(valid: BoolArray, weights: FloatArray) -> BoolArray:
     """Return where every sample within the reach of the filter is valid."""
     m = len(weights) // 2
     padded = np.concatenate([np.zeros(m), ~valid, np.zeros(m)])

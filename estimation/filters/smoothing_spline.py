@@ -24,8 +24,8 @@ DEGREE = 3  # of the spline's pieces
 KNOTS_PER_CUT_OFF = 12  # twice as many change what is left of a wave by less than a hundredth of it
 
 
-def without_wander(
-    signals: FloatArray, distance: FloatArray, known: BoolArray, cut_off: float, removed: FloatArray
+def subtract_smoothing_spline(
+    signals: FloatArray, distance: FloatArray, known: BoolArray, cutoff_wavelength: float, removed: FloatArray
 ) -> FloatArray:
     """Return ``signals`` (m, n) less their wander.
 
@@ -37,14 +37,14 @@ def without_wander(
         (n,) m, not decreasing, from zero.
     known
         (n,) samples that count; the others are given the wander of their neighbours.
-    cut_off
+    cutoff_wavelength
         Wavelength of which half is left, m.
     removed
         (k, n) functions that are taken out whole beside the wander, such as what an offset integrates to.
     """
-    step = float(distance[-1]) / max(int(np.ceil(KNOTS_PER_CUT_OFF * distance[-1] / cut_off)), 1)
+    step = float(distance[-1]) / max(int(np.ceil(KNOTS_PER_CUT_OFF * distance[-1] / cutoff_wavelength)), 1)
     spline = _spline(distance, step)
-    penalty = _roughness(spline.shape[1], step, cut_off)
+    penalty = _roughness(spline.shape[1], step, cutoff_wavelength)
     weight = np.where(known, np.gradient(distance), 0.0)
     count = len(penalty)
     weighted_spline, weighted_removed = spline.T.multiply(weight).tocsr(), removed * weight
@@ -66,10 +66,12 @@ def _spline(distance: FloatArray, step: float):  # type: ignore[no-untyped-def] 
     return BSpline.design_matrix(np.clip(distance, 0.0, length * (1 - 1e-12)), knots, DEGREE)
 
 
-def _roughness(count: int, step: float, cut_off: float) -> FloatArray:
+def _roughness(count: int, step: float, cutoff_wavelength: float) -> FloatArray:
     """Return mu times the integral of the squared third derivative as a quadratic form (k, k) of the coefficients.
 
     The third derivative of a cubic spline is constant between knots: the third difference over ``step``^3.
     """
     difference = np.diff(np.eye(count), ORDER, axis=0)
-    return np.asarray((cut_off / (2 * np.pi)) ** (2 * ORDER) * step ** (1 - 2 * ORDER) * difference.T @ difference)
+    return np.asarray(
+        (cutoff_wavelength / (2 * np.pi)) ** (2 * ORDER) * step ** (1 - 2 * ORDER) * difference.T @ difference
+    )

@@ -13,7 +13,7 @@ from enum import StrEnum
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from estimation.filters.smoothing_spline import without_wander
+from estimation.filters.smoothing_spline import subtract_smoothing_spline
 from estimation.values.arrays import BoolArray, FloatArray
 
 
@@ -24,7 +24,7 @@ class HighPass(StrEnum):
     PROJECTION = "projection"
 
 
-def without_slow_part(
+def remove_wander(
     signals: FloatArray,
     distance: FloatArray,
     known: BoolArray,
@@ -52,7 +52,7 @@ def without_slow_part(
     """
     removed = np.concatenate([_line_and_parabola(len(distance)), _after_gaps(known, bridged)])
     if design is HighPass.SMOOTHER:
-        return without_wander(signals, distance, known, longest, removed)
+        return subtract_smoothing_spline(signals, distance, known, longest, removed)
     basis = np.concatenate([slow_basis(distance, longest), removed])
     weighted = basis * known
     gram = weighted @ basis.T

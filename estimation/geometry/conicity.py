@@ -23,7 +23,7 @@ class CurveParameters:
     """At which amplitudes the conicity is published; EN 15302 quotes 3 mm, and 2 and 4 mm for NP."""
 
     amplitudes: tuple[float, ...] = tuple(float(a) for a in np.arange(2, 25) * 0.25e-3)  # m
-    headline: float = 3.0e-3  # m
+    reference_amplitude: float = 3.0e-3  # m
     nonlinearity_low: float = 2.0e-3  # m
     nonlinearity_high: float = 4.0e-3  # m
 
@@ -47,8 +47,8 @@ class CurveEstimates:
 
     amplitude: FloatArray  # (a,) m
     conicity: tuple[Estimate, ...]  # (a,)
-    headline_amplitude: float
-    headline: Estimate
+    reported_amplitude: float
+    at_reference: Estimate
     nonlinearity: Estimate
     zero_crossing: Estimate
 
@@ -64,7 +64,9 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     if run is None or groups < FEWEST_GROUPS:
         reason = f"{groups} blocks of data" if groups < FEWEST_GROUPS else "too few bins around the centre"
         unknown = Estimate.unknown(reason, curve.count)
-        return CurveEstimates(amplitude, (unknown,) * len(amplitude), parameters.headline, unknown, unknown, unknown)
+        return CurveEstimates(
+            amplitude, (unknown,) * len(amplitude), parameters.reference_amplitude, unknown, unknown, unknown
+        )
     rows = _rows(curve, run)
     values = np.stack([equivalent_conicity(x, difference, amplitude) for x, difference in rows])
     rounded = values[:1] + _rounding(rows[0], amplitude, curve.error.resolution(float(np.diff(curve.edges[:2])[0])))
@@ -73,10 +75,10 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
         _estimate(values[:, k], groups, curve.count, f"amplitude {1e3 * a:g} mm is not covered")
         for k, a in enumerate(amplitude)
     )
-    headline, headline_amplitude = _headline(amplitude, conicity, parameters)
+    at_reference, reported_amplitude = _at_reference_amplitude(amplitude, conicity, parameters)
     nonlinearity = _nonlinearity(amplitude, values, groups, curve.count, parameters)
     crossing = _zero_crossing(rows, curve, groups)
-    return CurveEstimates(amplitude, conicity, headline_amplitude, headline, nonlinearity, crossing)
+    return CurveEstimates(amplitude, conicity, reported_amplitude, at_reference, nonlinearity, crossing)
 
 
 def _nonlinearity(
@@ -161,14 +163,14 @@ def _estimate(values: FloatArray, groups: int, count: float, reason: str) -> Est
     return with_interval(float(values[0]), jackknife, systematic, groups, count)
 
 
-def _headline(
+def _at_reference_amplitude(
     amplitude: FloatArray, conicity: tuple[Estimate, ...], parameters: CurveParameters
 ) -> tuple[Estimate, float]:
-    """Return the conicity at the headline amplitude, or at the largest covered below it."""
+    """Return the conicity at the reference amplitude, or at the largest covered below it."""
     for a, value in sorted(zip(amplitude, conicity, strict=True), key=lambda pair: -pair[0]):
-        if a <= parameters.headline + 1e-9 and value.value is not None:
+        if a <= parameters.reference_amplitude + 1e-9 and value.value is not None:
             return value, float(a)
-    return Estimate.unknown("no amplitude is covered", conicity[0].count), parameters.headline
+    return Estimate.unknown("no amplitude is covered", conicity[0].count), parameters.reference_amplitude
 
 
 def _zero_crossing(rows: list[_Row], curve: CurveReplicates, groups: int) -> Estimate:

@@ -15,7 +15,7 @@ from estimation.values.arrays import BoolArray, FloatArray
 SCALE_UNCERTAINTY = 0.003  # of a displacement that was integrated and projected
 STRAY = 2.5  # reach of samples that stray over a jump, in std: most come from nearby, the far ones from long errors
 ORIGIN = 0.005e-3  # m by which the origin of band-limited motion strays: it is the mean of what was met
-ORIGIN_BY_BLUR = 0.25  # share of the blur by which it strays more
+ORIGIN_STD_SHARE = 0.25  # share of ``jump_position_std`` by which it strays more
 MOST_EXCESS = 0.2  # of the variance of the displacement that its error may make up
 
 
@@ -27,25 +27,31 @@ class DisplacementError:
     excess: float  # share
     scale: float  # share, std
     origin: float = 0.0  # m, std
-    blur: float = 0.0  # m, std of where contact jumps are besides
+    jump_position_std: float = 0.0  # m, std of where contact jumps are besides
 
     def resolution(self, width: float) -> float:
-        """Return over what length, m, bins of ``width`` (m) round a curve: error, most of half a bin, blur."""
-        return float(np.sqrt(self.std**2 + (0.4 * width) ** 2 + self.blur**2))
+        """Return the length, m, over which bins of ``width`` (m) smooth a curve: error, half a bin, place of jumps."""
+        return float(np.sqrt(self.std**2 + (0.4 * width) ** 2 + self.jump_position_std**2))
 
     @staticmethod
     def of(
-        std: float, centre: FloatArray, samples: FloatArray, *, integrated: bool, scale: float = 0.0, blur: float = 0.0
+        std: float,
+        centre: FloatArray,
+        samples: FloatArray,
+        *,
+        integrated: bool,
+        scale: float = 0.0,
+        jump_position_std: float = 0.0,
     ) -> DisplacementError:
         """Return the error for displacements distributed as ``samples`` (b,) over bins at ``centre`` (b,), m.
 
-        ``scale`` is the relative std of a stretch that is left open besides that of the integration, ``blur``, m, that
-        of where contact jumps are.
+        ``scale`` is the relative std of a common scale error of y - d besides that of the integration,
+        ``jump_position_std``, m, that of where contact jumps are.
         """
         variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
         excess = min(std**2 / variance, MOST_EXCESS) if variance > 0 else 0.0
         known = (0.0, 0.0) if not integrated else (SCALE_UNCERTAINTY, ORIGIN)
-        return DisplacementError(std, excess, float(np.hypot(known[0], scale)), known[1], blur)
+        return DisplacementError(std, excess, float(np.hypot(known[0], scale)), known[1], jump_position_std)
 
     def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
         """Return the curve averaged over a normal error of x (three-point Gauss-Hermite); straight beyond its ends."""
@@ -57,7 +63,7 @@ class DisplacementError:
         return np.asarray(before / 6 + 2 * values / 3 + after / 6)
 
     def std_of_bins(self, centre: FloatArray, values: FloatArray, smooth: BoolArray, met: BoolArray) -> FloatArray:
-        """Return what the error leaves unknown of a value per bin (b,): stretch, scale, origin, rounding.
+        """Return what the error leaves unknown of a value per bin (b,): scale, origin, rounding.
 
         Parameters
         ----------
@@ -80,9 +86,9 @@ class DisplacementError:
             0.0, x, values[smooth]
         )  # jumps below are part of it, not of the slope
         scaled = np.maximum(np.abs(slope * x), np.abs(above_centre)) * np.hypot(self.excess, self.scale)
-        stretch = np.hypot(scaled, slope * np.hypot(self.origin, ORIGIN_BY_BLUR * self.blur))
+        shifted = np.hypot(scaled, slope * np.hypot(self.origin, ORIGIN_STD_SHARE * self.jump_position_std))
         strayed = np.zeros(len(centre))
-        both = replace(self, std=float(np.hypot(STRAY * self.std, self.blur)))
+        both = replace(self, std=float(np.hypot(STRAY * self.std, self.jump_position_std)))
         strayed[met] = both.rounded(centre[met], values[met]) - values[met]
-        left_unknown[smooth] = np.hypot(stretch, strayed[smooth])
+        left_unknown[smooth] = np.hypot(shifted, strayed[smooth])
         return left_unknown

@@ -78,9 +78,14 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
     centre = 0.5 * (table.edges[:-1] + table.edges[1:])
     noise = _displacement_noise(replicates, few | jump, bins)
     error = DisplacementError.of(
-        noise, centre, samples, integrated=bins.band_limited, scale=unc.displacement, blur=unc.blur
+        noise,
+        centre,
+        samples,
+        integrated=bins.band_limited,
+        scale=unc.displacement,
+        jump_position_std=unc.jump_position_std,
     )
-    hidden = _Hidden(few, jump, centre, error, parameters.informative)
+    hidden = _BinScreening(few, jump, centre, error, parameters.informative)
     S = _combination(replicates.lateral[:, :, 0], unc.lateral(), hidden, parameters.prior_radius)
     D = _combination(replicates.lateral[:, :, 2], unc.lateral(), hidden, parameters.prior_angle)
     A = _combination(replicates.yaw[:, :, 0], unc.yaw(), hidden, parameters.prior_angle)
@@ -107,14 +112,14 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
         contact_angle_difference=D,
         amplitude=curve.amplitude,
         conicity=curve.conicity,
-        headline_amplitude=curve.headline_amplitude,
-        equivalent_conicity=curve.headline,
+        reported_amplitude=curve.reported_amplitude,
+        equivalent_conicity=curve.at_reference,
         nonlinearity=curve.nonlinearity,
         zero_crossing=curve.zero_crossing,
         windows=table.windows,
         parameter_key=table.parameter_key,
-        status=curve.headline.status,
-        reason=curve.headline.reason,
+        status=curve.at_reference.status,
+        reason=curve.at_reference.reason,
     )
 
 
@@ -167,7 +172,7 @@ def _displacement_noise(replicates: _Replicates, out: BoolArray, bins: BinParame
 
 
 @dataclass(frozen=True, slots=True)
-class _Hidden:
+class _BinScreening:
     """What decides over all combinations of a bin alike."""
 
     few: BoolArray  # (b,)
@@ -177,7 +182,7 @@ class _Hidden:
     informative: float
 
 
-def _combination(theta: FloatArray, relative: FloatArray, hidden: _Hidden, prior: float) -> BinValues:
+def _combination(theta: FloatArray, relative: FloatArray, hidden: _BinScreening, prior: float) -> BinValues:
     """One coefficient over the bins: (1 + g, b, 1 + k) replicates and sensitivities to value, std, status."""
     value = theta[0, :, 0]
     sampled = normal_equivalent(jackknife_std(theta[:, :, 0]), len(theta) - 1)

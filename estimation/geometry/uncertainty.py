@@ -10,11 +10,11 @@ import numpy as np
 from estimation.values.arrays import FloatArray
 from estimation.values.track import RECORDED, TrackAlignment, TrackFindings
 
-BLUR_WHERE_LEFT = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
+JUMP_SHARE_UNCORRECTED = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
 
-BLUR = 0.22  # the same where what the gauge does to the wheelset is taken off: it is told so well
+JUMP_SHARE_CORRECTED = 0.22  # the same where what the gauge does to the wheelset is taken off: it is told so well
 
-BLUR_WHERE_FOUND = 0.32  # the same where the gauge had to be found too
+JUMP_SHARE_GAUGE_ESTIMATED = 0.32  # the same where the gauge had to be found too
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class ParameterUncertainty:
     mass: float = 0.025
     ratio: float | None = None
     displacement: float = 0.0  # of a common stretch of y - d that the alignment leaves open
-    blur: float = 0.0  # m, of where contact jumps are on a gauge that varies
+    jump_position_std: float = 0.0  # m, of where contact jumps are on a gauge that varies
 
     def on(self, tracks: Iterable[TrackAlignment], wheelset: str | None = None) -> ParameterUncertainty:
         """Return what is left unknown of a geometry that rests on these alignments, with what they have taught.
@@ -44,13 +44,15 @@ class ParameterUncertainty:
             Its serial; where left out, whatever an alignment has taught counts.
         """
         used = list(tracks)
-        taught = [_taught(track, wheelset) for track in used]
+        taught = [_findings_for(track, wheelset) for track in used]
         learnt = [findings.stiffness_ratio_std for findings in taught if findings is not None]
         return replace(
             self,
             ratio=max(learnt) if learnt and len(learnt) == len(used) else self.ratio,
             displacement=max((track.scale_std for track in used), default=self.displacement),
-            blur=max((_blur(track, wheelset) for track in used), default=self.blur),
+            jump_position_std=max(
+                (_jump_position_std(track, wheelset) for track in used), default=self.jump_position_std
+            ),
         )
 
     def lateral(self) -> FloatArray:
@@ -64,16 +66,22 @@ class ParameterUncertainty:
         return np.array([self.creep, self.stiffness, self.mass, self.creep])
 
 
-def _taught(track: TrackAlignment, wheelset: str | None) -> TrackFindings | None:
+def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings | None:
     """Return what has been found on ``track``; windows on a recording do not wait until their wheelset has been met."""
     if track.findings is None or wheelset is None or track.source != RECORDED:
         return track.findings
     return track.findings if wheelset in track.findings.gauge_shifts else None
 
 
-def _blur(track: TrackAlignment, wheelset: str | None) -> float:
+def _jump_position_std(track: TrackAlignment, wheelset: str | None) -> float:
     """Return the std, m, of where contact jumps are on the gauge of ``track``: until its effect is known, all of it."""
     shifts = {} if track.findings is None else track.findings.gauge_shifts
     taken_off = bool(shifts) if wheelset is None else wheelset in shifts
-    share = BLUR_WHERE_LEFT if not taken_off else BLUR if track.gauge_known else BLUR_WHERE_FOUND
+    share = (
+        JUMP_SHARE_UNCORRECTED
+        if not taken_off
+        else JUMP_SHARE_CORRECTED
+        if track.gauge_known
+        else JUMP_SHARE_GAUGE_ESTIMATED
+    )
     return share * float(np.std(track.gauge_deviation))

@@ -12,13 +12,13 @@ import numpy as np
 from scipy import fft
 from scipy.interpolate import CubicSpline
 
-from estimation.filters.local_cubic import smoother
+from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.values.arrays import FloatArray
 from estimation.values.track import TrackAlignment
 
 FEWEST_POINTS = 4  # of a spline
 
-WHOLE = 2.0  # times the wavelength that is looked at: an alignment that reaches further holds it unchanged
+FULL_BAND_FACTOR = 2.0  # times the wavelength that is looked at: an alignment that reaches further holds it unchanged
 
 SPLINE_MARGIN = 20  # points of the stored alignment beyond the window, so that the spline's ends do not matter
 
@@ -33,7 +33,7 @@ def alignment_at(distance: FloatArray, track: TrackAlignment, longest: float) ->
     at = distance[on_track]
     first = max(int(np.searchsorted(track.s, at.min())) - SPLINE_MARGIN, 0)
     last = int(np.searchsorted(track.s, at.max())) + SPLINE_MARGIN
-    whole = track.alignment if track.cut_off >= WHOLE * longest else restored(track)
+    whole = track.alignment if track.cutoff_wavelength >= FULL_BAND_FACTOR * longest else deconvolved(track)
     s, alignment = track.s[first:last], whole[first:last]
     known = np.isfinite(alignment)
     if known.sum() < FEWEST_POINTS:
@@ -45,10 +45,10 @@ def alignment_at(distance: FloatArray, track: TrackAlignment, longest: float) ->
     return d
 
 
-LEAST_LEFT = 0.03  # e: where F leaves less than about this, less is undone
+REGULARISATION = 0.03  # e: where F leaves less than about this, less is undone
 
 
-def restored(track: TrackAlignment) -> FloatArray:
+def deconvolved(track: TrackAlignment) -> FloatArray:
     """Return the alignment (n,), m, with F undone; as it is where the track has no cut-off. NaN stays NaN.
 
     Within a cut-off of a place that is not known nothing can be undone well: NaN too.
@@ -58,25 +58,27 @@ def restored(track: TrackAlignment) -> FloatArray:
     track
         Alignment on a uniform grid.
     """
-    if not np.isfinite(track.cut_off):
+    if not np.isfinite(track.cutoff_wavelength):
         return track.alignment
     step = float(track.s[1] - track.s[0])
-    weights = smoother(track.cut_off, step)
-    lost = round(track.cut_off / step)
+    weights = local_cubic_kernel(track.cutoff_wavelength, step)
+    lost = round(track.cutoff_wavelength / step)
     result = np.full(len(track.s), np.nan)
     finite = np.isfinite(track.alignment)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], finite.astype(np.int8), [0]])))
     for start, stop in edges.reshape(-1, 2):
         inner = slice(start + lost, max(stop - lost, start + lost))
-        result[inner] = _undone(track.alignment[start:stop], weights)[lost : lost + inner.stop - inner.start]
+        result[inner] = _regularised_inverse(track.alignment[start:stop], weights)[
+            lost : lost + inner.stop - inner.start
+        ]
     return result
 
 
-def _undone(filtered: FloatArray, weights: FloatArray) -> FloatArray:
+def _regularised_inverse(filtered: FloatArray, weights: FloatArray) -> FloatArray:
     n, reach = len(filtered), len(weights)
     size = fft.next_fast_len(n + reach, real=True)
     kernel = np.zeros(size)
     kernel[: len(weights)] = weights
     left = 1 - fft.rfft(np.roll(kernel, -(len(weights) // 2))).real  # F by wavenumber: the weights are symmetric
-    inverse = left / (left**2 + LEAST_LEFT**2)
+    inverse = left / (left**2 + REGULARISATION**2)
     return np.asarray(fft.irfft(fft.rfft(filtered, size) * inverse, size)[:n])

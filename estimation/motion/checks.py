@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.motion.integration import running_integrals, stretches
+from estimation.motion.integration import running_integrals, segments
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackAlignment
@@ -29,7 +29,7 @@ class Jump:
     metres: float
 
 
-def unmoved(window: Window, signals: SignalParameters) -> str:
+def check_moving(window: Window, signals: SignalParameters) -> str:
     """Return that the vehicle stands, crawls, or that nobody knows where it is; empty where it runs."""
     known = window.valid & np.isfinite(window.distance)
     if not known.any():
@@ -50,7 +50,7 @@ def position_jumps(window: Window, signals: SignalParameters) -> tuple[Jump, ...
     with np.errstate(invalid="ignore"):
         usable = window.valid & np.isfinite(window.distance) & (window.speed >= signals.least_speed_m_s)
     found: list[Jump] = []
-    for start, stop in stretches(np.asarray(usable), window, signals):
+    for start, stop in segments(np.asarray(usable), window, signals):
         part = slice(start, stop)
         at = _between(window.distance[part], usable[part])
         found += [
@@ -94,7 +94,7 @@ def without_jumps(window: Window, jumps: Sequence[Jump]) -> Window:
     return replace(window, valid=valid)
 
 
-def told(jumps: Sequence[Jump]) -> list[str]:
+def describe_jumps(jumps: Sequence[Jump]) -> list[str]:
     """Return what to say of jumps."""
     if not jumps:
         return []
@@ -103,7 +103,7 @@ def told(jumps: Sequence[Jump]) -> list[str]:
     return [f"the position jumps {times} against the speed, by {abs(largest.metres):.1f} m at most"]
 
 
-def against_its_axes(window: Window, signals: SignalParameters) -> str:
+def check_axis_signs(window: Window, signals: SignalParameters) -> str:
     """Return that the axes point against the direction of running; empty where they do not.
 
     An axle that rolls forward with a yaw to the left moves to the left: y' = V psi up to small creep. Backwards, or
@@ -112,12 +112,12 @@ def against_its_axes(window: Window, signals: SignalParameters) -> str:
     with np.errstate(invalid="ignore"):
         usable = np.asarray(window.valid & np.isfinite(window.distance) & (window.speed >= signals.least_speed_m_s))
     products, lateral, yaw = 0.0, 0.0, 0.0
-    for start, stop in stretches(usable, window, signals):
+    for start, stop in segments(usable, window, signals):
         part = slice(start, stop)
         _, rates, displacements = running_integrals(window, usable[part], part)
         seconds = round(LOOK_S / window.sample_interval_s)
-        a = _quick(rates[0], seconds)
-        b = _quick(_between(window.speed[part], usable[part]) * displacements[1], seconds)
+        a = _high_pass_running_mean(rates[0], seconds)
+        b = _high_pass_running_mean(_between(window.speed[part], usable[part]) * displacements[1], seconds)
         products, lateral, yaw = products + float(a @ b), lateral + float(a @ a), yaw + float(b @ b)
     if lateral * yaw <= 0.0:
         return ""
@@ -130,7 +130,7 @@ def against_its_axes(window: Window, signals: SignalParameters) -> str:
     )
 
 
-def _quick(values: FloatArray, width: int) -> FloatArray:
+def _high_pass_running_mean(values: FloatArray, width: int) -> FloatArray:
     """Return values less their running mean over about ``width`` samples twice, which takes slow wandering out."""
     kernel = np.ones(2 * (width // 2) + 1) / (2 * (width // 2) + 1)
     rest = values
@@ -151,7 +151,7 @@ def direction(window: Window) -> int:
     return 1 if forward >= ONE_WAY else -1 if forward <= 1.0 - ONE_WAY else 0
 
 
-def as_the_wheelset_sees(
+def to_wheelset_axes(
     window: Window, track: TrackAlignment, way: int, *, mounted_reversed: bool
 ) -> tuple[Window, TrackAlignment]:
     """Return window and alignment with the left side where the wheelset's own left wheel is.

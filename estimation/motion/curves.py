@@ -16,12 +16,12 @@ from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackLayout
 from estimation.values.windows import Window
 
-EVERY = 1.0  # m, to which a layout is refined before it is looked at
+GRID_STEP = 1.0  # m, to which a layout is refined before it is looked at
 
 
 def straight(distance: FloatArray, layout: TrackLayout, limits: CurveLimits) -> BoolArray:
     """Return which places (n,) lie on track that is straight within ``limits``; places off the layout do not."""
-    grid = np.union1d(np.arange(layout.s[0], layout.s[-1], EVERY), layout.s)
+    grid = np.union1d(np.arange(layout.s[0], layout.s[-1], GRID_STEP), layout.s)
     bent = (np.abs(np.interp(grid, layout.s, layout.curvature)) > limits.curvature) | (
         np.abs(np.interp(grid, layout.s, layout.cant)) > limits.cant
     )
@@ -39,18 +39,28 @@ MEAN_S = 5.0  # over which the motion of the wheelset averages out
 LEAST_SHARE = 0.5  # of the samples that a mean needs
 
 
-def felt_curve(window: Window, usable: BoolArray, most_lean: float) -> str:
-    """Return that a curve is felt; empty where the lean (:func:`lean`) changes by no more than ``most_lean``, m/s2."""
-    leaning = lean(window, usable)
-    if leaning <= most_lean:
+def detect_uncompensated_acceleration(window: Window, usable: BoolArray, max_cant_deficiency_change: float) -> str:
+    """Return that the window shows a curve; empty where it does not.
+
+    Parameters
+    ----------
+    window
+        Measured accelerations, (n,) each.
+    usable
+        (n,) samples that count.
+    max_cant_deficiency_change
+        m/s2, largest :func:`cant_deficiency_acceleration_range` of straight track.
+    """
+    spread = cant_deficiency_acceleration_range(window, usable)
+    if spread <= max_cant_deficiency_change:
         return ""
     return (
-        f"a curve is felt and no layout is on file: the slow lateral acceleration changes by {leaning:.2f} m/s2,"
-        f" at most {most_lean:g} may be drift"
+        f"a curve is felt and no layout is on file: the slow lateral acceleration changes by {spread:.2f} m/s2,"
+        f" at most {max_cant_deficiency_change:g} may be drift"
     )
 
 
-def lean(window: Window, usable: BoolArray) -> float:
+def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> float:
     """Return by how much the slow lateral acceleration of wheelset and mass together changes in a window, m/s2.
 
     Parameters
@@ -86,7 +96,7 @@ def straight_part(window: Window, layout: TrackLayout | None, parameters: Signal
     if layout is None:
         with np.errstate(invalid="ignore"):
             running = np.asarray(window.valid & (window.speed >= parameters.least_speed_m_s))
-        felt = felt_curve(window, running, parameters.most_lean)
+        felt = detect_uncompensated_acceleration(window, running, parameters.max_cant_deficiency_change)
         return Refusal(felt) if felt else window
     left = window.valid & straight(window.distance, layout, parameters.curve_limits)
     if not left.any() and window.valid.any():

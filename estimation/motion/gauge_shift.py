@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimation.filters.local_cubic import smoother
-from estimation.filters.wander_removal import without_slow_part
-from estimation.motion.integration import distance_run, stretches
+from estimation.filters.local_cubic import local_cubic_kernel
+from estimation.filters.wander_removal import remove_wander
+from estimation.motion.integration import distance_run, segments
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.rolling_radius_difference import FusionParameters, felt_along, fused
+from estimation.motion.rolling_radius_difference import FusionParameters, fuse, motion_signals
 from estimation.values.arrays import FloatArray
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
@@ -39,21 +39,21 @@ def gauge_shift(
     if track.findings is None or table is None:
         return None
     fusion = FusionParameters()
-    ends = fusion.step * (len(smoother(fusion.crossover, fusion.step)) // 2)
+    ends = fusion.step * (len(local_cubic_kernel(fusion.crossover, fusion.step)) // 2)
     more = track.findings.stiffness_ratio.get(window.vehicle, 1.0) - 1.0
     e = np.interp(window.distance, track.s, track.gauge_deviation, left=np.nan, right=np.nan)
     shift = np.full(len(window.valid), np.nan)
     with np.errstate(invalid="ignore"):
         usable = np.asarray(window.valid & np.isfinite(e) & (window.speed >= parameters.least_speed_m_s))
-    for start, stop in stretches(usable, window, parameters):
+    for start, stop in segments(usable, window, parameters):
         part = slice(start, stop)
         run = distance_run(window, np.asarray(usable[part]), part)
-        grid = fused(felt_along(window, np.asarray(usable[part]), part, vehicle, run), vehicle, fusion)
+        grid = fuse(motion_signals(window, np.asarray(usable[part]), part, vehicle, run), vehicle, fusion)
         certain = (grid.run >= grid.run[0] + ends) & (grid.run <= grid.run[-1] - ends)
         if not certain.any():
             continue
-        whole = (grid.difference + more * grid.elastic)[None, :]
-        (fast,) = without_slow_part(np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, LONGEST)
+        whole = (grid.difference + more * grid.stiffness_term)[None, :]
+        (fast,) = remove_wander(np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, LONGEST)
         known = usable[part] & (run >= grid.run[0] + ends) & (run <= grid.run[-1] - ends)
         shift[part][known] = table.at(np.interp(run[known], grid.run, fast), e[part][known])
     return shift

@@ -9,7 +9,7 @@ from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.windows import ACCELERATIONS, Window
 
 
-def stretches(
+def segments(
     usable: BoolArray, window: Window, parameters: SignalParameters, longest_gap: int | None = None
 ) -> list[tuple[int, int]]:
     """Return the runs of usable samples with only short gaps in them, long enough to be worth it.
@@ -30,7 +30,7 @@ def stretches(
     breaks = np.flatnonzero(np.diff(index) > gap + 1)
     starts = np.concatenate([index[:1], index[breaks + 1]])
     stops = np.concatenate([index[breaks], index[-1:]]) + 1
-    least = parameters.shortest_stretch_s / window.sample_interval_s
+    least = parameters.shortest_segment_s / window.sample_interval_s
     return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True) if b - a >= least]
 
 

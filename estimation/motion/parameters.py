@@ -21,18 +21,20 @@ class CurveLimits:
 class SignalParameters:
     """How windows become motion."""
 
-    longest_wavelength: float = 40.0  # m; of longer ones less than half is left
+    cutoff_wavelength: float = 40.0  # m; of longer ones less than half is left
     design: HighPass = HighPass.SMOOTHER
     bridged_samples: int = 3  # gaps up to this long are bridged for the integrals, never used as samples
     modelled_gap_s: float = 0.25  # gaps up to this long do not end a stretch of motion: their integrals are solved for
     gap_margin_s: float = 0.5  # on both sides of a modelled gap, where that takes some of the motion too
-    shortest_stretch_s: float = 10.0
+    shortest_segment_s: float = 10.0
     trimmed_s: float = 1.0  # at each end of a stretch, where the high-pass sees one side only
     least_speed_m_s: float = 8.0
     sharpest_curvature: float = 5e-5  # 1/m: shifts the wheelset by a third of a bin at conicity 0.2
     highest_cant: float = 0.02  # m
     curve_margin: float = 30.0  # m kept from sharper curves; positions and registers are off by some
-    most_lean: float = 0.1  # m/s2, change of the slow lateral acceleration that drift makes on straight track too
+    max_cant_deficiency_change: float = (
+        0.1  # m/s2, of the slow lateral acceleration; drift on straight track makes less
+    )
     least_used: float = 0.1  # of a window's samples
     block_s: float = 20.0
 
@@ -41,8 +43,8 @@ class SignalParameters:
             value = getattr(self, item.name)
             if not isinstance(value, HighPass) and not value >= 0:
                 raise ParameterError(f"{value!r} is negative", field=item.name)
-        if not self.longest_wavelength > 0:
-            raise ParameterError("must be positive", field="longest_wavelength")
+        if not self.cutoff_wavelength > 0:
+            raise ParameterError("must be positive", field="cutoff_wavelength")
 
     @property
     def source(self) -> str:

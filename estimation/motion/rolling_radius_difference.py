@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.integration import running_integrals
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.windows import Window
@@ -36,54 +36,54 @@ class FusionParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class Felt:
-    """Of one stretch of one wheelset, sample by sample (n,), in order of running; slow parts meaningless."""
+class MotionSignals:
+    """Signals of one segment of one wheelset, sample by sample (n,), in order of running; slow parts meaningless."""
 
     run: FloatArray  # m, increasing
     speed: FloatArray  # V, m/s
     displacement: FloatArray  # y, m
     difference: FloatArray  # R by Eq. 2, m
-    elastic: FloatArray  # its part that scales with yaw stiffness over creep coefficient, m
+    stiffness_term: FloatArray  # its part that scales with yaw stiffness over creep coefficient, m
     yaw: FloatArray  # psi by Eq. 1 without g R, rad
 
 
 @dataclass(frozen=True, slots=True)
-class Fused:
+class FusedSignals:
     """The same on a uniform grid of distance."""
 
     run: FloatArray  # (m,) m
     displacement: FloatArray  # (m,) m
     difference: FloatArray  # (m,) m
-    elastic: FloatArray  # (m,) m
+    stiffness_term: FloatArray  # (m,) m
 
 
-def fused(felt: Felt, vehicle: VehicleParameters, parameters: FusionParameters) -> Fused:
-    """Return y, R and the elastic part of R on a grid; short waves of R from the yaw sensor, long ones from Eq. 1."""
+def fuse(felt: MotionSignals, vehicle: VehicleParameters, parameters: FusionParameters) -> FusedSignals:
+    """Return y, R and its stiffness term on a grid; short waves of R from the yaw sensor, long ones from Eq. 1."""
     step = parameters.step
     run = np.arange(np.ceil(felt.run[0] / step), np.floor(felt.run[-1] / step) + 1) * step
-    V, y, R, elastic, ψ = (
+    V, y, R, stiffness_term, ψ = (
         np.interp(run, felt.run, values)
-        for values in (felt.speed, felt.displacement, felt.difference, felt.elastic, felt.yaw)
+        for values in (felt.speed, felt.displacement, felt.difference, felt.stiffness_term, felt.yaw)
     )
     gravity = _gravity(R, ψ, V, vehicle, parameters)
-    for_two_rounds = ψ
+    corrected_yaw = ψ
     for _ in range(2):
-        for_two_rounds = ψ + gravity * _difference(for_two_rounds, V, vehicle, step)
-    slow = for_two_rounds
-    weights = smoother(parameters.crossover, step)
-    return Fused(
+        corrected_yaw = ψ + gravity * _difference(corrected_yaw, V, vehicle, step)
+    slow = corrected_yaw
+    weights = local_cubic_kernel(parameters.crossover, step)
+    return FusedSignals(
         run=np.asarray(run, dtype=np.float64),
         displacement=y,
         difference=_joined(R, _difference(slow, V, vehicle, step), weights),
-        elastic=_joined(elastic, _elastic(slow, V, vehicle, step), weights),
+        stiffness_term=_joined(stiffness_term, _stiffness_term(slow, V, vehicle, step), weights),
     )
 
 
 def _joined(fast: FloatArray, slow: FloatArray, weights: FloatArray) -> FloatArray:
-    return np.asarray(without_slow_part(fast, weights) + slow - without_slow_part(slow, weights))
+    return np.asarray(high_pass(fast, weights) + slow - high_pass(slow, weights))
 
 
-def _elastic(yaw: FloatArray, V: FloatArray, p: VehicleParameters, step: float) -> FloatArray:
+def _stiffness_term(yaw: FloatArray, V: FloatArray, p: VehicleParameters, step: float) -> FloatArray:
     bend = np.gradient(np.gradient(yaw, step), step)
     moment = p.yaw_inertia * V * V * bend + p.yaw_stiffness * yaw
     return np.asarray(-moment * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient))
@@ -92,7 +92,7 @@ def _elastic(yaw: FloatArray, V: FloatArray, p: VehicleParameters, step: float) 
 def _difference(yaw: FloatArray, V: FloatArray, p: VehicleParameters, step: float) -> FloatArray:
     """Return R (m,) of a yaw angle over distance by Eq. 2, its small terms left out."""
     rolling = -2 * p.half_contact_distance * p.nominal_radius * np.gradient(yaw, step)
-    return np.asarray(rolling + _elastic(yaw, V, p, step))
+    return np.asarray(rolling + _stiffness_term(yaw, V, p, step))
 
 
 def _gravity(
@@ -103,15 +103,17 @@ def _gravity(
     margin = int(parameters.margin / step)
     if len(R) <= 3 * margin:
         return parameters.gravity
-    short, long = (smoother(wavelength, step) for wavelength in parameters.compared)
+    short, long = (local_cubic_kernel(wavelength, step) for wavelength in parameters.compared)
     lateral = _difference(ψ, V, vehicle, step)
     both = np.stack([_difference(lateral, V, vehicle, step), R - lateral])
-    regressor, target = (without_slow_part(both, long) - without_slow_part(both, short))[:, margin:-margin]
+    regressor, target = (high_pass(both, long) - high_pass(both, short))[:, margin:-margin]
     known = parameters.gravity_weight
     return float((regressor @ target + known * parameters.gravity) / (regressor @ regressor + known))
 
 
-def felt_along(window: Window, known: BoolArray, part: slice, p: VehicleParameters, run: FloatArray) -> Felt:
+def motion_signals(
+    window: Window, known: BoolArray, part: slice, p: VehicleParameters, run: FloatArray
+) -> MotionSignals:
     """Return y, the measured R (Eq. 2 solved for rL - rR with S = 2 r0, the contact angle terms left out) and psi.
 
     Parameters
@@ -133,9 +135,9 @@ def felt_along(window: Window, known: BoolArray, part: slice, p: VehicleParamete
     dy, dψ, dφ = rates[:3]
     f11, f23, l = p.longitudinal_creep_coefficient, p.lateral_spin_creep_coefficient, p.half_contact_distance  # noqa: E741 - the paper's l
     rolling_velocity = dy + p.nominal_radius * dφ
-    elastic = p.yaw_inertia * accelerations[1] + p.yaw_stiffness * ψ + p.yaw_damping * dψ
+    stiffness_term = p.yaw_inertia * accelerations[1] + p.yaw_stiffness * ψ + p.yaw_damping * dψ
     moment = (
-        elastic
+        stiffness_term
         + (p.pitch_inertia * V / p.nominal_radius) * dφ
         + (2 * l**2 * f11 / V) * dψ
         - (2 * f23 / V) * (rolling_velocity - V * ψ)
@@ -147,11 +149,11 @@ def felt_along(window: Window, known: BoolArray, part: slice, p: VehicleParamete
         + p.suspended_mass * accelerations[3]  # what the suspension takes up
     )
     per_moment = -p.nominal_radius / (l * f11)
-    return Felt(
+    return MotionSignals(
         run=run,
         speed=V,
         displacement=y,
         difference=np.asarray(per_moment * moment),
-        elastic=np.asarray(per_moment * elastic),
+        stiffness_term=np.asarray(per_moment * stiffness_term),
         yaw=np.asarray(rolling_velocity / V + force / (2 * p.lateral_creep_coefficient)),
     )

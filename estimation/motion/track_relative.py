@@ -12,10 +12,10 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from estimation.filters.wander_removal import modelled_gaps, without_slow_part
+from estimation.filters.wander_removal import modelled_gaps, remove_wander
 from estimation.motion.alignment_lookup import alignment_at
-from estimation.motion.curves import felt_curve
-from estimation.motion.integration import bridged, distance_run, running_integrals, stretches
+from estimation.motion.curves import detect_uncompensated_acceleration
+from estimation.motion.integration import bridged, distance_run, running_integrals, segments
 from estimation.motion.parameters import Refusal, SignalParameters
 from estimation.motion.usable_samples import Usable, usable_samples
 from estimation.values.arrays import BoolArray, FloatArray
@@ -49,7 +49,7 @@ def motion(
     gauge_shift
         (n,) m, by how much the gauge moves the wheelset, NaN where that cannot be said; None where it is not known.
     """
-    longest = min(parameters.longest_wavelength, track.cut_off)
+    longest = min(parameters.cutoff_wavelength, track.cutoff_wavelength)
     d = alignment_at(window.distance, track, longest)
     if gauge_shift is not None:
         d += gauge_shift  # it runs as it would at nominal gauge on a track that is aligned so
@@ -59,8 +59,8 @@ def motion(
     if refusal is not None:
         return refusal
     dt = window.sample_interval_s
-    runs = stretches(usable.samples, window, parameters, round(parameters.modelled_gap_s / dt))
-    signals, valid = _filtered(window, d, usable.samples, runs, replace(parameters, longest_wavelength=longest))
+    runs = segments(usable.samples, window, parameters, round(parameters.modelled_gap_s / dt))
+    signals, valid = _filtered(window, d, usable.samples, runs, replace(parameters, cutoff_wavelength=longest))
     refusal = _too_little(valid, runs, usable, parameters)
     if refusal is not None:
         return refusal
@@ -76,7 +76,11 @@ def _unusable(
 ) -> Refusal | None:
     if not usable.samples.any():
         return Refusal(f"no sample can be used: {usable.causes}")
-    felt = felt_curve(window, usable.samples, parameters.most_lean) if layout is None else ""
+    felt = (
+        detect_uncompensated_acceleration(window, usable.samples, parameters.max_cant_deficiency_change)
+        if layout is None
+        else ""
+    )
     return Refusal(felt) if felt else None
 
 
@@ -91,11 +95,11 @@ def _filtered(
     for start, stop in runs:
         part = slice(start, stop)
         known = np.asarray(usable[part])
-        fast = without_slow_part(
+        fast = remove_wander(
             _integrated(window, d, known, part),
             distance_run(window, known, part),
             known,
-            parameters.longest_wavelength,
+            parameters.cutoff_wavelength,
             parameters.design,
             parameters.bridged_samples,
         )
@@ -116,8 +120,8 @@ _INTEGRATED = (
     "yaw_acceleration",
     "roll",
     "roll_rate",
-    "stretch",
-    "stretch_rate",
+    "suspension_deflection",
+    "suspension_deflection_rate",
 )
 
 
@@ -126,7 +130,7 @@ def _too_little(
 ) -> Refusal | None:
     lost = f"; lost: {usable.causes}" if usable.causes else ""
     if not runs:
-        return Refusal(f"no uninterrupted stretch of {parameters.shortest_stretch_s:g} s{lost}")
+        return Refusal(f"no uninterrupted stretch of {parameters.shortest_segment_s:g} s{lost}")
     if valid.mean() < parameters.least_used:
         return Refusal(f"{valid.mean():.0%} of the samples can be used, {parameters.least_used:.0%} are needed{lost}")
     return None

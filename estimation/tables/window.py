@@ -6,7 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.motion.checks import against_its_axes, as_the_wheelset_sees, direction, position_jumps, told, unmoved
+from estimation.motion.checks import (
+    check_axis_signs,
+    check_moving,
+    describe_jumps,
+    direction,
+    position_jumps,
+    to_wheelset_axes,
+)
 from estimation.motion.gates import WindowParameters, gate
 from estimation.motion.gauge_shift import gauge_shift
 from estimation.motion.parameters import Refusal
@@ -59,7 +66,7 @@ def tabulate_window(
     refused = _against(window, parameters)
     if refused is not None:
         return refused
-    window, track = as_the_wheelset_sees(window, track, direction(window), mounted_reversed=mounted_reversed)
+    window, track = to_wheelset_axes(window, track, direction(window), mounted_reversed=mounted_reversed)
     if correction is not None:
         window = replace(window, distance=correction.at(window.distance))
     shift = gauge_shift(window, track, parameters.vehicle, parameters.signals)
@@ -72,11 +79,11 @@ def tabulate_window(
 
 def _against(window: Window, parameters: WindowParameters) -> Refusal | None:
     """Return what a window says against itself; None where nothing."""
-    reason = unmoved(window, parameters.signals)
+    reason = check_moving(window, parameters.signals)
     if not reason and direction(window) == 0:
         reason = "the vehicle runs both ways along the section"
-    reason = reason or "; ".join(told(position_jumps(window, parameters.signals)))
-    reason = reason or against_its_axes(window, parameters.signals)
+    reason = reason or "; ".join(describe_jumps(position_jumps(window, parameters.signals)))
+    reason = reason or check_axis_signs(window, parameters.signals)
     return Refusal(reason) if reason else None
 
 

@@ -61,5 +61,5 @@ def resampled(item: Pass, name: str, step: float) -> Pass:
         at=np.asarray(at, dtype=np.float64),
         displacement=displacement,
         difference=difference,
-        elastic=None if item.elastic is None else np.interp(at, item.at, item.elastic),
+        stiffness_term=None if item.stiffness_term is None else np.interp(at, item.at, item.stiffness_term),
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from estimation.motion.checks import against_its_axes, position_jumps, told, unmoved, without_jumps
+from estimation.motion.checks import check_axis_signs, check_moving, describe_jumps, position_jumps, without_jumps
 from estimation.motion.gates import WindowParameters, gate
 from estimation.track.passes import Pass, passes
 from estimation.track.screening.screen import PassOutcome, PassStatus
@@ -36,19 +36,19 @@ def examine(window: Window, parameters: WindowParameters, *, mounted_reversed: b
         The wheelset's left wheel is on the vehicle's right-hand side.
     """
     gated = gate(window.quality, window.track_section, parameters.gates)
-    refusal = gated.reason if gated is not None else unmoved(window, parameters.signals)
+    refusal = gated.reason if gated is not None else check_moving(window, parameters.signals)
     if refusal:
         return _examined(window, (), refusal)
     jumps = position_jumps(window, parameters.signals)
     cut = without_jumps(window, jumps)
     found = passes(cut, parameters.vehicle, parameters.signals, mounted_reversed=mounted_reversed)
     if not found:
-        least = f"no uninterrupted stretch of {parameters.signals.shortest_stretch_s:g} s along one direction"
-        return _examined(window, (), "; ".join([*told(jumps), least]))
-    refusal = against_its_axes(cut, parameters.signals)
+        least = f"no uninterrupted stretch of {parameters.signals.shortest_segment_s:g} s along one direction"
+        return _examined(window, (), "; ".join([*describe_jumps(jumps), least]))
+    refusal = check_axis_signs(cut, parameters.signals)
     if refusal:
         return _examined(window, (), refusal)
-    return _examined(window, tuple(found), "; ".join(told(jumps)))
+    return _examined(window, tuple(found), "; ".join(describe_jumps(jumps)))
 
 
 def _examined(window: Window, found: tuple[Pass, ...], reason: str) -> Examined:

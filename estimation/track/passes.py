@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.motion.integration import stretches
+from estimation.motion.integration import segments
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.rolling_radius_difference import Felt, FusionParameters, felt_along, fused
+from estimation.motion.rolling_radius_difference import FusionParameters, MotionSignals, fuse, motion_signals
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -30,14 +30,14 @@ class Pass:
     displacement: FloatArray  # (n,) y, m
     difference: FloatArray  # (n,) R, m, measured without knowledge of the track
     side: int = 1  # or -1
-    elastic: FloatArray | None = None  # (n,) m, part of R that scales with yaw stiffness over creep coefficient
+    stiffness_term: FloatArray | None = None  # (n,) m, part of R that scales with yaw stiffness over creep coefficient
 
     def __post_init__(self) -> None:
         n = len(self.at)
         for name in ("at", "displacement", "difference"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        if self.elastic is not None:
-            object.__setattr__(self, "elastic", frozen_array(self.elastic, (n,), name="elastic"))
+        if self.stiffness_term is not None:
+            object.__setattr__(self, "stiffness_term", frozen_array(self.stiffness_term, (n,), name="stiffness_term"))
 
 
 def gridded(item: Pass, step: float) -> tuple[int, FloatArray, FloatArray]:
@@ -71,23 +71,25 @@ def passes(
     if not usable.any():
         return []
     found = []
-    for start, stop in stretches(np.asarray(usable), window, parameters):
+    for start, stop in segments(np.asarray(usable), window, parameters):
         part = slice(start, stop)
         known = np.asarray(usable[part])
         at = np.interp(np.arange(stop - start), np.flatnonzero(known), window.distance[part][known])
         steps = np.diff(at)
         direction = 1 if steps.min() > 0 else -1 if steps.max() < 0 else 0
         if direction:
-            felt = felt_along(window, known, part, vehicle, np.asarray(direction * at))
+            felt = motion_signals(window, known, part, vehicle, np.asarray(direction * at))
             found += _placed(window, felt, vehicle, direction, -1 if mounted_reversed else 1)
     return found
 
 
-def _placed(window: Window, felt: Felt, vehicle: VehicleParameters, direction: int, mounted: int) -> list[Pass]:
+def _placed(
+    window: Window, felt: MotionSignals, vehicle: VehicleParameters, direction: int, mounted: int
+) -> list[Pass]:
     """Return the pass of one stretch, along the section's own direction."""
     if not (np.isfinite(felt.displacement).all() and np.isfinite(felt.difference).all()):
         return []
-    grid = fused(felt, vehicle, FusionParameters())
+    grid = fuse(felt, vehicle, FusionParameters())
     if len(grid.run) < 2:  # noqa: PLR2004 - a pass has a length
         return []
     along = slice(None, None, direction)
@@ -100,6 +102,6 @@ def _placed(window: Window, felt: Felt, vehicle: VehicleParameters, direction: i
             direction * grid.displacement[along],
             mounted * grid.difference[along],
             direction * mounted,
-            mounted * grid.elastic[along],
+            mounted * grid.stiffness_term[along],
         )
     ]

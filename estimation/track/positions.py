@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import signal
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.journeys import Journey, PositionParameters, apply_correction
 from estimation.track.panel.basis import PanelParameters, pass_residual
 from estimation.track.panel.solution import PanelSolution
@@ -93,7 +93,7 @@ def _mean_displacement(
     grouped: Mapping[Journey, Sequence[Pass]], corrections: Mapping[Journey, Correction], panel: PanelParameters
 ) -> FloatArray:
     """Return the mean filtered y (n,) over all passes; zero where there is none."""
-    weights = smoother(panel.cut_off, panel.step)
+    weights = local_cubic_kernel(panel.cutoff_wavelength, panel.step)
     total, count = np.zeros(panel.points), np.zeros(panel.points)
     for journey, members in grouped.items():
         for item in apply_correction(members, corrections[journey]):
@@ -108,7 +108,7 @@ def _filtered_displacement(item: Pass, weights: FloatArray, panel: PanelParamete
     m = len(weights) // 2
     if len(displacement) <= 2 * m + 1:
         return np.empty(0, dtype=np.int64), np.empty(0)
-    y = without_slow_part(displacement, weights)[m:-m]
+    y = high_pass(displacement, weights)[m:-m]
     points = np.arange(first + m, first + m + len(y))
     inside = (points >= 0) & (points < panel.points)
     return points[inside], y[inside]
@@ -125,7 +125,7 @@ def _lags(
 
     In pieces, because over a long pass an error of the scale moves the two ends against each other.
     """
-    weights = smoother(panel.cut_off, panel.step)
+    weights = local_cubic_kernel(panel.cutoff_wavelength, panel.step)
     found = []
     for item in apply_correction(members, correction):
         points, y = _filtered_displacement(item, weights, panel)

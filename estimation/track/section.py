@@ -35,8 +35,8 @@ class SectionParameters:
     panel: PanelParameters = field(default_factory=PanelParameters)
     positions: PositionParameters = field(default_factory=PositionParameters)
     iteration: IterationParameters = field(default_factory=IterationParameters)
-    stretch: float = 0.009  # relative std of y - d as a whole that passes leave open, blocks of data cannot show it
-    gauge_stretch: float = 0.035  # the same where the gauge had to be found too
+    scale_error: float = 0.009  # relative std of y - d as a whole that passes leave open, blocks of data cannot show it
+    gauge_scale_error: float = 0.035  # the same where the gauge had to be found too
     systematic: float = 0.02e-3  # m, std of the alignment that blocks of data cannot show
     systematic_per_gauge: tuple[float, float] = (0.025, 0.055)  # the same per gauge deviation: recorded, found
     reaches: float = 120.0  # m, longest wavelength that the alignment holds
@@ -76,7 +76,7 @@ def estimate_section(
     grouped: Grouped = journeys(passes, parameters.positions)
     if not grouped:
         return SectionEstimate(None, nothing("no pass", named), {}, None)
-    known = None if evidence is None else prior_on_grid(evidence, parameters.panel, parameters.panel.cut_off)
+    known = None if evidence is None else prior_on_grid(evidence, parameters.panel, parameters.panel.cutoff_wavelength)
     reason = _nothing_to_tell(grouped, parameters) if known is None or not known.has_alignment else ""
     if reason:
         return SectionEstimate(None, nothing(reason, named), {}, None)
@@ -258,7 +258,7 @@ def _alignment(
         passes=np.rint(found.passes + known.passes).astype(np.int64),
         status=Status.ESTIMATED,
         source=FLEET,
-        cut_off=p.reaches,
+        cutoff_wavelength=p.reaches,
         scale_std=float(np.hypot(_stretch(told, p), profile[1])),
         gauge_known=known.gauge_known and told.gauge is None,
         findings=told.findings,
@@ -267,7 +267,7 @@ def _alignment(
 
 def _stretch(told: SectionResults, p: SectionParameters) -> float:
     """Return the relative std of a common stretch of y - d."""
-    return p.stretch if told.gauge is None else float(np.hypot(p.stretch, p.gauge_stretch))
+    return p.scale_error if told.gauge is None else float(np.hypot(p.scale_error, p.gauge_scale_error))
 
 
 def _measured(iterated: IterationResult) -> list[MeasuredCurve]:
@@ -284,14 +284,14 @@ def _profile_std(iterated: IterationResult) -> tuple[float, float]:
     if not iterated.solution.report.held:
         return 0.0, 0.0
     squares = np.array([(one.std, one.std / one.spread) for one in _measured(iterated)]) ** 2
-    std, stretch = np.sqrt(squares.mean(axis=0))
+    std, scale_error = np.sqrt(squares.mean(axis=0))
     seen = [felt for item in iterated.passes if (felt := on_grid(item, iterated.panel)) is not None]
-    elastic, whole = (sum(float(part @ part) for part in parts) for parts in _parts(seen))
-    return float(std), float(np.hypot(stretch, PRIOR_STD * np.sqrt(elastic / whole) if whole > 0.0 else 0.0))
+    stiffness_term, whole = (sum(float(part @ part) for part in parts) for parts in _parts(seen))
+    return float(std), float(np.hypot(scale_error, PRIOR_STD * np.sqrt(stiffness_term / whole) if whole > 0.0 else 0.0))
 
 
 def _parts(seen: Sequence[OnGrid]) -> tuple[list[FloatArray], list[FloatArray]]:
-    return [felt.elastic[felt.inside] for felt in seen], [felt.difference[felt.inside] for felt in seen]
+    return [felt.stiffness_term[felt.inside] for felt in seen], [felt.difference[felt.inside] for felt in seen]
 
 
 def _nothing_known(p: SectionParameters) -> PriorAlignment:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import fft
 from scipy.stats import chi2
 
-from estimation.filters.local_cubic import smoother, trusted, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackAlignment
 
@@ -76,7 +76,7 @@ def check_survey(
     recorded
         With its standard deviation.
     fleet
-        Found by the fleet alone, high-passed at its ``cut_off``, with its standard deviation; NaN where not known.
+        Found by the fleet alone, high-passed at its ``cutoff_wavelength``, with its std; NaN where not known.
     place_std
         How well the fleet as a whole knows where it lies along the section, m: the scatter of its journeys' positions
         over the root of their number. A shift that it explains is nobody's fault.
@@ -174,10 +174,10 @@ def _on_one_grid(
     if not inside.any():
         return None
     r = np.interp(fleet.s, recorded.s[lying], recorded.alignment[lying])
-    if np.isfinite(fleet.cut_off) and not np.isfinite(recorded.cut_off):
-        weights = smoother(fleet.cut_off, step)
-        inside = trusted(inside, weights)
-        r = without_slow_part(r, weights)
+    if np.isfinite(fleet.cutoff_wavelength) and not np.isfinite(recorded.cutoff_wavelength):
+        weights = local_cubic_kernel(fleet.cutoff_wavelength, step)
+        inside = valid_support(inside, weights)
+        r = high_pass(r, weights)
     seen = inside & np.isfinite(fleet.alignment) & np.isfinite(fleet.alignment_std)
     if np.count_nonzero(seen) * step < 2.0 * MEMORY:
         return None

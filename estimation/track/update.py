@@ -72,7 +72,9 @@ def find(
     if in_force is not None and on_record:
         beside = _beside_recording(section.code, screened, in_force, parameters, judge=judge)
         return beside if beside.made else _with_gauge_shifts(beside, in_force, settings)
-    evidence = in_force if in_force is not None and (recording or in_force.cut_off == parameters.reaches) else None
+    evidence = (
+        in_force if in_force is not None and (recording or in_force.cutoff_wavelength == parameters.reaches) else None
+    )
     estimate = estimate_section(section.code, screened.used, evidence, parameters)
     if estimate.alignment is None:
         kept = None if recording else in_force  # a recording of the gauge alone says of no place how it lies
@@ -119,7 +121,7 @@ def _place_std(estimate: SectionEstimate) -> float:
 
 def better(fleet: TrackAlignment, recorded: TrackAlignment, share: float = 0.5) -> bool:
     """Whether the fleet's alignment knows all that the recording knows, and knows it far better."""
-    if fleet.cut_off < recorded.cut_off or (recorded.gauge_known and not fleet.gauge_known):
+    if fleet.cutoff_wavelength < recorded.cutoff_wavelength or (recorded.gauge_known and not fleet.gauge_known):
         return False
     held = np.interp(fleet.s, recorded.s, recorded.alignment_std)
     known = np.isfinite(fleet.alignment_std)

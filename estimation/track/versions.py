@@ -22,7 +22,7 @@ def requires_reestimation(old: TrackAlignment, new: TrackAlignment, settings: Al
     more of the section; and where it tells another stiffness ratio of a vehicle, another gauge, or on a recording what
     the gauge does to a wheelset of which that was not known.
     """
-    if old.source != new.source or old.cut_off != new.cut_off or old.gauge_known != new.gauge_known:
+    if old.source != new.source or old.cutoff_wavelength != new.cutoff_wavelength or old.gauge_known != new.gauge_known:
         return True
     if len(old.s) != len(new.s) or not np.array_equal(old.s, new.s):
         return True

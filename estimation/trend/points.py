@@ -79,8 +79,8 @@ _PREFERRED = _key(PREFERRED_AMPLITUDE)
 def _conicities(record: GeometryRecord) -> list[tuple[float, Estimate]]:
     geometry = record.geometry
     pairs = list(zip((float(a) for a in geometry.amplitude), geometry.conicity, strict=True))
-    if np.isfinite(geometry.headline_amplitude):
-        pairs.append((geometry.headline_amplitude, geometry.equivalent_conicity))
+    if np.isfinite(geometry.reported_amplitude):
+        pairs.append((geometry.reported_amplitude, geometry.equivalent_conicity))
     return pairs
 
 

@@ -80,8 +80,8 @@ class WheelsetGeometry:
     contact_angle_difference: BinValues
     amplitude: FloatArray  # (k,) m
     conicity: tuple[Estimate, ...]  # (k,) equivalent conicity at each amplitude
-    headline_amplitude: float  # m: 3 mm, or the largest amplitude covered
-    equivalent_conicity: Estimate  # at headline_amplitude
+    reported_amplitude: float  # m: 3 mm, or the largest amplitude covered
+    equivalent_conicity: Estimate  # at reported_amplitude
     nonlinearity: Estimate  # NP, 1/mm as in EN 15302: (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2
     zero_crossing: Estimate  # m, lateral displacement where rL = rR
     windows: int

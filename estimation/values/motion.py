@@ -33,8 +33,8 @@ class Motion:
     yaw_acceleration: FloatArray  # (n,) psi'', rad/s2
     roll: FloatArray  # (n,) phi, rad
     roll_rate: FloatArray  # (n,) phi', rad/s
-    stretch: FloatArray  # (n,) ym - y, m
-    stretch_rate: FloatArray  # (n,) ym' - y', m/s
+    suspension_deflection: FloatArray  # (n,) ym - y, m
+    suspension_deflection_rate: FloatArray  # (n,) ym' - y', m/s
     valid: BoolArray  # (n,)
     block: IntArray  # (n,)
     band_limited: bool

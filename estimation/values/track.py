@@ -81,7 +81,7 @@ class TrackAlignment:
     passes: IntArray  # (n,) passes behind each value; 0 for a recording car
     status: Status
     source: str = RECORDED  # or FLEET
-    cut_off: float = np.inf  # m; longer wavelengths are not in ``alignment``
+    cutoff_wavelength: float = np.inf  # m; longer wavelengths are not in ``alignment``
     scale_std: float = 0.0  # relative, of a common stretch of y - d that the alignment leaves open
     gauge_known: bool = True  # False: from the passes alone, or zero for want of knowledge; see its std
     findings: TrackFindings | None = None  # of a fleet, on its own alignment or on a recording whose gauge varies

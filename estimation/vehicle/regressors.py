@@ -48,8 +48,8 @@ def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
     rolling_slip = slip + r0 * motion.roll_rate
 
     inertia = p.wheelset_mass * motion.lateral_acceleration
-    spring = -p.lateral_stiffness * motion.stretch
-    damper = -p.lateral_damping * motion.stretch_rate
+    spring = -p.lateral_stiffness * motion.suspension_deflection
+    damper = -p.lateral_damping * motion.suspension_deflection_rate
     spin = (2 * f23 / V) * dψ
     weight = p.load * motion.roll
     z1 = inertia + (2 * f22 / V) * slip + 2 * f11 * ψ + spin + weight + spring + damper

@@ -26,12 +26,12 @@ def pack_alignment(alignment: TrackAlignment) -> bytes:
     """Return ``alignment`` as one blob, without its version, so that the same content is the same blob."""
     arrays: dict[str, npt.NDArray[Any]] = {name: getattr(alignment, name) for name in ARRAYS}
     scalars: dict[str, JsonValue] = {"section": alignment.section, "status": str(alignment.status)}
-    whole = (alignment.source, alignment.cut_off, alignment.scale_std, alignment.gauge_known) == OF_RECORDING
+    whole = (alignment.source, alignment.cutoff_wavelength, alignment.scale_std, alignment.gauge_known) == OF_RECORDING
     if whole and alignment.findings is None:
         return pack(KIND, OF_RECORDINGS, scalars, arrays)
     told: dict[str, JsonValue] = {
         "source": alignment.source,
-        "cut_off": number_to_json(alignment.cut_off),
+        "cut_off": number_to_json(alignment.cutoff_wavelength),
         "scale_std": number_to_json(alignment.scale_std),
         "gauge_known": alignment.gauge_known,
     }
@@ -58,7 +58,7 @@ def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment
     return replace(
         found,
         source=scalars["source"],
-        cut_off=real_from_json(scalars["cut_off"]),
+        cutoff_wavelength=real_from_json(scalars["cut_off"]),
         scale_std=real_from_json(scalars["scale_std"]),
         gauge_known=scalars["gauge_known"],
         findings=_findings(scalars["findings"], packed.arrays) if "findings" in scalars else None,

@@ -25,7 +25,7 @@ def pack_geometry(geometry: WheelsetGeometry) -> bytes:
         {
             "combinations": {name: [str(status) for status in values.status] for name, values in combinations.items()},
             "conicity": [estimate_to_json(estimate) for estimate in geometry.conicity],
-            "headline_amplitude": number_to_json(geometry.headline_amplitude),
+            "headline_amplitude": number_to_json(geometry.reported_amplitude),
             "equivalent_conicity": estimate_to_json(geometry.equivalent_conicity),
             "nonlinearity": estimate_to_json(geometry.nonlinearity),
             "zero_crossing": estimate_to_json(geometry.zero_crossing),
@@ -60,7 +60,7 @@ def unpack_geometry(blob: bytes, *, where: str) -> WheelsetGeometry:
         **_combinations(scalars["combinations"], arrays),
         amplitude=arrays["amplitude"],
         conicity=tuple(estimate_from_json(fields) for fields in scalars["conicity"]),
-        headline_amplitude=real_from_json(scalars["headline_amplitude"]),
+        reported_amplitude=real_from_json(scalars["headline_amplitude"]),
         equivalent_conicity=estimate_from_json(scalars["equivalent_conicity"]),
         nonlinearity=estimate_from_json(scalars["nonlinearity"]),
         zero_crossing=estimate_from_json(scalars["zero_crossing"]),

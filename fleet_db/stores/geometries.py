@@ -155,7 +155,7 @@ def _values(record: GeometryRecord) -> dict[str, Any]:
         "reason": geometry.reason,
         "windows": geometry.windows,
         "parameter_key": geometry.parameter_key,
-        "headline_amplitude_m": null_if_nan(geometry.headline_amplitude),
+        "headline_amplitude_m": null_if_nan(geometry.reported_amplitude),
         "equivalent_conicity": null_if_nan(geometry.equivalent_conicity.value),
         "equivalent_conicity_std": null_if_nan(geometry.equivalent_conicity.std),
         "equivalent_conicity_low": null_if_nan(geometry.equivalent_conicity.low),

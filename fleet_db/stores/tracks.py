@@ -238,7 +238,7 @@ def _told(alignment: TrackAlignment, same_since: int, recorded_ns: int) -> dict[
     return {
         "source": alignment.source,
         "same_since": same_since,
-        "cut_off_m": float(alignment.cut_off) if np.isfinite(alignment.cut_off) else None,
+        "cut_off_m": float(alignment.cutoff_wavelength) if np.isfinite(alignment.cutoff_wavelength) else None,
         "scale_std": float(alignment.scale_std),
         "gauge_known": bool(alignment.gauge_known),
         "alignment_std_m": null_if_nan(float(np.median(std))) if len(std) else None,

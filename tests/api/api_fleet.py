@@ -91,7 +91,7 @@ def geometry(conicity: float = 0.1875) -> WheelsetGeometry:
         contact_angle_difference=values(0.01),
         amplitude=np.array([1.0, 2.0, 3.0]) * 1e-3,
         conicity=(estimate(0.125), estimate(conicity), Estimate.unknown("not covered", 2.0)),
-        headline_amplitude=2e-3,
+        reported_amplitude=2e-3,
         equivalent_conicity=estimate(conicity),
         nonlinearity=Estimate.unknown("4 mm is not covered"),
         zero_crossing=estimate(-0.25e-3),
@@ -227,7 +227,7 @@ def populate(storage: Storage) -> None:
         status = Status.ESTIMATED
         known = TrackAlignment("S-1", 0, np.arange(4) * 0.5, deviations, std, -deviations, std, passes, status)
         unit.tracks.add_alignment(known)
-        found = replace(known, section="S-3", source=FLEET, cut_off=60.0, scale_std=0.0125, gauge_known=False)
+        found = replace(known, section="S-3", source=FLEET, cutoff_wavelength=60.0, scale_std=0.0125, gauge_known=False)
         for version, same_since in ((1, None), (2, 1), (3, 1)):
             found = replace(found, alignment=found.alignment * 0.5)
             unit.tracks.add_alignment(found, same_since=same_since, recorded_ns=RECORDED + version)

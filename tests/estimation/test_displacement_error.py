@@ -117,7 +117,7 @@ def test_coarser_bins_resolve_less() -> None:
     error = DisplacementError(0.3e-3, 0.0, 0.0)
     assert error.resolution(0.0) == pytest.approx(0.3e-3)
     assert error.resolution(0.25e-3) < error.resolution(0.8e-3) <= 0.5e-3 + 1e-12  # half a bin at most
-    blurred = replace(error, blur=0.4e-3)
+    blurred = replace(error, jump_position_std=0.4e-3)
     assert blurred.resolution(0.0) == pytest.approx(0.5e-3)
 
 

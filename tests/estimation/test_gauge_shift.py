@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from smooth_wheelset import alignment, mems_windows, run, track
 
-from estimation.filters.wander_removal import without_slow_part
+from estimation.filters.wander_removal import remove_wander
 from estimation.motion.gauge_shift import gauge_shift
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.track_relative import motion
@@ -98,11 +98,11 @@ def moved(shift: FloatArray | None) -> Motion:
 def test_the_displacement_is_that_at_nominal_gauge_behind_the_same_filter() -> None:
     shift = shift_of(known(per_difference=0.0))
     plain, taken_off = moved(None), moved(np.where(np.isfinite(shift), shift, 0.0))
-    (expected,) = without_slow_part(
+    (expected,) = remove_wander(
         np.nan_to_num(shift)[None, :],
         window().distance - window().distance[0],
         window().valid,
-        SIGNALS.longest_wavelength,
+        SIGNALS.cutoff_wavelength,
         SIGNALS.design,
     )
     both = plain.valid & taken_off.valid

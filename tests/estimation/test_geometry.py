@@ -81,7 +81,7 @@ def test_ideal_sensors_see_the_zero_crossing() -> None:
     x = np.linspace(-1e-3, 1e-3, 20_001)
     true = x[np.argmin(np.abs(table.left(x) - table.right(x)))]
     assert found.zero_crossing.value == pytest.approx(true, abs=2e-6)
-    assert found.headline_amplitude == pytest.approx(3e-3, abs=0.3e-3)
+    assert found.reported_amplitude == pytest.approx(3e-3, abs=0.3e-3)
 
 
 def test_uncertain_parameters_hide_what_rests_on_them_even_with_ideal_sensors() -> None:

@@ -7,17 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimation.filters.smoothing_spline import without_wander
-from estimation.filters.wander_removal import HighPass, without_slow_part
+from estimation.filters.smoothing_spline import subtract_smoothing_spline
+from estimation.filters.wander_removal import HighPass, remove_wander
 from estimation.values.arrays import FloatArray
 
 CUT_OFF = 40.0
 STEP = 0.5
 
 
-def rauch_tung_striebel(u: FloatArray, step: float, cut_off: float) -> FloatArray:
+def rauch_tung_striebel(u: FloatArray, step: float, cutoff_wavelength: float) -> FloatArray:
     """Return u less the smoothed state of a third-order integrated random walk, sample by sample."""
-    mu = (cut_off / (2 * np.pi)) ** 6
+    mu = (cutoff_wavelength / (2 * np.pi)) ** 6
     A = np.array([[1, step, step**2 / 2], [0, 1, step], [0, 0, 1]])
     h = step
     Q = np.array([[h**5 / 20, h**4 / 8, h**3 / 6], [h**4 / 8, h**3 / 3, h**2 / 2], [h**3 / 6, h**2 / 2, h]])
@@ -40,7 +40,7 @@ def rauch_tung_striebel(u: FloatArray, step: float, cut_off: float) -> FloatArra
 
 
 def high_passed(u: FloatArray, distance: FloatArray, design: HighPass = HighPass.SMOOTHER) -> FloatArray:
-    return without_slow_part(u[None, :], distance, np.ones(len(u), dtype=bool), CUT_OFF, design)[0]
+    return remove_wander(u[None, :], distance, np.ones(len(u), dtype=bool), CUT_OFF, design)[0]
 
 
 def test_the_smoother_is_the_kalman_smoother_of_the_wander() -> None:
@@ -48,7 +48,7 @@ def test_the_smoother_is_the_kalman_smoother_of_the_wander() -> None:
     rng = np.random.default_rng(1)
     u = np.cumsum(np.cumsum(rng.standard_normal(len(s)))) * 0.01 + rng.standard_normal(len(s))
     expected = rauch_tung_striebel(u, STEP, CUT_OFF)
-    found = without_wander(u[None, :], s, np.ones(len(s), dtype=bool), CUT_OFF, np.empty((0, len(s))))[0]
+    found = subtract_smoothing_spline(u[None, :], s, np.ones(len(s), dtype=bool), CUT_OFF, np.empty((0, len(s))))[0]
     np.testing.assert_allclose(found, expected, atol=0.01 * expected.std())
 
 
@@ -84,7 +84,7 @@ def test_what_offsets_and_gaps_integrate_to_is_taken_out_whole(
     signal = rng.standard_normal(n)
     parts = np.stack([signal, signal + wander])
     parts[:, ~known] = rng.normal(0, 100)  # what stands in a gap counts for nothing
-    alone, wandering = without_slow_part(parts, distance, known, CUT_OFF, design)
+    alone, wandering = remove_wander(parts, distance, known, CUT_OFF, design)
     np.testing.assert_allclose(wandering[known], alone[known], atol=1e-3)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gauge_passes import LENGTH, Section, passes, section
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.panel.basis import PanelParameters
 from estimation.track.panel.long_waves import LongWaveAlignment, long_wave_alignment
 from estimation.track.panel.normal_equations import init, update
@@ -37,13 +37,13 @@ def solved() -> PanelSolution:
     return result(update(init(PANEL), felt()))
 
 
-def true(cut_off: float) -> FloatArray:
-    return without_slow_part(np.interp(GRID, place().s, place().alignment), smoother(cut_off, PANEL.step))
+def true(cutoff_wavelength: float) -> FloatArray:
+    return high_pass(np.interp(GRID, place().s, place().alignment), local_cubic_kernel(cutoff_wavelength, PANEL.step))
 
 
-def error(found: LongWaveAlignment, cut_off: float) -> float:
+def error(found: LongWaveAlignment, cutoff_wavelength: float) -> float:
     seen = found.passes == found.passes.max()
-    return float((found.alignment - true(cut_off))[seen].std())
+    return float((found.alignment - true(cutoff_wavelength))[seen].std())
 
 
 def test_waves_that_the_panel_has_lost_come_back() -> None:
@@ -63,7 +63,7 @@ def test_the_std_of_a_pass_is_the_scatter_of_the_passes() -> None:
 
 
 def test_at_the_cut_off_of_the_panel_it_is_the_alignment_of_the_panel() -> None:
-    found = long_wave_alignment(felt(), solved(), PANEL, PANEL.cut_off)
+    found = long_wave_alignment(felt(), solved(), PANEL, PANEL.cutoff_wavelength)
     seen = (found.passes == 9) & np.isfinite(solved().alignment)
     np.testing.assert_allclose(found.alignment[seen], solved().alignment[seen], atol=1e-6)
 

@@ -296,7 +296,7 @@ def test_what_a_recorded_gauge_does_to_wheelsets_becomes_a_version_of_the_record
     assert counts(storage, "estimate_windows")["estimated"] == 20  # on a recording a window waits for nobody
     assert counts(storage, "refresh_alignment")["versions"] == 1
     found = in_force(storage)
-    assert (found.version, found.source, found.gauge_known, found.cut_off) == (2, RECORDED, True, np.inf)
+    assert (found.version, found.source, found.gauge_known, found.cutoff_wavelength) == (2, RECORDED, True, np.inf)
     for name in ("s", "alignment", "alignment_std", "gauge_deviation", "gauge_deviation_std", "passes"):
         np.testing.assert_array_equal(getattr(found, name), getattr(gauged(), name))
     assert found.findings is not None
@@ -509,7 +509,7 @@ def test_only_what_matters_is_another_alignment() -> None:
     assert requires_reestimation(old, replace(old, alignment=1.006 * d), settings)  # does not average out
     assert requires_reestimation(old, replace(old, alignment_std=0.6 * std), settings)
     assert requires_reestimation(replace(old, alignment=hole), old, settings)
-    assert requires_reestimation(old, replace(old, cut_off=np.inf), settings)
+    assert requires_reestimation(old, replace(old, cutoff_wavelength=np.inf), settings)
     assert requires_reestimation(replace(old, scale_std=0.03), replace(old, scale_std=0.01), settings)
     sure = replace(old, alignment_std=0.1 * std)
     assert not requires_reestimation(sure, replace(sure, alignment=d + 0.04e-3, alignment_std=0.01 * std), settings)

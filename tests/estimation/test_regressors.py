@@ -111,9 +111,9 @@ def test_a_geometry_is_as_sure_of_the_ratio_as_the_least_sure_of_its_alignments(
 def test_contact_jumps_are_as_far_off_as_the_gauge_is_left_in(change: dict[str, Any], share: float) -> None:
     gauge = np.array([1e-3, -1e-3])
     on = replace(track_of(None), gauge_deviation=gauge, **change)
-    assert ParameterUncertainty().on([on], "W1").blur == pytest.approx(share * 1e-3)
-    assert ParameterUncertainty().on([replace(on, gauge_deviation=gauge + 5e-3)], "W1").blur < 0.6e-3
-    assert ParameterUncertainty().on([replace(on, gauge_deviation=np.full(2, 1e-3))], "W1").blur == 0.0
+    assert ParameterUncertainty().on([on], "W1").jump_position_std == pytest.approx(share * 1e-3)
+    assert ParameterUncertainty().on([replace(on, gauge_deviation=gauge + 5e-3)], "W1").jump_position_std < 0.6e-3
+    assert ParameterUncertainty().on([replace(on, gauge_deviation=np.full(2, 1e-3))], "W1").jump_position_std == 0.0
 
 
 def test_a_recording_has_taught_nothing_of_a_wheelset_that_it_has_not_met() -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from smooth_wheelset import alignment, mems_windows, run, track
 
 from estimation.errors import ParameterError
-from estimation.filters.wander_removal import HighPass, without_slow_part
+from estimation.filters.wander_removal import HighPass, remove_wander
 from estimation.motion.parameters import Refusal, SignalParameters
 from estimation.motion.track_relative import motion
 from estimation.values.motion import Motion
@@ -21,7 +21,7 @@ PARAMETERS = SignalParameters()
 
 def _fast(x: np.ndarray, distance: np.ndarray, design: HighPass = PARAMETERS.design) -> np.ndarray:
     known = np.ones(len(x), dtype=bool)
-    return without_slow_part(x[None, :], distance, known, PARAMETERS.longest_wavelength, design)[0]
+    return remove_wander(x[None, :], distance, known, PARAMETERS.cutoff_wavelength, design)[0]
 
 
 def test_the_motion_is_that_of_the_wheelset_without_its_slow_part() -> None:
@@ -104,5 +104,5 @@ def test_what_cannot_be_used_is_refused_with_its_reason(change: dict[str, np.nda
 
 
 def test_impossible_parameters_are_refused() -> None:
-    with pytest.raises(ParameterError, match="longest_wavelength"):
-        SignalParameters(longest_wavelength=-1.0)
+    with pytest.raises(ParameterError, match="cutoff_wavelength"):
+        SignalParameters(cutoff_wavelength=-1.0)

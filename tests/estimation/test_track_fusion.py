@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 from smooth_wheelset import mems_windows, run
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
 from estimation.track.passes import Pass, passes
@@ -30,16 +30,16 @@ def _by_yaw_sensor(window: Window, at: FloatArray) -> FloatArray:
     p, dt = VEHICLE, window.sample_interval_s
     rate = cumulative_trapezoid(window.yaw_acceleration, dx=dt, initial=0.0)
     yaw = cumulative_trapezoid(rate, dx=dt, initial=0.0)
-    elastic = p.yaw_inertia * window.yaw_acceleration + p.yaw_stiffness * yaw
+    stiffness_term = p.yaw_inertia * window.yaw_acceleration + p.yaw_stiffness * yaw
     creep = 2 * p.half_contact_distance**2 * p.longitudinal_creep_coefficient / window.speed * rate
     per_moment = -p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
-    return np.asarray(np.interp(at, window.distance, per_moment * (elastic + creep)))
+    return np.asarray(np.interp(at, window.distance, per_moment * (stiffness_term + creep)))
 
 
 def _rms_between(values: FloatArray, step: float, short: float, long: float) -> float:
     """Return the rms of the wavelengths from ``short`` to ``long``, away from the ends."""
-    weights, reach = smoother(short, step), smoother(long, step)
-    band = without_slow_part(values, reach) - without_slow_part(values, weights)
+    weights, reach = local_cubic_kernel(short, step), local_cubic_kernel(long, step)
+    band = high_pass(values, reach) - high_pass(values, weights)
     margin = len(reach) // 2
     return float(np.sqrt((band[margin:-margin] ** 2).mean()))
 
@@ -75,7 +75,7 @@ def test_windows_that_follow_each_other_give_the_pass_of_one_long_window() -> No
     (together,) = whole_runs(mems_windows(motion, seed=3, length_s=30))
     np.testing.assert_array_equal(together.lateral_acceleration, whole.lateral_acceleration)
     one, other = _pass(whole), _pass(together)
-    for name in ("at", "displacement", "difference", "elastic"):
+    for name in ("at", "displacement", "difference", "stiffness_term"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 

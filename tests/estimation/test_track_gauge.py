@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gauge_passes import LENGTH, Wheels, passes, section
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.gauge.wheel_functions import total_gauge_shifts
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
 from estimation.track.journeys import PositionParameters, journeys
@@ -43,7 +43,7 @@ def true_gauge(gauge_std: float = GAUGE_STD) -> FloatArray:
 
 def alignment_error(found: IterationResult, gauge_std: float) -> float:
     place = section(gauge_std)
-    true = without_slow_part(np.interp(GRID, place.s, place.alignment), smoother(PANEL.cut_off, PANEL.step))
+    true = high_pass(np.interp(GRID, place.s, place.alignment), local_cubic_kernel(PANEL.cutoff_wavelength, PANEL.step))
     return float((found.solution.alignment - true)[INNER].std())
 
 

@@ -14,7 +14,7 @@ from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.errors import ContactError, ProfileError
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
 from estimation.track.passes import Pass
 from estimation.track.section import SectionEstimate, SectionParameters, estimate_section
@@ -44,9 +44,9 @@ def alike() -> SectionEstimate:
 def alignment_error(found: SectionEstimate) -> float:
     """Return the std of the error of the alignment over that of the true one."""
     assert found.alignment is not None
-    weights = smoother(found.alignment.cut_off, PARAMETERS.step)
+    weights = local_cubic_kernel(found.alignment.cutoff_wavelength, PARAMETERS.step)
     truth = track(1)
-    true = without_slow_part(np.interp(found.alignment.s, truth.s, truth.alignment), weights)
+    true = high_pass(np.interp(found.alignment.s, truth.s, truth.alignment), weights)
     seen = np.isfinite(found.alignment.alignment) & (found.alignment.s > 200) & (found.alignment.s < 1700)
     assert seen.sum() > 1000
     return float((found.alignment.alignment - true)[seen].std() / true[seen].std())

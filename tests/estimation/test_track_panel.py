@@ -13,7 +13,7 @@ from smooth_wheelset import SmoothTable, mems_windows, run, track
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
-from estimation.filters.local_cubic import smoother, trusted, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
 from estimation.track.panel.basis import PanelParameters, basis_functions
@@ -47,16 +47,16 @@ def _solved(found: tuple[Pass, ...]) -> PanelSolution:
 
 
 def test_the_local_fit_takes_out_cubics_and_halves_the_cut_off() -> None:
-    weights = smoother(30.0, 0.5)
+    weights = local_cubic_kernel(30.0, 0.5)
     assert weights.sum() == pytest.approx(1.0)
     s = np.arange(2000) * 0.5
     m = len(weights) // 2
     cubic = 3.0 + 0.2 * s - 1e-3 * s**2 + 4e-7 * s**3
-    assert np.abs(without_slow_part(cubic, weights)[m:-m]).max() < 1e-7
+    assert np.abs(high_pass(cubic, weights)[m:-m]).max() < 1e-7
     wave = np.sin(2 * np.pi * s / 30.0)
-    assert np.abs(without_slow_part(wave, weights)[m:-m]).max() == pytest.approx(0.5, abs=0.02)
+    assert np.abs(high_pass(wave, weights)[m:-m]).max() == pytest.approx(0.5, abs=0.02)
     fast = np.sin(2 * np.pi * s / 8.0)
-    assert np.abs(without_slow_part(fast, weights)[m:-m]).max() == pytest.approx(1.0, abs=0.01)
+    assert np.abs(high_pass(fast, weights)[m:-m]).max() == pytest.approx(1.0, abs=0.01)
 
 
 def test_a_sample_is_trusted_when_all_within_reach_are_valid() -> None:
@@ -64,7 +64,7 @@ def test_a_sample_is_trusted_when_all_within_reach_are_valid() -> None:
     valid = np.ones(20, dtype=bool)
     valid[10] = False
     expected = np.array([all(0 <= j < 20 and valid[j] for j in range(i - 2, i + 3)) for i in range(20)])
-    np.testing.assert_array_equal(trusted(valid, weights), expected)
+    np.testing.assert_array_equal(valid_support(valid, weights), expected)
 
 
 @given(R=st.lists(st.floats(-4e-3, 4e-3), min_size=1, max_size=30))
@@ -79,22 +79,22 @@ def test_the_radius_difference_of_a_pass_is_the_true_one() -> None:
     m = run(120, seed=1, cone=0.10, speed=20.0)
     window = mems_windows(m, seed=0, density=0.0)[0]
     (found,) = passes(window, VehicleParameters(), SignalParameters())
-    weights = smoother(30.0, 0.5)
+    weights = local_cubic_kernel(30.0, 0.5)
     first, _, difference = gridded(found, 0.5)
     grid = (first + np.arange(len(difference))) * 0.5
     true = np.interp(grid, m.distance, m.rolling_radius_left - m.rolling_radius_right)
     inner = slice(len(weights), -len(weights))
-    error = without_slow_part(difference, weights) - without_slow_part(true, weights)
+    error = high_pass(difference, weights) - high_pass(true, weights)
     assert np.sqrt((error[inner] ** 2).mean()) < 0.01 * true.std()
 
 
 def test_alignment_and_conicity_come_out_of_unknown_track() -> None:
     solved = _solved(fleet_passes())
     assert solved.report.status is Status.ESTIMATED
-    weights = smoother(PARAMETERS.cut_off, PARAMETERS.step)
+    weights = local_cubic_kernel(PARAMETERS.cutoff_wavelength, PARAMETERS.step)
     grid = np.arange(PARAMETERS.points) * PARAMETERS.step
     truth = track(1)
-    true = without_slow_part(np.interp(grid, truth.s, truth.alignment), weights)
+    true = high_pass(np.interp(grid, truth.s, truth.alignment), weights)
     seen = np.isfinite(solved.alignment) & (grid > 200) & (grid < 1850)
     error = (solved.alignment - true)[seen]
     assert seen.sum() > 0.99 * (1650 / PARAMETERS.step)  # two filters, 153 m, are lost at each end of a pass
@@ -140,5 +140,5 @@ def test_nothing_and_what_is_too_short_are_unestimated() -> None:
     assert result(init(PanelParameters(length=500.0, hats=5))).report.status is Status.UNESTIMATED
     outlier_factor = Pass("W", "V", 0, np.arange(90) * 0.08, np.zeros(90), np.zeros(90))
     assert update(init(PARAMETERS), [outlier_factor]).passes.sum() == 0
-    with pytest.raises(ParameterError, match="cut_off"):
-        PanelParameters(cut_off=0.0)
+    with pytest.raises(ParameterError, match="cutoff_wavelength"):
+        PanelParameters(cutoff_wavelength=0.0)

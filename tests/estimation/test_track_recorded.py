@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.survey_check import check_survey
 from estimation.values.quantities import Status
 from estimation.values.track import FLEET, TrackAlignment
@@ -32,14 +32,14 @@ def fleet(seed: int, *, offset: float = 0.0, stretch: float = 0.0) -> TrackAlign
     """Return what a fleet would find: high-passed, a little too small, with smooth errors, NaN at its ends."""
     rng = np.random.default_rng(seed)
     track, grid = truth(seed), np.arange(0.0, LENGTH, STEP)
-    weights = smoother(CUT_OFF, STEP)
+    weights = local_cubic_kernel(CUT_OFF, STEP)
     error = np.convolve(rng.standard_normal(len(grid)), np.hanning(17), mode="same")
     place = grid + offset + stretch * (grid - LENGTH / 2)
-    d = without_slow_part(np.stack([np.interp(place, track.s, track.alignment), error]), weights)
+    d = high_pass(np.stack([np.interp(place, track.s, track.alignment), error]), weights)
     felt = 0.98 * d[0] + FLEET_STD * d[1] / d[1].std()
     reach = len(weights) // 2
     felt[:reach] = felt[-reach:] = np.nan
-    return replace(lying(grid, felt, FLEET_STD), source=FLEET, cut_off=CUT_OFF)
+    return replace(lying(grid, felt, FLEET_STD), source=FLEET, cutoff_wavelength=CUT_OFF)
 
 
 def recording(seed: int, std: float, spacing: float = 0.25) -> TrackAlignment:
@@ -55,7 +55,7 @@ def test_honest_recordings_are_believed_wherever_the_fleet_lies_within_its_own_d
 ) -> None:
     for seed in range(8):
         rng = np.random.default_rng(seed)
-        found = fleet(seed, offset=rng.uniform(-2, 2), stretch=rng.uniform(-3e-4, 3e-4))
+        found = fleet(seed, offset=rng.uniform(-2, 2), suspension_deflection=rng.uniform(-3e-4, 3e-4))
         told = check_survey(recording(seed, std, spacing), found)
         assert told.usable, (seed, told)
         assert told.scale == pytest.approx(1.0, abs=0.06)

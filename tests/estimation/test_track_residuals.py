@@ -10,7 +10,7 @@ import pytest
 from smooth_wheelset import SmoothTable, mems_windows, track
 from test_track_panel import PARAMETERS
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
 from estimation.track.passes import Pass, passes
@@ -54,7 +54,7 @@ def error(estimate: SectionEstimate) -> tuple[float, float]:
     assert estimate.alignment is not None
     d = estimate.alignment
     truth = track(1)
-    true = without_slow_part(np.interp(d.s, truth.s, truth.alignment), smoother(d.cut_off, PARAMETERS.step))
+    true = high_pass(np.interp(d.s, truth.s, truth.alignment), local_cubic_kernel(d.cutoff_wavelength, PARAMETERS.step))
     seen = np.isfinite(d.alignment) & (d.s > 250) & (d.s < 1600)
     wrong = (d.alignment - true)[seen]
     wrong = wrong - wrong.mean()

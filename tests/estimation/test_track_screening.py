@@ -52,7 +52,7 @@ BAD: dict[str, tuple[Callable[[Pass], Pass], str]] = {
     "axes reversed": (lambda p: replace(p, displacement=-p.displacement, difference=-p.difference), "mirror image"),
     "another unit": (lambda p: replace(p, displacement=1e3 * p.displacement), "times that of"),
     "too short": (lambda p: replace(p, at=p.at[:30], displacement=p.displacement[:30], difference=p.difference[:30],
-                                    elastic=None), "too short"),
+                                    stiffness_term=None), "too short"),
 }  # fmt: skip
 
 

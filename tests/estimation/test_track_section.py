@@ -13,7 +13,7 @@ from smooth_wheelset import track
 from test_track_panel import PARAMETERS, fleet_passes
 from test_track_positions import OFFSETS, SCALES
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.passes import Pass
 from estimation.track.section import SectionEstimate, SectionParameters, estimate_section
 from estimation.values.quantities import Status
@@ -43,8 +43,8 @@ def known(estimate: SectionEstimate) -> TrackAlignment:
 def error(alignment: TrackAlignment, shift: float = 0.0) -> float:
     """Return the std of the error of an alignment over that of the true one."""
     truth = track(1)
-    weights = smoother(alignment.cut_off, PARAMETERS.step)
-    true = without_slow_part(np.interp(alignment.s + shift, truth.s, truth.alignment), weights)
+    weights = local_cubic_kernel(alignment.cutoff_wavelength, PARAMETERS.step)
+    true = high_pass(np.interp(alignment.s + shift, truth.s, truth.alignment), weights)
     seen = np.isfinite(alignment.alignment) & (alignment.s > 100) & (alignment.s < 1700)
     return float((alignment.alignment - true)[seen].std() / true[seen].std())
 

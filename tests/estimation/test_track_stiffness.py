@@ -8,7 +8,7 @@ from functools import cache
 import pytest
 from smooth_wheelset import mems_windows, run
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
@@ -62,13 +62,13 @@ def test_the_std_of_a_ratio_covers_its_error_and_is_what_geometry_is_told() -> N
 
 
 def test_an_adjusted_pass_is_that_of_the_vehicle_as_it_is() -> None:
-    """R of the assumed stiffness plus its elastic part in the right proportion is R of the true stiffness."""
+    """R of the assumed stiffness plus its stiffness term in the right proportion is R of the true stiffness."""
     soft, right = (list(believed(share)[: len(CONES)]) for share in (0.8, 1.0))
-    weights = smoother(PANEL.difference_cut_off, 0.25)
+    weights = local_cubic_kernel(PANEL.difference_cutoff_wavelength, 0.25)
     inner = slice(len(weights) // 2, -(len(weights) // 2))
     for before, ours, true in zip(soft, apply_ratios(soft, {f"{SOFT:g}": Ratio(1 / 0.8)}), right, strict=True):
         wrong, left, whole = (
-            without_slow_part(values, weights)[inner].std()
+            high_pass(values, weights)[inner].std()
             for values in (before.difference - true.difference, ours.difference - true.difference, true.difference)
         )
         assert wrong > 0.08 * whole
@@ -78,5 +78,5 @@ def test_an_adjusted_pass_is_that_of_the_vehicle_as_it_is() -> None:
 def test_passes_of_vehicles_nothing_is_known_of_stay_as_they_are() -> None:
     found = list(believed(0.8))
     assert apply_ratios(found, {}) == found
-    plain = [replace(item, elastic=None) for item in found]
+    plain = [replace(item, stiffness_term=None) for item in found]
     assert apply_ratios(plain, {f"{SOFT:g}": Ratio(1.25)}) == plain

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from smooth_wheelset import SmoothTable, alignment, mems_windows, run, track
 
-from estimation.filters.local_cubic import smoother, without_slow_part
-from estimation.motion.alignment_lookup import restored
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.motion.alignment_lookup import deconvolved
 from estimation.motion.curves import straight, straight_part
 from estimation.motion.parameters import CurveLimits, Refusal, SignalParameters
 from estimation.motion.track_relative import motion
@@ -105,7 +105,7 @@ def test_a_simulated_curve_spoils_the_motion_unless_it_is_on_file() -> None:
     assert "a curve is felt and no layout is on file" in refused.reason
     errors = []
     for known in (None, laid):
-        found = motion(window, alignment(bent), replace(PARAMETERS, most_lean=1.0), known)
+        found = motion(window, alignment(bent), replace(PARAMETERS, max_cant_deficiency_change=1.0), known)
         assert isinstance(found, Motion)
         true = m.relative_displacement[::4]
         parts = np.flatnonzero(np.diff(np.concatenate([[0], found.valid.astype(int), [0]]))).reshape(-1, 2)
@@ -190,14 +190,14 @@ def test_a_window_in_a_curve_says_so() -> None:
     assert found == Refusal("no sample can be used: 100% in curves")
 
 
-def fleet_alignment(cut_off: float) -> TrackAlignment:
+def fleet_alignment(cutoff_wavelength: float) -> TrackAlignment:
     """Return the alignment of track 1 as a fleet would find it: high-passed, unknown at its ends."""
     known = alignment(track(1))
-    weights = smoother(cut_off, float(known.s[1] - known.s[0]))
-    high = without_slow_part(known.alignment, weights)
+    weights = local_cubic_kernel(cutoff_wavelength, float(known.s[1] - known.s[0]))
+    high = high_pass(known.alignment, weights)
     reach = len(weights) // 2
     high[:reach] = high[-reach:] = np.nan
-    return replace(known, alignment=high, source=FLEET, cut_off=cut_off)
+    return replace(known, alignment=high, source=FLEET, cutoff_wavelength=cutoff_wavelength)
 
 
 def test_an_alignment_without_long_waves_serves_as_well_as_a_whole_one() -> None:
@@ -217,7 +217,7 @@ def test_where_the_alignment_is_not_known_nothing_is_restored_or_used() -> None:
     holed = known.alignment.copy()
     holed[(known.s > 600) & (known.s < 640)] = np.nan
     track_ = replace(known, alignment=holed)
-    assert not np.isfinite(restored(track_)[(known.s > 565) & (known.s < 675)]).any()
+    assert not np.isfinite(deconvolved(track_)[(known.s > 565) & (known.s < 675)]).any()
     found = motion(mems_windows(run(60), seed=0)[0], track_, PARAMETERS)
     assert isinstance(found, Motion)
     at = mems_windows(run(60), seed=0)[0].distance

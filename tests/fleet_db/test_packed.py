@@ -108,13 +108,13 @@ def test_what_the_passes_of_a_section_found_comes_back_exactly(wheelsets: int) -
     }
     found = TrackFindings({"V1": 1.01, "V2": 0.93}, 0.004, shifts)
     alignment = replace(
-        make.alignment(1), source=FLEET, cut_off=120.0, scale_std=0.01, gauge_known=False, findings=found
+        make.alignment(1), source=FLEET, cutoff_wavelength=120.0, scale_std=0.01, gauge_known=False, findings=found
     )
     back = unpack_alignment(pack_alignment(alignment), 0, where="here")
     assert back.findings is not None
     assert back.findings.stiffness_ratio == found.stiffness_ratio
     assert back.findings.stiffness_ratio_std == found.stiffness_ratio_std
-    assert back.cut_off == 120.0
+    assert back.cutoff_wavelength == 120.0
     assert back.findings.gauge_shifts.keys() == shifts.keys()
     for name, one in shifts.items():
         assert make.same(back.findings.gauge_shifts[name], one)

@@ -34,7 +34,7 @@ def of_fleet(seed: int) -> TrackAlignment:
     d, std = made.alignment.copy(), made.alignment_std.copy()
     d[0] = std[0] = np.nan
     return replace(
-        made, alignment=d, alignment_std=std, source=FLEET, cut_off=62.5, scale_std=0.0125, gauge_known=False
+        made, alignment=d, alignment_std=std, source=FLEET, cutoff_wavelength=62.5, scale_std=0.0125, gauge_known=False
     )
 
 
@@ -49,7 +49,7 @@ def test_where_an_alignment_came_from_comes_back_with_it_and_a_recording_is_pack
     assert make.same(unpack_alignment(pack_alignment(fleet), 0, where="here"), fleet)
     recorded = make.alignment(1)
     assert unpack_alignment(pack_alignment(recorded), 0, where="here").source == RECORDED
-    assert b"" != pack_alignment(recorded) != pack_alignment(replace(recorded, cut_off=60.0))
+    assert b"" != pack_alignment(recorded) != pack_alignment(replace(recorded, cutoff_wavelength=60.0))
     told = unpack_alignment(pack_alignment(replace(recorded, findings=FOUND)), 0, where="here")
     assert (told.source, told.findings is not None) == (RECORDED, True)
     assert make.same(replace(told, findings=None), recorded)

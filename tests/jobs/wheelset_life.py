@@ -79,7 +79,7 @@ def geometry_of(
         contact_angle_difference=nothing,
         amplitude=np.array([1e-3, 2e-3, 3e-3]),
         conicity=(headline, headline, headline),
-        headline_amplitude=3e-3,
+        reported_amplitude=3e-3,
         equivalent_conicity=headline,
         nonlinearity=known(0.0, 0.01),
         zero_crossing=Estimate.unknown("band-passed sensors do not see an offset"),

@@ -185,7 +185,7 @@ def test_windows_are_estimated_again_on_a_new_alignment_and_with_other_parameter
     assert current is not None
     assert current.track_versions == {"T-3": (2,)}
     settings = EstimationSettings()
-    other = replace(settings, signals=replace(settings.signals, longest_wavelength=50.0))
+    other = replace(settings, signals=replace(settings.signals, cutoff_wavelength=50.0))
     context = JobContext(fleet.storage, fleet.clock, "test", settings=(other,))
     changed = run_job(job_named("estimate_windows"), context, "cli").counts
     assert (changed["requeued"], changed["estimated"]) == (6, 6)

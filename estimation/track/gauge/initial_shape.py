@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.gauge.least_squares_step import GaugePrior, gauge_step, with_gauge_effect
 from estimation.track.panel.basis import PanelParameters, basis_functions, columns, on_grid
 from estimation.track.panel.normal_equations import init, update
@@ -50,7 +50,7 @@ def _leading(
     passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the two leading vectors over (w, knots of R >= 0), and how many samples each knot has."""
-    weights = smoother(panel.cut_off, panel.step)
+    weights = local_cubic_kernel(panel.cutoff_wavelength, panel.step)
     knots = panel.gauge_knots[panel.gauge_basis_count // 2 :]
     k, w = len(knots), len(solution.wheelsets)
     sums, own, count = np.zeros((panel.points, w * k)), np.zeros((w * k, w * k)), np.zeros(w * k)
@@ -61,7 +61,7 @@ def _leading(
         number = solution.wheelsets.index(item.wheelset)
         rest = felt.displacement - item.side * (solution.curves[0, number] @ columns(felt, panel))
         at = felt.points[felt.inside]
-        residual = without_slow_part(rest, weights)[felt.inside] - solution.alignment[at]
+        residual = high_pass(rest, weights)[felt.inside] - solution.alignment[at]
         met = np.isfinite(residual)
         residual = item.side * np.clip(np.where(met, residual, 0.0), -CLIPPED, CLIPPED)
         R = felt.difference[felt.inside]
@@ -114,5 +114,5 @@ def _cut(item: Pass, begin: float, end: float) -> Pass | None:
         at=item.at[within] - begin,
         displacement=item.displacement[within],
         difference=item.difference[within],
-        elastic=None if item.elastic is None else item.elastic[within],
+        stiffness_term=None if item.stiffness_term is None else item.stiffness_term[within],
     )

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.panel.basis import OnGrid, PanelParameters, basis_functions, columns, gauge_at, on_grid
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.passes import Pass
@@ -50,9 +50,9 @@ class _Seen:
 
 def with_gauge_effect(solution: PanelSolution, effect: FloatArray, panel: PanelParameters) -> PanelSolution:
     """Return a solution without gauge with h1 (w, gauge_hats), m for ``panel.gauge_unit`` of gauge, put in."""
-    h0, elastic = solution.curves[:, :, : panel.hats], solution.curves[:, :, -1:]
+    h0, stiffness_term = solution.curves[:, :, : panel.hats], solution.curves[:, :, -1:]
     h1 = np.broadcast_to(effect, (len(h0), *effect.shape))
-    return replace(solution, curves=np.concatenate([h0, h1, np.zeros_like(h1), elastic], axis=2))
+    return replace(solution, curves=np.concatenate([h0, h1, np.zeros_like(h1), stiffness_term], axis=2))
 
 
 def gauge_step(
@@ -60,7 +60,7 @@ def gauge_step(
 ) -> FloatArray:
     """Return the gauge deviation (n,) after one Gauss-Newton step from ``panel.gauge``, with mean zero."""
     assert panel.gauge is not None
-    weights = smoother(panel.cut_off, panel.step)
+    weights = local_cubic_kernel(panel.cutoff_wavelength, panel.step)
     seen = [found for item in passes if (found := _seen(item, solution, panel, weights)) is not None]
     count, weight = np.zeros((2, panel.points))
     for one in seen:
@@ -86,7 +86,7 @@ def _seen(item: Pass, solution: PanelSolution, panel: PanelParameters, weights: 
     if felt is None or item.wheelset not in solution.wheelsets:
         return None
     curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
-    rest = without_slow_part(felt.displacement - item.side * (curve @ columns(felt, panel)), weights)
+    rest = high_pass(felt.displacement - item.side * (curve @ columns(felt, panel)), weights)
     on = (felt.points >= 0) & (felt.points < panel.points)
     root = float(np.sqrt(panel.weight_of(item.wheelset)))
     return _Seen(
@@ -132,13 +132,13 @@ def _solve(
 
     def felt(gauge: FloatArray) -> list[FloatArray]:
         return without_alignment(
-            [np.where(one.inside, without_slow_part(one.slope * gauge[one.points], weights), 0.0) for one in seen]
+            [np.where(one.inside, high_pass(one.slope * gauge[one.points], weights), 0.0) for one in seen]
         )
 
     def back(rows: list[FloatArray]) -> FloatArray:
         total = np.zeros(len(share))
         for one, row in zip(seen, rows, strict=True):
-            np.add.at(total, one.points[one.on], (one.slope * without_slow_part(row, weights))[one.on])
+            np.add.at(total, one.points[one.on], (one.slope * high_pass(row, weights))[one.on])
         return total
 
     u = np.zeros(len(share))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.gauge.least_squares_step import FEWEST_PASSES
 from estimation.track.panel.basis import PanelParameters, basis_functions, gauge_at, on_grid
 from estimation.track.panel.solution import PanelSolution
@@ -89,11 +89,11 @@ def _placed(
         return None
     curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
     R = np.clip(felt.difference, -panel.reach, panel.reach)
-    nominal = item.side * (curve[: panel.hats] @ basis_functions(R, panel.knots) + curve[-1] * felt.elastic)
+    nominal = item.side * (curve[: panel.hats] @ basis_functions(R, panel.knots) + curve[-1] * felt.stiffness_term)
     shift = item.side * shifts[item.wheelset].at(felt.difference, gauge_at(felt.points, panel))
-    weights = smoother(panel.cut_off, panel.step)
+    weights = local_cubic_kernel(panel.cutoff_wavelength, panel.step)
     whole = nominal + shift
-    y = without_slow_part(felt.displacement + felt.shift - whole, weights) + whole
+    y = high_pass(felt.displacement + felt.shift - whole, weights) + whole
     return felt.points[felt.inside], (y - nominal)[felt.inside], felt.difference[felt.inside]
 
 

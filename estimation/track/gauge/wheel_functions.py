@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.panel.basis import PanelParameters, basis_functions, columns, gauge_at, on_grid
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.passes import Pass
@@ -79,7 +79,7 @@ def contact_samples(
     passes, solution, panel
         As solved; ``panel.gauge`` given.
     """
-    weights = smoother(panel.cut_off, panel.step)
+    weights = local_cubic_kernel(panel.cutoff_wavelength, panel.step)
     found: dict[str, list[FloatArray]] = {}
     for item in passes:
         felt = on_grid(item, panel)
@@ -87,10 +87,10 @@ def contact_samples(
             continue
         curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
         own = curve @ columns(felt, panel)
-        rest = without_slow_part(felt.displacement - item.side * own, weights)
+        rest = high_pass(felt.displacement - item.side * own, weights)
         d = np.where(felt.inside, solution.alignment[np.clip(felt.points, 0, panel.points - 1)], np.nan)
         misfit = item.side * (rest - d)
-        model = own - curve[-1] * felt.elastic + item.side * felt.shift
+        model = own - curve[-1] * felt.stiffness_term + item.side * felt.shift
         met: BoolArray = np.isfinite(misfit) & (np.abs(felt.difference) < panel.reach)
         rows = np.stack([model + misfit, misfit, felt.difference, gauge_at(felt.points, panel)])
         found.setdefault(item.wheelset, []).append(rows[:, met])

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import ParameterError
-from estimation.filters.local_cubic import smoother, trusted, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.passes import Pass, gridded
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
@@ -22,8 +22,10 @@ class PanelParameters:
 
     step: float = 1.0  # m
     length: float = 12_000.0  # m of the section
-    cut_off: float = 30.0  # m
-    difference_cut_off: float = 120.0  # m, of R before h is applied to it: h is not linear, so R must be whole
+    cutoff_wavelength: float = 30.0  # m
+    difference_cutoff_wavelength: float = (
+        120.0  # m, of R before h is applied to it: h is not linear, so R must be whole
+    )
     reach: float = 5.0e-3  # m of R that the hat functions span, both ways; further out is flange contact, and h flat
     impact: float = 6.0e-3  # m of R; beyond lie flange impacts, hunting and clipped sensors: what is near is left out
     hats: int = 41
@@ -39,7 +41,16 @@ class PanelParameters:
     least_passes: int = 3  # at a place
 
     def __post_init__(self) -> None:
-        for name in ("step", "length", "cut_off", "difference_cut_off", "reach", "impact", "block", "gauge_unit"):
+        for name in (
+            "step",
+            "length",
+            "cutoff_wavelength",
+            "difference_cutoff_wavelength",
+            "reach",
+            "impact",
+            "block",
+            "gauge_unit",
+        ):
             if not getattr(self, name) > 0:
                 raise ParameterError(f"{getattr(self, name)!r} is not positive", field=name)
 
@@ -60,7 +71,7 @@ class PanelParameters:
 
     @property
     def columns(self) -> int:
-        """Unknowns per wheelset: h0, then h1 and h2 where gauge is modelled, then the elastic part."""
+        """Unknowns per wheelset: h0, then h1 and h2 where gauge is modelled, then the stiffness term."""
         return self.hats + (0 if self.gauge is None else 2 * self.gauge_basis_count) + 1
 
     def weight_of(self, wheelset: str) -> float:
@@ -70,7 +81,10 @@ class PanelParameters:
     @property
     def reach_points(self) -> int:
         """Grid points at each end of a pass that the two filters cannot say anything of."""
-        return (len(smoother(self.cut_off, self.step)) + len(smoother(self.difference_cut_off, self.step))) // 2
+        return (
+            len(local_cubic_kernel(self.cutoff_wavelength, self.step))
+            + len(local_cubic_kernel(self.difference_cutoff_wavelength, self.step))
+        ) // 2
 
 
 def _knots(reach: float, count: int) -> FloatArray:
@@ -88,11 +102,11 @@ def filtered(
     felt = on_grid(item, parameters)
     if felt is None:
         return None
-    weights = smoother(parameters.cut_off, parameters.step)
+    weights = local_cubic_kernel(parameters.cutoff_wavelength, parameters.step)
     # single precision: half the time, and columns have no drift that would use it up
     shapes = columns(felt, parameters).astype(np.float32)
-    B = without_slow_part(shapes, weights.astype(np.float32))[:, felt.inside]
-    y, R = without_slow_part(np.stack([felt.displacement, felt.difference]), weights)[:, felt.inside]
+    B = high_pass(shapes, weights.astype(np.float32))[:, felt.inside]
+    y, R = high_pass(np.stack([felt.displacement, felt.difference]), weights)[:, felt.inside]
     return felt.points[felt.inside], item.side * B, y, item.side * R
 
 
@@ -112,7 +126,7 @@ def pass_residual(item: Pass, curve: FloatArray, parameters: PanelParameters) ->
     if felt is None:
         return None
     rest = felt.displacement - item.side * (curve @ columns(felt, parameters))
-    filtered_rest = without_slow_part(rest, smoother(parameters.cut_off, parameters.step))
+    filtered_rest = high_pass(rest, local_cubic_kernel(parameters.cutoff_wavelength, parameters.step))
     return felt.points[felt.inside], filtered_rest[felt.inside]
 
 
@@ -123,8 +137,8 @@ class OnGrid:
     points: IntArray  # (m,)
     displacement: FloatArray  # (m,) y, m, without ``shift``, slow part meaningless
     shift: FloatArray  # (m,) m, what is known beforehand of what the gauge does to y
-    difference: FloatArray  # (m,) R, m, without what is longer than ``difference_cut_off``
-    elastic: FloatArray  # (m,) m
+    difference: FloatArray  # (m,) R, m, without what is longer than ``difference_cutoff_wavelength``
+    stiffness_term: FloatArray  # (m,) m
     certain: BoolArray  # (m,) where R is, and no impact
     inside: BoolArray  # (m,)
 
@@ -135,14 +149,16 @@ def on_grid(item: Pass, parameters: PanelParameters) -> OnGrid | None:
     points = np.arange(first, first + len(displacement))
     if len(points) <= 2 * parameters.reach_points + 1:
         return None
-    long = smoother(parameters.difference_cut_off, parameters.step)
-    certain = trusted(np.ones(len(points), dtype=np.bool_), long)
-    elastic = (
-        np.zeros(len(points)) if item.elastic is None else np.interp(points * parameters.step, item.at, item.elastic)
+    long = local_cubic_kernel(parameters.difference_cutoff_wavelength, parameters.step)
+    certain = valid_support(np.ones(len(points), dtype=np.bool_), long)
+    stiffness_term = (
+        np.zeros(len(points))
+        if item.stiffness_term is None
+        else np.interp(points * parameters.step, item.at, item.stiffness_term)
     )
-    R, E = without_slow_part(np.stack([difference, elastic]), long)
+    R, E = high_pass(np.stack([difference, stiffness_term]), long)
     certain &= np.abs(R) <= parameters.impact
-    inside = trusted(certain, smoother(parameters.cut_off, parameters.step))
+    inside = valid_support(certain, local_cubic_kernel(parameters.cutoff_wavelength, parameters.step))
     inside &= (points >= 0) & (points < parameters.points)
     if not inside.any():
         return None
@@ -166,7 +182,7 @@ def columns(felt: OnGrid, parameters: PanelParameters) -> FloatArray:
         coarse = basis_functions(R, parameters.gauge_knots)
         e = gauge_at(felt.points, parameters) / parameters.gauge_unit
         rows += [coarse * e, coarse * e**2]
-    return np.concatenate([*rows, felt.elastic[None, :]])
+    return np.concatenate([*rows, felt.stiffness_term[None, :]])
 
 
 def gauge_at(points: IntArray, parameters: PanelParameters) -> FloatArray:

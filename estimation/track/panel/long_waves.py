@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.filters.local_cubic import smoother, trusted, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.track.panel.basis import PanelParameters, columns, on_grid
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.passes import Pass
@@ -20,27 +20,27 @@ from estimation.values.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class LongWaveAlignment:
-    """Mean of y - h(R) over the passes, high-passed at ``cut_off`` only."""
+    """Mean of y - h(R) over the passes, high-passed at ``cutoff_wavelength`` only."""
 
-    cut_off: float  # m
+    cutoff_wavelength: float  # m
     alignment: FloatArray  # (n,) m, zero where no pass
     pass_std: float  # m, of one pass, from the spread of the passes
     passes: FloatArray  # (n,) sum of their weights
 
 
 def long_wave_alignment(
-    passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters, cut_off: float
+    passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters, cutoff_wavelength: float
 ) -> LongWaveAlignment:
     """Return the alignment from ``passes`` with the curves of ``solution``."""
-    weights = smoother(cut_off, panel.step)
+    weights = local_cubic_kernel(cutoff_wavelength, panel.step)
     total, square, count = np.zeros((3, panel.points))
     for item in passes:
         felt = on_grid(item, panel)
         if felt is None or item.wheelset not in solution.wheelsets:
             continue
         curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
-        own = without_slow_part(felt.displacement - item.side * (curve @ columns(felt, panel)), weights)
-        inside = trusted(felt.certain, weights) & (felt.points >= 0) & (felt.points < panel.points)
+        own = high_pass(felt.displacement - item.side * (curve @ columns(felt, panel)), weights)
+        inside = valid_support(felt.certain, weights) & (felt.points >= 0) & (felt.points < panel.points)
         at = felt.points[inside]
         weight = panel.weight_of(item.wheelset)
         total[at] += weight * own[inside]
@@ -50,4 +50,4 @@ def long_wave_alignment(
     mean = total / shared
     several = count > 1
     spread = (square - count * mean**2)[several].sum() / max(float((count - 1)[several].sum()), 1.0)
-    return LongWaveAlignment(cut_off, mean, float(np.sqrt(max(spread, 0.0))), count)
+    return LongWaveAlignment(cutoff_wavelength, mean, float(np.sqrt(max(spread, 0.0))), count)

@@ -6,7 +6,7 @@ and c: d is the mean over the passes, c follows from what the passes have apart.
 because R is measured far better than y, the regression of y on R is the one that its noise does not flatten.
 Everything is compared after the same high-pass.
 
-Two more columns per wheelset are linear too: the elastic part of R, whose coefficient says by how much the assumed
+Two more columns per wheelset are linear too: the stiffness term of R, whose coefficient says by how much the assumed
 ratio of yaw stiffness to creep coefficient is off; and, where the gauge deviation e(s) is given, hats of R times e and
 times its square, h(R, e) = h0(R) + e h1(R) + e^2 h2(R), because gauge moves each wheel against its own rail.
 """

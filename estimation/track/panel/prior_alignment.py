@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.filters.local_cubic import smoother, trusted, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.track.panel.basis import PanelParameters
 from estimation.track.panel.normal_equations import PanelState, groups_of
 from estimation.track.panel.solution import PanelSolution
@@ -31,17 +31,17 @@ class PriorAlignment:
         return bool(np.isfinite(self.std).any())
 
 
-def prior_on_grid(evidence: TrackAlignment, panel: PanelParameters, cut_off: float) -> PriorAlignment:
-    """Return ``evidence`` on the grid of the panel, high-passed at ``cut_off`` (m) if it has not been there."""
+def prior_on_grid(evidence: TrackAlignment, panel: PanelParameters, cutoff_wavelength: float) -> PriorAlignment:
+    """Return ``evidence`` on the grid of the panel, high-passed at ``cutoff_wavelength`` (m) unless it was before."""
     grid = np.arange(panel.points) * panel.step
     certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
     inside = np.interp(grid, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
     d = np.interp(grid, evidence.s, np.where(certain, evidence.alignment, 0.0))
     std = np.interp(grid, evidence.s, np.where(certain, evidence.alignment_std, 0.0))
-    if evidence.cut_off != cut_off:
-        weights = smoother(cut_off, panel.step)
-        inside = trusted(np.asarray(inside), weights)
-        d = without_slow_part(d, weights)
+    if evidence.cutoff_wavelength != cutoff_wavelength:
+        weights = local_cubic_kernel(cutoff_wavelength, panel.step)
+        inside = valid_support(np.asarray(inside), weights)
+        d = high_pass(d, weights)
     passes = np.interp(grid, evidence.s, evidence.passes.astype(np.float64))
     return PriorAlignment(
         np.where(inside, d, 0.0),

@@ -17,7 +17,7 @@ from estimation.values.quantities import Status
 LEAST_DIVERSITY = 0.15
 LEAST_WHEELSETS = 2
 GAUGE_RIDGE = 1e-4  # of h1 and h2 per knot, relative to the data of a knot of h0
-ELASTIC_PRIOR = 2e-7  # m2: variance of a pass over that of the coefficient of the elastic part
+ELASTIC_PRIOR = 2e-7  # m2: variance of a pass over that of the coefficient of the stiffness term
 PASS_STD = 0.12e-3  # m of y - d - h(R) of a pass, as measured profiles are weighed against it
 ALIKE = 20.0  # samples of a pass whose errors are one
 PARTS = 4.0  # of a measured curve, whose errors are their own
@@ -108,8 +108,8 @@ def _curves(normal: FloatArray, right: FloatArray, state: PanelState, *, held: b
     measured, measured_right = _prior_of_measured(state, HELD * size if held else None)
     prior, total_right = prior + measured, total_right + measured_right
     if held:  # as little as the curves do the passes tell the stiffness: it is as assumed
-        elastic = np.arange(p.columns - 1, len(total), p.columns)
-        prior[elastic, elastic] += HELD * total[elastic, elastic]
+        stiffness_term = np.arange(p.columns - 1, len(total), p.columns)
+        prior[stiffness_term, stiffness_term] += HELD * total[stiffness_term, stiffness_term]
     curves = [
         linalg.solve(total - left_out + prior, total_right - left_right, assume_a="sym").reshape(w, p.columns)
         for left_out, left_right in zip(

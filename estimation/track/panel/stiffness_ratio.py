@@ -1,9 +1,9 @@
 """What the passes say of the vehicles themselves: yaw stiffness over creep coefficient, which scales part of R.
 
 R = rL - rR is measured as a sum of a rolling part, -(2 l r0/V) psi', that no uncertain parameter scales, and of an
-elastic part, -(r0/(l f11)) (k_psi psi + I psi''), that goes with yaw stiffness over creep coefficient. The two are out
-of phase, so a wrong ratio leaves residuals: y = d + h(R + delta E) = d + h(R) + h' delta E + ... has one more column,
-E.
+stiffness term, -(r0/(l f11)) (k_psi psi + I psi''), that goes with yaw stiffness over creep coefficient. The two are
+out of phase, so a wrong ratio leaves residuals: y = d + h(R + delta E) = d + h(R) + h' delta E + ... has one
+more column, E.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ class Ratio:
 
 
 def apply_ratios(passes: Sequence[Pass], ratios: Mapping[str, Ratio]) -> list[Pass]:
-    """Return the passes with the elastic part of R as large as the ratio of their vehicle makes it."""
+    """Return the passes with the stiffness term of R as large as the ratio of their vehicle makes it."""
     found = []
     for item in passes:
         ratio = ratios.get(item.vehicle)
-        if ratio is None or item.elastic is None:
+        if ratio is None or item.stiffness_term is None:
             found.append(item)
         else:
-            found.append(replace(item, difference=item.difference + (ratio.value - 1.0) * item.elastic))
+            found.append(replace(item, difference=item.difference + (ratio.value - 1.0) * item.stiffness_term))
     return found
 
 
@@ -52,11 +52,13 @@ def refine_ratios(
     are worth against what is known beforehand. Where measured profiles had to tell the curves, nothing is learnt.
     """
     if solution.report.held:
-        return {item.vehicle: Ratio() for item in passes if item.elastic is not None}
+        return {item.vehicle: Ratio() for item in passes if item.stiffness_term is not None}
     slopes = _slopes(solution, panel)
     numerators: dict[str, np.ndarray] = {}
     squares: dict[str, float] = {}
-    for vehicle, wheelset in sorted({(item.vehicle, item.wheelset) for item in passes if item.elastic is not None}):
+    for vehicle, wheelset in sorted(
+        {(item.vehicle, item.wheelset) for item in passes if item.stiffness_term is not None}
+    ):
         if wheelset not in solution.wheelsets:
             continue
         w = solution.wheelsets.index(wheelset)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import fft
 from scipy.stats import chi2
 
-from estimation.filters.local_cubic import smoother, without_slow_part
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.passes import Pass, gridded
 from estimation.values.arrays import FloatArray
 from estimation.values.track import TrackAlignment
@@ -57,26 +57,26 @@ class Agreement:
 NOTHING = Agreement(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def felt(item: Pass, cut_off: float, step: float) -> Felt | None:
+def felt(item: Pass, cutoff_wavelength: float, step: float) -> Felt | None:
     """Return what a pass felt, high-passed; None where it is shorter than the filter reaches.
 
     Parameters
     ----------
     item
         The pass.
-    cut_off, step
+    cutoff_wavelength, step
         Of the filter and of the grid, m.
     """
-    weights = smoother(cut_off, step)
+    weights = local_cubic_kernel(cutoff_wavelength, step)
     reach = len(weights) // 2
     first, y, R = gridded(item, step)
     if len(y) <= 2 * len(weights):
         return None
-    signals = without_slow_part(np.stack([y, item.side * R]), weights)[:, reach:-reach]
+    signals = high_pass(np.stack([y, item.side * R]), weights)[:, reach:-reach]
     return Felt(first + reach, signals, step)
 
 
-def laid(track: TrackAlignment, first: int, last: int, cut_off: float, step: float) -> Felt | None:
+def laid(track: TrackAlignment, first: int, last: int, cutoff_wavelength: float, step: float) -> Felt | None:
     """Return the longest known stretch of an alignment between two grid points, high-passed unless it is already."""
     grid = np.arange(first, last + 1) * step
     known = np.isfinite(track.alignment)
@@ -85,13 +85,13 @@ def laid(track: TrackAlignment, first: int, last: int, cut_off: float, step: flo
     inside = np.interp(grid, track.s, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
     start, stop = _longest(inside)
     d = np.interp(grid[start:stop], track.s[known], track.alignment[known])
-    if np.isfinite(track.cut_off):
+    if np.isfinite(track.cutoff_wavelength):
         return Felt(first + start, d[None, :], step) if len(d) else None
-    weights = smoother(cut_off, step)
+    weights = local_cubic_kernel(cutoff_wavelength, step)
     reach = len(weights) // 2
     if len(d) <= 2 * len(weights):
         return None
-    return Felt(first + start + reach, without_slow_part(d, weights)[None, reach:-reach], step)
+    return Felt(first + start + reach, high_pass(d, weights)[None, reach:-reach], step)
 
 
 def _longest(inside: FloatArray) -> tuple[int, int]:

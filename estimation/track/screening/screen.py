@@ -47,7 +47,7 @@ class PassOutcome:
 class ScreeningParameters:
     """What it takes to be believed."""
 
-    cut_off: float = 30.0  # m
+    cutoff_wavelength: float = 30.0  # m
     step: float = 1.0  # m
     positions: PositionParameters = field(default_factory=PositionParameters)
     log10_chance: float = -6.0  # of an agreement by chance
@@ -84,9 +84,9 @@ def screen(
         What it takes.
     """
     p = parameters or ScreeningParameters()
-    signals = [felt(item, p.cut_off, p.step) for item in passes]
+    signals = [felt(item, p.cutoff_wavelength, p.step) for item in passes]
     refused = {
-        i: f"{item.at[-1] - item.at[0]:.0f} m long, too short for wavelengths up to {p.cut_off:g} m"
+        i: f"{item.at[-1] - item.at[0]:.0f} m long, too short for wavelengths up to {p.cutoff_wavelength:g} m"
         for i, (item, one) in enumerate(zip(passes, signals, strict=True))
         if one is None
     }
@@ -129,9 +129,9 @@ def _by_known(heard: Mapping[int, Felt], known: TrackAlignment | None, p: Screen
     reach = int(p.positions.largest_offset / p.step)
     found = {}
     for i, one in heard.items():
-        track = laid(known, one.first - reach, one.last + reach, p.cut_off, p.step)
+        track = laid(known, one.first - reach, one.last + reach, p.cutoff_wavelength, p.step)
         if track is not None:
-            found[i] = agreement(one, track, p.positions.largest_offset, p.cut_off)
+            found[i] = agreement(one, track, p.positions.largest_offset, p.cutoff_wavelength)
     told = {i: one for i, one in found.items() if one.samples >= p.least_samples}
     usual = float(np.median([one.factor for one in told.values()])) if told else 1.0
     verdicts = {i: _verdict(one, usual or 1.0, p, "the section's alignment") for i, one in told.items()}
@@ -164,7 +164,7 @@ def _journeys(passes: Sequence[Pass], p: ScreeningParameters) -> IntArray:
 
 def _compare(first: Felt, second: Felt, p: ScreeningParameters) -> tuple[str, Link | None] | None:
     """Return why two passes contradict each other, or where they agree; None where they share too little."""
-    found = agreement(first, second, p.positions.largest_offset, p.cut_off)
+    found = agreement(first, second, p.positions.largest_offset, p.cutoff_wavelength)
     if found.samples < p.least_samples and found.log10_chance > p.log10_chance:
         return None
     reason = _verdict(found, 1.0, p, "other passes of the place")

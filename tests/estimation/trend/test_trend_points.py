@@ -23,7 +23,7 @@ def interval(number: int, covered_mm: Sequence[float]) -> GeometryRecord:
     conicity = tuple(
         known(0.1 * a + number) if a in covered_mm else Estimate.unknown("amplitude not covered") for a in grid
     )
-    headline = max((a for a in covered_mm if a <= 3.0), default=3.0)
+    reference = max((a for a in covered_mm if a <= 3.0), default=3.0)
     geometry = WheelsetGeometry(
         bin_edges=np.array([-1e-3, 0.0, 1e-3]),
         samples=np.zeros(2),
@@ -33,8 +33,8 @@ def interval(number: int, covered_mm: Sequence[float]) -> GeometryRecord:
         contact_angle_difference=nothing,
         amplitude=np.array(grid) / 1000.0,
         conicity=conicity,
-        headline_amplitude=headline / 1000.0,
-        equivalent_conicity=conicity[grid.index(headline)],
+        reported_amplitude=reference / 1000.0,
+        equivalent_conicity=conicity[grid.index(reference)],
         nonlinearity=Estimate.unknown("-"),
         zero_crossing=Estimate.unknown("-"),
         windows=4,
