@@ -17,7 +17,7 @@ from api.settings import Settings
 from estimation.alerts.rules.book import RuleBook
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.settings import JobSettings
 from fleet_db.migrate import check_head
 from fleet_db.raw import RawStore
 from fleet_db.session import database_engine
@@ -94,7 +94,7 @@ def job_context(
         The rules file is wrong; names the file and the field.
     """
     rules = RuleBook() if settings.rules_file is None else load_rules(settings.rules_file)
-    return JobContext(storage, SystemClock(), code_version(), progress=progress, settings=(EstimationSettings(), rules))
+    return JobContext(storage, SystemClock(), code_version(), JobSettings(rules=rules), progress=progress)
 
 
 def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:

@@ -25,7 +25,7 @@ from estimation.values.windows import WindowPosition, WindowRecord, WindowState
 
 def run(context: JobContext) -> Mapping[str, int]:
     """Estimate every pending window; each batch is committed together."""
-    settings = context.setting(EstimationSettings)
+    settings = context.settings.estimation
     counts: Counter[str] = Counter(estimated=0, refused=0, changed_meanwhile=0)
     with context.storage.write() as unit:
         known = {section.code: unit.tracks.in_force(section.code) for section in unit.tracks.sections()}

@@ -31,7 +31,7 @@ def run(context: JobContext) -> Mapping[str, int]:
     with context.storage.read() as unit:
         wheelsets = unit.registry.wheelsets()
         serials = [wheelset.serial for wheelset in wheelsets]
-        identities = new_events(unit, wheelsets, context.setting(RuleBook).identity.parameters)
+        identities = new_events(unit, wheelsets, context.settings.rules.identity.parameters)
         fleets = [fleet.code for fleet in unit.registry.fleets()]
     counts: Counter[str] = Counter(dict.fromkeys(("wheelsets", *(kind.value for kind in AlertEventKind)), 0))
     found: list[Transition] = []
@@ -47,7 +47,7 @@ def run(context: JobContext) -> Mapping[str, int]:
         for fleet in fleets:
             of_fleet = [change for change in found if change.alert.fleet == fleet]
             with context.storage.write() as unit:
-                events = raise_in_fleet(unit, fleet, of_fleet, context.setting(RuleBook), context.clock.now_ns())
+                events = raise_in_fleet(unit, fleet, of_fleet, context.settings.rules, context.clock.now_ns())
             counts.update(kind.value for kind in events)
     return dict(counts)
 
@@ -56,7 +56,7 @@ def _evaluate(
     unit: UnitOfWork, serial: str, context: JobContext, identity: IdentityEvent | None
 ) -> tuple[list[AlertEventKind], list[Transition]]:
     """Store what changes on the open alerts of a wheelset; return the events of that, and what is to be raised."""
-    book, now_ns = context.setting(RuleBook), context.clock.now_ns()
+    book, now_ns = context.settings.rules, context.clock.now_ns()
     facts = replace(_facts(unit, unit.registry.wheelset(serial), book), identity=identity)
     events: list[AlertEventKind] = []
     to_raise: list[Transition] = []

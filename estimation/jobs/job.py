@@ -10,14 +10,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 from estimation.errors import ConflictError, StoppedError, TreadwatchError
+from estimation.jobs.settings import JobSettings
 from estimation.storage import Clock, Storage
 from estimation.values.runs import JobRun
 
 _log = logging.getLogger(__name__)
-_Setting = TypeVar("_Setting")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,22 +34,15 @@ class JobContext:
     stopping
         Says whether the process has been asked to stop.
     settings
-        One frozen settings value per type, see :meth:`setting`.
+        Settings of all jobs.
     """
 
     storage: Storage
     clock: Clock
     code_version: str
+    settings: JobSettings
     progress: Callable[[int, int], None] | None = None
     stopping: Callable[[], bool] | None = None
-    settings: tuple[object, ...] = ()
-
-    def setting(self, kind: type[_Setting]) -> _Setting:
-        """Return the settings value of this type, or its shipped defaults (``kind()``) where none was given."""
-        for value in self.settings:
-            if isinstance(value, kind):
-                return value
-        return kind()
 
     def checkpoint(self, done: int, total: int) -> None:
         """Tell the progress; to be called between two batches, with everything before it committed.

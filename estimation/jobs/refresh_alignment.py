@@ -26,7 +26,6 @@ from estimation.storage import UnitOfWork
 from estimation.track.epochs import epoch_digest, life, limit_batch, resampled
 from estimation.track.examination import examine
 from estimation.track.passes import Pass
-from estimation.track.settings import AlignmentSettings
 from estimation.track.update import find
 from estimation.values.track import TrackAlignment, TrackSectionRecord
 from estimation.values.windows import Window, WindowRecord
@@ -89,7 +88,7 @@ def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counte
     left = [record for record in waiting.records if (record.wheelset, record.start_ns) not in epoch_passes.refused]
     digest = epoch_digest(left, version, context.code_version, measured_curves)  # what the next run would find again
     epoch = Epoch(section, waiting.records, waiting.in_force, digest, epoch_passes, waiting.measured.notes)
-    settings = context.setting(AlignmentSettings)
+    settings = context.settings.alignment
     finding = find(
         section,
         epoch_passes.found,
@@ -108,7 +107,7 @@ def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counte
 
 
 def _waiting(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext) -> _Waiting:
-    settings, interval_km = context.setting(AlignmentSettings), context.setting(EstimationSettings).interval_km
+    settings, interval_km = context.settings.alignment, context.settings.estimation.interval_km
     records = unit.windows.unplaced(section.code, settings.most_windows)
     wheelsets = {serial: unit.registry.wheelset(serial) for serial in {record.wheelset for record in records}}
     lives = [life(wheelsets[record.wheelset], record, interval_km) for record in records]
@@ -135,7 +134,7 @@ def _passes(context: JobContext, waiting: _Waiting) -> EpochPasses:
 
     Windows that follow each other are one pass, for its ends are lost to the filter.
     """
-    settings, step = context.setting(EstimationSettings), context.setting(AlignmentSettings).pass_step
+    settings, step = context.settings.estimation, context.settings.alignment.pass_step
     found: list[Pass] = []
     members: dict[WindowKey, tuple[WindowKey, ...]] = {}
     refused: dict[WindowKey, str] = {}

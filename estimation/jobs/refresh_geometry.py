@@ -11,7 +11,6 @@ from estimation.alerts.rules.identity import Break
 from estimation.errors import DamagedError
 from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.identities import latest_break
 from estimation.storage import UnitOfWork
 from estimation.tables import bin_table
@@ -88,7 +87,7 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     current geometry is that of the newest baseline with windows. What lies on both sides of a break of the wheelset's
     identity is never merged, and what cannot be told to lie on either side is left out.
     """
-    settings = context.setting(EstimationSettings)
+    settings = context.settings.estimation
     records: list[GeometryRecord] = []
     newest: tuple[Baseline, list[_Entry]] | None = None
     broken = latest_break(unit, serial)
@@ -116,7 +115,7 @@ def _intervals(
     unit: UnitOfWork, serial: str, baseline: Baseline, entries: Sequence[_Entry], context: JobContext
 ) -> list[GeometryRecord]:
     """Return the geometries per mileage interval of one baseline that are not stored like that."""
-    settings = context.setting(EstimationSettings)
+    settings = context.settings.estimation
     stored = {r.interval: r for r in unit.geometries.intervals(serial, baseline.number)}
     parts = _by_interval(entries, baseline, settings.interval_km)
     records = []
@@ -150,7 +149,7 @@ def _since(entries: Sequence[_Entry], broken: Break | None) -> Sequence[_Entry]:
 
 def _emptied(record: GeometryRecord, context: JobContext) -> GeometryRecord:
     """Return what follows ``record`` when none of its windows is left."""
-    settings = context.setting(EstimationSettings)
+    settings = context.settings.estimation
     return replace(
         record,
         geometry=estimate_geometry(bin_table.init(settings.bins), settings.bins, settings.geometry),
@@ -210,7 +209,7 @@ def _record(
     table: BinTable,
     context: JobContext,
 ) -> GeometryRecord:
-    settings = context.setting(EstimationSettings)
+    settings = context.settings.estimation
     windows = [entry[0] for entry in entries]
     versions = _versions(entries)
     newest = [unit.tracks.alignment(code, used[-1]) for code, used in versions.items()]

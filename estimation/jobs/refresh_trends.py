@@ -32,9 +32,9 @@ def run(context: JobContext) -> Mapping[str, int]:
 
 
 def _refresh(context: JobContext, wheelset: WheelsetRecord) -> str:
-    params, baseline = context.setting(TrendParameters), len(wheelset.reprofilings)
+    params, baseline = context.settings.trend, len(wheelset.reprofilings)
     with context.storage.read() as unit:
-        limit = _limit(unit, wheelset, context.setting(RuleBook))
+        limit = _limit(unit, wheelset, context.settings.rules)
         since = latest_break(unit, wheelset.serial)
         records = unbroken(unit.geometries.intervals(wheelset.serial, baseline), since)
         latest = unit.trends.latest(wheelset.serial)

@@ -1,17 +1,22 @@
-"""Settings of the estimation jobs, with shipped defaults."""
+"""Settings of the jobs: one frozen value for all of them. ``JobSettings()`` holds the shipped defaults."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
+from estimation.alerts.rules.book import RuleBook
 from estimation.geometry.estimate import GeometryParameters
 from estimation.motion.gates import Gates, WindowParameters
 from estimation.motion.parameters import SignalParameters
 from estimation.tables.bin_table import BinParameters
 from estimation.tables.window import bin_parameters
+from estimation.track.settings import AlignmentSettings
+from estimation.trend.trend import TrendParameters
 from estimation.values.json_value import JsonValue
 from estimation.vehicle.equations_of_motion import VehicleParameters
+
+_MOTION = ("vehicle", "signals", "gates", "interval_km")  # settings of the motion that alignments are made from
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,3 +44,30 @@ class EstimationSettings:
     def as_json(self) -> Mapping[str, JsonValue]:
         """Return every setting, for the provenance of an estimate."""
         return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class JobSettings:
+    """Settings of every job of a deployment.
+
+    Attributes
+    ----------
+    alignment
+        Of ``refresh_alignment``.
+    estimation
+        Of ``estimate_windows`` and ``refresh_geometry``, and of the motion that ``refresh_alignment`` looks at.
+    trend
+        Of ``refresh_trends``.
+    rules
+        Of ``evaluate_alerts``; the conicity limit is that of the trends, too.
+    """
+
+    alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
+    estimation: EstimationSettings = field(default_factory=EstimationSettings)
+    trend: TrendParameters = field(default_factory=TrendParameters)
+    rules: RuleBook = field(default_factory=RuleBook)
+
+    def alignment_parameters(self) -> dict[str, JsonValue]:
+        """Return every setting that shapes an alignment: those of its job and those of the motion that it fits."""
+        motion = {name: value for name, value in self.estimation.as_json().items() if name in _MOTION}
+        return asdict(self.alignment) | motion

@@ -20,6 +20,7 @@ from api.settings import Settings
 from estimation.errors import ConflictError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.settings import JobSettings
 from fleet_db.storage import SqlStorage
 
 
@@ -94,7 +95,7 @@ def held_runner(storage: SqlStorage) -> Iterator[tuple[JobRunner, Job, threading
                 break
         return {"done": 1}
 
-    runner = JobRunner(JobContext(storage, SystemClock(), "test"))
+    runner = JobRunner(JobContext(storage, SystemClock(), "test", JobSettings()))
     yield runner, Job("held", "Hold on", 60.0, work), release
     release.set()
     runner.close()
@@ -132,7 +133,7 @@ def test_readiness_is_a_problem_where_the_database_is_at_another_migration(sqlit
     def check() -> None:
         raise MigrationError("0000", "0001")
 
-    runner = JobRunner(JobContext(sqlite_storage, SystemClock(), "test"))
+    runner = JobRunner(JobContext(sqlite_storage, SystemClock(), "test", JobSettings()))
     services = Services(sqlite_storage, SystemClock(), {}, runner, check, lambda: None, one_reader=True)
     assert build_app(services).state.services is services
     with pytest.raises(MigrationError, match="treadwatch db upgrade"):

@@ -12,6 +12,7 @@ from smooth_wheelset import alignment, mems_windows, run, track
 
 from estimation.jobs.catalogue import run_all
 from estimation.jobs.job import JobContext
+from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.values.geometry import GeometryRecord
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
@@ -66,7 +67,7 @@ def deployed(storage: Storage, found: dict[str, Sequence[Window]], recorded: Tra
 
 
 def run_jobs(storage: Storage) -> None:
-    runs = run_all(JobContext(storage, Clock(), "test"), "cli")
+    runs = run_all(JobContext(storage, Clock(), "test", JobSettings()), "cli")
     assert [run.outcome for run in runs] == ["succeeded"] * len(runs), runs
 
 

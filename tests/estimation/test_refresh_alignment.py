@@ -15,6 +15,7 @@ from sqlalchemy import update
 
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import Job, JobContext, run_job
+from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.tables.window import NO_ALIGNMENT
 from estimation.track.settings import AlignmentSettings
@@ -83,7 +84,7 @@ def put(
     return found
 
 
-def run(storage: Storage, name: str, *settings: object, stop_after: int | None = None) -> JobRun:
+def run(storage: Storage, name: str, settings: JobSettings | None = None, *, stop_after: int | None = None) -> JobRun:
     left = [stop_after]
 
     def stopping() -> bool:
@@ -93,11 +94,11 @@ def run(storage: Storage, name: str, *settings: object, stop_after: int | None =
         return left[0] < 0
 
     job: Job = job_named(name)
-    return run_job(job, JobContext(storage, Clock(), "test", stopping=stopping, settings=settings), "cli")
+    return run_job(job, JobContext(storage, Clock(), "test", settings or JobSettings(), stopping=stopping), "cli")
 
 
-def counts(storage: Storage, name: str, *settings: object) -> Mapping[str, int]:
-    done = run(storage, name, *settings)
+def counts(storage: Storage, name: str, settings: JobSettings | None = None) -> Mapping[str, int]:
+    done = run(storage, name, settings)
     assert done.outcome == "succeeded", done.error
     return done.counts
 
@@ -459,7 +460,7 @@ def test_more_windows_than_an_epoch_holds_are_several_epochs(sqlite_storage: Sql
     register(storage)
     put(storage, range(6))
     put(storage, [0, 2], day=1)
-    done = counts(storage, "refresh_alignment", AlignmentSettings(most_windows=12))
+    done = counts(storage, "refresh_alignment", JobSettings(alignment=AlignmentSettings(most_windows=12)))
     assert (done["windows"], done["versions"]) == (16, 2)
 
 

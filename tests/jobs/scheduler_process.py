@@ -15,6 +15,7 @@ from threading import Event
 from estimation.errors import AlreadyRunningError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.scheduler import serve_jobs, stop_on_signals
+from estimation.jobs.settings import JobSettings
 from estimation.values.registry import FleetRecord
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
@@ -43,7 +44,7 @@ def main(url: str, directory: str) -> int:
     stop_on_signals(stop)
     job = Job("add_pairs", "adds pairs of fleets", 3600.0, add_pairs)
     try:
-        serve_jobs(JobContext(storage, SystemClock(), "test"), [job], stop, holder="first of the test")
+        serve_jobs(JobContext(storage, SystemClock(), "test", JobSettings()), [job], stop, holder="first of the test")
     except AlreadyRunningError as error:
         print(error, flush=True)  # noqa: T201 - what the test waits for
         return 3

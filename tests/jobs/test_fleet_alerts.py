@@ -16,6 +16,7 @@ from estimation.alerts.rules.book import NoDataRule, RuleBook, StormRule
 from estimation.errors import ConflictError, InputError
 from estimation.jobs import evaluate_alerts
 from estimation.jobs.job import JobContext, run_job
+from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.values.alerts import Alert, AlertEventKind, AlertKind, AlertScope, Condition, Severity
 from estimation.values.runs import JobRun
@@ -137,9 +138,10 @@ def fleet_of(storage: Storage, last_day: dict[str, float]) -> None:
         run_windows(storage, serial, day, 20)
 
 
-def evaluate(storage: Storage, day: float, *settings: object) -> JobRun:
+def evaluate(storage: Storage, day: float, rules: RuleBook | None = None) -> JobRun:
     clock = SetClock(START_NS + round(day * DAY_NS))
-    run = run_job(evaluate_alerts.JOB, JobContext(storage, clock, "test", settings=settings), "cli")
+    settings = JobSettings(rules=rules or RuleBook())
+    run = run_job(evaluate_alerts.JOB, JobContext(storage, clock, "test", settings), "cli")
     assert run.outcome == "succeeded", run
     return run
 
@@ -253,7 +255,7 @@ def test_a_run_that_is_stopped_tells_what_it_found_and_the_next_one_the_rest(sto
     fleet_of(storage, dict.fromkeys(WHEELSETS, 1.0))
     looks = iter([False] * 2 + [True] * 100)
     clock = SetClock(START_NS + round(8.5 * DAY_NS))
-    context = JobContext(storage, clock, "test", stopping=lambda: next(looks))
+    context = JobContext(storage, clock, "test", JobSettings(), stopping=lambda: next(looks))
     assert run_job(evaluate_alerts.JOB, context, "cli").outcome == "abandoned"
     before = told(storage)
     assert before == [(RAISED, "W1"), (RAISED, "W2")]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import pytest
 from wheelset_life import SetClock
@@ -11,12 +10,13 @@ from wheelset_life import SetClock
 from estimation.errors import InputError, NotFoundError
 from estimation.jobs.catalogue import ALL_JOBS, job_named, run_all
 from estimation.jobs.job import Job, JobContext, run_job
+from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.values.registry import FleetRecord
 
 
 def context_of(storage: Storage, stopping: Callable[[], bool] | None = None) -> JobContext:
-    return JobContext(storage, SetClock(100), "test", stopping=stopping)
+    return JobContext(storage, SetClock(100), "test", JobSettings(), stopping=stopping)
 
 
 def ticking(context: JobContext) -> Mapping[str, int]:
@@ -36,7 +36,9 @@ def fleets(storage: Storage) -> list[str]:
 
 def test_a_run_is_recorded_with_times_counts_and_progress(storage: Storage) -> None:
     seen: list[tuple[int, int]] = []
-    context = JobContext(storage, SetClock(100), "test", progress=lambda done, total: seen.append((done, total)))
+    context = JobContext(
+        storage, SetClock(100), "test", JobSettings(), progress=lambda done, total: seen.append((done, total))
+    )
     run = run_job(Job("tick", "", 1.0, ticking), context, "cli")
     assert (run.outcome, run.counts, run.error) == ("succeeded", {"fleets": 3}, None)
     assert (run.trigger, run.started_ns, run.finished_ns) == ("cli", 100, 130)
@@ -90,18 +92,6 @@ def test_a_run_that_was_given_up_meanwhile_stays_given_up(sqlite_storage: Storag
 
     run = run_job(Job("late", "", 1.0, given_up), context_of(sqlite_storage), "api")
     assert (run.outcome, run.finished_ns) == ("abandoned", 150)
-
-
-@dataclass(frozen=True)
-class Limits:
-    least: int = 3
-
-
-def test_settings_are_found_by_type_and_have_defaults(sqlite_storage: Storage) -> None:
-    context = context_of(sqlite_storage)
-    assert context.setting(Limits) == Limits(3)
-    given = JobContext(sqlite_storage, SetClock(1), "test", settings=("other", Limits(5)))
-    assert given.setting(Limits) == Limits(5)
 
 
 def test_the_catalogue_names_every_job_in_its_order(storage: Storage) -> None:

@@ -19,6 +19,7 @@ from wheelset_life import SetClock
 from estimation.errors import AlreadyRunningError, StorageError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.scheduler import build_scheduler, serve_jobs
+from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.runs import JobRun
 from fleet_db.session import database_engine
@@ -58,7 +59,9 @@ def serving(storage: Storage, jobs: Sequence[Job], interval_s: float = 3600.0) -
 
     def serve() -> None:
         try:
-            serve_jobs(JobContext(storage, SetClock(7), "test"), jobs, stop, every_s=lambda _job: interval_s)
+            serve_jobs(
+                JobContext(storage, SetClock(7), "test", JobSettings()), jobs, stop, every_s=lambda _job: interval_s
+            )
         except BaseException as error:  # noqa: BLE001 - handed to the test's own thread
             raised.append(error)
 
@@ -146,7 +149,7 @@ def test_a_second_scheduler_is_refused_and_told_who_is_first(storage_url: str, t
 def test_a_hundred_missed_runs_become_one_and_none_is_dropped_for_being_late(sqlite_storage: Storage) -> None:
     worked = Event()
     late = job("late", worked.set)
-    context = JobContext(sqlite_storage, SetClock(7), "test")
+    context = JobContext(sqlite_storage, SetClock(7), "test", JobSettings())
     scheduler = build_scheduler(context, [late], lambda _job: 3600.0)
     scheduler.start(paused=True)
     scheduler.modify_job("late", next_run_time=datetime.now(UTC) - timedelta(hours=100, minutes=30))

@@ -11,6 +11,7 @@ from estimation.alerts.life_cycle import acknowledge
 from estimation.alerts.rules.book import NoDataRule, RuleBook
 from estimation.jobs import evaluate_alerts, refresh_trends
 from estimation.jobs.job import JobContext, run_job
+from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, Condition
 from estimation.values.quantities import Status
@@ -25,12 +26,12 @@ RAISED, UPDATED, CLEARED, CLOSED = (
 )
 
 
-def at_day(storage: Storage, day: float, *settings: object) -> JobContext:
-    return JobContext(storage, SetClock(START_NS + round(day * DAY_NS)), "test", settings=settings)
+def at_day(storage: Storage, day: float, rules: RuleBook | None = None) -> JobContext:
+    return JobContext(storage, SetClock(START_NS + round(day * DAY_NS)), "test", JobSettings(rules=rules or RuleBook()))
 
 
-def run_jobs(storage: Storage, day: float, *settings: object) -> tuple[JobRun, JobRun]:
-    context = at_day(storage, day, *settings)
+def run_jobs(storage: Storage, day: float, rules: RuleBook | None = None) -> tuple[JobRun, JobRun]:
+    context = at_day(storage, day, rules)
     runs = run_job(refresh_trends.JOB, context, "cli"), run_job(evaluate_alerts.JOB, context, "cli")
     assert [run.outcome for run in runs] == ["succeeded", "succeeded"], runs
     return runs

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
-from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.settings import EstimationSettings, JobSettings
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
@@ -41,4 +41,5 @@ class Hesitant(SqlStorage):
 if __name__ == "__main__":
     address, directory, name = sys.argv[1:]
     storage = Hesitant(database_engine(address), Path(directory))
-    run_job(job_named(name), JobContext(storage, SystemClock(), "test", settings=(EstimationSettings(batch=1),)), "cli")
+    settings = JobSettings(estimation=EstimationSettings(batch=1))
+    run_job(job_named(name), JobContext(storage, SystemClock(), "test", settings), "cli")

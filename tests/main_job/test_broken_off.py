@@ -16,7 +16,7 @@ from tiny_fleet import DEAD, WORN, Deployment, results
 
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
-from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.values.runs import JobRun
 from estimation.values.windows import WindowState
 from fleet_db.models import WindowBinTableRow
@@ -29,7 +29,7 @@ ONE_BY_ONE = EstimationSettings(batch=1)
 
 
 def run(fleet: Deployment, job: str, storage: SqlStorage | None = None) -> JobRun:
-    context = JobContext(storage or fleet.storage, fleet.clock, "test", settings=(ONE_BY_ONE,))
+    context = JobContext(storage or fleet.storage, fleet.clock, "test", JobSettings(estimation=ONE_BY_ONE))
     return run_job(job_named(job), context, "cli")
 
 
@@ -164,7 +164,7 @@ def test_the_shape_of_a_batch_changes_no_result(
 ) -> None:
     for deployed, settings in ((fleet, ONE_BY_ONE), (second_fleet, replace(ONE_BY_ONE, batch=64))):
         deployed.receive(report.recordings[:1])
-        context = JobContext(deployed.storage, deployed.clock, "test", settings=(settings,))
+        context = JobContext(deployed.storage, deployed.clock, "test", JobSettings(estimation=settings))
         assert run_job(job_named("estimate_windows"), context, "cli").outcome == "succeeded"
     assert results(fleet.storage) == results(second_fleet.storage)
 
@@ -186,6 +186,6 @@ def test_windows_are_estimated_again_on_a_new_alignment_and_with_other_parameter
     assert current.track_versions == {"T-3": (2,)}
     settings = EstimationSettings()
     other = replace(settings, signals=replace(settings.signals, cutoff_wavelength=50.0))
-    context = JobContext(fleet.storage, fleet.clock, "test", settings=(other,))
+    context = JobContext(fleet.storage, fleet.clock, "test", JobSettings(estimation=other))
     changed = run_job(job_named("estimate_windows"), context, "cli").counts
     assert (changed["requeued"], changed["estimated"]) == (6, 6)

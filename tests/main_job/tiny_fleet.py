@@ -110,9 +110,9 @@ class Deployment:
     def receive(self, recordings: Iterable[Recording]) -> list[ChunkRecord]:
         return [self.receiver.receive_file(item.path, item.vehicle).record for item in recordings]
 
-    def run_jobs(self, *settings: object) -> list[JobRun]:
+    def run_jobs(self) -> list[JobRun]:
         context = job_context(self.settings, self.storage)
-        runs = run_all(replace(context, clock=self.clock, settings=(*settings, *context.settings)), "cli")
+        runs = run_all(replace(context, clock=self.clock), "cli")
         assert [run.outcome for run in runs] == ["succeeded"] * 5, runs
         return runs
 

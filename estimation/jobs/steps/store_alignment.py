@@ -61,7 +61,7 @@ def store(unit: UnitOfWork, epoch: Epoch, finding: Finding, context: JobContext)
     if finding.made and finding.alignment is not None:
         version = _next_version(unit, epoch, finding.alignment, context)
     _report(unit, epoch, finding, version, context)
-    settings = context.setting(AlignmentSettings)
+    settings = context.settings.alignment
     for position in _positions(epoch, finding, version, settings):
         _place(unit, position)
     if finding.alignment is None:
@@ -74,7 +74,7 @@ def _next_version(unit: UnitOfWork, epoch: Epoch, alignment: TrackAlignment, con
     now = unit.tracks.in_force(epoch.section.code)
     base = unit.tracks.alignment(epoch.section.code, now.same_since) if now is not None else None
     same_since = None
-    if base is not None and not requires_reestimation(base, alignment, context.setting(AlignmentSettings)):
+    if base is not None and not requires_reestimation(base, alignment, context.settings.alignment):
         same_since = base.version
     return unit.tracks.add_alignment(alignment, same_since=same_since, recorded_ns=context.clock.now_ns())
 
@@ -85,6 +85,7 @@ def _report(unit: UnitOfWork, epoch: Epoch, finding: Finding, version: int | Non
         "evidence": [*told.evidence, *epoch.notes],
         "recording": finding.recording,
         "refused_windows": _counted(epoch.passes.refused),
+        "parameters": context.settings.alignment_parameters(),
     }
     unit.tracks.add_report(
         TrackReport(
