@@ -8,6 +8,7 @@ from importlib.metadata import version
 from typing import Any
 
 import anyio.to_thread
+import orjson
 from fastapi import Depends, FastAPI
 from fastapi.routing import APIRoute
 from prometheus_client import CollectorRegistry
@@ -56,6 +57,11 @@ def describe() -> FastAPI:
 
     app.openapi = openapi  # type: ignore[method-assign]  # the way FastAPI offers to extend its document
     return app
+
+
+def document_text() -> str:
+    """Return the OpenAPI document as it is committed."""
+    return orjson.dumps(describe().openapi(), option=orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS).decode() + "\n"
 
 
 def build_app(services: Services) -> FastAPI:

@@ -1,6 +1,7 @@
 """The one command, ``treadwatch``: every service and every tool is a subcommand of it.
 
-Only the subcommand that is asked for is imported, so that ``treadwatch contact`` does not wait for the web server.
+Only the subcommand that is called is imported, and a subcommand imports what it runs only when it runs: help does not
+wait for the numerics or the web server.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import version
 from typing import Annotated
 
 import typer
@@ -32,7 +32,7 @@ class Command:
 
 COMMANDS = (
     Command("demo", "api.commands.demo", "demo", "Run the main job end to end on the embedded default."),
-    Command("simulate", "api.commands.simulate", "simulate", "Let a simulated fleet speak CAN frames."),
+    Command("simulate", "api.commands.simulate", "simulate", "Simulate a fleet that sends CAN frames."),
     Command("ingest", "api.commands.ingest", "ingest", "Receive CAN frames from log files or a live bus."),
     Command("estimate", "api.commands.estimate", "estimate", "Run the scheduled jobs once, now, in order."),
     Command("serve", "api.commands.serve", "serve", "Serve the REST API."),
@@ -47,6 +47,8 @@ COMMANDS = (
 
 def _print_version(wanted: bool) -> None:  # noqa: FBT001 - typer hands an option's value by position
     if wanted:
+        from importlib.metadata import version  # noqa: PLC0415 - other commands do not wait for it
+
         typer.echo(f"treadwatch {version('treadwatch')}")
         raise typer.Exit
 
@@ -61,12 +63,12 @@ def _root(
 
 
 def _not_imported() -> None:
-    """Stand for a subcommand that was not asked for."""
+    """Stand for a subcommand that was not called."""
 
 
 def build(arguments: Sequence[str]) -> typer.Typer:
     """Return the command line with the subcommand named in ``arguments`` loaded; the others only as their summary."""
-    app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+    app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     app.callback()(_root)
     chosen = next((word for word in arguments if not word.startswith("-")), None)
     for command in COMMANDS:
@@ -92,5 +94,5 @@ def main() -> None:
     try:
         build(arguments)(arguments, prog_name="treadwatch")
     except TreadwatchError as error:
-        print(f"treadwatch: {error}", file=sys.stderr)  # noqa: T201 - the command line speaks here
+        print(f"treadwatch: {error}", file=sys.stderr)  # noqa: T201 - the command line's own output
         raise SystemExit(REFUSED) from None

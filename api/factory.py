@@ -24,6 +24,7 @@ from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 
 if TYPE_CHECKING:
+    import uvicorn
     from fastapi import FastAPI
 
 
@@ -124,3 +125,19 @@ def create_app(settings: Settings) -> FastAPI:
             one_reader=settings.url.startswith("sqlite"),
         )
     )
+
+
+def create_server(settings: Settings) -> uvicorn.Server:
+    """Return the server of the REST application, which answers running requests before it ends on a signal."""
+    import uvicorn  # noqa: PLC0415 - the same
+
+    config = uvicorn.Config(
+        create_app(settings),
+        host=settings.host,
+        port=settings.port,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=settings.shutdown_timeout_s,
+    )
+    return uvicorn.Server(config)

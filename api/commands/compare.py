@@ -36,10 +36,10 @@ def compare(
     ] = False,
 ) -> None:
     """Simulate a section, run every estimator on its windows, print and draw who gets how near."""
-    from api.comparison import report, study  # noqa: PLC0415 - only this command needs matplotlib and numba
-    from api.plots.compare import save_comparison  # noqa: PLC0415 - as above
-    from ingest.simulator.section_file import load_section_scenario  # noqa: PLC0415 - as above
-    from ingest.simulator.section_run import simulate_section  # noqa: PLC0415 - as above
+    from api.comparison import report, study
+    from api.plots.compare import save_comparison
+    from ingest.simulator.section_file import load_section_scenario
+    from ingest.simulator.section_run import simulate_section
 
     plan = load_section_scenario(scenario)
     if parameter_errors:

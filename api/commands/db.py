@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import typer
 
-from api.settings import load_settings
-from fleet_db.migrate import check_head, head, upgrade
-from fleet_db.session import database_engine
-
-db = typer.Typer(no_args_is_help=True, help="Upgrade or check the database.")
+db = typer.Typer(no_args_is_help=True, help="Upgrade or check the database.", rich_markup_mode=None)
 
 
 @db.command("upgrade")
 def upgrade_database() -> None:
     """Create the database if there is none, and run every migration that it lacks."""
+    from api.settings import load_settings
+    from fleet_db.migrate import upgrade
+
     typer.echo(f"the database is at migration {upgrade(load_settings().url)}")
 
 
 @db.command("check")
 def check_database() -> None:
-    """Say whether the database answers and is at the migration that this version needs."""
+    """Check that the database answers and is at the migration that this version needs."""
+    from api.settings import load_settings
+    from fleet_db.migrate import check_head, head
+    from fleet_db.session import database_engine
+
     engine = database_engine(load_settings().url)
     try:
         check_head(engine)

@@ -2,98 +2,22 @@
 
 from __future__ import annotations
 
-import shutil
-import threading
-import time
 from pathlib import Path
 from typing import Annotated
-from urllib.parse import quote
 
 import typer
-from rich.console import Console
-
-from api import logs
-from api.commands.simulate import simulate_with_progress
-from api.demo.replay import ending_now, replay
-from api.demo.service import free_port, serving
-from api.demo.table import get, lines, tables
-from api.demo.track import track_lines
-from api.settings import load_settings
-from estimation.errors import StorageError
-from estimation.jobs.scheduler import stop_on_signals
-from fleet_db.migrate import upgrade
-from ingest.simulator.scenario_file import load_scenario
-
-MARKER = "made-by-treadwatch-demo"
 
 
 def demo(
     *,
     once: Annotated[bool, typer.Option("--once", help="End after the table instead of serving on.")] = False,
-    scenario: Annotated[str, typer.Option(help="A built-in scenario by name, or a TOML file.")] = "demo",
-    folder: Annotated[Path, typer.Option(help="Where the demo keeps its files; made anew each time.")] = Path(
+    scenario: Annotated[str, typer.Option(help="Name of a built-in scenario, or a TOML file.")] = "demo",
+    folder: Annotated[Path, typer.Option(help="Where the demo keeps its files; emptied at each start.")] = Path(
         "treadwatch-data/demo"
     ),
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the API; another if it is taken.")] = 8000,
 ) -> None:
     """Simulate a fleet on CAN, receive it, estimate it, and serve trends and alerts."""
-    began = time.monotonic()
-    console = Console()
-    plan = ending_now(load_scenario(scenario), time.time_ns())
-    _make_anew(folder)
-    recordings, data = folder / "recordings", folder / "data"
-    settings = load_settings(data_dir=data)
-    settings = settings.model_copy(update={"database_url": None, "host": "127.0.0.1", "log_level": "warning"})
-    logs.configure(settings)
-    console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)
-    report = simulate_with_progress(plan, recordings, console)
-    upgrade(settings.url)
-    console.print(replay(settings, plan, report, console))
-    # the port is looked for now, not a minute ago: somebody else may have come to listen meanwhile
-    with serving(settings.model_copy(update={"port": free_port(settings.host, port)})) as url:
-        found = lines(url, report.truth)
-        for table in tables(found, console):
-            console.print(table)
-        for sentence in track_lines(url):
-            console.print(sentence, highlight=False)
-        covered = [line.covers for line in found if line.covers is not None]
-        console.print(
-            f"{sum(covered)} of {len(covered)} intervals cover; {report.frames:,} CAN frames, "
-            f"{report.wheelset_seconds / 3600:.1f} wheelset-hours; table after {time.monotonic() - began:.0f} s",
-            highlight=False,
-        )
-        _say_where(url, console)
-        if not once:
-            console.print("serving; the jobs go on on their schedules; stop with Ctrl-C", highlight=False)
-            stopping = threading.Event()
-            stop_on_signals(stopping)
-            stopping.wait()
+    from api.terminal.demo import run_demo
 
-
-def _make_anew(folder: Path) -> None:
-    """Empty the demo's own folder; never one that the demo did not make."""
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise StorageError(f"{folder} is no folder of its own; choose another with --folder")
-    if folder.exists():
-        if not (folder / MARKER).is_file() and any(folder.iterdir()):
-            raise StorageError(f"{folder} holds files that are not the demo's; choose another with --folder")
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True)
-    (folder / MARKER).touch()
-
-
-def _say_where(url: str, console: Console) -> None:
-    alerts = get(url, "/v1/alerts?open=true&limit=1")["items"]
-    serial = alerts[0]["wheelset"] if alerts else get(url, "/v1/wheelsets?limit=1")["items"][0]["serial"]
-    serial = quote(serial, safe="")
-    section = quote(get(url, "/v1/track-sections?limit=1")["items"][0]["code"], safe="")
-    for path, what in (
-        ("/docs", "every endpoint, to try in a browser"),
-        (f"/v1/wheelsets/{serial}", "one wheelset, with links to all of it"),
-        (f"/v1/wheelsets/{serial}/geometry", "its bin table and conicity"),
-        (f"/v1/wheelsets/{serial}/trend", "its wear trend and forecast"),
-        (f"/v1/track-sections/{section}/alignments", "versions of the track's alignment"),
-        ("/v1/alerts/feed", "what maintenance systems poll"),
-        ("/v1/jobs", "what the scheduled jobs did"),
-    ):
-        console.print(f"  {url}{path:<42} {what}", highlight=False, soft_wrap=True)
+    run_demo(scenario, folder, port, keep_serving=not once)

@@ -2,81 +2,16 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Sequence
-from contextlib import closing
-from dataclasses import replace
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
-from rich.table import Table
-
-from api.factory import job_context, open_store, scheduled_jobs
-from api.settings import Settings, load_settings
-from estimation.errors import ParameterError
-from estimation.jobs.job import Job, JobContext, run_job
-from estimation.jobs.scheduler import stop_on_signals
-from estimation.values.runs import JobRun
 
 
 def estimate(
     *, job: Annotated[str | None, typer.Option(help="Only this job, such as estimate_windows.")] = None
 ) -> None:
     """Run every job once, now, in the order in which one hands its results to the next."""
-    settings = load_settings()
-    jobs = _chosen(settings, job)
-    console = Console(stderr=True)
-    stopping = threading.Event()
-    stop_on_signals(stopping)
-    with closing(open_store(settings)) as storage:
-        context = replace(job_context(settings, storage), stopping=stopping.is_set)
-        runs = run_in_order(jobs, context, console)
-    Console().print(summary(runs))
-    if any(run.outcome != "succeeded" for run in runs):
+    from api.terminal.estimate import run_jobs_once
+
+    if not run_jobs_once(job):
         raise typer.Exit(1)
-
-
-def _chosen(settings: Settings, name: str | None) -> Sequence[Job]:
-    jobs = scheduled_jobs(settings)
-    chosen = [job for job in jobs if name in {None, job.name}]
-    if not chosen:
-        known = ", ".join(job.name for job in jobs)
-        raise ParameterError(f"no job {name!r}; there are {known}", field="--job")
-    return chosen
-
-
-def run_in_order(jobs: Sequence[Job], context: JobContext, console: Console, trigger: str = "cli") -> list[JobRun]:
-    """Run the jobs one after the other, with a line of progress each; return their records."""
-    runs = []
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
-        for job in jobs:
-            task = progress.add_task(job.description, total=None)
-
-            def tell(done: int, total: int, task: TaskID = task) -> None:
-                progress.update(task, completed=done, total=total)
-
-            run = run_job(job, replace(context, progress=tell), trigger)
-            runs.append(run)
-            progress.update(task, total=1, completed=1)
-            if run.outcome == "abandoned":
-                break
-    return runs
-
-
-def summary(runs: Sequence[JobRun]) -> Table:
-    """Return what the jobs did, as a table."""
-    table = Table("job", "outcome", "seconds", "what it did")
-    for run in runs:
-        seconds = "" if run.finished_ns is None else f"{(run.finished_ns - run.started_ns) / 1e9:.1f}"
-        counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in run.counts.items())
-        table.add_row(run.job, run.outcome, seconds, run.error or counts)
-    return table

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from importlib.resources import as_file, files
 from typing import Annotated
 
-import orjson
 import typer
-
-from api.app import describe
-
-
-def document_text() -> str:
-    """Return the document as it is committed."""
-    return orjson.dumps(describe().openapi(), option=orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS).decode() + "\n"
 
 
 def openapi(
     *, write: Annotated[bool, typer.Option("--write", help="Write it to the committed file instead.")] = False
 ) -> None:
     """Print the OpenAPI document, or write it to the file that is committed."""
+    from importlib.resources import as_file, files
+
+    from api.app import document_text
+
     if not write:
         typer.echo(document_text(), nl=False)
         return

@@ -19,7 +19,7 @@ def reproduce(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the track.")] = 1,
 ) -> None:
     """Run the paper's two simulations, estimate all four combinations, draw and write what came out."""
-    from api.reproduction import figures, report, study  # noqa: PLC0415 - only this command needs matplotlib and numba
+    from api.reproduction import figures, report, study
 
     console = Console()
     try:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import socket
-import threading
-from contextlib import closing
-
-from api import logs
-from api.factory import job_context, open_store, scheduled_jobs
-from api.settings import load_settings
-from estimation.jobs.scheduler import serve_jobs, stop_on_signals
-
 
 def schedule() -> None:
     """Run the jobs on schedule until asked to stop; refused where another scheduler is at work on the database."""
+    import os
+    import socket
+    import threading
+    from contextlib import closing
+
+    from api import logs
+    from api.factory import job_context, open_store, scheduled_jobs
+    from api.settings import load_settings
+    from estimation.jobs.scheduler import serve_jobs, stop_on_signals
+
     settings = load_settings()
     logs.configure(settings)
     stopping = threading.Event()

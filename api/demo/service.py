@@ -8,8 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 
-from api.commands.serve import server
-from api.factory import job_context, open_store, scheduled_jobs
+from api.factory import create_server, job_context, open_store, scheduled_jobs
 from api.settings import Settings
 from estimation.errors import StorageError
 from estimation.jobs.scheduler import serve_jobs
@@ -46,7 +45,7 @@ def serving_api(settings: Settings) -> Iterator[str]:
     StorageError
         The API did not start.
     """
-    api = server(settings)
+    api = create_server(settings)
     thread = threading.Thread(target=api.run, name="api", daemon=True)
     thread.start()
     try:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import httpx
 import uvicorn
 
-from api.commands.serve import server
+from api.factory import create_server
 from api.settings import Settings
 from fleet_db.storage import SqlStorage
 
@@ -28,7 +28,7 @@ class Service:
 @contextmanager
 def running(settings: Settings) -> Iterator[str]:
     """Yield the URL of a server."""
-    service: uvicorn.Server = server(settings)
+    service: uvicorn.Server = create_server(settings)
     thread = threading.Thread(target=service.run)
     thread.start()
     try:

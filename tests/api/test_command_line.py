@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import structlog
 
-from api.cli import COMMANDS, main
+from api.cli import COMMANDS, Command, main
 from api.factory import code_version
 from api.settings import Settings, load_settings
 from estimation.errors import ParameterError
@@ -84,14 +84,33 @@ def test_help_names_every_subcommand_and_loads_none(treadwatch: Run) -> None:
         assert command.name in done.stdout
 
 
-@pytest.mark.parametrize("name", ["contact", "db", "simulate"])
-def test_a_subcommand_does_not_wait_for_the_web_framework(name: str) -> None:
+HEAVY = frozenset({
+    "alembic", "apscheduler", "can", "cantools", "fastapi", "matplotlib", "numba", "scipy", "sqlalchemy",
+    "structlog", "uvicorn",
+})  # fmt: skip
+
+
+def imported_by(*arguments: str) -> set[str]:
+    """Return the packages that one run of the command imports."""
     program = (
-        "import sys; from api.cli import build; build([sys.argv[1]]);"
-        "print(sorted({'fastapi', 'uvicorn'} & set(sys.modules)), f'api.commands.{sys.argv[1]}' in sys.modules)"
+        "import sys\nfrom api import cli\nsys.argv = ['treadwatch', *sys.argv[1:]]\n"
+        "try:\n    cli.main()\nexcept SystemExit:\n    pass\n"
+        "print('imported:', *{name.partition('.')[0] for name in sys.modules})"
     )
-    done = subprocess.run([sys.executable, "-c", program, name], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[] True"
+    done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True)
+    return set(done.stdout.rpartition("imported:")[2].split())
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
+def test_help_of_a_subcommand_does_not_import_what_the_subcommand_runs(command: Command) -> None:
+    imported = imported_by(command.name, "--help")
+    assert "typer" in imported
+    assert imported & HEAVY == set()
+
+
+def test_help_imports_neither_numerics_nor_tables_for_the_terminal() -> None:
+    assert imported_by("--help") & (HEAVY | {"numpy", "rich"}) == set()
+    assert imported_by("serve", "--help") & {"numpy", "rich"} == set()
 
 
 def test_an_unknown_subcommand_is_refused(treadwatch: Run) -> None:

@@ -21,8 +21,7 @@ from schemathesis.specs.openapi.checks import (
     unsupported_method,
 )
 
-from api.app import describe
-from api.commands.openapi import document_text
+from api.app import describe, document_text
 
 DOCUMENT = json.loads(document_text())
 HEADERS = {"If-Match", "If-None-Match", "Idempotency-Key"}

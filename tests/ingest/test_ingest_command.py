@@ -79,7 +79,7 @@ def test_a_bad_recording_is_named_and_the_others_go_on(deployment: SqlStorage, t
 def test_what_cannot_be_meant_is_refused(tmp_path: Path) -> None:
     unnamed = tmp_path / "recording.blf"
     write_log(unnamed, Run(seconds=1.0).frames())
-    with pytest.raises(InputError, match=r"recording\.blf: does not tell its vehicle"):
+    with pytest.raises(InputError, match=r"recording\.blf: does not name its vehicle"):
         run(str(unnamed))
     with pytest.raises(InputError, match="does not exist"):
         run(str(tmp_path / "nowhere"))

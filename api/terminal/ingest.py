@@ -1,0 +1,210 @@
+"""Recordings from files or a live bus, received under a progress bar, with a summary by vehicle."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from api.factory import SystemClock, open_store, raw_store
+from api.settings import load_settings
+from estimation.errors import InputError, TreadwatchError
+from estimation.jobs.scheduler import stop_on_signals
+from estimation.storage import Storage
+from ingest.bus import open_bus, record
+from ingest.catalogue import default_catalogue
+from ingest.logs import SUFFIXES
+from ingest.receiver import ChunkReceipt, Receiver
+from ingest.registry_file import load_registry
+
+SEPARATOR = "__"
+"""Between the vehicle and the time in the name of a recording."""
+
+NOT_COUNTS = ("recorder_first_ns", "recorder_last_ns")
+
+REMEMBERED = 1000
+"""Recordings of a live bus that the summary at the end covers."""
+
+Outcome = tuple[Path, ChunkReceipt | Exception]
+
+
+@dataclass(frozen=True, slots=True)
+class LiveBus:
+    """A bus to listen to: interface and channel of python-can, and the length of a recording cut from it, s."""
+
+    interface: str
+    channel: str
+    chunk_seconds: float
+
+
+def ingest_and_report(source: Sequence[Path] | LiveBus, vehicle: str | None, registry: Path | None) -> None:
+    """Receive recordings or listen to a bus, and print a summary.
+
+    Parameters
+    ----------
+    source
+        Recordings and folders of them, or the bus.
+    vehicle
+        Vehicle of all recordings; by default the part of each file name before ``__``. A live bus needs it.
+    registry
+        File of fleets, vehicles, wheelsets and sections to load first.
+
+    Raises
+    ------
+    InputError
+        A path does not exist, a folder holds no recording, or a file name does not contain its vehicle.
+    StorageError
+        The database cannot be used.
+    typer.Exit
+        Code 1: a recording was rejected.
+    """
+    settings = load_settings()
+    console = Console(stderr=True)
+    with closing(open_store(settings)) as storage:
+        if registry is not None:
+            _load(registry, storage)
+        receiver = Receiver(
+            storage, raw_store(settings), default_catalogue(), SystemClock(), window_length_s=settings.window_length_s
+        )
+        outcomes = _unfinished(receiver, console)
+        if isinstance(source, LiveBus):
+            outcomes += _live(receiver, source, str(vehicle), console)
+        else:
+            outcomes += receive_with_progress(receiver, recordings_of(source, vehicle), console)
+    Console().print(summary(outcomes))
+    for path, outcome in outcomes:
+        if isinstance(outcome, ChunkReceipt) and outcome.record.reason:
+            console.print(f"stored, not decoded yet: {path}: {outcome.record.reason}", highlight=False, soft_wrap=True)
+        elif isinstance(outcome, Exception):
+            console.print(f"rejected {path}: {outcome}", style="red", highlight=False, soft_wrap=True)
+    if any(isinstance(outcome, Exception) for _, outcome in outcomes):
+        raise typer.Exit(1)
+
+
+def recordings_of(places: Iterable[Path], vehicle: str | None) -> list[tuple[Path, str]]:
+    """Return every recording and its vehicle, folders searched through, in the order of their names.
+
+    Raises
+    ------
+    InputError
+        A path does not exist, a folder holds no recording, or a file name does not contain its vehicle.
+    """
+    found: list[Path] = []
+    for place in places:
+        if place.is_dir():
+            inside = sorted(path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+            if not inside:
+                raise InputError(f"holds no recording ({', '.join(SUFFIXES)})", file=place)
+            found += inside
+        elif place.exists():
+            found.append(place)
+        else:
+            raise InputError("does not exist", file=place)
+    return [(path, vehicle or vehicle_in_name(path)) for path in found]
+
+
+def vehicle_in_name(path: Path) -> str:
+    """Return the vehicle in ``<vehicle>__<time>.<suffix>``.
+
+    Raises
+    ------
+    InputError
+        The name has no such part.
+    """
+    vehicle, separator, _ = path.stem.partition(SEPARATOR)
+    if not (vehicle and separator):
+        raise InputError("does not name its vehicle: name it <vehicle>__<time>, or give --vehicle", file=path)
+    return vehicle
+
+
+def receive_with_progress(
+    receiver: Receiver, recordings: Sequence[tuple[Path, str]], console: Console
+) -> Iterator[Outcome]:
+    """Receive recordings under a progress bar; yield each with its receipt or its error."""
+    columns = (
+        SpinnerColumn(),
+        TextColumn("receiving recordings"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[frames]:,} frames"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("", total=len(recordings), frames=0)
+        frames = 0
+        for path, outcome in receiver.receive_files(recordings):
+            frames += outcome.record.frames if isinstance(outcome, ChunkReceipt) else 0
+            progress.update(task, advance=1, frames=frames)
+            yield path, outcome
+
+
+def summary(outcomes: Sequence[Outcome]) -> Table:
+    """Return what was received, by vehicle, and what was marked on the way."""
+    table = Table("vehicle", "recordings", "known before", "frames", "windows changed", "marked and counted")
+    receipts = [outcome for _, outcome in outcomes if isinstance(outcome, ChunkReceipt)]
+    for vehicle in sorted({receipt.record.vehicle for receipt in receipts}):
+        own = [receipt for receipt in receipts if receipt.record.vehicle == vehicle]
+        fresh = [receipt for receipt in own if not receipt.known]
+        counts: Counter[str] = Counter()
+        for receipt in fresh:
+            counts.update(receipt.record.counts)
+        marked = ", ".join(
+            f"{count:,} {name.replace('_', ' ')}" for name, count in counts.items() if count and name not in NOT_COUNTS
+        )
+        table.add_row(
+            vehicle,
+            str(len(own)),
+            str(len(own) - len(fresh)),
+            f"{sum(receipt.record.frames for receipt in fresh):,}",
+            str(sum(receipt.windows_changed for receipt in own)),
+            marked,
+        )
+    return table
+
+
+def _load(registry: Path, storage: Storage) -> None:
+    with storage.write() as unit:
+        load_registry(registry, unit)
+
+
+def _unfinished(receiver: Receiver, console: Console) -> list[Outcome]:
+    """Decode what an earlier run stored but did not decode; what cannot be decoded yet stays stored."""
+    outcomes: list[Outcome] = []
+    for outcome in receiver.decode_stored():
+        if isinstance(outcome, ChunkReceipt):
+            outcomes.append((Path(outcome.record.digest), outcome))
+        else:
+            console.print(f"stored earlier, not decoded: {outcome}", highlight=False, soft_wrap=True)
+    return outcomes
+
+
+def _live(receiver: Receiver, source: LiveBus, vehicle: str, console: Console) -> list[Outcome]:
+    stop = threading.Event()
+    stop_on_signals(stop)
+    outcomes: deque[Outcome] = deque(maxlen=REMEMBERED)
+    with (
+        tempfile.TemporaryDirectory(prefix="treadwatch-live-") as folder,
+        open_bus(source.interface, source.channel) as bus,
+    ):
+        console.print(f"listening to {source.interface} {source.channel} for {vehicle}; stop with Ctrl-C")
+        for chunk in record(bus, Path(folder), vehicle, chunk_seconds=source.chunk_seconds, stop=stop):
+            outcomes.append((chunk.path, _received(receiver, chunk.path, vehicle)))
+            chunk.path.unlink()
+            console.print(f"{chunk.path.name}: {chunk.frames:,} frames, {chunk.dropped:,} dropped", highlight=False)
+    return list(outcomes)
+
+
+def _received(receiver: Receiver, path: Path, vehicle: str) -> ChunkReceipt | Exception:
+    try:
+        return receiver.receive_file(path, vehicle)
+    except TreadwatchError as error:
+        return error
