@@ -77,6 +77,7 @@ class InputFile:
     values: Mapping[str, Any]
     lines: Mapping[Location, int] = field(default_factory=dict)  # by location, from 1; empty for JSON
     error_type: type[InputError] = InputError
+    container: str = "a table"  # what the format calls keys with values
 
     def error(self, reason: str, location: Location = ()) -> InputError:
         """Return the error that names file, line and field.
@@ -110,7 +111,7 @@ class InputFile:
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             location = (*first["loc"], *first.get("ctx", {}).get("location", ()))
-            raise self.error(_reason(first, model), location) from error
+            raise self.error(_reason(first, model, self.container), location) from error
 
 
 def read_toml(path: Path, error_type: type[InputError] = InputError) -> InputFile:
@@ -157,7 +158,7 @@ def read_json(path: Path, error_type: type[InputError] = InputError) -> InputFil
         raise error_type(f"is no JSON: {error.msg}", file=path, line=error.lineno) from error
     if not isinstance(values, dict):
         raise error_type("must hold one object", file=path)
-    return InputFile(path, values, error_type=error_type)
+    return InputFile(path, values, error_type=error_type, container="an object")
 
 
 def _read_text(path: Path, error_type: type[InputError]) -> str:
@@ -226,7 +227,7 @@ _REASONS: Mapping[str, str] = {
     "bool_type": "{value!r} is neither true nor false",
     "datetime_type": "{value!r} is not a date and time",
     "list_type": "{value!r} is not a list",
-    "model_type": "{value!r} is not a table of keys",
+    "model_type": "{value!r} is not {container}",
     "finite_number": "{value} is not a finite number",
     "greater_than": "{value} is outside the range: must be greater than {gt:g}",
     "greater_than_equal": "{value} is outside the range: at least {ge:g}",
@@ -238,14 +239,14 @@ _REASONS: Mapping[str, str] = {
 }
 
 
-def _reason(error: ErrorDetails, model: type[BaseModel]) -> str:
+def _reason(error: ErrorDetails, model: type[BaseModel], container: str) -> str:
     """Return the sentence for an error of pydantic."""
     if error["type"] == "extra_forbidden":
         return f"unknown key; known here: {', '.join(_known_keys(model, error['loc']))}"
     sentence = _REASONS.get(error["type"])
     if sentence is None:
         return error["msg"]
-    return sentence.format(value=error["input"], **error.get("ctx", {}))
+    return sentence.format(value=error["input"], container=container, **error.get("ctx", {}))
 
 
 def _known_keys(model: type[BaseModel], location: Location) -> list[str]:

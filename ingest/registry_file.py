@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -21,8 +20,9 @@ from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
-from ingest.json_fields import Fields, read_json
+from ingest.input_file import InputFile, Location, read_json
 from ingest.profiles.wheel_profile import read_wheel_profile
+from ingest.registry_schema import AlignmentEntry, MeasurementEntry, RegistryObject, SectionEntry
 from ingest.track_file import (
     LAYOUT_COLUMNS,
     read_gauge_columns,
@@ -31,10 +31,7 @@ from ingest.track_file import (
     uniform_distance,
 )
 
-FORMAT = "treadwatch-registry-1"
-MOST_AXLES = 8
-LEAST_LAID_OUT = 0.5  # of a section that its layout must reach
-PROFILES_STD_MM = 0.1  # of the lateral displacement that follows from measured profiles
+MIN_LAYOUT_SHARE = 0.5  # of a section that its layout must reach
 _T = TypeVar("_T")
 
 
@@ -54,7 +51,14 @@ class RegistryContents:
 
 
 def load_registry(path: Path, unit_of_work: UnitOfWork) -> RegistryContents:
-    """Read a registry file and store it through the registry and the tracks of ``unit_of_work``; return what it held.
+    """Read a registry file and store its contents; return them.
+
+    Parameters
+    ----------
+    path
+        The registry file; the files it names are relative to its folder.
+    unit_of_work
+        An open transaction; nothing is committed here.
 
     Raises
     ------
@@ -77,9 +81,9 @@ def load_registry(path: Path, unit_of_work: UnitOfWork) -> RegistryContents:
 
 
 def _add_alignment(unit_of_work: UnitOfWork, alignment: TrackAlignment) -> None:
-    """Store an alignment; where it takes the place of another, let the windows of the section be looked at again.
+    """Store an alignment; where it replaces another, queue the windows of the section again.
 
-    Where they were had been found against that other one, which may lie some metres off.
+    Their positions had been found against the replaced one, which may be off by some metres.
     """
     tracks = unit_of_work.tracks
     before = tracks.in_force(alignment.section)
@@ -90,7 +94,7 @@ def _add_alignment(unit_of_work: UnitOfWork, alignment: TrackAlignment) -> None:
 
 
 def _add_layout(unit_of_work: UnitOfWork, layout: TrackLayout) -> None:
-    """Store a layout; where it is another than before, let the windows of the section be estimated again."""
+    """Store a layout; where it differs from the one before, queue the windows of the section again."""
     before = unit_of_work.tracks.layout(layout.section)
     version = unit_of_work.tracks.add_layout(layout)
     if before is None or before.version != version:
@@ -98,24 +102,35 @@ def _add_layout(unit_of_work: UnitOfWork, layout: TrackLayout) -> None:
 
 
 def read_registry(path: Path) -> RegistryContents:
-    """Read and check a registry file and the files it names; raises ``InputError`` as ``load_registry`` does."""
-    root = read_json(path)
-    if root.text("format") != FORMAT:
-        raise root.fail(f"must be {FORMAT!r}", "format")
-    sections, alignments, layouts = _sections(root, path)
-    contents = RegistryContents(
-        fleets=_each(root, "fleets", _fleet),
-        vehicles=_each(root, "vehicles", _vehicle),
-        wheelsets=_each(root, "wheelsets", _wheelset),
-        mountings=_each(root, "mountings", _mounting),
-        reprofilings=_each(root, "reprofilings", _reprofiling),
-        measured_profiles=_each(root, "measured_profiles", partial(_measured_profiles, folder=path.parent)),
-        sections=sections,
-        alignments=alignments,
-        layouts=layouts,
+    """Read and check a registry file and the files it names.
+
+    Parameters
+    ----------
+    path
+        The registry file; the files it names are relative to its folder.
+
+    Raises
+    ------
+    InputError
+        As ``load_registry``, but for what the store knows.
+    """
+    file = read_json(path)
+    entries = file.parse(RegistryObject)
+    sections = [_section(file, entry, ("track_sections", index)) for index, entry in enumerate(entries.track_sections)]
+    return RegistryContents(
+        fleets=tuple(entry.record() for entry in entries.fleets),
+        vehicles=tuple(entry.record() for entry in entries.vehicles),
+        wheelsets=tuple(entry.record() for entry in entries.wheelsets),
+        mountings=tuple(entry.record() for entry in entries.mountings),
+        reprofilings=tuple(entry.record() for entry in entries.reprofilings),
+        measured_profiles=tuple(
+            _measured_profiles(file, entry, ("measured_profiles", index))
+            for index, entry in enumerate(entries.measured_profiles)
+        ),
+        sections=tuple(section for section, _, _ in sections),
+        alignments=tuple(alignment for _, alignment, _ in sections if alignment is not None),
+        layouts=tuple(layout for _, _, layout in sections if layout is not None),
     )
-    root.end()
-    return contents
 
 
 def _store(path: Path, what: str, records: Sequence[_T], add: Callable[[_T], object]) -> None:
@@ -126,122 +141,41 @@ def _store(path: Path, what: str, records: Sequence[_T], add: Callable[[_T], obj
             raise InputError(str(error), file=path, field=f"{what}[{index}]") from error
 
 
-def _each(root: Fields, key: str, read: Callable[[Fields], _T]) -> tuple[_T, ...]:
-    records = []
-    for fields in root.objects(key):
-        records.append(read(fields))
-        fields.end()
-    return tuple(records)
-
-
-def _fleet(fields: Fields) -> FleetRecord:
-    return FleetRecord(fields.text("code"), fields.text("name"))
-
-
-def _vehicle(fields: Fields) -> VehicleRecord:
-    axles = fields.integer("axles", low=1, high=MOST_AXLES)
-    offsets = fields.numbers("axle_offsets_m")
-    if len(offsets) != axles:
-        raise fields.fail(f"{len(offsets)} offsets for {axles} axles", "axle_offsets_m")
-    return VehicleRecord(
-        code=fields.text("code"),
-        fleet=fields.text("fleet"),
-        vehicle_class=fields.text("vehicle_class"),
-        axles=axles,
-        max_speed_m_s=fields.number("max_speed_km_h", low=1.0, high=600.0) / 3.6,
-        axle_offsets_m=offsets,
-    )
-
-
-def _wheelset(fields: Fields) -> WheelsetRecord:
-    return WheelsetRecord(
-        serial=fields.text("serial"),
-        fleet=fields.text("fleet"),
-        wheel_profile=fields.text("wheel_profile"),
-        nominal_radius_m=1e-3 * fields.number("nominal_radius_mm", low=100.0, high=1000.0),
-        mounting=None,
-    )
-
-
-def _mounting(fields: Fields) -> Mounting:
-    mounting = Mounting(
-        wheelset=fields.text("wheelset"),
-        vehicle=fields.text("vehicle"),
-        axle=fields.integer("axle", low=1, high=MOST_AXLES),
-        from_ns=fields.moment_ns("from"),
-        to_ns=fields.optional_moment_ns("to"),
-        vehicle_odometer_km=fields.number("vehicle_odometer_km"),
-        wheelset_mileage_km=fields.number("wheelset_mileage_km"),
-        reversed=fields.flag("reversed", default=False),
-    )
-    if mounting.to_ns is not None and mounting.to_ns <= mounting.from_ns:
-        raise fields.fail("must be later than 'from'", "to")
-    return mounting
-
-
-def _reprofiling(fields: Fields) -> Reprofiling:
-    return Reprofiling(
-        wheelset=fields.text("wheelset"),
-        at_ns=fields.moment_ns("at"),
-        mileage_km=fields.number("mileage_km"),
-        note=fields.text("note", ""),
-    )
-
-
-def _measured_profiles(fields: Fields, folder: Path) -> MeasuredProfiles:
-    std_mm = fields.number("std_mm", PROFILES_STD_MM)
-    if std_mm == 0.0:
-        raise fields.fail("must be greater than 0", "std_mm")
+def _measured_profiles(file: InputFile, entry: MeasurementEntry, location: Location) -> MeasuredProfiles:
+    """Return the measured profiles of a wheelset; ``location`` is that of its entry."""
     return MeasuredProfiles(
-        wheelset=fields.text("wheelset"),
-        at_ns=fields.moment_ns("at"),
-        mileage_km=fields.number("mileage_km"),
-        left=_wheel(fields.one_object("left"), folder),
-        right=_wheel(fields.one_object("right"), folder),
-        std=1e-3 * std_mm,
+        wheelset=entry.wheelset,
+        at_ns=entry.at,
+        mileage_km=entry.mileage_km,
+        left=_wheel(file, entry.left.file, (*location, "left", "file")),
+        right=_wheel(file, entry.right.file, (*location, "right", "file")),
+        std=1e-3 * entry.std_mm,
     )
 
 
-def _wheel(fields: Fields, folder: Path) -> Profile:
-    file = folder / fields.text("file")
-    fields.end()
+def _wheel(file: InputFile, name: str, location: Location) -> Profile:
+    """Return the profile in the file ``name`` beside the registry."""
     try:
-        return read_wheel_profile(file)
+        return read_wheel_profile(file.path.parent / name)
     except ProfileError as error:
-        raise fields.fail(str(error), "file") from error
+        raise file.error(str(error), location) from error
 
 
-def _sections(
-    root: Fields, path: Path
-) -> tuple[tuple[TrackSectionRecord, ...], tuple[TrackAlignment, ...], tuple[TrackLayout, ...]]:
-    sections, alignments, layouts = [], [], []
-    for fields in root.objects("track_sections"):
-        section = TrackSectionRecord(
-            code=fields.text("code"),
-            number=fields.integer("number", low=1, high=65534),
-            name=fields.text("name"),
-            rail_profile=fields.text("rail_profile"),
-            rail_inclination=fields.number("rail_inclination", high=0.5),
-            nominal_gauge_m=1e-3 * fields.number("nominal_gauge_mm", low=500.0, high=2000.0),
-            length_m=fields.number("length_m", low=1.0),
-        )
-        known, curves = fields.optional_object("alignment"), fields.optional_object("layout")
-        fields.end()
-        sections.append(section)
-        layout = None
-        if known is not None:
-            alignments.append(_alignment(known, section.code, path.parent))
-            layout = _layout(path.parent / known.text("file"), section)
-            known.end()
-        if curves is not None:
-            file = path.parent / curves.text("file")
-            curves.end()
-            layout = _layout(file, section)
-            if layout is None:
-                raise InputError(f"no such column; expected s_m, {', '.join(LAYOUT_COLUMNS)}", file=file, line=1)
-        if layout is not None:
-            layouts.append(layout)
-    return tuple(sections), tuple(alignments), tuple(layouts)
+def _section(
+    file: InputFile, entry: SectionEntry, location: Location
+) -> tuple[TrackSectionRecord, TrackAlignment | None, TrackLayout | None]:
+    """Return a section with the track that the files of its entry hold; a layout of its own comes before the other."""
+    section, folder = entry.record(), file.path.parent
+    alignment = layout = None
+    if entry.alignment is not None:
+        alignment = _alignment(file, entry.alignment, section.code, (*location, "alignment"))
+        layout = _layout(folder / entry.alignment.file, section)
+    if entry.layout is not None:
+        own = folder / entry.layout.file
+        layout = _layout(own, section)
+        if layout is None:
+            raise InputError(f"no such column; expected s_m, {', '.join(LAYOUT_COLUMNS)}", file=own, line=1)
+    return section, alignment, layout
 
 
 def _layout(file: Path, section: TrackSectionRecord) -> TrackLayout | None:
@@ -249,18 +183,19 @@ def _layout(file: Path, section: TrackSectionRecord) -> TrackLayout | None:
     if columns is None:
         return None
     last = float(columns[-1, 0])
-    if last < LEAST_LAID_OUT * section.length_m or last > section.length_m / LEAST_LAID_OUT:
+    if last < MIN_LAYOUT_SHARE * section.length_m or last > section.length_m / MIN_LAYOUT_SHARE:
         reason = f"ends at {last:g} m, section {section.code!r} has {section.length_m:g} m; another unit or section?"
         raise InputError(reason, file=file, field="s_m")
     return TrackLayout(section.code, 0, *columns.T)
 
 
-def _alignment(fields: Fields, section: str, folder: Path) -> TrackAlignment:
-    file = folder / fields.text("file")
-    s, alignment, gauge, std = _columns(fields, file)
+def _alignment(file: InputFile, entry: AlignmentEntry, section: str, location: Location) -> TrackAlignment:
+    track_file = file.path.parent / entry.file
+    s, alignment, gauge = _columns(file, entry, track_file, location)
     if not uniform_distance(s):
-        raise InputError("distances must be evenly spaced", file=file, field="s_m")
+        raise InputError("distances must be evenly spaced", file=track_file, field="s_m")
     n = len(s)
+    std = np.nan if entry.alignment_std_mm is None else 1e-3 * entry.alignment_std_mm
     return TrackAlignment(
         section=section,
         version=0,
@@ -268,21 +203,24 @@ def _alignment(fields: Fields, section: str, folder: Path) -> TrackAlignment:
         alignment=alignment,
         alignment_std=np.full(n, std),
         gauge_deviation=gauge,
-        gauge_deviation_std=np.full(n, 1e-3 * fields.number("gauge_deviation_std_mm")),
+        gauge_deviation_std=np.full(n, 1e-3 * entry.gauge_deviation_std_mm),
         passes=np.zeros(n, dtype=np.int64),
         status=Status.ESTIMATED if np.isfinite(std) else Status.UNESTIMATED,
     )
 
 
-def _columns(fields: Fields, file: Path) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Return distance, alignment, gauge deviation (n,) and the std of the alignment, m; NaN where it is of gauge alone.
+def _columns(
+    file: InputFile, entry: AlignmentEntry, track_file: Path, location: Location
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return distance, alignment, gauge deviation (n,), m; alignments are NaN in a file of the gauge alone.
 
-    A std of an alignment that the file has not is an error, for a misspelt column would be taken for none.
+    A standard deviation of an alignment that the file does not have is an error: the column may be misspelt.
     """
-    of_gauge = None if fields.has("alignment_std_mm") else read_gauge_columns(file)
-    if of_gauge is not None:
+    if entry.alignment_std_mm is None:
+        of_gauge = read_gauge_columns(track_file)
+        if of_gauge is None:
+            raise file.error("is missing", (*location, "alignment_std_mm"))
         s, gauge = of_gauge.T
-        return s, np.full(len(s), np.nan), gauge, float("nan")
-    std = 1e-3 * fields.number("alignment_std_mm")
-    s, alignment, gauge = read_track_columns(file).T
-    return s, alignment, gauge, std
+        return s, np.full(len(s), np.nan), gauge
+    s, alignment, gauge = read_track_columns(track_file).T
+    return s, alignment, gauge

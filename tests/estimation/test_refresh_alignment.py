@@ -37,7 +37,8 @@ from estimation.values.windows import Window, WindowState
 from fleet_db.models import TrackAlignmentRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from ingest.registry_file import FORMAT, load_registry
+from ingest.registry_file import load_registry
+from ingest.registry_schema import FORMAT
 
 LENGTH = 2900.0
 DAY_NS = 86_400 * 10**9

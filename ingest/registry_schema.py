@@ -1,0 +1,210 @@
+"""Schema of a registry file: one class per kind of entry, in the units of the file."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Annotated, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.track import TrackSectionRecord
+from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
+
+FORMAT = "treadwatch-registry-1"
+MAX_AXLES = 8
+PROFILES_STD_MM = 0.1  # of the lateral displacement that follows from measured profiles
+
+
+def _nanoseconds(value: object) -> int:
+    """Return a time in ISO 8601 with its offset from UTC as ns since 1970."""
+    try:
+        moment = datetime.fromisoformat(value) if isinstance(value, str) else None
+    except ValueError:
+        moment = None
+    if moment is None or moment.tzinfo is None:
+        raise field_error(f"{value!r} is not a time with its offset from UTC, as in 2024-01-08T05:30:00Z")
+    since = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    return (since.days * 86_400_000_000 + since.seconds * 1_000_000 + since.microseconds) * 1000
+
+
+MomentNs = Annotated[int, BeforeValidator(_nanoseconds)]
+
+
+class FleetEntry(InputTable):
+    """An entry of ``fleets``."""
+
+    code: Text
+    name: Text
+
+    def record(self) -> FleetRecord:
+        """Return the fleet."""
+        return FleetRecord(self.code, self.name)
+
+
+class VehicleEntry(InputTable):
+    """An entry of ``vehicles``."""
+
+    code: Text
+    fleet: Text
+    vehicle_class: Text
+    axles: int = Field(ge=1, le=MAX_AXLES)
+    max_speed_km_h: float = Field(ge=1.0, le=600.0)
+    axle_offsets_m: list[float]
+
+    @model_validator(mode="after")
+    def _check_offsets(self) -> Self:
+        if len(self.axle_offsets_m) != self.axles:
+            raise field_error(f"{len(self.axle_offsets_m)} offsets for {self.axles} axles", "axle_offsets_m")
+        return self
+
+    def record(self) -> VehicleRecord:
+        """Return the vehicle in SI units."""
+        return VehicleRecord(
+            code=self.code,
+            fleet=self.fleet,
+            vehicle_class=self.vehicle_class,
+            axles=self.axles,
+            max_speed_m_s=self.max_speed_km_h / 3.6,
+            axle_offsets_m=tuple(self.axle_offsets_m),
+        )
+
+
+class WheelsetEntry(InputTable):
+    """An entry of ``wheelsets``."""
+
+    serial: Text
+    fleet: Text
+    wheel_profile: Text
+    nominal_radius_mm: float = Field(ge=100.0, le=1000.0)
+
+    def record(self) -> WheelsetRecord:
+        """Return the wheelset in SI units, without its mounting."""
+        return WheelsetRecord(
+            serial=self.serial,
+            fleet=self.fleet,
+            wheel_profile=self.wheel_profile,
+            nominal_radius_m=1e-3 * self.nominal_radius_mm,
+            mounting=None,
+        )
+
+
+class MountingEntry(InputTable):
+    """An entry of ``mountings``."""
+
+    wheelset: Text
+    vehicle: Text
+    axle: int = Field(ge=1, le=MAX_AXLES)
+    from_ns: MomentNs = Field(alias="from")
+    to_ns: MomentNs | None = Field(default=None, alias="to")
+    vehicle_odometer_km: NotNegative
+    wheelset_mileage_km: NotNegative
+    reversed: bool = False
+
+    @model_validator(mode="after")
+    def _check_order(self) -> Self:
+        if self.to_ns is not None and self.to_ns <= self.from_ns:
+            raise field_error("must be later than 'from'", "to")
+        return self
+
+    def record(self) -> Mounting:
+        """Return the mounting; times in ns since 1970, distances in km."""
+        return Mounting(
+            wheelset=self.wheelset,
+            vehicle=self.vehicle,
+            axle=self.axle,
+            from_ns=self.from_ns,
+            to_ns=self.to_ns,
+            vehicle_odometer_km=self.vehicle_odometer_km,
+            wheelset_mileage_km=self.wheelset_mileage_km,
+            reversed=self.reversed,
+        )
+
+
+class ReprofilingEntry(InputTable):
+    """An entry of ``reprofilings``."""
+
+    wheelset: Text
+    at: MomentNs
+    mileage_km: NotNegative
+    note: str = ""
+
+    def record(self) -> Reprofiling:
+        """Return the reprofiling; time in ns since 1970, mileage in km."""
+        return Reprofiling(wheelset=self.wheelset, at_ns=self.at, mileage_km=self.mileage_km, note=self.note)
+
+
+class ProfileEntry(InputTable):
+    """``left`` or ``right`` of a measurement."""
+
+    file: Text
+
+
+class MeasurementEntry(InputTable):
+    """An entry of ``measured_profiles``."""
+
+    wheelset: Text
+    at: MomentNs
+    mileage_km: NotNegative
+    left: ProfileEntry
+    right: ProfileEntry
+    std_mm: Positive = PROFILES_STD_MM
+
+
+class AlignmentEntry(InputTable):
+    """``alignment`` of a track section."""
+
+    file: Text
+    alignment_std_mm: NotNegative | None = None
+    gauge_deviation_std_mm: NotNegative
+
+    @model_validator(mode="after")
+    def _check_null(self) -> Self:
+        if self.alignment_std_mm is None and "alignment_std_mm" in self.model_fields_set:
+            raise field_error("None is not a number", "alignment_std_mm")
+        return self
+
+
+class LayoutEntry(InputTable):
+    """``layout`` of a track section."""
+
+    file: Text
+
+
+class SectionEntry(InputTable):
+    """An entry of ``track_sections``."""
+
+    code: Text
+    number: int = Field(ge=1, le=65534)
+    name: Text
+    rail_profile: Text
+    rail_inclination: float = Field(ge=0.0, le=0.5)
+    nominal_gauge_mm: float = Field(ge=500.0, le=2000.0)
+    length_m: float = Field(ge=1.0)
+    alignment: AlignmentEntry | None = None
+    layout: LayoutEntry | None = None
+
+    def record(self) -> TrackSectionRecord:
+        """Return the section in SI units, without its track."""
+        return TrackSectionRecord(
+            code=self.code,
+            number=self.number,
+            name=self.name,
+            rail_profile=self.rail_profile,
+            rail_inclination=self.rail_inclination,
+            nominal_gauge_m=1e-3 * self.nominal_gauge_mm,
+            length_m=self.length_m,
+        )
+
+
+class RegistryObject(InputTable):
+    """The whole file."""
+
+    format: Literal["treadwatch-registry-1"]
+    fleets: list[FleetEntry] = Field(default_factory=list)
+    vehicles: list[VehicleEntry] = Field(default_factory=list)
+    wheelsets: list[WheelsetEntry] = Field(default_factory=list)
+    mountings: list[MountingEntry] = Field(default_factory=list)
+    reprofilings: list[ReprofilingEntry] = Field(default_factory=list)
+    measured_profiles: list[MeasurementEntry] = Field(default_factory=list)
+    track_sections: list[SectionEntry] = Field(default_factory=list)
