@@ -15,8 +15,9 @@ from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.parameters import Refusal
+from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import UnitOfWork
-from estimation.tables.window import NO_ALIGNMENT, tabulate_window
+from estimation.tables.window import tabulate_window
 from estimation.values.geometry import BinTable
 from estimation.values.quantities import Status
 from estimation.values.track import FLEET, AlignmentRecord, Correction, TrackAlignment, TrackLayout

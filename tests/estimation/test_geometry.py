@@ -15,8 +15,9 @@ from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.parameters import Refusal
+from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.tables import bin_table
-from estimation.tables.window import NO_ALIGNMENT, tabulate_window
+from estimation.tables.window import tabulate_window
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
 from estimation.values.quantities import Status
 

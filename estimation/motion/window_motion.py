@@ -1,0 +1,85 @@
+"""One window to its motion relative to the track, or the reason why not: gates, checks, axes, position, gauge."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimation.motion.checks import (
+    check_axis_signs,
+    check_moving,
+    describe_jumps,
+    direction,
+    position_jumps,
+    to_wheelset_axes,
+)
+from estimation.motion.gates import WindowParameters, gate
+from estimation.motion.gauge_shift import gauge_shift
+from estimation.motion.parameters import Refusal
+from estimation.motion.track_relative import motion
+from estimation.values.motion import Motion
+from estimation.values.track import Correction, TrackAlignment, TrackLayout
+from estimation.values.windows import Window
+
+NO_ALIGNMENT = "the alignment of the track section is not known"
+
+
+def window_motion(
+    window: Window,
+    track: TrackAlignment | None,
+    parameters: WindowParameters,
+    correction: Correction | None = None,
+    misplaced: str = "",
+    *,
+    mounted_reversed: bool = False,
+    layout: TrackLayout | None = None,
+) -> Motion | Refusal:
+    """Return the motion of ``window`` relative to ``track``, or why the window is refused.
+
+    Parameters
+    ----------
+    window
+        Measured accelerations of one wheelset, (n,) each.
+    track
+        Alignment of its track section; None where none is on file, all NaN where that is of the gauge alone.
+    parameters
+        Gates, vehicle and filters.
+    correction
+        From the measured positions to the true ones; None where the measured ones are used.
+    misplaced
+        Why the position is not certain; empty where it is.
+    mounted_reversed
+        The wheelset's left wheel is on the vehicle's right-hand side.
+    layout
+        Curves of the section, which are left out; None where none is on file.
+
+    Returns
+    -------
+    (n,) samples of band-limited motion in the axes of the wheelset, or the refusal.
+    """
+    refused = gate(window.quality, window.track_section, parameters.gates)
+    if refused is not None:
+        return refused
+    if track is None or not np.isfinite(track.alignment).any():
+        return Refusal(NO_ALIGNMENT)
+    if misplaced:
+        return Refusal(misplaced)
+    refused = _contradiction(window, parameters)
+    if refused is not None:
+        return refused
+    window, track = to_wheelset_axes(window, track, direction(window), mounted_reversed=mounted_reversed)
+    if correction is not None:
+        window = replace(window, distance=correction.at(window.distance))
+    shift = gauge_shift(window, track, parameters.vehicle, parameters.signals)
+    return motion(window, track, parameters.signals, layout, shift)
+
+
+def _contradiction(window: Window, parameters: WindowParameters) -> Refusal | None:
+    """Return what of a window contradicts the rest of it; None where nothing does."""
+    reason = check_moving(window, parameters.signals)
+    if not reason and direction(window) == 0:
+        reason = "the vehicle runs both ways along the section"
+    reason = reason or "; ".join(describe_jumps(position_jumps(window, parameters.signals)))
+    reason = reason or check_axis_signs(window, parameters.signals)
+    return Refusal(reason) if reason else None
