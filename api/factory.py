@@ -119,7 +119,7 @@ def create_app(settings: Settings) -> FastAPI:
             storage=storage,
             clock=context.clock,
             jobs={job.name: job for job in scheduled_jobs(settings)},
-            runner=JobRunner(context),
+            runner=JobRunner(context, storage),
             check=partial(check_head, storage.engine),
             close=storage.close,
             one_reader=settings.url.startswith("sqlite"),

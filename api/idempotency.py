@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from api.answers import answer_bytes, payload_of
 from api.problems import ProblemError
-from estimation.storage import UnitOfWork
+from fleet_db.storage import SqlUnitOfWork
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class Once:
     key: str | None
     request_digest: str
 
-    def earlier(self, request: Request, unit: UnitOfWork) -> Response | None:
+    def earlier(self, request: Request, unit: SqlUnitOfWork) -> Response | None:
         """Return the answer that was already given under this key.
 
         Raises
@@ -42,7 +42,7 @@ class Once:
             headers["Location"] = orjson.loads(body)["links"]["self"]
         return answer_bytes(request, body.encode(), status=status, headers=headers)
 
-    def remember(self, unit: UnitOfWork, status: int, body: BaseModel, now_ns: int) -> None:
+    def remember(self, unit: SqlUnitOfWork, status: int, body: BaseModel, now_ns: int) -> None:
         """Keep the answer, in the transaction of the change itself."""
         if self.key is not None:
             unit.idempotency.put(self.key, self.request_digest, status, payload_of(body).decode(), now_ns)

@@ -9,13 +9,15 @@ from dataclasses import replace
 from estimation.errors import ConflictError
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.values.runs import JobRun
+from fleet_db.storage import SqlStorage
 
 
 class JobRunner:
     """Runs one job at a time, in a thread of its own; built by the factory, closed with the app."""
 
-    def __init__(self, context: JobContext) -> None:
+    def __init__(self, context: JobContext, storage: SqlStorage) -> None:
         self._stopping = threading.Event()
+        self._storage = storage
         self._context = replace(context, stopping=self._stopping.is_set)
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="job")
         self._starting = threading.Lock()
@@ -41,7 +43,7 @@ class JobRunner:
     def _refuse_second(self, job: Job) -> None:
         if self._running is not None and not self._running.done():
             raise ConflictError("a job that was started here is still running", kind="job", key=job.name)
-        with self._context.storage.read() as unit:
+        with self._storage.read() as unit:
             latest = unit.jobs.page(job.name, None, 1)
         for run in latest:
             if run.outcome == "running":

@@ -12,9 +12,9 @@ from prometheus_client.registry import Collector
 
 from estimation.errors import TreadwatchError
 from estimation.jobs.job import Job
-from estimation.storage import Storage
 from estimation.values.alerts import AlertScope
 from estimation.values.windows import WindowState
+from fleet_db.storage import SqlStorage
 
 _log = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ class RequestMeasures:
 class StoredMeasures(Collector):
     """What the database says at the moment of asking; only whether it is up, when it is not."""
 
-    def __init__(self, storage: Storage, jobs: Mapping[str, Job]) -> None:
+    def __init__(self, storage: SqlStorage, jobs: Mapping[str, Job]) -> None:
         self._storage = storage
         self._jobs = jobs
 

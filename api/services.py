@@ -11,17 +11,18 @@ from fastapi import Depends, Request
 from api.job_runner import JobRunner
 from estimation.errors import NotFoundError
 from estimation.jobs.job import Job
-from estimation.storage import Clock, Storage
+from estimation.storage import Clock
+from fleet_db.storage import SqlStorage
 
 
 @dataclass(frozen=True, slots=True)
 class Services:
-    """Storage, time and jobs.
+    """SqlStorage, time and jobs.
 
     ``check`` raises where the database is away or at another migration; ``close`` ends what the app was given.
     """
 
-    storage: Storage
+    storage: SqlStorage
     clock: Clock
     jobs: Mapping[str, Job]
     runner: JobRunner

@@ -30,7 +30,7 @@ SNAPSHOT = {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
 
 @dataclass(slots=True)
 class SqlUnitOfWork:
-    """Implements ``estimation.storage.UnitOfWork``: one transaction over all stores."""
+    """One transaction over all stores; the jobs see of it what ``estimation.storage.UnitOfWork`` lists."""
 
     connection: Connection
     files: WindowFiles

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
-from estimation.storage import UnitOfWork
-from estimation.values.receipts import ChunkRecord
 from estimation.values.registry import Mounting, VehicleRecord
+from fleet_db.receipts import ChunkRecord
+from fleet_db.storage import SqlUnitOfWork
 from ingest.align.ticks import Placed, unite
 from ingest.align.windows import (
     Lookup,
@@ -53,7 +53,7 @@ class Assembler:
     recordings: Recordings
     length_ns: int
 
-    def sources(self, unit: UnitOfWork, record: ChunkRecord, recording: Recording) -> Sequence[ChunkRecord]:
+    def sources(self, unit: SqlUnitOfWork, record: ChunkRecord, recording: Recording) -> Sequence[ChunkRecord]:
         """Return the receipts of all recordings that the windows of this one depend on, its own first."""
         beside = list(waiting_beside(unit, record.vehicle, recording))
         span = recording.vehicle_ns
@@ -68,7 +68,7 @@ class Assembler:
         found = {other.digest: other for other in (*beside, *overlapping) if other.digest != record.digest}
         return [record, *found.values()]
 
-    def assemble(self, unit: UnitOfWork, record: ChunkRecord, recording: Recording) -> Assembly:
+    def assemble(self, unit: SqlUnitOfWork, record: ChunkRecord, recording: Recording) -> Assembly:
         """Assemble the windows that a stored recording touches.
 
         Raises
@@ -95,7 +95,7 @@ class Assembler:
         return Assembly(frozenset(loaded), tuple(receipts), windows)
 
     def _windows(
-        self, unit: UnitOfWork, vehicle: VehicleRecord, samples: VehicleSamples, spans: Sequence[Span]
+        self, unit: SqlUnitOfWork, vehicle: VehicleRecord, samples: VehicleSamples, spans: Sequence[Span]
     ) -> tuple[tuple[MountedWindow, ...], WindowCounts]:
         first, last, _, _ = needed_range(min(s[0] for s in spans), max(s[1] for s in spans), self.length_ns)
         starts = window_starts(first, last, self.length_ns)
@@ -116,7 +116,7 @@ def _span(recording: Recording, placed: Iterable[Placed]) -> Span | None:
     return recording.vehicle_ns or next((span for span in beside if span is not None), None)
 
 
-def _lookup(unit: UnitOfWork, vehicle: VehicleRecord) -> Lookup:
+def _lookup(unit: SqlUnitOfWork, vehicle: VehicleRecord) -> Lookup:
     sections: dict[int, str | None] = {}
 
     def section_code(number: int) -> str | None:

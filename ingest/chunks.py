@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from estimation.errors import LogFileError, StorageError
-from estimation.storage import UnitOfWork
-from estimation.values.receipts import ChunkRecord
 from fleet_db.raw import RawStore
+from fleet_db.receipts import ChunkRecord
+from fleet_db.storage import SqlUnitOfWork
 from ingest.align.clock import CONTEXT_NS, TIME_REACH_NS, check_sync_rate
 from ingest.align.ticks import Placed, place
 from ingest.catalogue import Catalogue
@@ -109,13 +109,13 @@ class Recordings:
             self._kept.popitem(last=False)
 
 
-def waiting_beside(unit: UnitOfWork, vehicle: str, recording: Recording) -> Sequence[ChunkRecord]:
+def waiting_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> Sequence[ChunkRecord]:
     """Return the receipts of a vehicle's recordings without TIME whose recorder stamps touch this recording."""
     stored = unit.chunks.with_state(STORED, limit=10_000)
     return [r for r in stored if r.vehicle == vehicle and r.reason == WAITING and _beside(r, recording)]
 
 
-def decoded_beside(unit: UnitOfWork, vehicle: str, recording: Recording) -> Sequence[ChunkRecord]:
+def decoded_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> Sequence[ChunkRecord]:
     """Return the receipts of a vehicle's decoded recordings whose recorder stamps touch this recording."""
     return [r for r in unit.chunks.overlapping(vehicle, *ALWAYS) if _beside(r, recording)]
 

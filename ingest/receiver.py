@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from estimation.errors import ConflictError, LogFileError, NotFoundError, StorageError, TreadwatchError
-from estimation.storage import Clock, Storage, UnitOfWork
-from estimation.values.receipts import ChunkRecord
+from estimation.storage import Clock
 from fleet_db.raw import RawStore
+from fleet_db.receipts import ChunkRecord
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import Assembler, Assembly
 from ingest.catalogue import Catalogue
 from ingest.chunks import DECODED, REJECTED, STORED, Recording, Recordings
@@ -61,7 +62,7 @@ class Receiver:
     """
 
     def __init__(
-        self, storage: Storage, raw: RawStore, catalogue: Catalogue, clock: Clock, window_length_s: float = 60.0
+        self, storage: SqlStorage, raw: RawStore, catalogue: Catalogue, clock: Clock, window_length_s: float = 60.0
     ) -> None:
         self._storage = storage
         self._raw = raw
@@ -198,7 +199,7 @@ class Receiver:
             # another recording of the vehicle was committed meanwhile
         raise StorageError(f"recording {record.digest}: its neighbours changed {ATTEMPTS} times while it was decoded")
 
-    def _commit(self, unit: UnitOfWork, assembly: Assembly) -> int:
+    def _commit(self, unit: SqlUnitOfWork, assembly: Assembly) -> int:
         changed = 0
         for mounted in assembly.windows:
             mounting = mounted.mounting

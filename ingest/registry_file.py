@@ -15,11 +15,11 @@ import numpy as np
 
 from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.errors import ConflictError, InputError, NotFoundError, ProfileError
-from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
+from fleet_db.storage import SqlUnitOfWork
 from ingest.input_file import InputFile, Location, read_json
 from ingest.profiles.wheel_profile import read_wheel_profile
 from ingest.registry_schema import AlignmentEntry, MeasurementEntry, RegistryObject, SectionEntry
@@ -50,7 +50,7 @@ class RegistryContents:
     layouts: tuple[TrackLayout, ...]
 
 
-def load_registry(path: Path, unit_of_work: UnitOfWork) -> RegistryContents:
+def load_registry(path: Path, unit_of_work: SqlUnitOfWork) -> RegistryContents:
     """Read a registry file and store its contents; return them.
 
     Parameters
@@ -80,7 +80,7 @@ def load_registry(path: Path, unit_of_work: UnitOfWork) -> RegistryContents:
     return contents
 
 
-def _add_alignment(unit_of_work: UnitOfWork, alignment: TrackAlignment) -> None:
+def _add_alignment(unit_of_work: SqlUnitOfWork, alignment: TrackAlignment) -> None:
     """Store an alignment; where it replaces another, queue the windows of the section again.
 
     Their positions had been found against the replaced one, which may be off by some metres.
@@ -93,7 +93,7 @@ def _add_alignment(unit_of_work: UnitOfWork, alignment: TrackAlignment) -> None:
         unit_of_work.windows.requeue_section(alignment.section)
 
 
-def _add_layout(unit_of_work: UnitOfWork, layout: TrackLayout) -> None:
+def _add_layout(unit_of_work: SqlUnitOfWork, layout: TrackLayout) -> None:
     """Store a layout; where it differs from the one before, queue the windows of the section again."""
     before = unit_of_work.tracks.layout(layout.section)
     version = unit_of_work.tracks.add_layout(layout)

@@ -19,7 +19,7 @@ from api.factory import SystemClock, open_store, raw_store
 from api.settings import load_settings
 from estimation.errors import InputError, TreadwatchError
 from estimation.jobs.scheduler import stop_on_signals
-from estimation.storage import Storage
+from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus, record
 from ingest.catalogue import default_catalogue
 from ingest.logs import SUFFIXES
@@ -171,7 +171,7 @@ def summary(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def _load(registry: Path, storage: Storage) -> None:
+def _load(registry: Path, storage: SqlStorage) -> None:
     with storage.write() as unit:
         load_registry(registry, unit)
 

@@ -32,11 +32,6 @@ class AlertStore:
     writing: bool
     changes: Changes
 
-    def open(self, wheelset: str, kind: AlertKind) -> Alert | None:
-        """Return the open alert of a kind, if there is one."""
-        found = self._alerts(_open().where(ALERTS.c.wheelset == wheelset, ALERTS.c.kind == kind.value))
-        return found[0] if found else None
-
     def all_open(self, wheelset: str | None = None) -> Sequence[Alert]:
         """Return open alerts by number, of one wheelset or of all."""
         statement = _open() if wheelset is None else _open().where(ALERTS.c.wheelset == wheelset)

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 from sqlalchemy import Connection, Row, select, update
 
 from estimation.errors import NotFoundError
-from estimation.values.receipts import ChunkRecord
 from fleet_db.models import ChunkRow
+from fleet_db.receipts import ChunkRecord
 from fleet_db.rows import insert_new, table_of
 
 CHUNKS = table_of(ChunkRow)
@@ -17,7 +17,7 @@ CHUNKS = table_of(ChunkRow)
 
 @dataclass(frozen=True, slots=True)
 class ChunkStore:
-    """Implements ``estimation.storage.Chunks``."""
+    """Receipts, in one transaction."""
 
     connection: Connection
 

@@ -15,7 +15,7 @@ KEYS = table_of(IdempotencyRow)
 
 @dataclass(frozen=True, slots=True)
 class IdempotencyStore:
-    """Implements ``estimation.storage.Idempotency``."""
+    """Answers to POSTs, in one transaction."""
 
     connection: Connection
 

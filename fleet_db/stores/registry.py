@@ -34,10 +34,6 @@ class RegistryStore:
         """Return all fleets by code."""
         return [FleetRecord(*row) for row in self.connection.execute(select(FLEETS).order_by(FLEETS.c.code))]
 
-    def vehicles(self, fleet: str | None = None) -> Sequence[VehicleRecord]:
-        """Return vehicles by code, of one fleet or of all."""
-        return self._vehicles(_in_fleet(select(VEHICLES), VEHICLES.c.fleet, fleet))
-
     def vehicle(self, code: str) -> VehicleRecord:
         """Return one vehicle.
 

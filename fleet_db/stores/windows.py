@@ -81,11 +81,6 @@ class WindowStore:
         self._remove_table(window.wheelset, window.start_ns)
         return True
 
-    def pending(self, limit: int) -> Sequence[WindowRecord]:
-        """Return windows that wait to be estimated, by wheelset and start."""
-        statement = select(WINDOWS).where(WINDOWS.c.state == WindowState.PENDING.value)
-        return self._records(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns).limit(limit))
-
     def ready(self, limit: int, waiting_sections: Sequence[str]) -> Sequence[WindowRecord]:
         """Return windows that wait to be estimated, by wheelset and start.
 

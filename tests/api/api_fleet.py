@@ -163,7 +163,7 @@ def alert(serial: str, kind: AlertKind = AlertKind.CONICITY_LIMIT, fleet: str = 
 def raised(storage: Storage, serial: str, kind: AlertKind = AlertKind.CONICITY_LIMIT, fleet: str = "alpha") -> Alert:
     """Store an alert and return it with its number."""
     with storage.write() as unit:
-        open_one = unit.alerts.open(serial, kind)
+        open_one = next((one for one in unit.alerts.all_open(serial) if one.kind is kind), None)
         if open_one is not None:
             closed = replace(open_one, closed_ns=RECORDED, close_reason="test")
             unit.alerts.save(closed, [AlertEventKind.CLOSED], RECORDED)

@@ -15,11 +15,11 @@ from estimation.storage import Storage
 from estimation.values.alerts import Alert, AlertKind, Condition, Severity
 from estimation.values.geometry import BinStatus, BinTable, BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.receipts import ChunkRecord
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
 from estimation.values.trend import TrendRecord, WearTrend
 from estimation.values.windows import Window, WindowQuality
+from fleet_db.receipts import ChunkRecord
 
 SECOND = 1_000_000_000
 LENGTH = 20 * SECOND

@@ -138,7 +138,7 @@ def test_windows_wait_until_it_has_been_looked_at_where_they_were(fleet: SqlStor
     with fleet.write() as unit:
         for window in (*windows, elsewhere):
             unit.windows.put(window, 1.0, 1)
-        records = {record.start_ns: record for record in unit.windows.pending(10)}
+        records = {record.start_ns: record for record in unit.windows.ready(10, [])}
         assert [one.start_ns for one in unit.windows.unplaced("S-7", 2)] == [w.start_ns for w in windows[:0:-1]]
         assert len(unit.windows.ready(10, [])) == len(unit.windows.ready(10, ["S-8"])) == 4
         assert [one.start_ns for one in unit.windows.ready(10, ["S-7"])] == [elsewhere.start_ns]
@@ -163,7 +163,7 @@ def test_where_windows_of_a_section_were_can_be_forgotten(fleet: SqlStorage) -> 
     with fleet.write() as unit:
         for window in windows:
             unit.windows.put(window, 1.0, 1)
-        for record in unit.windows.pending(10):
+        for record in unit.windows.ready(10, []):
             unit.tracks.put_position(WindowPosition(record.wheelset, record.start_ns, record.content_digest, None))
         assert unit.tracks.forget_positions("S-8") == 0
         assert unit.windows.unplaced("S-7", 10) == []

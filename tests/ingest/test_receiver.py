@@ -221,7 +221,7 @@ def test_a_late_piece_makes_only_its_windows_pending_again(registered: SqlStorag
     assert receipt.windows_changed == 2
     with registered.read() as unit:
         after = content(unit)
-        pending = {(r.wheelset, r.start_ns) for r in unit.windows.pending(100)}
+        pending = {(r.wheelset, r.start_ns) for r in unit.windows.ready(100, [])}
     assert pending == {key for key in after if after[key] != before[key]}
     assert pending == {(f"WS-{axle}", START_NS + 27 * SECOND_NS) for axle in (1, 2)}
 

@@ -15,10 +15,10 @@ from api.factory import job_context, raw_store
 from api.settings import Settings
 from estimation.jobs.catalogue import run_all
 from estimation.values.geometry import GeometryRecord
-from estimation.values.receipts import ChunkRecord
 from estimation.values.runs import JobRun
 from fleet_db.models import Base
 from fleet_db.packed.geometry import pack_geometry
+from fleet_db.receipts import ChunkRecord
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
