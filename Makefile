@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test check lint bench bench-estimation mutants clean
+.PHONY: demo test check lint bench bench-estimation mutants house clean
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	@echo "building the virtual environment in $(VENV) (about a minute)"
@@ -39,6 +39,9 @@ bench: $(VENV)/.dev
 
 mutants: $(VENV)/.dev
 	$(BIN)/python -m bench mutants $(ARGS)
+
+house: $(VENV)/.dev
+	$(BIN)/python -m bench house $(ARGS)
 
 clean:
 	rm -rf $(VENV) build *.egg-info treadwatch-data

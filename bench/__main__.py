@@ -16,7 +16,7 @@ from rich.table import Table
 from bench.report import BenchRow
 
 NAMES = ("contact", "estimation", "recursion", "decoding", "simulator")
-WITH_OPTIONS = ("section", "mutants")
+WITH_OPTIONS = ("section", "mutants", "house")
 LONG = ("signals", "curves")  # of many minutes, run where they are named
 
 

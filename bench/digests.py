@@ -256,22 +256,23 @@ def run(plan: Plan) -> dict[str, Any]:
     """Return the results of a scenario, from frames to REST answers, by group."""
     with tempfile.TemporaryDirectory(prefix="treadwatch-digests-") as name:
         folder = Path(name)
-        environment = _environment(folder)
-        simulated = _simulate(plan, folder, environment)
+        environment = environment_of(folder)
+        simulated = simulate(plan, folder, environment)
         by_campaign: dict[int, list[Path]] = {}
         for vehicle in plan.wheelsets:
             for campaign, path in enumerate(sorted(simulated.glob(f"{vehicle}/*.blf"))):
                 by_campaign.setdefault(campaign, []).append(path)
-        _command(["db", "upgrade"], folder, environment)
+        command(["db", "upgrade"], folder, environment)
         for campaign, paths in sorted(by_campaign.items()):
             registry = [] if campaign else ["--registry", str(simulated / "registry.json")]
-            _command(["ingest", *registry, *map(str, paths)], folder, environment)
-            _command(["estimate"], folder, environment)
+            command(["ingest", *registry, *map(str, paths)], folder, environment)
+            command(["estimate"], folder, environment)
         with _served(folder, environment) as url:
             return _results(url)
 
 
-def _environment(folder: Path) -> dict[str, str]:
+def environment_of(folder: Path) -> dict[str, str]:
+    """Return the environment of a deployment in a folder, with the code of ``PYTHONPATH`` and one thread."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("TREADWATCH_")}
     code = kept.get("PYTHONPATH") or str(Path(__file__).resolve().parents[1])
     kept["PYTHONPATH"] = os.pathsep.join(str(Path(part).resolve()) for part in code.split(os.pathsep) if part)
@@ -286,7 +287,8 @@ def _environment(folder: Path) -> dict[str, str]:
     }
 
 
-def _simulate(plan: Plan, folder: Path, environment: dict[str, str]) -> Path:
+def simulate(plan: Plan, folder: Path, environment: dict[str, str]) -> Path:
+    """Return the folder of a scenario's recordings."""
     scenario, out = folder / "scenario.toml", folder / "simulated"
     arguments = ["simulate", "--scenario", str(scenario), "--out", str(out)]
     for fault in FAULT_NAMES[:-1]:
@@ -295,21 +297,23 @@ def _simulate(plan: Plan, folder: Path, environment: dict[str, str]) -> Path:
             break
     else:
         scenario.write_text(plan.toml(FAULT_NAMES[-1]), encoding="utf-8")
-    _command(arguments, folder, environment)
+    command(arguments, folder, environment)
     return out
 
 
-def _program() -> str:
+def program() -> str:
+    """Return the command line of this environment."""
     return str(Path(sys.executable).parent / "treadwatch")
 
 
 def _try(arguments: Sequence[str], folder: Path, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
     return subprocess.run(  # noqa: S603 - our own command
-        [_program(), *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False
+        [program(), *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
 
 
-def _command(arguments: Sequence[str], folder: Path, environment: dict[str, str]) -> None:
+def command(arguments: Sequence[str], folder: Path, environment: dict[str, str]) -> None:
+    """Run the command line; raise RuntimeError with its output when it fails."""
     done = _try(arguments, folder, environment)
     if done.returncode:
         msg = f"treadwatch {' '.join(arguments)} ended with {done.returncode}:\n{done.stdout}{done.stderr}"
@@ -324,7 +328,7 @@ def _served(folder: Path, environment: dict[str, str]) -> Iterator[str]:
     own = environment | {"TREADWATCH_HOST": "127.0.0.1", "TREADWATCH_PORT": str(port)}
     with (
         (folder / "serve.log").open("w") as log,
-        subprocess.Popen([_program(), "serve"], cwd=folder, env=own, stdout=log, stderr=log) as server,  # noqa: S603
+        subprocess.Popen([program(), "serve"], cwd=folder, env=own, stdout=log, stderr=log) as server,  # noqa: S603
     ):
         url = f"http://127.0.0.1:{port}"
         try:

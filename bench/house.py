@@ -1,0 +1,358 @@
+"""Print what the layout of the code costs its readers: ``python -m bench house [--list] [--root FOLDER]``.
+
+Definitions, in the order of the table:
+
+loose modules
+    Files directly in ``estimation/`` but ``__init__.py``.
+import cycles
+    Of every package, the groups of its children that import each other in a circle, at any depth.
+arrows against the layers
+    Direct imports from a lower layer to a higher one, by the layers contracts of ``pyproject.toml``.
+long functions, complex functions
+    Functions of the four packages of more than 50 lines without their docstring; functions anywhere in the repository
+    of cyclomatic complexity over 10 by ruff, suppressed or not. Migrations are history and not counted.
+long files
+    Python files of more than 400 lines, tests and benches included, migrations not.
+files entered by one frame
+    Files of the four packages of which a function runs while one recording of a known wheelset is received, windows
+    are estimated, geometry, trend and alerts are refreshed, and the REST API is asked for all three
+    (``bench/frame_trace.py``). Not counted, because the frame's data do not pass through them: the alignment job,
+    values (``estimation/values``, files of which only special methods run) and infrastructure (``INFRASTRUCTURE``: the
+    command line, settings, transactions, records of job runs, logs, HTTP without content).
+undocumented parameters
+    Public module-level functions of ``estimation`` with more than two parameters whose docstring's section
+    "Parameters" does not name each of them.
+start
+    CPU seconds (user and system) of the command line, median of five.
+loose words
+    Words of ``LOOSE_WORDS`` in Python and Markdown files, parts of identifiers included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import os
+import re
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import grimp
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from bench.digests import PLANS, command, environment_of, program, simulate
+
+PACKAGES = ("api", "fleet_db", "ingest", "estimation")
+SCREEN = 50
+COMPLEXITY = 10
+LONG_FILE = 400
+FEW_PARAMETERS = 2
+STARTS = 5
+ALIGNMENT_JOB = "refresh_alignment"
+API_START = "start of the REST API"
+LOOSE_WORDS = (
+    *("told", "felt", "heard", "lies", "settle", "settles", "settled", "settling", "anew", "nought", "unless told"),
+    *("by name", "passed over", "overtaken", "strays", "stray", "hurried", "spoken", "dealt to"),
+)
+WORD = re.compile(rf"(?<![a-z])({'|'.join(LOOSE_WORDS)})(?![a-z])", re.IGNORECASE)
+MIGRATIONS = "versions"
+"""Folder of files that describe databases of earlier releases."""
+
+OWN_FILES = ("bench/house.py", "tests/bench/test_house.py")
+
+INFRASTRUCTURE = re.compile(
+    r"""(
+      api/(cli|commands/.*|factory|settings|rules_file|logs|metrics|services|job_runner|app|openapi_document)\.py
+    | api/(problems|times|media_types|contract|cursors|parameters|middleware)\.py
+    | fleet_db/(changes|failures|locks|migrate|session|storage|rows|packing|atomic_files|packed/numbers)\.py
+    | fleet_db/stores/jobs\.py
+    | estimation/(errors|settings|jobs/job|jobs/settings|jobs/scheduler|jobs/catalogue|rules/loading)\.py
+    )""",
+    re.VERBOSE,
+)
+VALUES = re.compile(r"estimation/(values/.*|types|ports|storage|alerts|arrays|motion)\.py")
+DUNDER = re.compile(r"(.*\.)?__\w+__")
+
+
+@dataclass(frozen=True)
+class Count:
+    """One row: what was counted at commit aad8566, now, what is to be reached, and the places."""
+
+    what: str
+    before: str
+    now: str
+    reach: str
+    places: tuple[str, ...] = ()
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser("python -m bench house", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--list", action="store_true", help="print the places of every row, too")
+    parser.add_argument("--root", type=Path, default=Path(__file__).resolve().parents[1], help="another checkout")
+    parser.add_argument("--static", action="store_true", help="only what is counted without running the product")
+    given = parser.parse_args(arguments)
+    console = Console(width=None if Console().is_terminal else 160)
+    root = given.root.resolve()
+    counts = [*static_counts(root)]
+    if not given.static:
+        counts += [frame_count(root), *start_counts(root)]
+    table = Table("what", "before", "now", "reach", title="treadwatch house", title_justify="left")
+    for count in counts:
+        table.add_row(count.what, count.before, count.now, count.reach)
+        if given.list and count.places:
+            console.print(f"{count.what}: {count.now}", highlight=False)
+            for place in count.places:
+                console.print(f"  {place}", highlight=False, soft_wrap=True)
+    console.print(table)
+    return 0
+
+
+def static_counts(root: Path) -> Iterator[Count]:
+    """Yield what is counted from the sources alone."""
+    loose = tuple(sorted(path.name for path in (root / "estimation").glob("*.py") if path.name != "__init__.py"))
+    yield Count("modules loose at the top of estimation/", "33", str(len(loose)), "<= 6", loose)
+    cycles, arrows = import_faults(root)
+    yield Count("import cycles", "2", str(len(cycles)), "0", cycles)
+    yield Count("arrows against the layers", "3", str(len(arrows)), "0", arrows)
+    long = tuple(long_functions(root))
+    yield Count(f"functions over {SCREEN} lines", "0", str(len(long)), "0", long)
+    found = tuple(complex_functions(root))
+    yield Count(f"functions of complexity over {COMPLEXITY}", "0", str(len(found)), "0", found)
+    files = tuple(long_files(root))
+    yield Count(f"files over {LONG_FILE} lines", "2", str(len(files)), "0", files)
+    undocumented, public = undocumented_functions(root)
+    yield Count(
+        "public functions of estimation with undocumented parameters",
+        "67 of 120",
+        f"{len(undocumented)} of {public}",
+        "0",
+        undocumented,
+    )
+    words = loose_words(root)
+    yield Count(
+        "loose words in code and docs",
+        "1301",
+        str(words.total()),
+        "0",
+        tuple(f"{word}: {n}" for word, n in words.most_common()),
+    )
+
+
+def _sources(root: Path, folders: Iterable[str] = PACKAGES) -> Iterator[tuple[str, str]]:
+    """Yield every Python file's path below the root and its text."""
+    for folder in folders:
+        for path in sorted((root / folder).rglob("*.py")):
+            if MIGRATIONS in path.parts:
+                continue
+            yield path.relative_to(root).as_posix(), path.read_text(encoding="utf-8")
+
+
+def import_faults(root: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the cycles among the children of every package, and the imports against the layers."""
+    sys.path.insert(0, str(root))
+    try:
+        graph = grimp.build_graph(*PACKAGES, cache_dir=None)
+    finally:
+        sys.path.remove(str(root))
+    imports = [(one, other) for one in sorted(graph.modules) for other in graph.find_modules_directly_imported_by(one)]
+    cycles = []
+    for package in sorted({"", *(module.rpartition(".")[0] for module in graph.modules)}):
+        cycles += [f"{package or '(packages)'}: {', '.join(group)}" for group in _circles(package, imports)]
+    return tuple(cycles), tuple(_upward(root, imports))
+
+
+def _child(module: str, package: str) -> str | None:
+    """Return the name of the package's child that holds a module; None outside the package and for itself."""
+    if not package:
+        return module.partition(".")[0]
+    inside = module.removeprefix(f"{package}.")
+    return None if inside == module else inside.partition(".")[0]
+
+
+def _circles(package: str, imports: Iterable[tuple[str, str]]) -> Iterator[list[str]]:
+    arrows = {(_child(one, package), _child(other, package)) for one, other in imports}
+    arrows = {(one, other) for one, other in arrows if one and other and one != other}
+    names = sorted({name for arrow in arrows for name in arrow if name})
+    if not names:
+        return
+    index = {name: i for i, name in enumerate(names)}
+    rows, columns = zip(*((index[str(one)], index[str(other)]) for one, other in sorted(arrows, key=str)), strict=True)
+    matrix = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(names), len(names)))
+    _, group = connected_components(matrix, directed=True, connection="strong")
+    for number in np.flatnonzero(np.bincount(group) > 1):
+        yield [name for name, own in zip(names, group, strict=True) if own == number]
+
+
+def _upward(root: Path, imports: Iterable[tuple[str, str]]) -> Iterator[str]:
+    contracts = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    pairs = list(imports)
+    for contract in contracts:
+        if contract["type"] != "layers":
+            continue
+        for container in contract.get("containers", [""]):
+            level = {
+                name.strip(" ()"): depth
+                for depth, layer in enumerate(contract["layers"])
+                for name in re.split("[|:]", layer)
+            }
+            for one, other in pairs:
+                below, above = level.get(_child(one, container) or ""), level.get(_child(other, container) or "")
+                if below is not None and above is not None and below > above:
+                    yield f"{one} -> {other}"
+
+
+def _functions(text: str) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node
+
+
+def _lines_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Return how many lines a function has without its docstring."""
+    last = function.end_lineno or function.lineno
+    first = function.body[0]
+    documented = ast.get_docstring(function, clean=False) is not None
+    docstring = (first.end_lineno or first.lineno) - first.lineno + 1 if documented else 0
+    return last - function.lineno + 1 - docstring
+
+
+def long_functions(root: Path) -> Iterator[str]:
+    """Yield functions that do not fit a screen."""
+    for path, text in _sources(root):
+        for function in _functions(text):
+            if _lines_of(function) > SCREEN:
+                yield f"{path}:{function.lineno} {function.name}: {_lines_of(function)} lines"
+
+
+def complex_functions(root: Path) -> Iterator[str]:
+    """Yield functions that ruff finds too complex, whether a comment allows them or not."""
+    options = ["--select", "C901", "--ignore-noqa", "--no-cache", "--isolated", "--output-format", "json"]
+    limit = ["--config", f"lint.mccabe.max-complexity={COMPLEXITY}"]
+    ruff = Path(sys.executable).parent / "ruff"
+    done = subprocess.run(  # noqa: S603 - the linter
+        [ruff, "check", *options, *limit, "."], cwd=root, capture_output=True, text=True, check=False
+    )
+    for item in json.loads(done.stdout):
+        path = Path(item["filename"]).relative_to(root).as_posix()
+        yield f"{path}:{item['location']['row']} {item['message']}"
+
+
+def long_files(root: Path) -> Iterator[str]:
+    """Yield files that are too long."""
+    for path, text in _sources(root, (*PACKAGES, "bench", "tests")):
+        lines = len(text.splitlines())
+        if lines > LONG_FILE:
+            yield f"{path}: {lines} lines"
+
+
+def undocumented_functions(root: Path) -> tuple[tuple[str, ...], int]:
+    """Return the public functions whose docstring leaves out a parameter, and how many there are with parameters."""
+    found, public = [], 0
+    for path, text in _sources(root, ["estimation"]):
+        for function in ast.parse(text).body:
+            if not isinstance(function, ast.FunctionDef) or function.name.startswith("_"):
+                continue
+            given = function.args
+            names = [item.arg for item in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
+            names = [name for name in names if not name.startswith("_")]
+            if len(names) <= FEW_PARAMETERS:
+                continue
+            public += 1
+            missing = [name for name in names if name not in documented_parameters(ast.get_docstring(function) or "")]
+            if missing:
+                found.append(f"{path}:{function.lineno} {function.name}: {', '.join(missing)}")
+    return tuple(found), public
+
+
+def documented_parameters(docstring: str) -> set[str]:
+    """Return the names in the section "Parameters" of a docstring in the numpy convention."""
+    section = re.search(r"^Parameters\n-+\n(.*?)(?=^\w[^\n]*\n-+\n|\Z)", docstring, re.MULTILINE | re.DOTALL)
+    lines = section.group(1).splitlines() if section else []
+    heads = [line.partition(":")[0] for line in lines if line and not line.startswith(" ")]
+    return {name.strip(" *`") for head in heads for name in head.split(",")}
+
+
+def loose_words(root: Path) -> Counter[str]:
+    """Return how often each loose word stands in code, tests and docs."""
+    texts = [text for path, text in _sources(root, (*PACKAGES, "bench", "tests")) if path not in OWN_FILES]
+    texts += [path.read_text(encoding="utf-8") for path in (*root.glob("*.md"), *(root / "docs").rglob("*.md"))]
+    return Counter(word.lower() for text in texts for word in WORD.findall(text))
+
+
+def frame_count(root: Path) -> Count:
+    """Return the files that one frame enters, by package."""
+    files = entered_files(trace(root))
+    places = tuple(f"{file}  ({stages})" for file, stages in files.items())
+    return Count("files entered by one frame, from log to REST answer", "81", str(len(files)), "<= 45", places)
+
+
+def trace(root: Path) -> dict[str, dict[str, list[str]]]:
+    """Return by stage and file the functions that run between a recording and the answers."""
+    plan = replace(PLANS["tiny"], head={**PLANS["tiny"].head, "campaigns": 3, "minutes": 1.55})
+    with tempfile.TemporaryDirectory(prefix="treadwatch-house-") as name:
+        folder = Path(name)
+        environment = environment_of(folder) | {"PYTHONPATH": str(root)}
+        simulated = simulate(plan, folder, environment)
+        *earlier, last = sorted(simulated.glob("*/*.blf"))
+        command(["db", "upgrade"], folder, environment)
+        command(["ingest", "--registry", str(simulated / "registry.json"), *map(str, earlier)], folder, environment)
+        command(["estimate"], folder, environment)
+        tracer = Path(__file__).with_name("frame_trace.py")
+        done = subprocess.run(  # noqa: S603 - our own script
+            [sys.executable, "-P", str(tracer), "T-A2", str(last)],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    found: dict[str, dict[str, list[str]]] = json.loads(done.stdout)
+    return found
+
+
+def entered_files(traced: dict[str, dict[str, list[str]]]) -> dict[str, str]:
+    """Return every counted file and the stages that enter it."""
+    found: dict[str, list[str]] = {}
+    for stage, files in traced.items():
+        if stage in {ALIGNMENT_JOB, API_START}:
+            continue
+        for file, functions in files.items():
+            values = VALUES.fullmatch(file) or all(DUNDER.fullmatch(name) for name in functions)
+            if not values and not INFRASTRUCTURE.fullmatch(file):
+                found.setdefault(file, []).append(stage)
+    return {file: ", ".join(stages) for file, stages in sorted(found.items())}
+
+
+def start_counts(root: Path) -> Iterator[Count]:
+    """Yield the CPU time that the command line takes to start."""
+    for arguments, before, reach in ((["--help"], "0.1", "0.1"), (["serve", "--help"], "2.4", "0.5")):
+        seconds = statistics.median(cpu_seconds(root, arguments) for _ in range(STARTS))
+        yield Count(f"start of treadwatch {' '.join(arguments)}, CPU s", before, f"{seconds:.2f}", reach)
+
+
+def cpu_seconds(root: Path, arguments: Sequence[str]) -> float:
+    """Return the CPU seconds, user and system, of one run of the command line."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(  # noqa: S603 - our own command
+        [program(), *arguments], env={**os.environ, "PYTHONPATH": str(root)}, capture_output=True, check=True
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

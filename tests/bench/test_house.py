@@ -1,0 +1,111 @@
+"""The counts of ``python -m bench house``: each fault of a small tree is found, and this tree has none that is held."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bench.house import (
+    complex_functions,
+    documented_parameters,
+    entered_files,
+    import_faults,
+    static_counts,
+)
+
+ROOT = Path(__file__).resolve().parents[2]
+CONTRACT = """\
+[tool.importlinter]
+[[tool.importlinter.contracts]]
+name = "packages"
+type = "layers"
+layers = ["api", "ingest", "fleet_db", "estimation"]
+[[tool.importlinter.contracts]]
+name = "stages"
+type = "layers"
+containers = ["estimation"]
+layers = ["jobs", "track | geometry", "values"]
+"""
+UNDOCUMENTED = '''
+def solved(first, second, third):
+    """Return nothing.
+
+    Parameters
+    ----------
+    first, second
+        Numbers.
+    """
+'''
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """Return a tree that has one fault of every kind."""
+    branches = "".join(f"    if x == {i}:\n        return {i}\n" for i in range(11))
+    lines = "    x = 1\n" * 50
+    files = {
+        "pyproject.toml": CONTRACT,
+        "api/__init__.py": "",
+        "ingest/__init__.py": "import api\n",
+        "fleet_db/__init__.py": "",
+        "fleet_db/versions/__init__.py": "x = 0\n" * 500,
+        "estimation/__init__.py": "",
+        "estimation/loose.py": UNDOCUMENTED,
+        "estimation/values/__init__.py": "",
+        "estimation/values/numbers.py": "import estimation.track.section\n",
+        "estimation/track/__init__.py": "",
+        "estimation/track/section.py": "import estimation.values.numbers\n",
+        "estimation/jobs/__init__.py": f"def long():\n{lines}\ndef branched(x):\n{branches}",
+        "tests/test_long.py": "x = 0\n" * 401,
+        "README.md": "Values are heard little.\n",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+def test_each_fault_of_a_tree_is_printed_with_its_place(tree: Path) -> None:
+    command = [sys.executable, "-m", "bench", "house", "--static", "--list", "--root", str(tree)]
+    printed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    for place in (
+        "loose.py",
+        "estimation: track, values",
+        "ingest -> api",
+        "estimation.values.numbers -> estimation.track.section",
+        "estimation/jobs/__init__.py:1 long: 51 lines",
+        "`branched` is too complex (12 > 10)",
+        "tests/test_long.py: 401 lines",
+        "solved: third",
+        "heard: 1",
+    ):
+        assert place in printed
+    assert "versions" not in printed
+    assert "1 of 1" in printed
+
+
+def test_what_is_reached_stays_reached() -> None:
+    cycles, arrows = import_faults(ROOT)
+    assert arrows == ()
+    assert not [cycle for cycle in cycles if cycle.startswith("estimation")]
+    assert list(complex_functions(ROOT)) == []
+    loose = next(static_counts(ROOT))
+    assert int(loose.now) <= 6
+
+
+def test_parameters_are_documented_in_their_section_alone() -> None:
+    text = "Return x.\n\nParameters\n----------\na, b\n    Two.\n*rest : int\n    More.\n\nReturns\n-------\nc\n    It."
+    assert documented_parameters(text) == {"a", "b", "rest"}
+    assert documented_parameters("Return x of ``a``.") == set()
+
+
+def test_values_infrastructure_and_the_alignment_job_are_no_part_of_the_path() -> None:
+    traced = {
+        "ingest": {"ingest/codec.py": ["decode"], "api/cli.py": ["main"], "estimation/values/windows.py": ["mean"]},
+        "refresh_alignment": {"estimation/track/section.py": ["estimate_section"]},
+        "estimate_windows": {"ingest/codec.py": ["decode"], "estimation/motion/gates.py": ["Gates.__post_init__"]},
+    }
+    assert entered_files(traced) == {"ingest/codec.py": "ingest, estimate_windows"}
