@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
-from importlib.metadata import version
-from importlib.resources import files
-from importlib.resources.abc import Traversable
+from functools import partial
 from typing import TYPE_CHECKING
 
 from api.rules_file import load_rules
@@ -18,6 +14,7 @@ from estimation.alerts.rules.book import RuleBook
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import JobSettings
+from estimation.numerics_version import NUMERICS_VERSION
 from fleet_db.migrate import check_head
 from fleet_db.raw import RawStore
 from fleet_db.session import database_engine
@@ -36,26 +33,12 @@ class SystemClock:
         return time.time_ns()
 
 
-def _sources(folder: Traversable) -> list[tuple[str, bytes]]:
-    found: list[tuple[str, bytes]] = []
-    for entry in sorted(folder.iterdir(), key=lambda item: item.name):
-        if entry.is_dir():
-            found += [(f"{entry.name}/{name}", text) for name, text in _sources(entry)]
-        elif entry.name.endswith(".py"):
-            found.append((entry.name, entry.read_bytes()))
-    return found
-
-
-@cache
 def code_version() -> str:
-    """Return what estimates carry as provenance: the release and a digest of the estimation's own sources.
+    """Return what estimates carry as provenance: the version of the numerics.
 
     Two estimates with the same code version came from the same mathematics, also between releases.
     """
-    digest = hashlib.sha256()
-    for name, text in _sources(files("estimation")):
-        digest.update(name.encode() + b"\0" + text + b"\0")
-    return f"{version('treadwatch')}+{digest.hexdigest()[:12]}"
+    return f"numerics {NUMERICS_VERSION}"
 
 
 def open_store(settings: Settings) -> SqlStorage:
