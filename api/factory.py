@@ -9,11 +9,12 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from api.rules_file import load_rules
-from api.settings import Settings
+from api.settings import PREFIX, Settings
 from estimation.alerts.rules.book import RuleBook
+from estimation.errors import ParameterError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.settings import JobSettings
+from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
 from fleet_db.migrate import check_head
 from fleet_db.raw import RawStore
@@ -78,7 +79,22 @@ def job_context(
         The rules file is wrong; names the file and the field.
     """
     rules = RuleBook() if settings.rules_file is None else load_rules(settings.rules_file)
-    return JobContext(storage, SystemClock(), code_version(), JobSettings(rules=rules), progress=progress)
+    chosen = JobSettings(estimation=estimation_settings(settings), rules=rules)
+    return JobContext(storage, SystemClock(), code_version(), chosen, progress=progress)
+
+
+def estimation_settings(settings: Settings) -> EstimationSettings:
+    """Return the settings of estimation that this deployment asks for.
+
+    Raises
+    ------
+    ParameterError
+        The catalogue has no estimator of that name; names the environment variable and lists the estimators.
+    """
+    try:
+        return EstimationSettings(estimator=settings.estimator)
+    except ParameterError as error:
+        raise ParameterError(error.reason, field=f"{PREFIX}ESTIMATOR") from None
 
 
 def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:

@@ -34,6 +34,8 @@ class Settings(BaseSettings):
         once data are stored.
     jobs_every_s
         Interval of all scheduled jobs, in seconds; left out, each job has its own.
+    estimator
+        Which estimator of ``estimation.estimators.catalogue`` turns windows into geometries.
     shutdown_timeout_s
         How long running requests and jobs may take to finish after SIGTERM, in seconds.
     """
@@ -51,6 +53,7 @@ class Settings(BaseSettings):
     log_format: Literal["json", "text"] = "text"
     window_length_s: float = Field(default=60.0, gt=0.0, le=3600.0)
     jobs_every_s: float | None = Field(default=None, gt=0.0)
+    estimator: str = "bins"
     shutdown_timeout_s: int = Field(default=10, ge=1, le=600)
 
     @field_validator("database_url", "rules_file", "jobs_every_s", mode="before")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from api.comparison.study import PairStudy, Score, Told
-from estimation.estimators.catalogue import PRODUCT, estimators
+from estimation.estimators.catalogue import SHIPPED, estimators
 from estimation.values.json_value import JsonValue
 
 TOLD = {
@@ -127,17 +127,17 @@ def _winner(study: PairStudy, told: Told) -> str:
     if best.p95 > OF_USE:
         return f"{where}: nobody comes near; the least wrong are {named[best.estimator]} ({figures})."
     figures += f", nearest for {won[told, best.estimator]} of {best.wheelsets} wheelsets"
-    product = next((score for score in fit if score.estimator == PRODUCT), None)
+    product = next((score for score in fit if score.estimator == SHIPPED), None)
     if best is product:
         if len(order) == 1:
-            return f"{where}: {named[PRODUCT]} alone estimates half of the amplitudes ({figures})."
+            return f"{where}: {named[SHIPPED]} alone estimates half of the amplitudes ({figures})."
         second = order[1]
-        return f"{where}: {named[PRODUCT]} win ({figures}); {named[second.estimator]} follows with {second.p95:.4f}."
+        return f"{where}: {named[SHIPPED]} win ({figures}); {named[second.estimator]} follows with {second.p95:.4f}."
     if product is None:
-        return f"{where}: a baseline wins, {named[best.estimator]} ({figures}); {named[PRODUCT]} estimate too little."
+        return f"{where}: a baseline wins, {named[best.estimator]} ({figures}); {named[SHIPPED]} estimate too little."
     return (
         f"{where}: a baseline wins, {named[best.estimator]} ({figures}); "
-        f"{named[PRODUCT]} reach {product.p95:.4f}, median {product.median:.4f}."
+        f"{named[SHIPPED]} reach {product.p95:.4f}, median {product.median:.4f}."
     )
 
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from api.comparison.report import TOLD, titles
 from api.comparison.study import PairStudy, Told
 from estimation.contact.conicity import equivalent_conicity
-from estimation.estimators.catalogue import PRODUCT
+from estimation.estimators.catalogue import SHIPPED
 from estimation.estimators.interface import CurveEstimate
 from estimation.values.arrays import FloatArray
 
@@ -50,7 +50,7 @@ def _conicity(axes: Axes, study: PairStudy) -> None:
     for name, title in titles().items():
         found = study.example.curves[told, name]
         value, low, high = _arrays(found)
-        if name == PRODUCT:
+        if name == SHIPPED:
             axes.fill_between(
                 _MM * found.amplitude, low, high, color=COLOURS[name], alpha=0.2, linewidth=0,
                 label=f"{title}: 95 % interval",

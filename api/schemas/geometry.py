@@ -60,6 +60,7 @@ class Geometry(Representation):
     wheelset: str = Field(examples=["WS-0001"])
     status: Status
     reason: str | None
+    estimator: str = Field(description="Name of the estimator that found it.", examples=["bins"])
     baseline: int = Field(description="Number of reprofilings before it.")
     mileage_km: float | None = Field(description="Weighted mean mileage of its windows since the wheelset was new.")
     measured_from: Timestamp
@@ -93,6 +94,7 @@ def geometry(record: GeometryRecord) -> Geometry:
         wheelset=record.wheelset,
         status=found.status,
         reason=found.reason or None,
+        estimator=record.estimator,
         baseline=record.baseline,
         mileage_km=finite(record.mileage_km),
         measured_from=to_rfc3339(record.from_ns),

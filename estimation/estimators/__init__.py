@@ -1,1 +1,1 @@
-"""Estimators of a wheelset's geometry behind one interface, so that they can be compared on the same motion."""
+"""Estimators of a wheelset's geometry behind one interface: motion in, curve and conicity out."""

@@ -14,7 +14,7 @@ from estimation.values.motion import Motion
 
 @dataclass(frozen=True, slots=True)
 class BinnedState:
-    """A bin table and what it was made with."""
+    """A bin table and the parameters that it was made with."""
 
     bins: BinParameters
     geometry: GeometryParameters
@@ -30,23 +30,19 @@ class BinnedGeometry:
     title: str = "locally linear bins"
 
     def init(self, parameters: EstimatorParameters) -> BinnedState:
-        """Return the state that has seen nothing."""
+        """Return the empty bin table."""
         settings = BinParameters(
             source=parameters.source, band_limited=parameters.band_limited, vehicle=parameters.vehicle
         )
         shape = replace(self.geometry, uncertainty=parameters.uncertainty, curve=parameters.curve)
         return BinnedState(settings, shape, bin_table.init(settings))
 
-    def update(self, state: BinnedState, motion: Motion) -> BinnedState:
-        """Return the state that has seen ``motion`` as well."""
-        return replace(state, table=bin_table.merge(state.table, bin_table.tabulate(motion, state.bins)))
-
-    def merge(self, first: BinnedState, second: BinnedState) -> BinnedState:
-        """Return the state that has seen what both have seen; ValueError where their parameters differ."""
-        return replace(first, table=bin_table.merge(first.table, second.table))
+    def update(self, state: BinnedState, motion: Motion, weight: float = 1.0) -> BinnedState:
+        """Return the state with the bin table of ``motion`` added, ``weight`` times."""
+        return replace(state, table=bin_table.merge(bin_table.tabulate(motion, state.bins), state.table, weight))
 
     def result(self, state: BinnedState) -> CurveEstimate:
-        """Return what is published of the curve."""
+        """Return the curve at the bin centres, and conicity, NP and zero crossing as the geometry publishes them."""
         found = estimate_geometry(state.table, state.bins, state.geometry)
         difference = found.rolling_radius_difference
         return CurveEstimate(

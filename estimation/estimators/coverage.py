@@ -1,10 +1,10 @@
-"""Where along y - d there are data at all: a count by displacement, and the unbroken run of it around zero."""
+"""Where along y - d there are data: a count by displacement, and its uninterrupted range around zero."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.motion import Motion
 
 WIDTH = 0.25e-3  # m
@@ -20,13 +20,13 @@ def usable(motion: Motion) -> BoolArray:
     )
 
 
-def counted(displacement: FloatArray) -> IntArray:
+def counted(displacement: FloatArray) -> FloatArray:
     """Return the number of samples (CELLS,) in each cell of ``WIDTH`` over +-``REACH``."""
     cell = np.floor((displacement + REACH) / WIDTH).astype(np.int64)
-    return np.bincount(cell, minlength=CELLS).astype(np.int64)
+    return np.bincount(cell, minlength=CELLS).astype(np.float64)
 
 
-def covered_range(counts: IntArray) -> tuple[float, float] | None:
+def covered_range(counts: FloatArray) -> tuple[float, float] | None:
     """Return from where to where, m, every cell has ``LEAST_SAMPLES``, zero inside; None where there is no such run."""
     enough = counts >= LEAST_SAMPLES
     middle = CELLS // 2

@@ -14,7 +14,7 @@ import numpy as np
 from estimation.errors import ParameterError
 from estimation.estimators.coverage import REACH
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
-from estimation.estimators.series import SeriesState, added, empty, merged, solved
+from estimation.estimators.series import SeriesState, added, empty, solved
 from estimation.values.arrays import FloatArray
 from estimation.values.motion import Motion
 
@@ -32,16 +32,12 @@ class CubicFit:
             raise ParameterError(f"{self.piece!r} m is outside 0 to {REACH} m", field="piece")
 
     def init(self, parameters: EstimatorParameters) -> SeriesState:
-        """Return the state that has seen nothing."""
+        """Return the empty sums."""
         return empty(parameters, self._pieces + 3)
 
-    def update(self, state: SeriesState, motion: Motion) -> SeriesState:
-        """Return the state that has seen ``motion`` as well."""
-        return added(state, motion, self._basis)
-
-    def merge(self, first: SeriesState, second: SeriesState) -> SeriesState:
-        """Return the state that has seen what both have seen; ValueError where their parameters differ."""
-        return merged(first, second)
+    def update(self, state: SeriesState, motion: Motion, weight: float = 1.0) -> SeriesState:
+        """Return the state with ``motion`` added, ``weight`` times."""
+        return added(state, motion, self._basis, weight)
 
     def result(self, state: SeriesState) -> CurveEstimate:
         """Return the piecewise cubic where there are data."""

@@ -1,13 +1,12 @@
-"""What every estimator of a wheelset's geometry is: init, update, result over frozen values.
+"""The interface of every estimator of a wheelset's geometry: init, update, result over frozen values.
 
-An estimator is told what is assumed of the vehicle, then the motion of one wheelset relative to the track, stretch by
-stretch, and says at any time what it makes of it: the curve rL - rR over y - d, and what follows from it, each with
-its interval. How it gets there (sums, a filter's mean and covariance, particles) is its own, in its own ``State``.
+An estimator gets what is assumed of the vehicle, then the motion of one wheelset relative to the track, window by
+window. At any time it gives the curve rL - rR over y - d, and what follows from it, each with its interval. How it
+gets there (sums, mean and covariance of a filter, particles) is its own, in its own ``State``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
@@ -21,7 +20,7 @@ from estimation.vehicle.equations_of_motion import VehicleParameters
 
 @dataclass(frozen=True, slots=True)
 class EstimatorParameters:
-    """What all estimators are told alike; what only one of them knows is a field of that one."""
+    """What all estimators share; what only one of them needs is a field of that one."""
 
     vehicle: VehicleParameters = field(default_factory=VehicleParameters)
     uncertainty: ParameterUncertainty = field(default_factory=ParameterUncertainty)
@@ -32,7 +31,7 @@ class EstimatorParameters:
 
 @dataclass(frozen=True, slots=True)
 class CurveEstimate:
-    """What an estimator says of a wheelset: R = rL - rR over y - d, and what follows; NaN where it says nothing."""
+    """The result of an estimator: R = rL - rR over y - d, and what follows from it; NaN where it is not estimated."""
 
     displacement: FloatArray  # (n,) m, y - d, increasing
     difference: FloatArray  # (n,) m, R
@@ -68,18 +67,22 @@ class Estimator(Protocol[State]):
         """What it is, for people."""
 
     def init(self, parameters: EstimatorParameters) -> State:
-        """Return the state that has seen nothing."""
+        """Return the state before any motion."""
 
-    def update(self, state: State, motion: Motion) -> State:
-        """Return the state that has seen ``motion`` as well; ``state`` is not touched."""
+    def update(self, state: State, motion: Motion, weight: float = 1.0) -> State:
+        """Return the state with ``motion`` added; ``state`` is not touched.
+
+        Parameters
+        ----------
+        state
+            The state so far.
+        motion
+            Motion of the wheelset relative to the track over one window, band-limited where it was measured.
+        weight
+            Above 0, at most 1: how much the samples of ``motion`` count beside those of weight 1. The current geometry
+            forgets by mileage so: half the weight after each half-life. An estimator that cannot weight ignores it,
+            and its current geometry forgets nothing; its docstring says so.
+        """
 
     def result(self, state: State) -> CurveEstimate:
-        """Return what the state says."""
-
-
-def run(estimator: Estimator[State], parameters: EstimatorParameters, motions: Iterable[Motion]) -> CurveEstimate:
-    """Return what ``estimator`` makes of ``motions``, in their order."""
-    state = estimator.init(parameters)
-    for motion in motions:
-        state = estimator.update(state, motion)
-    return estimator.result(state)
+        """Return the curve and what follows from it."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
-from estimation.estimators.series import SeriesState, added, empty, merged, solved
+from estimation.estimators.series import SeriesState, added, empty, solved
 from estimation.values.arrays import FloatArray
 from estimation.values.motion import Motion
 
@@ -22,16 +22,12 @@ class LinearConicity:
     title: str = "linear effective conicity"
 
     def init(self, parameters: EstimatorParameters) -> SeriesState:
-        """Return the state that has seen nothing."""
+        """Return the empty sums."""
         return empty(parameters, 2)
 
-    def update(self, state: SeriesState, motion: Motion) -> SeriesState:
-        """Return the state that has seen ``motion`` as well."""
-        return added(state, motion, _line)
-
-    def merge(self, first: SeriesState, second: SeriesState) -> SeriesState:
-        """Return the state that has seen what both have seen; ValueError where their parameters differ."""
-        return merged(first, second)
+    def update(self, state: SeriesState, motion: Motion, weight: float = 1.0) -> SeriesState:
+        """Return the state with ``motion`` added, ``weight`` times."""
+        return added(state, motion, _line, weight)
 
     def result(self, state: SeriesState) -> CurveEstimate:
         """Return the straight line, its conicity at every amplitude that was met."""

@@ -2,7 +2,8 @@
 
 Only the yaw identification (Eq. 17-18) runs, which gives rL - rR; V of the paper is the mean speed of a stretch. The
 recursion starts in a bin when the threshold count is reached. Its intervals are those of the recursion's own
-covariance, which takes every residual for independent and every parameter for right.
+covariance, which takes every residual for independent and every parameter for right. A weight scales the samples by its
+square root, which is what weighted least squares does; the paper's own forgetting factor is per sample and stays 1.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class PaperAlgorithm:
             raise ParameterError(f"{self.forgetting!r} is outside 0 to 1", field="forgetting")
 
     def init(self, parameters: EstimatorParameters) -> PaperState:
-        """Return the state that has seen nothing."""
+        """Return the state before any sample."""
         b = 2 * self._half + 1
         return PaperState(
             parameters,
@@ -78,8 +79,8 @@ class PaperAlgorithm:
             0,
         )
 
-    def update(self, state: PaperState, motion: Motion) -> PaperState:
-        """Return the state that has seen ``motion`` as well, sample by sample."""
+    def update(self, state: PaperState, motion: Motion, weight: float = 1.0) -> PaperState:
+        """Return the state after the samples of ``motion``, one by one, each counted ``weight`` times."""
         keep = usable(motion)
         if not keep.any():
             return replace(state, stretches=state.stretches + 1)
@@ -87,7 +88,8 @@ class PaperAlgorithm:
         index = np.floor(motion.displacement[keep] / self.width + 0.5).astype(np.int64) + self._half
         features = np.column_stack([motion.yaw[keep], motion.roll_rate[keep], np.ones(int(keep.sum()))]) / SCALE
         output = yaw_output(motion, state.parameters.vehicle, V, keep)
-        return self._recursed(state, features, output, index)
+        root = np.sqrt(weight)
+        return self._recursed(state, root * features, root * output, index)
 
     def _recursed(self, state: PaperState, features: FloatArray, output: FloatArray, index: IntArray) -> PaperState:
         """Run the recursion of every bin over its samples (n,), in their order."""

@@ -15,7 +15,7 @@ from estimation.estimators.coverage import CELLS, counted, covered_range, usable
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.replicates import Replicates, curve_estimate, nothing
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.motion import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 
@@ -31,7 +31,7 @@ class SeriesState:
     parameters: EstimatorParameters
     gram: FloatArray  # (g, m, m)
     cross: FloatArray  # (g, m, 5) with R and its derivatives by the logarithms of the parameters, m
-    counts: IntArray  # (CELLS,) samples by displacement
+    counts: FloatArray  # (CELLS,) effective samples by displacement
     samples: int
     stretches: int
 
@@ -39,23 +39,35 @@ class SeriesState:
         g, m = self.gram.shape[:2]
         object.__setattr__(self, "gram", frozen_array(self.gram, (g, m, m), name="gram"))
         object.__setattr__(self, "cross", frozen_array(self.cross, (g, m, len(YAW_TARGETS)), name="cross"))
-        object.__setattr__(self, "counts", frozen_array(self.counts, (CELLS,), np.int64, name="counts"))
+        object.__setattr__(self, "counts", frozen_array(self.counts, (CELLS,), name="counts"))
 
 
 def empty(parameters: EstimatorParameters, functions: int) -> SeriesState:
-    """Return the state of ``functions`` functions that has seen nothing."""
+    """Return empty sums for ``functions`` basis functions."""
     return SeriesState(
         parameters,
         np.zeros((GROUPS, functions, functions)),
         np.zeros((GROUPS, functions, len(YAW_TARGETS))),
-        np.zeros(CELLS, dtype=np.int64),
+        np.zeros(CELLS),
         0,
         0,
     )
 
 
-def added(state: SeriesState, motion: Motion, basis: Basis) -> SeriesState:
-    """Return the state with ``motion`` added."""
+def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> SeriesState:
+    """Return the state with ``motion`` added.
+
+    Parameters
+    ----------
+    state
+        The sums so far.
+    motion
+        Motion of the wheelset relative to the track over one window.
+    basis
+        The basis functions, of y - d in m.
+    weight
+        Of every sample.
+    """
     keep = usable(motion)
     equations = regression(motion, state.parameters.vehicle)
     targets = equations.yaw_targets[keep] / equations.yaw[keep, 1:]
@@ -64,35 +76,16 @@ def added(state: SeriesState, motion: Motion, basis: Basis) -> SeriesState:
     gram, cross = state.gram.copy(), state.cross.copy()
     for group in np.unique(groups):
         mine = groups == group
-        gram[group] += functions[mine].T @ functions[mine]
-        cross[group] += functions[mine].T @ targets[mine]
+        weighted = weight * functions[mine].T
+        gram[group] += weighted @ functions[mine]
+        cross[group] += weighted @ targets[mine]
     return replace(
         state,
         gram=gram,
         cross=cross,
-        counts=state.counts + counted(motion.displacement[keep]),
+        counts=state.counts + weight * counted(motion.displacement[keep]),
         samples=state.samples + int(keep.sum()),
         stretches=state.stretches + 1,
-    )
-
-
-def merged(first: SeriesState, second: SeriesState) -> SeriesState:
-    """Return the sum of both.
-
-    Raises
-    ------
-    ValueError
-        The states were made with different parameters.
-    """
-    if first.parameters != second.parameters:
-        raise ValueError("states of different parameters do not merge")
-    return replace(
-        first,
-        gram=first.gram + second.gram,
-        cross=first.cross + second.cross,
-        counts=first.counts + second.counts,
-        samples=first.samples + second.samples,
-        stretches=first.stretches + second.stretches,
     )
 
 

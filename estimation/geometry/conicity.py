@@ -75,7 +75,7 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
         _estimate(values[:, k], groups, curve.count, f"amplitude {1e3 * a:g} mm is not covered")
         for k, a in enumerate(amplitude)
     )
-    at_reference, reported_amplitude = _at_reference_amplitude(amplitude, conicity, parameters)
+    at_reference, reported_amplitude = at_reference_amplitude(amplitude, conicity, parameters)
     nonlinearity = _nonlinearity(amplitude, values, groups, curve.count, parameters)
     crossing = _zero_crossing(rows, curve, groups)
     return CurveEstimates(amplitude, conicity, reported_amplitude, at_reference, nonlinearity, crossing)
@@ -163,7 +163,7 @@ def _estimate(values: FloatArray, groups: int, count: float, reason: str) -> Est
     return with_interval(float(values[0]), jackknife, systematic, groups, count)
 
 
-def _at_reference_amplitude(
+def at_reference_amplitude(
     amplitude: FloatArray, conicity: tuple[Estimate, ...], parameters: CurveParameters
 ) -> tuple[Estimate, float]:
     """Return the conicity at the reference amplitude, or at the largest covered below it."""

@@ -1,20 +1,30 @@
-"""Job: bin tables of a wheelset become its geometry, per mileage interval and current."""
+"""Job: bin tables of a wheelset become its geometry, per mileage interval and current.
+
+The estimator of the settings decides how: ``bins`` merges the stored bin tables, any other works on the motion of the
+same windows.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from estimation.alerts.rules.identity import Break
 from estimation.errors import DamagedError
+from estimation.estimators.catalogue import SHIPPED, estimator_named
+from estimation.estimators.interface import EstimatorParameters
+from estimation.estimators.wheelset_geometry import PublishedBins, geometry_from_motion
 from estimation.geometry.estimate import estimate_geometry
+from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.identities import latest_break
+from estimation.jobs.steps.replay import TabulatedWindow, replayed
 from estimation.storage import UnitOfWork
 from estimation.tables import bin_table
-from estimation.values.geometry import BinTable, GeometryRecord
+from estimation.values.geometry import BinTable, GeometryRecord, WheelsetGeometry
+from estimation.values.motion import Motion
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.windows import WindowRecord
 
@@ -46,12 +56,12 @@ def run(context: JobContext) -> Mapping[str, int]:
     Raises
     ------
     DamagedError
-        A bin table is damaged; raised after all other wheelsets are done.
+        A bin table or a window is damaged; raised after all other wheelsets are done.
     """
     counts: Counter[str] = Counter(wheelsets=0, geometries=0)
     damaged: list[DamagedError] = []
     with context.storage.read() as unit:
-        stale = unit.geometries.stale(_STALE_AT_ONCE)
+        stale = unit.geometries.stale(_STALE_AT_ONCE, context.settings.estimation.geometry_key)
     for done, serial in enumerate(stale, start=1):
         try:
             counts["geometries"] += _refresh(context, serial)
@@ -106,8 +116,7 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
         records.append(_emptied(current, context))
     elif newest is not None:
         near = _remembered(_since(newest[1], broken), settings.half_life_km)
-        table = bin_table.merge_with_mileage(_tables(unit, near), settings.half_life_km, settings.bins)
-        records.append(_record(unit, newest[0], None, near, table, context))
+        records.append(_record(unit, newest[0], None, near, context))
     return records
 
 
@@ -120,9 +129,8 @@ def _intervals(
     parts = _by_interval(entries, baseline, settings.interval_km)
     records = []
     for interval, part in parts.items():
-        if interval not in stored or stored[interval].input_digest != _digest(part, context.code_version):
-            table = bin_table.merge_all([table for _, table in _tables(unit, part)], settings.bins)
-            records.append(_record(unit, baseline, interval, part, table, context))
+        if interval not in stored or stored[interval].input_digest != _digest(part, context):
+            records.append(_record(unit, baseline, interval, part, context))
     return records + [_emptied(record, context) for interval, record in stored.items() if interval not in parts]
 
 
@@ -152,8 +160,8 @@ def _emptied(record: GeometryRecord, context: JobContext) -> GeometryRecord:
     settings = context.settings.estimation
     return replace(
         record,
-        geometry=estimate_geometry(bin_table.init(settings.bins), settings.bins, settings.geometry),
-        input_digest=_digest([], context.code_version),
+        geometry=_nothing(settings),
+        input_digest=_digest([], context),
         track_versions={},
         parameters=settings.as_json(),
         code_version=context.code_version,
@@ -185,8 +193,8 @@ def _tables(unit: UnitOfWork, entries: Sequence[_Entry]) -> list[tuple[float, Bi
     ]
 
 
-def _digest(entries: Sequence[_Entry], code_version: str) -> str:
-    text = hashlib.sha256(code_version.encode())
+def _digest(entries: Sequence[_Entry], context: JobContext) -> str:
+    text = hashlib.sha256(f"{context.code_version} {context.settings.estimation.estimator}\n".encode())
     for window, key, version in entries:
         text.update(f"{window.start_ns} {window.content_digest} {key} {version} {window.mileage_km!r}\n".encode())
     return text.hexdigest()
@@ -206,7 +214,6 @@ def _record(
     baseline: Baseline,
     interval: int | None,
     entries: Sequence[_Entry],
-    table: BinTable,
     context: JobContext,
 ) -> GeometryRecord:
     settings = context.settings.estimation
@@ -214,21 +221,70 @@ def _record(
     versions = _versions(entries)
     newest = [unit.tracks.alignment(code, used[-1]) for code, used in versions.items()]
     tracks = [track for track in newest if track is not None]
-    shape = replace(settings.geometry, uncertainty=settings.geometry.uncertainty.on(tracks, windows[0].wheelset))
+    uncertainty = settings.geometry.uncertainty.on(tracks, windows[0].wheelset)
+    half_life_km = settings.half_life_km if interval is None else None
     return GeometryRecord(
         wheelset=windows[0].wheelset,
         baseline=baseline.number,
         interval=interval,
-        mileage_km=_mean_mileage(windows, None if interval is not None else settings.half_life_km),
+        mileage_km=_mean_mileage(windows, half_life_km),
         from_ns=windows[0].start_ns,
         to_ns=windows[-1].start_ns + windows[-1].length_ns,
-        geometry=estimate_geometry(table, settings.bins, shape),
-        input_digest=_digest(entries, context.code_version),
+        geometry=_geometry(unit, entries, settings, uncertainty, half_life_km),
+        input_digest=_digest(entries, context),
         track_versions=versions,
         parameters=settings.as_json(),
         code_version=context.code_version,
         recorded_ns=context.clock.now_ns(),
     )
+
+
+def _geometry(
+    unit: UnitOfWork,
+    entries: Sequence[_Entry],
+    settings: EstimationSettings,
+    uncertainty: ParameterUncertainty,
+    half_life_km: float | None,
+) -> WheelsetGeometry:
+    """Return the geometry of the entries' windows; ``half_life_km`` is of forgetting, None for none."""
+    if settings.estimator != SHIPPED:
+        return _from_motions(_weighted_motions(unit, entries, settings, half_life_km), settings, uncertainty)
+    tables = _tables(unit, entries)
+    if half_life_km is None:
+        return _from_table(bin_table.merge_all([table for _, table in tables], settings.bins), settings, uncertainty)
+    return _from_table(bin_table.merge_with_mileage(tables, half_life_km, settings.bins), settings, uncertainty)
+
+
+def _nothing(settings: EstimationSettings) -> WheelsetGeometry:
+    """Return the geometry of no window."""
+    if settings.estimator != SHIPPED:
+        return _from_motions((), settings, settings.geometry.uncertainty)
+    return _from_table(bin_table.init(settings.bins), settings, settings.geometry.uncertainty)
+
+
+def _from_table(table: BinTable, settings: EstimationSettings, uncertainty: ParameterUncertainty) -> WheelsetGeometry:
+    return estimate_geometry(table, settings.bins, replace(settings.geometry, uncertainty=uncertainty))
+
+
+def _from_motions(
+    motions: Iterable[tuple[float, Motion]], settings: EstimationSettings, uncertainty: ParameterUncertainty
+) -> WheelsetGeometry:
+    """Return the geometry that the estimator of the settings finds in motions, each with its weight."""
+    parameters = EstimatorParameters(
+        settings.vehicle, uncertainty, settings.geometry.curve, settings.signals.source, band_limited=True
+    )
+    published = PublishedBins(settings.bins.edges, settings.geometry_key)
+    return geometry_from_motion(estimator_named(settings.estimator), parameters, motions, published)
+
+
+def _weighted_motions(
+    unit: UnitOfWork, entries: Sequence[_Entry], settings: EstimationSettings, half_life_km: float | None
+) -> Iterator[tuple[float, Motion]]:
+    """Yield weight and motion of the entries' windows, oldest first; the newest mileage has weight 1."""
+    newest = max(record.mileage_km for record, _, _ in entries)
+    windows = [TabulatedWindow(record, version) for record, _, version in entries]
+    for record, moved in replayed(unit, windows, settings.windows):
+        yield 1.0 if half_life_km is None else 0.5 ** ((newest - record.mileage_km) / half_life_km), moved
 
 
 def _mean_mileage(windows: Sequence[WindowRecord], half_life_km: float | None) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
 from estimation.alerts.rules.book import RuleBook
+from estimation.estimators.catalogue import SHIPPED, estimator_named
 from estimation.geometry.estimate import GeometryParameters
 from estimation.motion.gates import Gates, WindowParameters
 from estimation.motion.parameters import SignalParameters
@@ -21,8 +22,15 @@ _MOTION = ("vehicle", "signals", "gates", "interval_km")  # settings of the moti
 
 @dataclass(frozen=True, slots=True)
 class EstimationSettings:
-    """Settings of the jobs that estimate windows and geometries."""
+    """Settings of the jobs that estimate windows and geometries.
 
+    Raises
+    ------
+    ParameterError
+        The catalogue has no estimator of that name.
+    """
+
+    estimator: str = SHIPPED  # of estimation.estimators.catalogue: what turns windows into geometries
     vehicle: VehicleParameters = field(default_factory=VehicleParameters)
     signals: SignalParameters = field(default_factory=SignalParameters)
     geometry: GeometryParameters = field(default_factory=GeometryParameters)
@@ -30,6 +38,9 @@ class EstimationSettings:
     interval_km: float = 1_000.0  # a geometry for the trend per this distance
     half_life_km: float = 2_000.0  # forgetting of the current geometry
     batch: int = 64  # windows committed together
+
+    def __post_init__(self) -> None:
+        estimator_named(self.estimator)
 
     @property
     def windows(self) -> WindowParameters:
@@ -40,6 +51,11 @@ class EstimationSettings:
     def bins(self) -> BinParameters:
         """Bin tables of band-limited motion."""
         return bin_parameters(self.windows)
+
+    @property
+    def geometry_key(self) -> str:
+        """Digest of the parameters of the motion and the name of the estimator: one geometry is of one such key."""
+        return self.bins.key if self.estimator == SHIPPED else f"{self.bins.key} {self.estimator}"
 
     def as_json(self) -> Mapping[str, JsonValue]:
         """Return every setting, for the provenance of an estimate."""

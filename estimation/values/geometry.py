@@ -116,3 +116,8 @@ class GeometryRecord:
     parameters: Mapping[str, JsonValue]
     code_version: str
     recorded_ns: int
+
+    @property
+    def estimator(self) -> str:
+        """Name of the estimator; records from before there was a choice are of ``bins``."""
+        return str(self.parameters.get("estimator", "bins"))

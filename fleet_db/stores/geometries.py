@@ -16,7 +16,7 @@ from fleet_db.models import GeometryRow, WindowBinTableRow
 from fleet_db.packed.geometry import pack_geometry, unpack_geometry
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.session import to_json
-from fleet_db.stores.wheelset_bins import replace_bins
+from fleet_db.stores.wheelset_bins import BINS, replace_bins
 
 GEOMETRIES, TABLES = table_of(GeometryRow), table_of(WindowBinTableRow)
 NEWEST_FIRST = (GEOMETRIES.c.recorded_ns.desc(), GEOMETRIES.c.geometry_id.desc())
@@ -84,14 +84,24 @@ class GeometryStore:
             statement = statement.where(GEOMETRIES.c.baseline == baseline)
         return [_record(row) for row in self.connection.execute(statement)]
 
-    def stale(self, limit: int) -> Sequence[str]:
+    def stale(self, limit: int, geometry_key: str | None = None) -> Sequence[str]:
         """Return serials whose windows, bin tables, mountings or reprofilings changed since their current geometry.
 
         Only those that have a bin table or a geometry: of the others there is nothing to say.
+
+        Parameters
+        ----------
+        limit
+            Largest number of serials.
+        geometry_key
+            Of the parameters in force; a current geometry of another key is stale too. None: the key does not matter.
         """
         self.changes.flush()
+        outdated = CHANGES.c.change > CHANGES.c.geometry_change
+        if geometry_key is not None:
+            outdated = or_(outdated, _made_otherwise(geometry_key))
         statement = select(CHANGES.c.wheelset).where(
-            CHANGES.c.change > CHANGES.c.geometry_change,
+            outdated,
             or_(
                 exists().where(TABLES.c.wheelset == CHANGES.c.wheelset),
                 exists().where(GEOMETRIES.c.wheelset == CHANGES.c.wheelset),
@@ -122,6 +132,15 @@ class GeometryStore:
             )
         )
         return newest
+
+
+def _made_otherwise(geometry_key: str) -> ColumnElement[bool]:
+    """Return whether the geometry whose bins are a wheelset's current ones is of another key."""
+    return (
+        exists()
+        .where(BINS.c.wheelset == CHANGES.c.wheelset, BINS.c.bin == 0)
+        .where(GEOMETRIES.c.geometry_id == BINS.c.geometry_id, GEOMETRIES.c.parameter_key != geometry_key)
+    )
 
 
 def _key(record: GeometryRecord) -> ColumnElement[bool]:

@@ -16,7 +16,7 @@ from api.cli import build
 from api.comparison.report import as_json, nearest, words
 from api.comparison.study import Example, PairStudy, Score, Told, against_truth
 from estimation.contact.conicity import equivalent_conicity
-from estimation.estimators.catalogue import PRODUCT, estimators
+from estimation.estimators.catalogue import SHIPPED, estimators
 from estimation.estimators.interface import EstimatorParameters
 from estimation.estimators.replicates import Replicates, curve_estimate
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -75,7 +75,7 @@ def paired(scores: tuple[Score, ...], untold: dict[Told, str] | None = None) -> 
 def test_a_baseline_that_wins_is_named() -> None:
     near, far = (0.01, 0.02), (0.015, 0.05)
     scores = tuple(score(name, Told.KNOWN, near if name == "cubic" else far) for name in NAMES)
-    scores += tuple(score(name, Told.FLEET, near if name == PRODUCT else far) for name in NAMES)
+    scores += tuple(score(name, Told.FLEET, near if name == SHIPPED else far) for name in NAMES)
     scores += tuple(score(name, Told.NOTHING, (), 0) for name in NAMES)
     known, fleet, nothing = words([paired(scores)])
     assert known.startswith("P8/113A, track known: a baseline wins, piecewise cubic least squares")
@@ -88,7 +88,7 @@ def test_a_baseline_that_wins_is_named() -> None:
 
 
 def test_where_nobody_comes_near_nobody_wins() -> None:
-    scores = tuple(score(name, Told.NOTHING, (0.12, 0.1 if name == PRODUCT else 0.2)) for name in NAMES)
+    scores = tuple(score(name, Told.NOTHING, (0.12, 0.1 if name == SHIPPED else 0.2)) for name in NAMES)
     (said,) = words([paired(scores, {Told.KNOWN: "x", Told.FLEET: "y"})])[2:]
     assert "nobody comes near; the least wrong are locally linear bins" in said
     assert "win" not in said
@@ -131,8 +131,8 @@ def test_a_tiny_section_is_compared_printed_and_drawn(tmp_path: Path) -> None:
     figures = json.loads((out / "comparison.json").read_text())
     known = {item["estimator"]: item for item in figures["pairs"][0]["scores"] if item["track"] == "known"}
     assert sorted(known) == sorted(NAMES)
-    assert known[PRODUCT]["estimated"] >= 9
-    assert known[PRODUCT]["median_error"] < 0.02 < known["linear"]["median_error"]
+    assert known[SHIPPED]["estimated"] >= 9
+    assert known[SHIPPED]["median_error"] < 0.02 < known["linear"]["median_error"]
     assert all(sentence in shown.output for sentence in figures["words"])
     assert (out / "comparison.png").read_bytes().startswith(b"\x89PNG")
     rows = (out / "comparison.md").read_text().splitlines()

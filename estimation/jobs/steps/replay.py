@@ -1,0 +1,77 @@
+"""The motion of windows that have been tabulated, once more: what an estimator without stored sums works on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+from estimation.motion.gates import WindowParameters
+from estimation.motion.parameters import Refusal
+from estimation.motion.window_motion import window_motion
+from estimation.storage import UnitOfWork
+from estimation.values.motion import Motion
+from estimation.values.track import Correction, TrackAlignment, TrackLayout
+from estimation.values.windows import WindowPosition, WindowRecord
+
+
+@dataclass(frozen=True, slots=True)
+class TabulatedWindow:
+    """A window that has a bin table, and the version of its section's alignment that the table was made with."""
+
+    record: WindowRecord
+    track_version: int | None
+
+
+def replayed(
+    unit: UnitOfWork, windows: Sequence[TabulatedWindow], parameters: WindowParameters
+) -> Iterator[tuple[WindowRecord, Motion]]:
+    """Yield each window with its motion, as ``estimate_windows`` tabulated it.
+
+    A window whose position or content has changed since, so that it is refused today, is left out: the next run of
+    ``estimate_windows`` marks it, and this wheelset is refreshed again.
+
+    Parameters
+    ----------
+    unit
+        The transaction to read from.
+    windows
+        Windows of one wheelset.
+    parameters
+        Vehicle, filters and gates.
+
+    Raises
+    ------
+    DamagedError
+        The samples of a window are damaged; names the file.
+    """
+
+    @lru_cache
+    def alignment(section: str, version: int | None) -> TrackAlignment | None:
+        return unit.tracks.alignment(section, version)
+
+    @lru_cache
+    def layout(section: str) -> TrackLayout | None:
+        return unit.tracks.layout(section)
+
+    for item in windows:
+        record, section = item.record, item.record.track_section
+        position = _position(unit, record)
+        mounting = unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
+        moved = window_motion(
+            unit.windows.load(record.wheelset, record.start_ns),
+            alignment(section, item.track_version) if section is not None else None,
+            parameters,
+            Correction(position.offset_m, position.scale, position.middle_m) if position is not None else None,
+            position.reason if position is not None else "",
+            mounted_reversed=mounting is not None and mounting.reversed,
+            layout=layout(section) if section is not None else None,
+        )
+        if not isinstance(moved, Refusal):
+            yield record, moved
+
+
+def _position(unit: UnitOfWork, record: WindowRecord) -> WindowPosition | None:
+    """Return where the window was, unless that was found from other content."""
+    position = unit.tracks.position(record.wheelset, record.start_ns)
+    return position if position is not None and position.content_digest == record.content_digest else None
