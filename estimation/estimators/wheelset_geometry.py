@@ -82,7 +82,7 @@ def geometry_from_curve(
         contact_angle_difference=nothing,
         amplitude=curve.amplitude,
         conicity=curve.conicity,
-        headline_amplitude=amplitude,
+        reported_amplitude=amplitude,
         equivalent_conicity=best,
         nonlinearity=curve.nonlinearity,
         zero_crossing=curve.zero_crossing,
