@@ -19,6 +19,7 @@ from estimation.estimators.wheelset_geometry import PublishedBins, geometry_from
 from estimation.geometry.estimate import estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.identities import latest_break
 from estimation.jobs.steps.replay import TabulatedWindow, replayed
 from estimation.storage import UnitOfWork
