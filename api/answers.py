@@ -66,10 +66,10 @@ def answer_bytes(
 ) -> Response:
     """Return ``payload`` with its ETag, or 304 where the client holds it already."""
     tag = entity_tag(payload)
-    told = {"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept", **headers}
+    all_headers = {"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept", **headers}
     if status == HTTPStatus.OK and _unchanged(request, tag):
-        return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=told)
-    return Response(payload, status, headers=told, media_type=media_type)
+        return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=all_headers)
+    return Response(payload, status, headers=all_headers, media_type=media_type)
 
 
 def answer(request: Request, body: BaseModel, *, status: int = 200, headers: Mapping[str, str] = {}) -> Response:
@@ -123,7 +123,7 @@ def answer_page(
     Parameters
     ----------
     rows
-        Up to ``limit + 1`` records behind the cursor; the one too many says that there is a next page.
+        Up to ``limit + 1`` records behind the cursor; one more than shown means that there is a next page.
     key
         What orders the list, of a record.
     """
@@ -158,4 +158,4 @@ def require_match(header: str | None, current: BaseModel) -> None:
         raise ProblemError(428, "precondition-required", "send the ETag of the resource as If-Match")
     tag = entity_tag(payload_of(current))
     if header.strip() != "*" and tag not in _listed(header):
-        raise ProblemError(412, "precondition-failed", "read the resource again and decide anew", headers={"ETag": tag})
+        raise ProblemError(412, "precondition-failed", "the resource has changed; read it again", headers={"ETag": tag})

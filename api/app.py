@@ -1,4 +1,4 @@
-"""The REST application: routes, problems, surroundings; built from services, never at import."""
+"""The REST application: routes, problems, middleware; built from services, never at import."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from prometheus_client import CollectorRegistry
 
 from api import contract, docs_page, problems
 from api.metrics import RequestMeasures, StoredMeasures
-from api.middleware import Surroundings
+from api.middleware import RequestContextMiddleware
 from api.openapi_document import document
 from api.routes import alert_actions, alerts, fleets, geometry, health, jobs, tracks, vehicles, wheelsets
 from api.services import Services
 
 RESOURCES = (fleets, vehicles, wheelsets, geometry, alerts, alert_actions, jobs, tracks)
-# Multi-row reads of SQLite slow each other down in threads: one that reads, and one that may wait to write.
+# Multi-row reads of SQLite slow each other down in threads: one thread to read, one that may wait to write.
 EMBEDDED_THREADS = 2
 
 
@@ -71,7 +71,8 @@ def build_app(services: Services) -> FastAPI:
     registry.register(StoredMeasures(services.storage, services.jobs))
     app.state.services = services
     app.state.registry = registry
-    app.add_middleware(Surroundings, measures=RequestMeasures(registry))
+    app.state.contracts = contract.contracts_of(app.openapi())
+    app.add_middleware(RequestContextMiddleware, measures=RequestMeasures(registry))
     return app
 
 

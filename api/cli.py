@@ -86,7 +86,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
 def main() -> None:
     """Run the command line; a refusal is one line on standard error and exit code 2.
 
-    Linear algebra runs on one thread unless the environment says otherwise: the matrices are small, and threads that
+    Linear algebra runs on one thread unless the environment sets it: the matrices are small, and threads that
     wait for each other on busy cores made the estimation eight times slower.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -17,8 +17,10 @@ Key = str | int
 
 
 def _digest(operation: str, filters: Mapping[str, object]) -> str:
-    told = orjson.dumps([operation, sorted((name, str(value)) for name, value in filters.items() if value is not None)])
-    return hashlib.sha256(told).hexdigest()[:_DIGEST_LENGTH]
+    listed = orjson.dumps(
+        [operation, sorted((name, str(value)) for name, value in filters.items() if value is not None)]
+    )
+    return hashlib.sha256(listed).hexdigest()[:_DIGEST_LENGTH]
 
 
 def encode(operation: str, filters: Mapping[str, object], key: Key) -> str:

@@ -1,4 +1,4 @@
-"""The one place where things are joined: settings become a store, a clock, a job context, an app."""
+"""The composition root: settings become a store, a clock, a job context, an app."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def open_store(settings: Settings) -> SqlStorage:
     Raises
     ------
     MigrationError
-        The database is at another migration; says what to run.
+        The database is at another migration; the message gives the command to run.
     ParameterError
         The database URL names none that can be used.
     StorageError
@@ -106,7 +106,7 @@ def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:
 
 def create_app(settings: Settings) -> FastAPI:
     """Return the REST application of this deployment; refuses where :func:`open_store` or :func:`job_context` do."""
-    # the receiver and the scheduler, which are joined here too, do not wait for the web framework
+    # the receiver and the scheduler are built in this module too and do not wait for the web framework
     from api.app import build_app  # noqa: PLC0415 - the same
     from api.job_runner import JobRunner  # noqa: PLC0415 - the same
     from api.services import Services  # noqa: PLC0415 - the same

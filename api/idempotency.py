@@ -1,4 +1,4 @@
-"""POSTs that are repeated: the first answer is given again, and nothing is done twice."""
+"""Repeated POSTs: the first answer is sent again, and nothing is done twice."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fleet_db.storage import SqlUnitOfWork
 
 
 @dataclass(frozen=True, slots=True)
-class Once:
+class IdempotentPost:
     """One POST with its key; without a key every request is a new one."""
 
     key: str | None
@@ -48,7 +48,7 @@ class Once:
             unit.idempotency.put(self.key, self.request_digest, status, payload_of(body).decode(), now_ns)
 
 
-def once(request: Request, key: str | None, body: BaseModel | None = None) -> Once:
+def idempotent_post(request: Request, key: str | None, body: BaseModel | None = None) -> IdempotentPost:
     """Return this POST's identity: its key, and a digest of what it asks for."""
-    told = [request.method, request.scope["path"], None if body is None else body.model_dump(mode="json")]
-    return Once(key, hashlib.sha256(orjson.dumps(told)).hexdigest())
+    asked = [request.method, request.scope["path"], None if body is None else body.model_dump(mode="json")]
+    return IdempotentPost(key, hashlib.sha256(orjson.dumps(asked)).hexdigest())

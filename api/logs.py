@@ -10,7 +10,7 @@ from structlog.typing import Processor
 
 from api.settings import Settings
 
-CHATTY = ("apscheduler", "alembic.runtime", "uvicorn.access")  # what they tell at info is told by our own records
+CHATTY = ("apscheduler", "alembic.runtime", "uvicorn.access")  # what they log at info is in our own records
 
 
 def configure(settings: Settings) -> None:

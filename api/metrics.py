@@ -37,7 +37,7 @@ class RequestMeasures:
 
 
 class StoredMeasures(Collector):
-    """What the database says at the moment of asking; only whether it is up, when it is not."""
+    """Measures read from the database when they are scraped; only ``treadwatch_database_up`` while it is down."""
 
     def __init__(self, storage: SqlStorage, jobs: Mapping[str, Job]) -> None:
         self._storage = storage

@@ -1,4 +1,4 @@
-"""Around every request: its identity, its log line, its measures, its size, and the answer to what nobody expected."""
+"""Around every request: request id, log line, metrics, limit of the body, and the answer to unexpected errors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _route(scope: Scope) -> str:
     return getattr(scope.get("route"), "path_format", "unmatched")
 
 
-class Surroundings:
+class RequestContextMiddleware:
     """ASGI middleware; one instance an app."""
 
     def __init__(self, app: ASGIApp, measures: RequestMeasures) -> None:
@@ -42,14 +42,14 @@ class Surroundings:
         self.measures = measures
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on, and tell what came of it."""
+        """Pass the request on; log and count its outcome."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
         identity, began = _identity(scope), time.perf_counter()
         seen: MutableMapping[str, Any] = {}
 
-        async def told(message: Message) -> None:
+        async def send_with_id(message: Message) -> None:
             if message["type"] == "http.response.start":
                 seen["status"] = message["status"]
                 MutableHeaders(scope=message)["X-Request-Id"] = identity
@@ -57,12 +57,12 @@ class Surroundings:
 
         with structlog.contextvars.bound_contextvars(request_id=identity):
             try:
-                await self.app(scope, _bounded(scope, receive), told)
+                await self.app(scope, limit_body(scope, receive), send_with_id)
             except Exception as error:
                 if "status" in seen:
                     raise
                 _log.error("request failed", path=scope["path"], exc_info=error)
-                await problem_response(Request(scope), from_error(error))(scope, receive, told)
+                await problem_response(Request(scope), from_error(error))(scope, receive, send_with_id)
             finally:
                 took = time.perf_counter() - began
                 status = int(seen.get("status", HTTPStatus.INTERNAL_SERVER_ERROR))
@@ -76,12 +76,12 @@ class Surroundings:
                 )
 
 
-def _bounded(scope: Scope, receive: Receive) -> Receive:
-    """Return ``receive`` that refuses more than a body may have, whether it says so beforehand or not."""
+def limit_body(scope: Scope, receive: Receive) -> Receive:
+    """Return ``receive`` that refuses a body above the limit, whether ``Content-Length`` announces it or not."""
     size = 0
     announced = Headers(scope=scope).get("content-length", "0")
 
-    async def bounded() -> Message:
+    async def limited() -> Message:
         nonlocal size
         message = await receive()
         size += len(message.get("body", b""))
@@ -89,4 +89,4 @@ def _bounded(scope: Scope, receive: Receive) -> Receive:
             raise HTTPException(TOO_LARGE, f"at most {MAX_BODY_BYTES} bytes")
         return message
 
-    return bounded
+    return limited

@@ -47,7 +47,7 @@ def document(app: FastAPI) -> dict[str, Any]:
 
 
 def _describe_unchanged(operation: dict[str, Any]) -> None:
-    """Say of an operation that knows ``If-None-Match`` that it may answer 304."""
+    """Add 304 to the responses of an operation that takes ``If-None-Match``."""
     if any(entry["name"] == "If-None-Match" for entry in operation.get("parameters", ())):
         operation["responses"]["304"] = {"description": "The client holds it as it is."}
     operation["responses"] = dict(sorted(operation["responses"].items()))

@@ -27,7 +27,7 @@ MeasuredTo = Annotated[Moment | None, Query(alias="to", description="Measured be
 
 
 def not_in_the_future(as_of_ns: int | None, now_ns: int) -> None:
-    """Refuse to say what will be believed.
+    """Refuse a time in the future.
 
     Raises
     ------
@@ -35,5 +35,5 @@ def not_in_the_future(as_of_ns: int | None, now_ns: int) -> None:
         422.
     """
     if as_of_ns is not None and as_of_ns > now_ns:
-        item = ProblemItem(part="query", pointer="#/as_of", detail="lies in the future")
-        raise ProblemError(422, "invalid-request", "as_of lies in the future", [item])
+        item = ProblemItem(part="query", pointer="#/as_of", detail="is in the future")
+        raise ProblemError(422, "invalid-request", "as_of is in the future", [item])

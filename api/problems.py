@@ -1,4 +1,4 @@
-"""Problems as the API tells them (RFC 9457), and the one table from our errors to HTTP."""
+"""Problem details (RFC 9457), and the one table from our errors to HTTP."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def _unexpected(_error: Exception) -> ProblemError:
     return ProblemError(500, "internal-error", "the failure has been logged")
 
 
-# The first line whose class fits; what is not ours is told without its words.
+# The first line whose class fits; errors that are not ours are answered without their message.
 _TABLE: tuple[tuple[type[Exception], Callable[[Any], ProblemError]], ...] = (
     (ProblemError, lambda error: error),
     (RequestValidationError, _invalid),
@@ -138,21 +138,21 @@ _TABLE: tuple[tuple[type[Exception], Callable[[Any], ProblemError]], ...] = (
 
 
 def from_error(error: Exception) -> ProblemError:
-    """Return how an error is told."""
-    return next(tell(error) for kind, tell in _TABLE if isinstance(error, kind))
+    """Return the problem that answers an error."""
+    return next(describe(error) for kind, describe in _TABLE if isinstance(error, kind))
 
 
 def install(app: FastAPI) -> None:
-    """Let every error of this app be told as a problem."""
+    """Answer every error of this app with a problem."""
 
-    async def tell(request: Request, error: Exception) -> Response:
+    async def respond(request: Request, error: Exception) -> Response:
         problem = from_error(error)
         if problem.status >= HTTPStatus.INTERNAL_SERVER_ERROR:
             _log.error("request failed: %s", request.scope.get("path"), exc_info=error)
         return problem_response(request, problem)
 
     for kind, _ in _TABLE:
-        app.add_exception_handler(kind, tell)
+        app.add_exception_handler(kind, respond)
 
 
 def described(*statuses: int) -> dict[int | str, dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""What the routes work with: one value a process, joined by the factory."""
+"""What the routes work with: one value a process, built by the factory."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fleet_db.storage import SqlStorage
 class Services:
     """SqlStorage, time and jobs.
 
-    ``check`` raises where the database is away or at another migration; ``close`` ends what the app was given.
+    ``check`` raises where the database is unreachable or at another migration; ``close`` closes the storage.
     """
 
     storage: SqlStorage
@@ -45,8 +45,8 @@ class Services:
 
 
 async def services_of(request: Request) -> Services:
-    """Return what the factory joined."""
+    """Return what the factory services."""
     return cast("Services", request.app.state.services)
 
 
-Joined = Annotated[Services, Depends(services_of)]
+ServicesDep = Annotated[Services, Depends(services_of)]

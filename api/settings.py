@@ -20,7 +20,7 @@ class Settings(BaseSettings):
     ----------
     data_dir
         Directory of everything that is kept beside the database: raw recordings, samples of windows. The embedded
-        database lies here too.
+        database is here too.
     database_url
         ``sqlite:///...`` or ``postgresql://...``; left out, a SQLite file in ``data_dir``.
     rules_file
@@ -31,7 +31,7 @@ class Settings(BaseSettings):
         How much is logged, and whether as JSON lines or as text for a terminal.
     window_length_s
         Length of a window of running time, in seconds. Windows are cut at multiples of it, so it must not be changed
-        once data are stored.
+        after data are stored.
     jobs_every_s
         Interval of all scheduled jobs, in seconds; left out, each job has its own.
     estimator

@@ -80,9 +80,9 @@ class BinTables(Protocol):
 class Geometries(Protocol):
     """Geometry estimates, append-only; reads give what was believed at ``as_of_ns`` (recorded time).
 
-    ``change`` counts what happened to the inputs of a wheelset's geometry. Whoever reads inputs in one transaction
-    and stores in another takes it with the inputs and hands it to ``settle`` with the results, so that a change in
-    between is not lost; ``settle`` also ends the staleness of a wheelset of which nothing could be estimated.
+    ``change`` counts what happened to the inputs of a wheelset's geometry. A job that reads inputs in one transaction
+    and stores in another reads it with the inputs and passes it to ``mark_current`` with the results, so that a change
+    in between is not lost; ``mark_current`` also ends the staleness of a wheelset of which nothing could be estimated.
     """
 
     def put(self, record: GeometryRecord) -> bool: ...
@@ -92,7 +92,7 @@ class Geometries(Protocol):
     ) -> Sequence[GeometryRecord]: ...
     def stale(self, limit: int, geometry_key: str | None = None) -> Sequence[str]: ...
     def change(self, wheelset: str) -> int: ...
-    def settle(self, wheelset: str, change: int) -> None: ...
+    def mark_current(self, wheelset: str, change: int) -> None: ...
 
 
 class Trends(Protocol):

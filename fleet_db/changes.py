@@ -1,4 +1,4 @@
-"""Which wheelsets changed in a transaction: counted once each, in one order, when it ends."""
+"""Which wheelsets changed in a transaction: counted once each, in a fixed order, when it ends."""
 
 from __future__ import annotations
 

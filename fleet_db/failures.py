@@ -1,4 +1,4 @@
-"""What the database throws, in the words of our own errors."""
+"""Errors of the database, translated into our own."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from estimation.errors import ConflictError, ParameterError, StorageError
 
 
 @contextmanager
-def own_errors() -> Iterator[None]:
+def translate_errors() -> Iterator[None]:
     """Turn errors of SQLAlchemy and of the drivers into ours.
 
     Raises
     ------
     ConflictError
-        A constraint of the database said no.
+        A constraint of the database refused it.
     ParameterError
         A value that JSON cannot hold (NaN, infinity, an object).
     StorageError

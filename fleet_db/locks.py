@@ -71,7 +71,7 @@ def file_scheduler_lock(path: Path, holder: str) -> Iterator[None]:
     Raises
     ------
     AlreadyRunningError
-        Somebody holds it; names who.
+        Another process holds it; names the holder.
     """
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:

@@ -11,7 +11,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Engine
 
 from estimation.errors import MigrationError, StorageError
-from fleet_db.failures import own_errors
+from fleet_db.failures import translate_errors
 from fleet_db.locks import Subject, serialise
 from fleet_db.session import IMMEDIATE, database_engine, sqlite_file
 
@@ -35,7 +35,7 @@ def upgrade(url: str) -> str:
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
     try:
-        with own_errors(), engine.connect().execution_options(**IMMEDIATE) as connection, connection.begin():
+        with translate_errors(), engine.connect().execution_options(**IMMEDIATE) as connection, connection.begin():
             serialise(connection, Subject.MIGRATION)
             found = MigrationContext.configure(connection).get_current_revision()
             if found is not None and found not in _known():
@@ -54,14 +54,14 @@ def check_head(engine: Engine) -> None:
     Raises
     ------
     MigrationError
-        It is elsewhere, or has never been migrated; says what to run.
+        It is elsewhere, or has never been migrated; the message gives the command to run.
     StorageError
         It cannot be reached.
     """
     file = sqlite_file(engine)
     if file is not None and not file.exists():
         raise MigrationError(None, head())
-    with own_errors(), engine.connect() as connection:
+    with translate_errors(), engine.connect() as connection:
         found = MigrationContext.configure(connection).get_current_revision()
     if found != head():
         raise MigrationError(found, head(), known=found is None or found in _known())

@@ -1,4 +1,4 @@
-"""Raw recordings, addressed by their content: on the disk before anybody is told that they are stored."""
+"""Raw recordings, addressed by their content: on the disk before they are reported as stored."""
 
 from __future__ import annotations
 

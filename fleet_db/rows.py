@@ -1,4 +1,4 @@
-"""Few statements that every store needs, over plain tables."""
+"""The statements that every store needs, over plain tables."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def upsert(connection: Connection, table: Table, values: Mapping[str, Any]) -> b
     found = connection.execute(_by_key(table), key).mappings().first()
     if found is None and insert_new(connection, table, values):
         return True
-    if found is None:  # somebody else has stored it since it was looked up
+    if found is None:  # another transaction has stored it since the look-up
         found = connection.execute(_by_key(table), key).mappings().one()
     if all(found[name] == value for name, value in values.items()):
         return False

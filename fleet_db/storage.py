@@ -10,7 +10,7 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine
 
 from fleet_db.changes import Changes
-from fleet_db.failures import own_errors
+from fleet_db.failures import translate_errors
 from fleet_db.locks import file_scheduler_lock, postgresql_scheduler_lock, single_writer
 from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, sqlite_file
 from fleet_db.stores.alerts import AlertStore
@@ -84,13 +84,13 @@ class SqlStorage:
         Raises
         ------
         ConflictError
-            A constraint of the database said no.
+            A constraint of the database refused it.
         StorageError
             The database cannot be reached, or another writer holds it too long.
         """
         with (
-            own_errors(),
-            self._alone(),
+            translate_errors(),
+            self._write_lock(),
             self.engine.connect().execution_options(**IMMEDIATE) as connection,
             connection.begin(),
         ):
@@ -107,27 +107,27 @@ class SqlStorage:
         StorageError
             The database cannot be reached, or something was written.
         """
-        with own_errors(), self.engine.connect() as connection, _read_only(connection) as reading:
+        with translate_errors(), self.engine.connect() as connection, _read_only(connection) as reading:
             yield SqlUnitOfWork(reading, self._files(), writing=False)
 
     def scheduler_lock(self, holder: str) -> AbstractContextManager[None]:
-        """Be the one scheduler of this database.
+        """Hold the lock of the one scheduler of this database.
 
         Raises
         ------
         AlreadyRunningError
-            On entry: another is; names it.
+            On entry: another process holds it; names the holder.
         """
         file = sqlite_file(self.engine)
         if file is None:
-            return _translated(postgresql_scheduler_lock(self.engine, holder))
+            return _translate_errors_of(postgresql_scheduler_lock(self.engine, holder))
         return file_scheduler_lock(file.with_name(f"{file.name}.scheduler-lock"), holder)
 
     def close(self) -> None:
         """Close every connection."""
         self.engine.dispose()
 
-    def _alone(self) -> AbstractContextManager[None]:
+    def _write_lock(self) -> AbstractContextManager[None]:
         file = sqlite_file(self.engine)
         if file is None:
             return nullcontext()
@@ -154,6 +154,6 @@ def _read_only(connection: Connection) -> Iterator[Connection]:
 
 
 @contextmanager
-def _translated(lock: AbstractContextManager[None]) -> Iterator[None]:
-    with own_errors(), lock:
+def _translate_errors_of(lock: AbstractContextManager[None]) -> Iterator[None]:
+    with translate_errors(), lock:
         yield

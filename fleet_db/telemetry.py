@@ -68,7 +68,7 @@ class WindowFiles:
         try:
             blob = path.read_bytes()
         except FileNotFoundError as error:
-            if not self.directory.is_dir():  # a disk that is not mounted says nothing of one window
+            if not self.directory.is_dir():  # a disk that is not mounted is no damage to one window
                 raise StorageError(f"{self.directory}: the directory of the windows is not there") from error
             raise DamagedError(f"{path}: the samples of a window are missing") from error
         except OSError as error:

@@ -79,7 +79,7 @@ def replay(settings: Settings, scenario: Scenario, report: FleetReport, console:
         bar = progress.add_task("", total=len(campaigns), what="")
         tally = _Tally()
         for campaign in sorted(campaigns):
-            clock.now = max(clock.now, _evening(scenario, campaign))
+            clock.now = max(clock.now, _end_of_day(scenario, campaign))
             _reprofile(storage, contents, clock.now)
             progress.update(bar, what="receiving")
             tally.receive(receiver, campaigns[campaign])
@@ -168,7 +168,7 @@ def _by_campaign(report: FleetReport) -> dict[int, list[Recording]]:
     return campaigns
 
 
-def _evening(scenario: Scenario, campaign: int) -> int:
+def _end_of_day(scenario: Scenario, campaign: int) -> int:
     """Return the time at which a campaign (from 1) of every vehicle has come in."""
     last = max(scenario.start_ns(vehicle, campaign - 1) for vehicle in scenario.vehicles)
     return last + round(scenario.sessions.duration * 1e9) + HOUR_NS

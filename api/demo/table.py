@@ -1,4 +1,4 @@
-"""The demo's table: what the REST API says of every wheelset, beside what is true."""
+"""The demo's table: estimates of every wheelset from the REST API beside the simulated truth."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def _distance(trend: dict[str, Any]) -> str:
 
 ESTIMATE = ("km since new", "at mm", "true conicity", "estimated [95 %]", "covers")
 OUTLOOK = ("trend per 100,000 km [95 %]", "1,000 km to the limit [p10, p90]", "open alerts")
-TITLE = "Wheel-rail wear of the fleet, as the REST API tells it"
+TITLE = "Wheel-rail wear of the fleet, from the REST API"
 
 
 def tables(found: list[WheelsetLine], console: Console) -> list[Table]:

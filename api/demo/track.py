@@ -1,4 +1,4 @@
-"""What the demo says of the track: whether anybody surveyed it, what the fleet has found, and from what."""
+"""What the demo prints about the track: whether it was surveyed, what the fleet has estimated, and from what."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _said(base_url: str, section: dict[str, Any]) -> str:
     head = f"track {section['code']}, {section['length_m'] / 1000:g} km"
     if not versions:
         reason = f": {report['reason']}" if report and report["reason"] else ""
-        return f"{head}: nobody has surveyed it, and the fleet has not found its alignment{reason}"
+        return f"{head}: not surveyed, and the fleet has not estimated its alignment yet{reason}"
     newest = versions[-1]
     if newest["source"] == "recorded" and newest["status"] != "estimated":
         return f"{head}: the gauge alone is on file, and the fleet has not found the alignment"
@@ -34,7 +34,7 @@ def _said(base_url: str, section: dict[str, Any]) -> str:
         said = f", {report['recording']}" if report and report["recording"] else ""
         return f"{head}: alignment on file, version {newest['version']}{said}"
     filed = {one["status"] for one in versions if one["source"] == "recorded"}
-    how = "what was on file is not used" if "estimated" in filed else "nobody has surveyed it"
+    how = "the surveyed alignment is not used" if "estimated" in filed else "not surveyed"
     how = "the gauge alone is on file" if filed == {"unestimated"} else how
     return f"{head}: {how}; the fleet has found its alignment, {_found(newest, report)}"
 

@@ -9,12 +9,12 @@ from http import HTTPStatus
 from fastapi import APIRouter, Request, Response
 
 from api.answers import IdempotencyKey, IfMatch, answer, require_match
-from api.idempotency import once
+from api.idempotency import idempotent_post
 from api.parameters import Number
 from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Request as Body
-from api.services import Joined, Services
+from api.services import Services, ServicesDep
 from estimation.alerts.life_cycle import acknowledge, link, shelve
 from estimation.values.alerts import Alert, Transition
 
@@ -33,7 +33,7 @@ class Change:
 
 def _change(
     request: Request,
-    joined: Services,
+    services: Services,
     alert_id: int,
     headers: tuple[str | None, str | None],
     body: Body,
@@ -41,9 +41,9 @@ def _change(
 ) -> Response:
     """Apply a change under If-Match and Idempotency-Key, in one transaction."""
     if_match, idempotency_key = headers
-    post = once(request, idempotency_key, body)
-    now_ns = joined.clock.now_ns()
-    with joined.storage.write() as unit:
+    post = idempotent_post(request, idempotency_key, body)
+    now_ns = services.clock.now_ns()
+    with services.storage.write() as unit:
         earlier = post.earlier(request, unit)
         if earlier is not None:
             return earlier
@@ -52,45 +52,45 @@ def _change(
         transition = change.apply(current)
         if transition is not None:
             current = unit.alerts.save(transition.alert, transition.events, now_ns, change.actor, change.note)
-        told = alerts.alert(current, now_ns)
-        post.remember(unit, HTTPStatus.OK, told, now_ns)
-    return answer(request, told)
+        changed = alerts.alert(current, now_ns)
+        post.remember(unit, HTTPStatus.OK, changed, now_ns)
+    return answer(request, changed)
 
 
 @router.post("/{alert_id}/acknowledge", response_model=alerts.Alert, responses=_REFUSALS)
 def acknowledge_alert(
     request: Request,
-    joined: Joined,
+    services: ServicesDep,
     alert_id: Number,
     body: alerts.Acknowledgement,
     if_match: IfMatch = None,
     idempotency_key: IdempotencyKey = None,
 ) -> Response:
-    """Say that somebody has seen the alert; it ends by itself when the alert clears or becomes more severe."""
-    now_ns = joined.clock.now_ns()
+    """Acknowledge the alert; the acknowledgement ends when the alert clears or becomes more severe."""
+    now_ns = services.clock.now_ns()
     change = Change(body.by, body.note, lambda alert: acknowledge(alert, body.by, now_ns))
-    return _change(request, joined, alert_id, (if_match, idempotency_key), body, change)
+    return _change(request, services, alert_id, (if_match, idempotency_key), body, change)
 
 
 @router.post("/{alert_id}/shelve", response_model=alerts.Alert, responses=_REFUSALS)
 def shelve_alert(
     request: Request,
-    joined: Joined,
+    services: ServicesDep,
     alert_id: Number,
     body: alerts.Shelving,
     if_match: IfMatch = None,
     idempotency_key: IdempotencyKey = None,
 ) -> Response:
     """Put the alert out of sight until a time; it comes back by itself."""
-    now_ns = joined.clock.now_ns()
+    now_ns = services.clock.now_ns()
     change = Change(body.by, body.reason, lambda alert: shelve(alert, body.until, body.reason, now_ns))
-    return _change(request, joined, alert_id, (if_match, idempotency_key), body, change)
+    return _change(request, services, alert_id, (if_match, idempotency_key), body, change)
 
 
 @router.post("/{alert_id}/external-refs", response_model=alerts.Alert, responses=_REFUSALS)
 def add_external_ref(
     request: Request,
-    joined: Joined,
+    services: ServicesDep,
     alert_id: Number,
     body: alerts.ExternalReference,
     if_match: IfMatch = None,
@@ -98,4 +98,4 @@ def add_external_ref(
 ) -> Response:
     """Write back the identity that a maintenance system gave to its work on the alert."""
     change = Change(body.by, body.ref, lambda alert: link(alert, body.ref))
-    return _change(request, joined, alert_id, (if_match, idempotency_key), body, change)
+    return _change(request, services, alert_id, (if_match, idempotency_key), body, change)

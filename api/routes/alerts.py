@@ -21,7 +21,7 @@ from api.parameters import FleetFilter, Number, WheelsetFilter
 from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Page
-from api.services import Joined
+from api.services import ServicesDep
 from estimation.values.alerts import AlertKind, AlertScope, Condition
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
@@ -38,7 +38,7 @@ After = Annotated[str | None, Query(description="`next_cursor` of the last poll;
 @router.get("", response_model=Page[alerts.Alert], responses=described(400))
 def list_alerts(
     request: Request,
-    joined: Joined,
+    services: ServicesDep,
     fleet: FleetFilter = None,
     wheelset: WheelsetFilter = None,
     kind: Kind = None,
@@ -60,7 +60,7 @@ def list_alerts(
         "open": open_only,
     }
     after = cursors.decode_number(operation(request), filters, cursor)
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         rows = unit.alerts.page(
             fleet=fleet,
             wheelset=wheelset,
@@ -72,21 +72,23 @@ def list_alerts(
             scope=scope,
             fleet_alert_id=fleet_alert,
         )
-    now_ns = joined.clock.now_ns()
+    now_ns = services.clock.now_ns()
     return answer_page(
         request, filters, limit, rows, lambda record: record.alert_id, lambda record: alerts.alert(record, now_ns)
     )
 
 
 @router.get("/feed", response_model=alerts.Feed, responses=described(400))
-def poll_alert_feed(request: Request, joined: Joined, after: After = None, limit: Limit = DEFAULT_LIMIT) -> Response:
+def poll_alert_feed(
+    request: Request, services: ServicesDep, after: After = None, limit: Limit = DEFAULT_LIMIT
+) -> Response:
     """Return what happened to alerts, in commit order; keep `next_cursor` and poll with it, nothing is missed.
 
     A fleet alert stands for members that were raised with it; what happens to those is in their own `events`.
     """
     name = operation(request)
     position = cursors.decode_number(name, {}, after) or 0
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         found = unit.alerts.feed(position, limit)
     cursor = cursors.encode(name, {}, found[-1].sequence if found else position)
     path = next_path(request, "after", cursor)
@@ -95,17 +97,17 @@ def poll_alert_feed(request: Request, joined: Joined, after: After = None, limit
 
 
 @router.get("/{alert_id}", response_model=alerts.Alert, responses=described(404))
-def get_alert(request: Request, joined: Joined, alert_id: Number, _held: IfNoneMatch = None) -> Response:
+def get_alert(request: Request, services: ServicesDep, alert_id: Number, _held: IfNoneMatch = None) -> Response:
     """Return one alert with its evidence; its ETag is what changes to it ask for."""
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         found = unit.alerts.get(alert_id)
-    return answer(request, alerts.alert(found, joined.clock.now_ns()))
+    return answer(request, alerts.alert(found, services.clock.now_ns()))
 
 
 @router.get("/{alert_id}/events", response_model=alerts.Events, responses=described(404))
-def list_alert_events(request: Request, joined: Joined, alert_id: Number) -> Response:
+def list_alert_events(request: Request, services: ServicesDep, alert_id: Number) -> Response:
     """List everything that happened to one alert, oldest first."""
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         unit.alerts.get(alert_id)
         found = unit.alerts.events(alert_id)
     return answer(request, alerts.Events(items=[alerts.event(record) for record in found]))

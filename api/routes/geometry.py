@@ -13,7 +13,7 @@ from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_fu
 from api.problems import described
 from api.schemas import geometry, trend, windows
 from api.schemas.common import Page
-from api.services import Joined
+from api.services import ServicesDep
 from estimation.errors import NotFoundError
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
@@ -23,15 +23,15 @@ _TABLE: dict[int | str, dict[str, Any]] = {200: {"content": {CSV: {"schema": {"t
 @router.get("/{serial}/geometry", response_model=geometry.Geometry, responses={**described(404), **_TABLE})
 def get_geometry(
     request: Request,
-    joined: Joined,
+    services: ServicesDep,
     accepted: Accepted,
     serial: Serial,
     as_of: AsOf = None,
     _held: IfNoneMatch = None,
 ) -> Response:
     """Return the wheelset's bin table and the conicity that follows; as `text/csv`, the bin table alone."""
-    not_in_the_future(as_of, joined.clock.now_ns())
-    with joined.storage.read() as unit:
+    not_in_the_future(as_of, services.clock.now_ns())
+    with services.storage.read() as unit:
         unit.registry.wheelset(serial)
         found = unit.geometries.current(serial, as_of)
     if found is None:
@@ -43,15 +43,15 @@ def get_geometry(
 @router.get("/{serial}/trend", response_model=trend.Trend, responses={**described(404), **_TABLE})
 def get_trend(
     request: Request,
-    joined: Joined,
+    services: ServicesDep,
     accepted: Accepted,
     serial: Serial,
     as_of: AsOf = None,
     _held: IfNoneMatch = None,
 ) -> Response:
     """Return the wheelset's trend since its last reprofiling; as `text/csv`, its points alone."""
-    not_in_the_future(as_of, joined.clock.now_ns())
-    with joined.storage.read() as unit:
+    not_in_the_future(as_of, services.clock.now_ns())
+    with services.storage.read() as unit:
         unit.registry.wheelset(serial)
         found = unit.trends.latest(serial, as_of)
     if found is None:
@@ -63,7 +63,7 @@ def get_trend(
 @router.get("/{serial}/windows", response_model=Page[windows.Window], responses=described(400, 404))
 def list_windows(
     request: Request,
-    joined: Joined,
+    services: ServicesDep,
     serial: Serial,
     measured_from: MeasuredFrom = None,
     measured_to: MeasuredTo = None,
@@ -75,7 +75,7 @@ def list_windows(
     after = cursors.decode_number(operation(request), filters, cursor)
     if after is None and measured_from is not None:
         after = measured_from - 1
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         unit.registry.wheelset(serial)
         found = unit.windows.page(serial, after, limit + 1)
     rows = [record for record in found if measured_to is None or record.start_ns < measured_to]

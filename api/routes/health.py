@@ -10,7 +10,7 @@ from starlette.responses import PlainTextResponse
 
 from api.problems import described
 from api.schemas.common import Representation
-from api.services import Joined
+from api.services import ServicesDep
 
 router = APIRouter(tags=["health"])
 
@@ -23,14 +23,14 @@ class Health(Representation):
 
 @router.get("/healthz", response_model=Health)
 async def get_health() -> Health:
-    """Say that the process is alive; asks nobody else."""
+    """Report that the process is alive; checks nothing else."""
     return Health(status="ok")
 
 
 @router.get("/readyz", response_model=Health, responses=described(503))
-def get_readiness(joined: Joined) -> Health:
-    """Say whether the database answers and is at the right migration."""
-    joined.check()
+def get_readiness(services: ServicesDep) -> Health:
+    """Report whether the database answers and is at the right migration."""
+    services.check()
     return Health(status="ok")
 
 

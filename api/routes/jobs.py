@@ -8,45 +8,45 @@ from fastapi import APIRouter, Request, Response
 
 from api import cursors
 from api.answers import DEFAULT_LIMIT, Cursor, IdempotencyKey, IfNoneMatch, Limit, answer, answer_page, operation
-from api.idempotency import once
+from api.idempotency import idempotent_post
 from api.parameters import Code, Number
 from api.problems import described
 from api.schemas import jobs
 from api.schemas.common import Page
-from api.services import Joined, Services
+from api.services import Services, ServicesDep
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
 
-def _job(joined: Services, name: str) -> jobs.Job:
-    found = joined.job(name)
-    with joined.storage.read() as unit:
+def _job(services: Services, name: str) -> jobs.Job:
+    found = services.job(name)
+    with services.storage.read() as unit:
         last = next(iter(unit.jobs.page(name, None, 1)), None)
     return jobs.job(found.name, found.description, found.every_s, last)
 
 
 @router.get("/jobs", response_model=Page[jobs.Job], responses=described(400))
-def list_jobs(request: Request, joined: Joined, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT) -> Response:
+def list_jobs(request: Request, services: ServicesDep, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT) -> Response:
     """List the jobs with their last runs, by name."""
     after = cursors.decode_text(operation(request), {}, cursor)
-    names = [name for name in sorted(joined.jobs) if after is None or name > after]
-    return answer_page(request, {}, limit, names[: limit + 1], lambda name: name, lambda name: _job(joined, name))
+    names = [name for name in sorted(services.jobs) if after is None or name > after]
+    return answer_page(request, {}, limit, names[: limit + 1], lambda name: name, lambda name: _job(services, name))
 
 
 @router.get("/jobs/{name}", response_model=jobs.Job, responses=described(404))
-def get_job(request: Request, joined: Joined, name: Code, _held: IfNoneMatch = None) -> Response:
+def get_job(request: Request, services: ServicesDep, name: Code, _held: IfNoneMatch = None) -> Response:
     """Return one job with its last run."""
-    return answer(request, _job(joined, name))
+    return answer(request, _job(services, name))
 
 
 @router.get("/jobs/{name}/runs", response_model=Page[jobs.JobRun], responses=described(400, 404))
 def list_job_runs(
-    request: Request, joined: Joined, name: Code, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
+    request: Request, services: ServicesDep, name: Code, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
 ) -> Response:
     """List the runs of a job, newest first."""
-    filters = {"job": joined.job(name).name}
+    filters = {"job": services.job(name).name}
     before = cursors.decode_number(operation(request), filters, cursor)
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         rows = unit.jobs.page(name, before, limit + 1)
     return answer_page(request, filters, limit, rows, lambda record: record.run_id, jobs.run)
 
@@ -57,23 +57,25 @@ def list_job_runs(
     response_model=jobs.JobRun,
     responses=described(404, 409, 415),
 )
-def run_job_now(request: Request, joined: Joined, name: Code, idempotency_key: IdempotencyKey = None) -> Response:
+def run_job_now(
+    request: Request, services: ServicesDep, name: Code, idempotency_key: IdempotencyKey = None
+) -> Response:
     """Run a job now, in the background; `Location` is where its run can be watched."""
-    job = joined.job(name)
-    post = once(request, idempotency_key)
-    with joined.storage.read() as unit:
+    job = services.job(name)
+    post = idempotent_post(request, idempotency_key)
+    with services.storage.read() as unit:
         earlier = post.earlier(request, unit)
     if earlier is not None:
         return earlier
-    body = jobs.run(joined.runner.start(job))
-    with joined.storage.write() as unit:
-        post.remember(unit, HTTPStatus.ACCEPTED, body, joined.clock.now_ns())
+    body = jobs.run(services.runner.start(job))
+    with services.storage.write() as unit:
+        post.remember(unit, HTTPStatus.ACCEPTED, body, services.clock.now_ns())
     return answer(request, body, status=HTTPStatus.ACCEPTED, headers={"Location": body.links["self"]})
 
 
 @router.get("/job-runs/{run_id}", response_model=jobs.JobRun, responses=described(404))
-def get_job_run(request: Request, joined: Joined, run_id: Number, _held: IfNoneMatch = None) -> Response:
+def get_job_run(request: Request, services: ServicesDep, run_id: Number, _held: IfNoneMatch = None) -> Response:
     """Return one run of a job."""
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         found = unit.jobs.get(run_id)
     return answer(request, jobs.run(found))

@@ -12,7 +12,7 @@ from api.parameters import Code
 from api.problems import described
 from api.schemas import tracks
 from api.schemas.common import Page
-from api.services import Joined
+from api.services import ServicesDep
 from estimation.errors import NotFoundError
 
 router = APIRouter(prefix="/v1/track-sections", tags=["track sections"])
@@ -21,30 +21,30 @@ Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out,
 
 @router.get("", response_model=Page[tracks.TrackSection], responses=described(400))
 def list_track_sections(
-    request: Request, joined: Joined, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
+    request: Request, services: ServicesDep, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
 ) -> Response:
     """List the track sections, by code."""
     after = cursors.decode_text(operation(request), {}, cursor)
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         found = sorted(unit.tracks.sections(), key=lambda record: record.code)
     rows = [record for record in found if after is None or record.code > after]
     return answer_page(request, {}, limit, rows[: limit + 1], lambda record: record.code, tracks.section)
 
 
 @router.get("/{code}", response_model=tracks.TrackSection, responses=described(404))
-def get_track_section(request: Request, joined: Joined, code: Code, _held: IfNoneMatch = None) -> Response:
+def get_track_section(request: Request, services: ServicesDep, code: Code, _held: IfNoneMatch = None) -> Response:
     """Return one track section."""
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         found = unit.tracks.section(code)
     return answer(request, tracks.section(found))
 
 
 @router.get("/{code}/alignment", response_model=tracks.Alignment, responses=described(404))
 def get_alignment(
-    request: Request, joined: Joined, code: Code, version: Version = None, _held: IfNoneMatch = None
+    request: Request, services: ServicesDep, code: Code, version: Version = None, _held: IfNoneMatch = None
 ) -> Response:
     """Return what is known of the section's alignment and gauge, and how it was found."""
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         unit.tracks.section(code)
         found = unit.tracks.alignment(code, version)
         if found is None:
@@ -57,21 +57,21 @@ def get_alignment(
 
 @router.get("/{code}/alignments", response_model=Page[tracks.AlignmentSummary], responses=described(400, 404))
 def list_alignments(
-    request: Request, joined: Joined, code: Code, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
+    request: Request, services: ServicesDep, code: Code, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
 ) -> Response:
     """List the versions of the section's alignment, oldest first, without their columns."""
     filters = {"section": code}
     after = cursors.decode_number(operation(request), filters, cursor)
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         unit.tracks.section(code)
         found = unit.tracks.versions(code, after, limit + 1)
     return answer_page(request, filters, limit, found, lambda record: record.version, tracks.alignment_summary)
 
 
 @router.get("/{code}/alignment-report", response_model=tracks.AlignmentReport, responses=described(404))
-def get_alignment_report(request: Request, joined: Joined, code: Code, _held: IfNoneMatch = None) -> Response:
+def get_alignment_report(request: Request, services: ServicesDep, code: Code, _held: IfNoneMatch = None) -> Response:
     """Return what the last run of the alignment job found of the section, also where it found nothing."""
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         unit.tracks.section(code)
         found = unit.tracks.report(code)
     if found is None:

@@ -10,7 +10,7 @@ from api.parameters import Code, FleetFilter
 from api.problems import described
 from api.schemas import registry
 from api.schemas.common import Page
-from api.services import Joined
+from api.services import ServicesDep
 
 router = APIRouter(prefix="/v1/vehicles", tags=["vehicles"])
 
@@ -18,7 +18,7 @@ router = APIRouter(prefix="/v1/vehicles", tags=["vehicles"])
 @router.get("", response_model=Page[registry.Vehicle], responses=described(400))
 def list_vehicles(
     request: Request,
-    joined: Joined,
+    services: ServicesDep,
     fleet: FleetFilter = None,
     cursor: Cursor = None,
     limit: Limit = DEFAULT_LIMIT,
@@ -26,14 +26,14 @@ def list_vehicles(
     """List the vehicles, by code."""
     filters = {"fleet": fleet}
     after = cursors.decode_text(operation(request), filters, cursor)
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         rows = unit.registry.vehicles_page(fleet, after, limit + 1)
     return answer_page(request, filters, limit, rows, lambda record: record.code, registry.vehicle)
 
 
 @router.get("/{code}", response_model=registry.Vehicle, responses=described(404))
-def get_vehicle(request: Request, joined: Joined, code: Code, _held: IfNoneMatch = None) -> Response:
+def get_vehicle(request: Request, services: ServicesDep, code: Code, _held: IfNoneMatch = None) -> Response:
     """Return one vehicle."""
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         found = unit.registry.vehicle(code)
     return answer(request, registry.vehicle(found))

@@ -19,12 +19,12 @@ from api.answers import (
     operation,
     require_match,
 )
-from api.idempotency import once
+from api.idempotency import idempotent_post
 from api.parameters import FleetFilter, Serial, VehicleFilter
 from api.problems import described
 from api.schemas import registry
 from api.schemas.common import Page
-from api.services import Joined
+from api.services import ServicesDep
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ConflictError
 from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
@@ -35,7 +35,7 @@ router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 @router.get("", response_model=Page[registry.Wheelset], responses=described(400))
 def list_wheelsets(
     request: Request,
-    joined: Joined,
+    services: ServicesDep,
     fleet: FleetFilter = None,
     vehicle: VehicleFilter = None,
     cursor: Cursor = None,
@@ -44,22 +44,22 @@ def list_wheelsets(
     """List the wheelsets, by serial."""
     filters = {"fleet": fleet, "vehicle": vehicle}
     after = cursors.decode_text(operation(request), filters, cursor)
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         rows = unit.registry.wheelsets_page(fleet, vehicle, after, limit + 1)
     return answer_page(request, filters, limit, rows, lambda record: record.serial, registry.wheelset)
 
 
 @router.get("/{serial}", response_model=registry.Wheelset, responses=described(404))
-def get_wheelset(request: Request, joined: Joined, serial: Serial, _held: IfNoneMatch = None) -> Response:
+def get_wheelset(request: Request, services: ServicesDep, serial: Serial, _held: IfNoneMatch = None) -> Response:
     """Return one wheelset, with links to its bin table, its trend and its alerts."""
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         found = unit.registry.wheelset(serial)
     return answer(request, registry.wheelset(found))
 
 
 @router.get("/{serial}/mountings", response_model=Page[registry.MountingPeriod], responses=described(400, 404))
 def list_mountings(
-    request: Request, joined: Joined, serial: Serial, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
+    request: Request, services: ServicesDep, serial: Serial, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
 ) -> Response:
     """List where the wheelset ran, oldest first."""
     filters = {"wheelset": serial}
@@ -68,7 +68,7 @@ def list_mountings(
     def key(record: Mounting) -> int:
         return record.from_ns
 
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         unit.registry.wheelset(serial)
         found = sorted(unit.registry.mountings(serial), key=key)
     rows = [record for record in found if after is None or record.from_ns > after]
@@ -77,7 +77,7 @@ def list_mountings(
 
 @router.get("/{serial}/reprofilings", response_model=Page[registry.ReprofilingRecord], responses=described(400, 404))
 def list_reprofilings(
-    request: Request, joined: Joined, serial: Serial, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
+    request: Request, services: ServicesDep, serial: Serial, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
 ) -> Response:
     """List the wheelset's visits to the lathe, oldest first."""
     filters = {"wheelset": serial}
@@ -86,7 +86,7 @@ def list_reprofilings(
     def key(record: Reprofiling) -> int:
         return record.at_ns
 
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         found = sorted(unit.registry.wheelset(serial).reprofilings, key=key)
     rows = [record for record in found if after is None or record.at_ns > after]
     return answer_page(request, filters, limit, rows[: limit + 1], key, registry.reprofiling)
@@ -98,7 +98,7 @@ def list_reprofilings(
     responses=described(400, 404),
 )
 def list_measured_profiles(
-    request: Request, joined: Joined, serial: Serial, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
+    request: Request, services: ServicesDep, serial: Serial, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
 ) -> Response:
     """List when the profiles of the wheelset's wheels were measured, oldest first."""
     filters = {"wheelset": serial}
@@ -107,7 +107,7 @@ def list_measured_profiles(
     def key(record: MeasuredProfiles) -> int:
         return record.at_ns
 
-    with joined.storage.read() as unit:
+    with services.storage.read() as unit:
         unit.registry.wheelset(serial)
         found = unit.registry.measured_profiles(serial)
     rows = [record for record in found if after is None or record.at_ns > after]
@@ -128,7 +128,7 @@ def _added_alone(before: WheelsetRecord, after: WheelsetRecord) -> None:
 )
 def add_reprofiling(
     request: Request,
-    joined: Joined,
+    services: ServicesDep,
     serial: Serial,
     body: registry.NewReprofiling,
     if_match: IfMatch = None,
@@ -138,8 +138,8 @@ def add_reprofiling(
 
     `If-Match` carries the ETag of the wheelset.
     """
-    post = once(request, idempotency_key, body)
-    with joined.storage.write() as unit:
+    post = idempotent_post(request, idempotency_key, body)
+    with services.storage.write() as unit:
         earlier = post.earlier(request, unit)
         if earlier is not None:
             return earlier
@@ -149,5 +149,5 @@ def add_reprofiling(
         unit.registry.add_reprofiling(record)
         _added_alone(before, unit.registry.wheelset(serial))
         added = registry.reprofiling(record)
-        post.remember(unit, HTTPStatus.CREATED, added, joined.clock.now_ns())
+        post.remember(unit, HTTPStatus.CREATED, added, services.clock.now_ns())
     return answer(request, added, status=HTTPStatus.CREATED)

@@ -1,1 +1,1 @@
-"""Representations: what the API says, one file a resource; made from records, never stored."""
+"""Representations: what the API serves, one file a resource; made from records, never stored."""

@@ -87,14 +87,14 @@ class Events(Representation):
 
 
 class Acknowledgement(Request):
-    """Somebody has seen the alert."""
+    """Acknowledge the alert."""
 
     by: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["j.smith"])
     note: str = Field(default="", max_length=2000, pattern=_WORDS, examples=["Inspection planned"])
 
 
 class Shelving(Request):
-    """Somebody wants to hear nothing of the alert until then."""
+    """Shelve the alert until then."""
 
     by: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["j.smith"])
     until: Moment = Field(examples=["2027-01-31T00:00:00Z"])

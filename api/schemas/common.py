@@ -36,7 +36,7 @@ class Page(Representation, Generic[ItemT]):
 
 
 class Uncertain(Representation):
-    """A number with its uncertainty; null means unknown, and `reason` says why."""
+    """A number with its uncertainty; null means unknown, and `reason` explains why."""
 
     value: float | None
     std: float | None

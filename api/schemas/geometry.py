@@ -55,7 +55,7 @@ class Provenance(Representation):
 
 
 class Geometry(Representation):
-    """What the data say of one wheelset's contact geometry since its last reprofiling."""
+    """Contact geometry of one wheelset, estimated from the data since its last reprofiling."""
 
     wheelset: str = Field(examples=["WS-0001"])
     status: Status

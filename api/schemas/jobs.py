@@ -28,7 +28,7 @@ class JobRun(Representation):
 
 
 class Job(Representation):
-    """A scheduled job with its last run; `next_due_at` is what the schedule asks for, once a scheduler runs."""
+    """A scheduled job with its last run; `next_due_at` is when the schedule is due; it needs a running scheduler."""
 
     name: str = Field(examples=["estimate_windows"])
     description: str

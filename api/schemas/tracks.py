@@ -17,7 +17,7 @@ MM = 1000.0
 
 
 class TrackSection(Representation):
-    """A stretch of line; `number` is what the vehicle says on its bus."""
+    """A section of line; `number` identifies it on the vehicle's bus."""
 
     code: str = Field(examples=["main-1"])
     number: int
@@ -32,7 +32,7 @@ class TrackSection(Representation):
 class Journey(Representation):
     """Windows of one vehicle on one run over the section.
 
-    They were at `told + offset + scale (told - middle)`.
+    They were at `measured + offset + scale (measured - middle)`.
     """
 
     vehicle: str
@@ -53,21 +53,21 @@ class AlignmentReport(Representation):
     version: int | None = Field(description="In force after that run; null where there is none yet.")
     made_version: bool = Field(description="Whether that run made the version.")
     status: Status
-    reason: str | None = Field(description="Why nothing is estimated, or why an estimate has not settled.")
+    reason: str | None = Field(description="Why nothing is estimated, or why an estimate has not converged.")
     recorded_at: Timestamp
     n_windows: int
     passes: int
     wheelsets: int = Field(description="Lives of profiles, by mileage interval.")
     mean_passes_1: float | None = Field(description="Per place that has any.")
-    diversity_1: float | None = Field(description="How far the passes of a place differ: 0 tells nothing.")
+    diversity_1: float | None = Field(description="How far the passes of a place differ: 0 means no information.")
     covered_1: float | None = Field(description="Share of the section whose alignment is known.")
-    converged: bool = Field(description="Positions and stiffness ratios have settled.")
+    converged: bool = Field(description="Positions and stiffness ratios have converged.")
     rounds: int
     moved_m: float | None = Field(description="By which the last round moved a position at most.")
     residual_rms_mm: float | None
     alignment_std_mm: float | None = Field(description="Median along the section.")
     evidence: list[str] = Field(description="What was known besides the passes.")
-    recording: str | None = Field(description="What the fleet has said of the recording, where it could tell.")
+    recording: str | None = Field(description="Check of the surveyed alignment against the fleet.")
     refused_windows: dict[str, int] = Field(description="Windows without a pass, by reason.")
     journeys: list[Journey]
     code_version: str
@@ -152,7 +152,7 @@ def alignment_summary(record: AlignmentRecord) -> AlignmentSummary:
 def report(record: TrackReport) -> AlignmentReport:
     """Return the representation of what a run found."""
     own = f"/v1/track-sections/{segment(record.section)}"
-    told = record.report
+    report = record.report
     in_force = {} if record.version is None else {"alignment": _path(record.section, record.version)}
     return AlignmentReport(
         section=record.section,
@@ -162,15 +162,15 @@ def report(record: TrackReport) -> AlignmentReport:
         reason=record.reason or None,
         recorded_at=to_rfc3339(record.recorded_ns),
         n_windows=record.windows,
-        residual_rms_mm=_scaled(told.get("residual_rms_m"), MM),
-        alignment_std_mm=_scaled(told.get("alignment_std_m"), MM),
-        mean_passes_1=_scaled(told.get("mean_passes")),
-        diversity_1=_scaled(told.get("diversity")),
-        covered_1=_scaled(told.get("covered")),
-        journeys=[_journey(item) for item in _listed(told.get("journeys"))],
+        residual_rms_mm=_scaled(report.get("residual_rms_m"), MM),
+        alignment_std_mm=_scaled(report.get("alignment_std_m"), MM),
+        mean_passes_1=_scaled(report.get("mean_passes")),
+        diversity_1=_scaled(report.get("diversity")),
+        covered_1=_scaled(report.get("covered")),
+        journeys=[_journey(item) for item in _listed(report.get("journeys"))],
         code_version=record.code_version,
         links={"self": f"{own}/alignment-report", "section": own, **in_force},
-        **_as_stored(told),
+        **_as_stored(report),
     )
 
 
@@ -186,21 +186,21 @@ _AS_STORED: dict[str, Any] = {
 }
 
 
-def _as_stored(told: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: told.get(name, missing) for name, missing in _AS_STORED.items()}
+def _as_stored(report: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: report.get(name, missing) for name, missing in _AS_STORED.items()}
 
 
-def _journey(told: dict[str, Any]) -> Journey:
+def _journey(report: dict[str, Any]) -> Journey:
     return Journey(
-        vehicle=told["vehicle"],
-        measured_from=to_rfc3339(told["from_ns"]),
-        passes=told["passes"],
-        offset_m=told["offset_m"],
-        scale_1=told["scale_1"],
-        middle_m=told["middle_m"],
-        residual_rms_mm=_scaled(told["residual_rms_m"], MM),
-        used=told["used"],
-        reason=told["reason"] or None,
+        vehicle=report["vehicle"],
+        measured_from=to_rfc3339(report["from_ns"]),
+        passes=report["passes"],
+        offset_m=report["offset_m"],
+        scale_1=report["scale_1"],
+        middle_m=report["middle_m"],
+        residual_rms_mm=_scaled(report["residual_rms_m"], MM),
+        used=report["used"],
+        reason=report["reason"] or None,
     )
 
 
@@ -217,7 +217,7 @@ def _path(section: str, version: int) -> str:
 
 
 def _version(record: AlignmentRecord) -> dict[str, Any]:
-    """Return what every representation of a version says."""
+    """Return the fields that every representation of a version has."""
     own = f"/v1/track-sections/{segment(record.section)}"
     return {
         "section": record.section,

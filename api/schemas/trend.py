@@ -25,7 +25,7 @@ class TrendPoints(Representation):
 
 
 class DistanceForecast(Representation):
-    """Quantiles of the distance still to run; null means beyond the horizon, and `reason` says so."""
+    """Quantiles of the distance still to run; null means beyond the horizon, and `reason` explains."""
 
     p10: float | None
     p50: float | None
@@ -34,7 +34,7 @@ class DistanceForecast(Representation):
 
 
 class DateForecast(Representation):
-    """Quantiles of the date; null means beyond the horizon, and `reason` says so."""
+    """Quantiles of the date; null means beyond the horizon, and `reason` explains."""
 
     p10: Timestamp | None
     p50: Timestamp | None

@@ -81,7 +81,7 @@ def _refresh(context: JobContext, serial: str) -> int:
         records = refreshed(unit, serial, context)
     with context.storage.write() as unit:
         changed = sum(unit.geometries.put(record) for record in records)
-        unit.geometries.settle(serial, change)
+        unit.geometries.mark_current(serial, change)
     return changed
 
 

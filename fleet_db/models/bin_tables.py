@@ -10,7 +10,7 @@ from fleet_db.models.base import Base, Count, Digest, Nanoseconds, Packed, Real,
 
 
 class WindowBinTableRow(Base):
-    """The sufficient statistics of one window, packed; ``window_digest`` says of which content."""
+    """The sufficient statistics of one window, packed; ``window_digest`` identifies the content."""
 
     __tablename__ = "window_bin_tables"
     __table_args__ = (
@@ -27,7 +27,7 @@ class WindowBinTableRow(Base):
 
 
 class WheelsetBinRow(Base):
-    """What the current geometry of a wheelset says of one bin; null where it says nothing."""
+    """One bin of the current geometry of a wheelset; null where nothing is known."""
 
     __tablename__ = "wheelset_bins"
     __table_args__ = tuple(

@@ -12,7 +12,7 @@ class MountingRow(Base):
     """One mounting, ``[from_ns, to_ns)``; ``to_ns`` is null while it lasts.
 
     That neither a wheelset nor an axle is in two mountings at one time is checked by the store, under the lock of
-    the registry: the range types that could say it as a constraint exist on PostgreSQL only.
+    the registry: the range types that could express it as a constraint exist on PostgreSQL only.
     """
 
     __tablename__ = "mountings"

@@ -11,7 +11,7 @@ from fleet_db.models.base import Base, Count, Digest, Json, Name, Nanoseconds, P
 
 
 class TrackSectionRow(Base):
-    """One stretch of line; ``number`` is what vehicles say on their bus."""
+    """One section of line; ``number`` identifies it on the vehicles' bus."""
 
     __tablename__ = "track_sections"
     __table_args__ = (CheckConstraint("length_m > 0", name="length_positive"),)
@@ -86,7 +86,7 @@ class TrackReportRow(Base):
 class WindowPositionRow(Base):
     """Where a window was along its section: true position = measured + offset + scale (measured - middle).
 
-    ``reason`` says why that is not known. ``content_digest`` is of the samples that were looked at.
+    ``reason`` explains why that is not known. ``content_digest`` is of the samples that were used.
     """
 
     __tablename__ = "window_positions"

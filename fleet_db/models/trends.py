@@ -10,7 +10,7 @@ from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Packed,
 
 
 class TrendRow(Base):
-    """One trend as refreshed once; never changed. ``packed`` holds the whole value with its points."""
+    """One trend; never changed. ``packed`` holds the whole value with its points."""
 
     __tablename__ = "trends"
     __table_args__ = (

@@ -24,7 +24,7 @@ ALERTS, EVENTS = table_of(AlertRow), table_of(AlertEventRow)
 class AlertStore:
     """Implements ``estimation.storage.Alerts``.
 
-    In a transaction that writes, whoever reads an alert first holds the lock of the alerts until the end: what was
+    In a transaction that writes, the first read of an alert takes the lock of the alerts until the end: what was
     read is still true when it is saved, and events are numbered in the order in which they become visible.
     """
 
@@ -122,7 +122,7 @@ class AlertStore:
         self._only_open(alert)
         alert = replace(alert, evidence=json.loads(to_json(dict(alert.evidence))))
         saved = self._insert(alert) if alert.alert_id == 0 else self._update(alert, changed=bool(events))
-        in_feed = bool(events) and self._told(saved)
+        in_feed = bool(events) and self._in_feed(saved)
         rows = [
             {
                 "alert_id": saved.alert_id,
@@ -138,15 +138,15 @@ class AlertStore:
         for row in rows:
             self.connection.execute(insert(EVENTS).values(**row))
         if events and saved.kind is AlertKind.IDENTITY and saved.wheelset is not None:
-            self.changes.note(saved.wheelset)  # what its geometry is made of begins anew
+            self.changes.note(saved.wheelset)  # its geometry starts again from the identity change
         return saved
 
-    def _told(self, alert: Alert) -> bool:
-        """Return whether the feed tells of an alert itself: it is no member, or was told of before it became one."""
+    def _in_feed(self, alert: Alert) -> bool:
+        """Return whether the feed lists an alert itself: it is no member, or was listed before it became one."""
         if alert.fleet_alert_id is None:
             return True
-        told = select(EVENTS.c.sequence).where(EVENTS.c.alert_id == alert.alert_id, EVENTS.c.in_feed).limit(1)
-        return self.connection.scalar(told) is not None
+        listed = select(EVENTS.c.sequence).where(EVENTS.c.alert_id == alert.alert_id, EVENTS.c.in_feed).limit(1)
+        return self.connection.scalar(listed) is not None
 
     def _insert(self, alert: Alert) -> Alert:
         values = _fields(replace(alert, version=1))

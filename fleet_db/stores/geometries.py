@@ -32,7 +32,7 @@ class GeometryStore:
     def put(self, record: GeometryRecord) -> bool:
         """Append an estimate; False if the newest of its key has the same inputs, parameters and code version.
 
-        A current geometry also says that its wheelset is no longer stale, whether it was appended or not. Records of
+        A current geometry also ends the staleness of its wheelset, whether it was appended or not. Records of
         one key are in the order of their recorded time: a clock that went back does not put a new one before an old.
         """
         serialise(self.connection, Subject.GEOMETRIES)
@@ -87,7 +87,7 @@ class GeometryStore:
     def stale(self, limit: int, geometry_key: str | None = None) -> Sequence[str]:
         """Return serials whose windows, bin tables, mountings or reprofilings changed since their current geometry.
 
-        Only those that have a bin table or a geometry: of the others there is nothing to say.
+        Only those that have a bin table or a geometry: the others have nothing to estimate from.
 
         Parameters
         ----------
@@ -114,8 +114,8 @@ class GeometryStore:
         self.changes.flush()
         return self.connection.scalar(select(CHANGES.c.change).where(CHANGES.c.wheelset == wheelset)) or 0
 
-    def settle(self, wheelset: str, change: int) -> None:
-        """Say that the geometry of a wheelset is what its inputs were at ``change``; stale is what changed later."""
+    def mark_current(self, wheelset: str, change: int) -> None:
+        """Record that the geometry of a wheelset covers its inputs up to ``change``; a later change makes it stale."""
         self.changes.flush()
         self.connection.execute(update(CHANGES).where(CHANGES.c.wheelset == wheelset).values(geometry_change=change))
 
@@ -187,9 +187,9 @@ def _values(record: GeometryRecord) -> dict[str, Any]:
     }
 
 
-def _versions(told: int | list[int]) -> tuple[int, ...]:
-    """Return the versions of a section; geometries used to tell the newest alone."""
-    return (told,) if isinstance(told, int) else tuple(told)
+def _versions(stored: int | list[int]) -> tuple[int, ...]:
+    """Return the versions of a section; older geometries store only the newest."""
+    return (stored,) if isinstance(stored, int) else tuple(stored)
 
 
 def _record(row: Row[Any]) -> GeometryRecord:
@@ -202,7 +202,7 @@ def _record(row: Row[Any]) -> GeometryRecord:
         to_ns=row.to_ns,
         geometry=unpack_geometry(row.packed, where=f"geometry estimate {row.geometry_id}"),
         input_digest=row.input_digest,
-        track_versions={section: _versions(told) for section, told in row.track_versions.items()},
+        track_versions={section: _versions(stored) for section, stored in row.track_versions.items()},
         parameters=row.parameters,
         code_version=row.code_version,
         recorded_ns=row.recorded_ns,

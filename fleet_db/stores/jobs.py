@@ -54,7 +54,7 @@ class JobRunStore:
             )
 
     def abandon_running(self, finished_ns: int) -> int:
-        """Say of every run that never ended that it was abandoned; return how many."""
+        """Mark every run that never ended as abandoned; return how many."""
         result = self.connection.execute(
             update(RUNS)
             .where(RUNS.c.outcome == "running")

@@ -151,8 +151,8 @@ class TrackStore:
         content = {"points": len(alignment.s), "content_digest": digest, "packed": packed}
         self.connection.execute(insert(ALIGNMENTS).values(**values, status=str(alignment.status), **content))
         if recorded_ns is not None:
-            told = _told(alignment, version if same_since is None else same_since, recorded_ns)
-            self.connection.execute(insert(VERSIONS).values(**values, **told))
+            version_values = _version_values(alignment, version if same_since is None else same_since, recorded_ns)
+            self.connection.execute(insert(VERSIONS).values(**values, **version_values))
         return version
 
     def in_force(self, section: str) -> AlignmentRecord | None:
@@ -233,7 +233,7 @@ class TrackStore:
         return [TrackSectionRecord(*row) for row in self.connection.execute(statement)]
 
 
-def _told(alignment: TrackAlignment, same_since: int, recorded_ns: int) -> dict[str, Any]:
+def _version_values(alignment: TrackAlignment, same_since: int, recorded_ns: int) -> dict[str, Any]:
     std = alignment.alignment_std[np.isfinite(alignment.alignment_std)]
     return {
         "source": alignment.source,

@@ -1,4 +1,4 @@
-"""The current values of each wheelset's bins as plain rows, for whoever asks in SQL."""
+"""The current values of each wheelset's bins as plain rows, for queries in SQL."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in CO
 
 
 def replace_bins(connection: Connection, wheelset: str, geometry_id: int, geometry: WheelsetGeometry) -> None:
-    """Make the rows of ``wheelset`` say what ``geometry`` says."""
+    """Replace the rows of ``wheelset`` by the bins of ``geometry``."""
     connection.execute(delete(BINS).where(BINS.c.wheelset == wheelset))
     rows = [
         {

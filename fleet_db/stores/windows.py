@@ -75,7 +75,7 @@ class WindowStore:
             "recorded_ns": recorded_ns,
         }
         if found.content_digest is None:
-            # somebody else may have stored it since it was looked up
+            # another transaction may have stored it since the look-up
             return insert_new(self.connection, WINDOWS, values) or self.put(window, mileage_km, recorded_ns)
         replace(self.connection, WINDOWS, values)
         self._remove_table(window.wheelset, window.start_ns)
@@ -84,7 +84,7 @@ class WindowStore:
     def ready(self, limit: int, waiting_sections: Sequence[str]) -> Sequence[WindowRecord]:
         """Return windows that wait to be estimated, by wheelset and start.
 
-        Those of ``waiting_sections`` are passed over until it has been looked at where they were.
+        Those of ``waiting_sections`` are skipped until their positions have been found.
         """
         statement = select(WINDOWS).where(WINDOWS.c.state == WindowState.PENDING.value)
         if waiting_sections:
@@ -93,7 +93,7 @@ class WindowStore:
         return self._records(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns).limit(limit))
 
     def unplaced(self, track_section: str, limit: int) -> Sequence[WindowRecord]:
-        """Return windows of a section of which nobody has looked where they were, newest first."""
+        """Return windows of a section whose positions have not been looked for, newest first."""
         statement = select(WINDOWS).where(WINDOWS.c.track_section == track_section, ~PLACED)
         return self._records(statement.order_by(WINDOWS.c.start_ns.desc(), WINDOWS.c.wheelset).limit(limit))
 
@@ -112,9 +112,9 @@ class WindowStore:
         return len(found)
 
     def requeue_section(self, track_section: str) -> int:
-        """Let every window of a section wait again; return how many did not."""
-        settled = (WINDOWS.c.track_section == track_section, WINDOWS.c.state != WindowState.PENDING.value)
-        found = self._records(select(WINDOWS).where(*settled))
+        """Set every window of a section to pending; return how many were not."""
+        not_pending = (WINDOWS.c.track_section == track_section, WINDOWS.c.state != WindowState.PENDING.value)
+        found = self._records(select(WINDOWS).where(*not_pending))
         for record in found:
             self.mark(record.wheelset, record.start_ns, WindowState.PENDING, "")
         return len(found)
@@ -132,7 +132,7 @@ class WindowStore:
         return self.files.load(content_digest(self.connection, wheelset, start_ns))
 
     def mark(self, wheelset: str, start_ns: int, state: WindowState, reason: str) -> None:
-        """Say where a window stands; one that is refused loses its bin table.
+        """Set the state of a window; one that is refused loses its bin table.
 
         Raises
         ------

@@ -200,10 +200,10 @@ def test_a_change_between_reading_and_storing_is_not_lost(fleet: SqlStorage) -> 
     estimate(fleet, 1)
     with fleet.write() as unit:
         unit.geometries.put(make.geometry_record())
-        unit.geometries.settle("WS-1", change)
+        unit.geometries.mark_current("WS-1", change)
     assert stale(fleet) == ["WS-1"]
     with fleet.write() as unit:
-        unit.geometries.settle("WS-1", unit.geometries.change("WS-1"))
+        unit.geometries.mark_current("WS-1", unit.geometries.change("WS-1"))
         assert unit.geometries.change("WS-9") == 0
     assert stale(fleet) == []
 

@@ -186,7 +186,9 @@ def test_a_track_file_that_the_fleet_contradicts_is_not_used_and_the_api_says_wh
     told = asked(found, "/v1/track-sections/U-1/alignment-report")
     assert told["recording"].startswith("not used: ")
     assert reason in told["recording"]
-    assert track_of(found).startswith("what was on file is not used; the fleet has found its alignment, now version 2")
+    assert track_of(found).startswith(
+        "the surveyed alignment is not used; the fleet has found its alignment, now version 2"
+    )
     versions = asked(found, "/v1/track-sections/U-1/alignments")["items"]
     assert [(one["version"], one["source"]) for one in versions] == [(1, "recorded"), (2, "fleet")]
     unknown = deploy(registry_with(report.registry, tmp_path / "unknown", {}, surveyed=False))
@@ -230,9 +232,7 @@ def test_a_section_that_too_few_have_passed_says_so_and_nothing_is_estimated(
     windows = asked(found, "/v1/wheelsets/U-A1/windows")["items"]
     assert {one["state"] for one in windows} == {"refused"}
     assert {one["reason"] for one in windows} == {"the alignment of the track section is not known"}
-    assert (
-        track_of(found) == "nobody has surveyed it, and the fleet has not found its alignment: no place with 3 passes"
-    )
+    assert track_of(found) == "not surveyed, and the fleet has not estimated its alignment yet: no place with 3 passes"
 
 
 def track_of(found: Deployment) -> str:
