@@ -16,7 +16,7 @@ from bench.signal_cases import AMPLITUDES, COURSES, Run, simulate, wheelsets
 from estimation.filters.wander_removal import HighPass, remove_wander
 from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.settings import EstimationSettings
-from estimation.motion.integration import distance_run, segments
+from estimation.motion.integration import integrate
 from estimation.motion.parameters import Refusal, SignalParameters
 from estimation.motion.track_relative import motion
 from estimation.motion.usable_samples import usable_samples
@@ -153,13 +153,11 @@ def _true(run: Run, number: int, parameters: SignalParameters) -> FloatArray:
     usable = usable_samples(window, everywhere, run.layout, parameters.least_speed_m_s, parameters.curve_limits).samples
     gap = round(parameters.modelled_gap_s / window.sample_interval_s)
     result = np.full(true.shape, np.nan)
-    for start, stop in segments(usable, window, parameters, gap):
-        part = slice(start, stop)
-        distance = distance_run(window, usable[part], part)
-        result[:, part] = remove_wander(
-            true[:, part],
-            distance,
-            usable[part],
+    for segment in integrate(window, usable, parameters, gap).segments:
+        result[:, segment.part] = remove_wander(
+            true[:, segment.part],
+            segment.run,
+            segment.known,
             parameters.cutoff_wavelength,
             parameters.design,
             parameters.bridged_samples,

@@ -1,4 +1,4 @@
-"""What a window says against itself: it stands, its position does not go with its speed, its axes point backwards."""
+"""Checks of a window on its own: it must move, its position go with its speed, its axes with its direction."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.motion.integration import running_integrals, segments
+from estimation.motion.integration import IntegratedWindow, bridged, mirrored
 from estimation.motion.parameters import SignalParameters
-from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.arrays import FloatArray
 from estimation.values.track import TrackAlignment
-from estimation.values.windows import ACCELERATIONS, Window
+from estimation.values.windows import Window
 
 LOOK_S = 1.0  # over which positions are compared with the speed
 JUMP = 0.5  # m
@@ -30,7 +30,15 @@ class Jump:
 
 
 def check_moving(window: Window, signals: SignalParameters) -> str:
-    """Return that the vehicle stands, crawls, or that nobody knows where it is; empty where it runs."""
+    """Return that the vehicle stands, crawls, or that its position is not known; empty where it runs.
+
+    Parameters
+    ----------
+    window
+        Speed and distance, (n,) each.
+    signals
+        The least speed.
+    """
     known = window.valid & np.isfinite(window.distance)
     if not known.any():
         return "no sample with a position on the section"
@@ -42,40 +50,38 @@ def check_moving(window: Window, signals: SignalParameters) -> str:
     return ""
 
 
-def position_jumps(window: Window, signals: SignalParameters) -> tuple[Jump, ...]:
+def position_jumps(integrated: IntegratedWindow) -> tuple[Jump, ...]:
     """Return where the position does not go with the speed.
 
     Over every second the distance must change by what the speed makes of it, within 0.5 m and 5 %.
+
+    Parameters
+    ----------
+    integrated
+        Segments of a window, with positions at all samples that can be used.
     """
-    with np.errstate(invalid="ignore"):
-        usable = window.valid & np.isfinite(window.distance) & (window.speed >= signals.least_speed_m_s)
+    window = integrated.window
     found: list[Jump] = []
-    for start, stop in segments(np.asarray(usable), window, signals):
-        part = slice(start, stop)
-        at = _between(window.distance[part], usable[part])
+    for segment in integrated.segments:
+        at = bridged(window.distance[segment.part], segment.known)
+        start = segment.part.start
         found += [
-            Jump(start + a, start + b, metres)
-            for a, b, metres in _jumps(at, _between(window.speed[part], usable[part]), window.sample_interval_s)
+            Jump(start + before, start + after, metres)
+            for before, after, metres in _jumps(at, segment.run, window.sample_interval_s)
         ]
     return tuple(found)
 
 
-def _between(values: FloatArray, known: BoolArray) -> FloatArray:
-    index = np.flatnonzero(known)
-    return np.interp(np.arange(len(values)), index, values[index])
-
-
-def _jumps(at: FloatArray, speed: FloatArray, dt: float) -> list[tuple[int, int, float]]:
-    """Return (sample before, sample after, m) of every jump of a stretch."""
-    run = np.concatenate([[0.0], np.cumsum(0.5 * dt * (speed[1:] + speed[:-1]))])
+def _jumps(at: FloatArray, run: FloatArray, dt: float) -> list[tuple[int, int, float]]:
+    """Return (sample before, sample after, m) of every jump of a segment."""
     direction = 1.0 if float(np.median(np.diff(at))) >= 0.0 else -1.0
     error = at - direction * run
     look = min(round(LOOK_S / dt), len(at) - 1)
-    strayed = np.abs(error[look:] - error[:-look]) > JUMP + JUMP_SHARE * (run[look:] - run[:-look])
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], strayed.astype(np.int8), [0]])))
+    deviates = np.abs(error[look:] - error[:-look]) > JUMP + JUMP_SHARE * (run[look:] - run[:-look])
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], deviates.astype(np.int8), [0]])))
     found = []
     for first, behind in zip(edges[::2], edges[1::2], strict=True):
-        # each strayed second holds the jump, so it lies in what they share; where they share nothing all is in doubt
+        # each such second holds the jump, so the jump is in what they share; where they share nothing all is in doubt
         low, high = int(behind) - 1, int(first) + look
         if low > high:
             low, high = int(first), int(behind) - 1 + look
@@ -84,7 +90,15 @@ def _jumps(at: FloatArray, speed: FloatArray, dt: float) -> list[tuple[int, int,
 
 
 def without_jumps(window: Window, jumps: Sequence[Jump]) -> Window:
-    """Return the window with the samples around jumps not valid, so that no stretch goes across one."""
+    """Return the window with the samples around jumps not valid, so that no segment goes across one.
+
+    Parameters
+    ----------
+    window
+        Samples.
+    jumps
+        From :func:`position_jumps`.
+    """
     if not jumps:
         return window
     valid = window.valid.copy()
@@ -95,7 +109,13 @@ def without_jumps(window: Window, jumps: Sequence[Jump]) -> Window:
 
 
 def describe_jumps(jumps: Sequence[Jump]) -> list[str]:
-    """Return what to say of jumps."""
+    """Return a phrase for a reason: how often and how far the position jumps; none without jumps.
+
+    Parameters
+    ----------
+    jumps
+        From :func:`position_jumps`.
+    """
     if not jumps:
         return []
     largest = max(jumps, key=lambda jump: abs(jump.metres))
@@ -103,21 +123,22 @@ def describe_jumps(jumps: Sequence[Jump]) -> list[str]:
     return [f"the position jumps {times} against the speed, by {abs(largest.metres):.1f} m at most"]
 
 
-def check_axis_signs(window: Window, signals: SignalParameters) -> str:
+def check_axis_signs(integrated: IntegratedWindow) -> str:
     """Return that the axes point against the direction of running; empty where they do not.
 
     An axle that rolls forward with a yaw to the left moves to the left: y' = V psi up to small creep. Backwards, or
     with one of the two sensors the wrong way round, the sign is the other.
+
+    Parameters
+    ----------
+    integrated
+        Segments of a window.
     """
-    with np.errstate(invalid="ignore"):
-        usable = np.asarray(window.valid & np.isfinite(window.distance) & (window.speed >= signals.least_speed_m_s))
     products, lateral, yaw = 0.0, 0.0, 0.0
-    for start, stop in segments(usable, window, signals):
-        part = slice(start, stop)
-        _, rates, displacements = running_integrals(window, usable[part], part)
-        seconds = round(LOOK_S / window.sample_interval_s)
-        a = _high_pass_running_mean(rates[0], seconds)
-        b = _high_pass_running_mean(_between(window.speed[part], usable[part]) * displacements[1], seconds)
+    seconds = round(LOOK_S / integrated.window.sample_interval_s)
+    for segment in integrated.segments:
+        a = _high_pass_running_mean(segment.rates[0], seconds)
+        b = _high_pass_running_mean(segment.speed * segment.displacements[1], seconds)
         products, lateral, yaw = products + float(a @ b), lateral + float(a @ a), yaw + float(b @ b)
     if lateral * yaw <= 0.0:
         return ""
@@ -140,7 +161,13 @@ def _high_pass_running_mean(values: FloatArray, width: int) -> FloatArray:
 
 
 def direction(window: Window) -> int:
-    """Return 1 where the vehicle runs along the section, -1 where it runs against it, 0 where it does both."""
+    """Return 1 where the vehicle runs along the section, -1 where it runs against it, 0 where it does both.
+
+    Parameters
+    ----------
+    window
+        Distance along the section, (n,) m.
+    """
     with np.errstate(invalid="ignore"):
         known = window.valid & np.isfinite(window.distance)
         steps = np.diff(window.distance[known])
@@ -152,8 +179,8 @@ def direction(window: Window) -> int:
 
 
 def to_wheelset_axes(
-    window: Window, track: TrackAlignment, way: int, *, mounted_reversed: bool
-) -> tuple[Window, TrackAlignment]:
+    integrated: IntegratedWindow, track: TrackAlignment, way: int, *, mounted_reversed: bool
+) -> tuple[IntegratedWindow, TrackAlignment]:
     """Return window and alignment with the left side where the wheelset's own left wheel is.
 
     A vehicle that runs against the section has its axes turned half round: the section's right is its left. For a
@@ -161,7 +188,7 @@ def to_wheelset_axes(
 
     Parameters
     ----------
-    window, track
+    integrated, track
         As measured, and as on file.
     way
         From :func:`direction`.
@@ -171,6 +198,4 @@ def to_wheelset_axes(
     mounted = -1 if mounted_reversed else 1
     if way * mounted < 0:
         track = replace(track, alignment=-track.alignment)
-    if mounted_reversed:
-        window = replace(window, **{name: -getattr(window, name) for name in ACCELERATIONS})
-    return window, track
+    return mirrored(integrated) if mounted_reversed else integrated, track

@@ -1,6 +1,8 @@
-"""Accelerations integrated once and twice, stretch by stretch."""
+"""Accelerations of a window integrated once and twice, segment by segment; done once and handed on."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,19 +11,95 @@ from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.windows import ACCELERATIONS, Window
 
 
+@dataclass(frozen=True, slots=True)
+class IntegratedSegment:
+    """Signals of one segment of m samples; the rows of (4, m) arrays are in the order of ``ACCELERATIONS``.
+
+    Means, and straight lines of the rates, are taken out on the way, so that what still wanders is small; the slow
+    part of rates and displacements carries no meaning.
+    """
+
+    part: slice  # of the window
+    known: BoolArray  # (m,) samples that can be used; straight lines bridge the others
+    speed: FloatArray  # (m,) V, m/s
+    run: FloatArray  # (m,) m run since the start of the segment
+    accelerations: FloatArray  # (4, m) m/s2 and rad/s2
+    rates: FloatArray  # (4, m) m/s and rad/s
+    displacements: FloatArray  # (4, m) m and rad
+
+
+@dataclass(frozen=True, slots=True)
+class IntegratedWindow:
+    """The segments of a window, in order of time."""
+
+    window: Window
+    segments: tuple[IntegratedSegment, ...]
+
+
+def integrate(
+    window: Window,
+    usable: BoolArray,
+    parameters: SignalParameters,
+    longest_gap: int | None = None,
+    earlier: IntegratedWindow | None = None,
+) -> IntegratedWindow:
+    """Return the segments of usable samples, integrated.
+
+    Parameters
+    ----------
+    window
+        Measured accelerations and speed, (n,) each.
+    usable
+        (n,) samples that can be used.
+    parameters
+        Gates on gaps and lengths.
+    longest_gap
+        Samples that may be missing in a row within a segment; by default as many as may be bridged.
+    earlier
+        The same accelerations and speeds, integrated before; segments of the same samples are taken from it.
+    """
+    done = {} if earlier is None else {(item.part.start, item.part.stop): item for item in earlier.segments}
+    found = []
+    for start, stop in segments(usable, window, parameters, longest_gap):
+        known = np.asarray(usable[start:stop])
+        item = done.get((start, stop))
+        if item is None or not np.array_equal(item.known, known):
+            item = _integrated(window, known, slice(start, stop))
+        found.append(item)
+    return IntegratedWindow(window, tuple(found))
+
+
+def mirrored(integrated: IntegratedWindow) -> IntegratedWindow:
+    """Return the mirror image: every acceleration, and what was integrated from it, with the opposite sign.
+
+    Parameters
+    ----------
+    integrated
+        Segments of a window.
+    """
+    window = integrated.window
+    return IntegratedWindow(
+        replace(window, **{name: -getattr(window, name) for name in ACCELERATIONS}),
+        tuple(
+            replace(item, accelerations=-item.accelerations, rates=-item.rates, displacements=-item.displacements)
+            for item in integrated.segments
+        ),
+    )
+
+
 def segments(
     usable: BoolArray, window: Window, parameters: SignalParameters, longest_gap: int | None = None
 ) -> list[tuple[int, int]]:
-    """Return the runs of usable samples with only short gaps in them, long enough to be worth it.
+    """Return the runs ``[start, stop)`` of usable samples with only short gaps in them that are long enough.
 
     Parameters
     ----------
     usable
-        (n,).
+        (n,) samples that can be used.
     window
         Its sampling interval is used.
     parameters
-        Gates.
+        Gates on gaps and lengths.
     longest_gap
         Samples that may be missing in a row; by default as many as may be bridged.
     """
@@ -34,47 +112,37 @@ def segments(
     return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True) if b - a >= least]
 
 
-def running_integrals(window: Window, known: BoolArray, part: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return accelerations, rates and displacements (4, n) each, in the order of ``ACCELERATIONS``, of one stretch.
-
-    Means, and straight lines of the rates, are taken out on the way, so that what still wanders is small; the slow
-    part of the result carries no meaning.
+def bridged(values: FloatArray, known: BoolArray) -> FloatArray:
+    """Return ``values`` (n,) with straight lines across the samples that are not ``known`` (n,), in any unit.
 
     Parameters
     ----------
-    window
-        Measured accelerations.
+    values
+        (n,) in any unit.
     known
-        (n,) where samples of the stretch are usable; others are bridged by straight lines.
-    part
-        The stretch.
+        (n,) at least one of them True.
     """
-    dt = window.sample_interval_s
-    t = np.arange(part.stop - part.start)
-    accelerations = np.stack([bridged(getattr(window, name)[part], known) for name in ACCELERATIONS])
-    accelerations -= accelerations.mean(axis=1, keepdims=True)
-    rates = _running_integral(accelerations, dt)
-    centred = t - t.mean()
-    rates -= rates.mean(axis=1, keepdims=True) + np.outer(rates @ centred / (centred @ centred), centred)
-    return accelerations, rates, _running_integral(rates, dt)
-
-
-def bridged(values: FloatArray, known: BoolArray) -> FloatArray:
-    """Return ``values`` with straight lines across the samples that are not known."""
     if known.all():
         return values
     t = np.arange(len(values))
     return np.interp(t, t[known], values[known])
 
 
-def _running_integral(values: FloatArray, dt: float) -> FloatArray:
-    """Trapezoidal running integral along the last axis, starting at zero."""
+def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegment:
+    dt = window.sample_interval_s
+    accelerations = np.stack([bridged(getattr(window, name)[part], known) for name in ACCELERATIONS])
+    accelerations -= accelerations.mean(axis=1, keepdims=True)
+    rates = _running_integrals(accelerations, dt)
+    t = np.arange(len(known))
+    centred = t - t.mean()
+    rates -= rates.mean(axis=1, keepdims=True) + np.outer(rates @ centred / (centred @ centred), centred)
+    speed = bridged(window.speed[part], known)
+    (run,) = _running_integrals(speed[None, :], dt)
+    return IntegratedSegment(part, known, speed, run, accelerations, rates, _running_integrals(rates, dt))
+
+
+def _running_integrals(values: FloatArray, dt: float) -> FloatArray:
+    """Return trapezoidal running integrals (m, n) along the last axis, starting at zero."""
     result = np.zeros_like(values)
     np.cumsum(0.5 * dt * (values[:, 1:] + values[:, :-1]), axis=1, out=result[:, 1:])
     return result
-
-
-def distance_run(window: Window, known: BoolArray, part: slice) -> FloatArray:
-    """Distance run in the stretch, (n,) m, ascending from zero; where a sample is missing, interpolated."""
-    speed = bridged(window.speed[part], known)
-    return np.asarray(_running_integral(speed[None, :], window.sample_interval_s)[0])

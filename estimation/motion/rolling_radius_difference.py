@@ -17,9 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.motion.integration import running_integrals
-from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.windows import Window
+from estimation.motion.integration import IntegratedSegment
+from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 
@@ -111,28 +110,21 @@ def _gravity(
     return float((regressor @ target + known * parameters.gravity) / (regressor @ regressor + known))
 
 
-def motion_signals(
-    window: Window, known: BoolArray, part: slice, p: VehicleParameters, run: FloatArray
-) -> MotionSignals:
+def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatArray | None = None) -> MotionSignals:
     """Return y, the measured R (Eq. 2 solved for rL - rR with S = 2 r0, the contact angle terms left out) and psi.
 
     Parameters
     ----------
-    window
-        Measured accelerations and speed.
-    known
-        (m,) which samples of the stretch are usable.
-    part
-        The stretch.
+    segment
+        Accelerations, rates and displacements of m samples.
     p
         Parameters of Eq. 1 and Eq. 2.
     run
-        (m,) m, increasing.
+        (m,) m, increasing: by default the distance run since the start of the segment.
     """
-    accelerations, rates, displacements = running_integrals(window, known, part)
-    V = np.interp(np.arange(len(known)), np.flatnonzero(known), window.speed[part][known])
-    y, ψ, φ = displacements[:3]
-    dy, dψ, dφ = rates[:3]
+    accelerations, V = segment.accelerations, segment.speed
+    y, ψ, φ = segment.displacements[:3]
+    dy, dψ, dφ = segment.rates[:3]
     f11, f23, l = p.longitudinal_creep_coefficient, p.lateral_spin_creep_coefficient, p.half_contact_distance  # noqa: E741 - the paper's l
     rolling_velocity = dy + p.nominal_radius * dφ
     stiffness_term = p.yaw_inertia * accelerations[1] + p.yaw_stiffness * ψ + p.yaw_damping * dψ
@@ -150,7 +142,7 @@ def motion_signals(
     )
     per_moment = -p.nominal_radius / (l * f11)
     return MotionSignals(
-        run=run,
+        run=segment.run if run is None else run,
         speed=V,
         displacement=y,
         difference=np.asarray(per_moment * moment),

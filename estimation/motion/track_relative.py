@@ -15,7 +15,7 @@ import numpy as np
 from estimation.filters.wander_removal import modelled_gaps, remove_wander
 from estimation.motion.alignment_lookup import alignment_at
 from estimation.motion.curves import detect_uncompensated_acceleration
-from estimation.motion.integration import bridged, distance_run, running_integrals, segments
+from estimation.motion.integration import IntegratedSegment, IntegratedWindow, bridged, integrate
 from estimation.motion.parameters import Refusal, SignalParameters
 from estimation.motion.usable_samples import Usable, usable_samples
 from estimation.values.arrays import BoolArray, FloatArray
@@ -32,6 +32,7 @@ def motion(
     parameters: SignalParameters,
     layout: TrackLayout | None = None,
     gauge_shift: FloatArray | None = None,
+    earlier: IntegratedWindow | None = None,
 ) -> Motion | Refusal:
     """Return the band-limited motion of ``window`` relative to ``track``, or why it cannot be had.
 
@@ -48,6 +49,8 @@ def motion(
         Curves of the section, which are passed over; None where none is on file.
     gauge_shift
         (n,) m, by how much the gauge moves the wheelset, NaN where that cannot be said; None where it is not known.
+    earlier
+        The same accelerations and speeds, integrated before.
     """
     longest = min(parameters.cutoff_wavelength, track.cutoff_wavelength)
     d = alignment_at(window.distance, track, longest)
@@ -59,9 +62,9 @@ def motion(
     if refusal is not None:
         return refusal
     dt = window.sample_interval_s
-    runs = segments(usable.samples, window, parameters, round(parameters.modelled_gap_s / dt))
-    signals, valid = _filtered(window, d, usable.samples, runs, replace(parameters, cutoff_wavelength=longest))
-    refusal = _too_little(valid, runs, usable, parameters)
+    integrated = integrate(window, usable.samples, parameters, round(parameters.modelled_gap_s / dt), earlier)
+    signals, valid = _filtered(integrated, d, replace(parameters, cutoff_wavelength=longest))
+    refusal = _too_little(valid, integrated, usable, parameters)
     if refusal is not None:
         return refusal
     seconds = window.start_ns / NANOSECONDS + np.arange(len(valid)) * dt
@@ -85,33 +88,32 @@ def _unusable(
 
 
 def _filtered(
-    window: Window, d: FloatArray, usable: BoolArray, runs: list[tuple[int, int]], parameters: SignalParameters
+    integrated: IntegratedWindow, d: FloatArray, parameters: SignalParameters
 ) -> tuple[dict[str, FloatArray], BoolArray]:
-    """Return the signals of a motion by name, NaN outside the stretches, and which samples of them count (n,)."""
-    n, dt = len(usable), window.sample_interval_s
+    """Return the signals of a motion by name, NaN outside the segments, and which samples of them count (n,)."""
+    n, dt = len(d), integrated.window.sample_interval_s
     signals = {item.name: np.full(n, np.nan) for item in fields(Motion) if item.name not in NOT_SIGNALS}
     valid = np.zeros(n, dtype=np.bool_)
     trim, margin = round(parameters.trimmed_s / dt), round(parameters.gap_margin_s / dt)
-    for start, stop in runs:
-        part = slice(start, stop)
-        known = np.asarray(usable[part])
+    for segment in integrated.segments:
+        part, known = segment.part, segment.known
         fast = remove_wander(
-            _integrated(window, d, known, part),
-            distance_run(window, known, part),
+            _relative_to(d[part], segment),
+            segment.run,
             known,
             parameters.cutoff_wavelength,
             parameters.design,
             parameters.bridged_samples,
         )
-        for name, values in zip(_INTEGRATED, fast, strict=True):
+        for name, values in zip(_FILTERED, fast, strict=True):
             signals[name][part] = values
-        valid[start + trim : stop - trim] = usable[start + trim : stop - trim]
+        valid[part.start + trim : part.stop - trim] = known[trim : len(known) - trim]
         for first, behind in modelled_gaps(known, parameters.bridged_samples):
-            valid[max(start + first - margin, 0) : start + behind + margin] = False
+            valid[max(part.start + first - margin, 0) : part.start + behind + margin] = False
     return signals, valid
 
 
-_INTEGRATED = (
+_FILTERED = (
     "displacement",
     "lateral_velocity",
     "lateral_acceleration",
@@ -126,21 +128,20 @@ _INTEGRATED = (
 
 
 def _too_little(
-    valid: BoolArray, runs: list[tuple[int, int]], usable: Usable, parameters: SignalParameters
+    valid: BoolArray, integrated: IntegratedWindow, usable: Usable, parameters: SignalParameters
 ) -> Refusal | None:
     lost = f"; lost: {usable.causes}" if usable.causes else ""
-    if not runs:
+    if not integrated.segments:
         return Refusal(f"no uninterrupted stretch of {parameters.shortest_segment_s:g} s{lost}")
     if valid.mean() < parameters.least_used:
         return Refusal(f"{valid.mean():.0%} of the samples can be used, {parameters.least_used:.0%} are needed{lost}")
     return None
 
 
-def _integrated(window: Window, d: FloatArray, known: BoolArray, part: slice) -> FloatArray:
-    """Return accelerations, rates and displacements (10, n) of one stretch in the order of ``_INTEGRATED``."""
-    accelerations, rates, displacements = running_integrals(window, known, part)
-    y, ψ, φ, ym = displacements
-    dy, dψ, dφ, dym = rates
-    ddy, ddψ = accelerations[:2]
-    along = bridged(d[part], np.isfinite(d[part]))
+def _relative_to(d: FloatArray, segment: IntegratedSegment) -> FloatArray:
+    """Return accelerations, rates and displacements (10, m) of one segment in the order of ``_FILTERED``."""
+    y, ψ, φ, ym = segment.displacements
+    dy, dψ, dφ, dym = segment.rates
+    ddy, ddψ = segment.accelerations[:2]
+    along = bridged(d, np.isfinite(d))
     return np.stack([y - along, dy, ddy, ψ, dψ, ddψ, φ, dφ, ym - y, dym - dy])

@@ -8,10 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.motion.curves import straight
-from estimation.motion.parameters import CurveLimits
+from estimation.motion.parameters import CurveLimits, SignalParameters
 from estimation.values.arrays import BoolArray, frozen_array
 from estimation.values.track import TrackLayout
 from estimation.values.windows import Window
+
+
+def moving_samples(window: Window, parameters: SignalParameters) -> BoolArray:
+    """Return the valid samples (n,) at known positions at which the vehicle runs fast enough.
+
+    Parameters
+    ----------
+    window
+        Speed and distance, (n,) each.
+    parameters
+        The least speed.
+    """
+    with np.errstate(invalid="ignore"):
+        fast_enough = window.speed >= parameters.least_speed_m_s
+    return np.asarray(window.valid & np.isfinite(window.distance) & fast_enough)
 
 
 @dataclass(frozen=True, slots=True)

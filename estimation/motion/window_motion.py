@@ -16,8 +16,10 @@ from estimation.motion.checks import (
 )
 from estimation.motion.gates import WindowParameters, gate
 from estimation.motion.gauge_shift import gauge_shift
+from estimation.motion.integration import IntegratedWindow, integrate
 from estimation.motion.parameters import Refusal
 from estimation.motion.track_relative import motion
+from estimation.motion.usable_samples import moving_samples
 from estimation.values.motion import Motion
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window
@@ -65,21 +67,24 @@ def window_motion(
         return Refusal(NO_ALIGNMENT)
     if misplaced:
         return Refusal(misplaced)
-    refused = _contradiction(window, parameters)
-    if refused is not None:
-        return refused
-    window, track = to_wheelset_axes(window, track, direction(window), mounted_reversed=mounted_reversed)
+    integrated = _checked(window, parameters)
+    if isinstance(integrated, Refusal):
+        return integrated
+    integrated, track = to_wheelset_axes(integrated, track, direction(window), mounted_reversed=mounted_reversed)
+    window = integrated.window
     if correction is not None:
         window = replace(window, distance=correction.at(window.distance))
-    shift = gauge_shift(window, track, parameters.vehicle, parameters.signals)
-    return motion(window, track, parameters.signals, layout, shift)
+    shift = gauge_shift(window, track, parameters.vehicle, parameters.signals, integrated)
+    return motion(window, track, parameters.signals, layout, shift, integrated)
 
 
-def _contradiction(window: Window, parameters: WindowParameters) -> Refusal | None:
-    """Return what of a window contradicts the rest of it; None where nothing does."""
+def _checked(window: Window, parameters: WindowParameters) -> IntegratedWindow | Refusal:
+    """Return the window integrated, or what of it contradicts the rest."""
     reason = check_moving(window, parameters.signals)
     if not reason and direction(window) == 0:
         reason = "the vehicle runs both ways along the section"
-    reason = reason or "; ".join(describe_jumps(position_jumps(window, parameters.signals)))
-    reason = reason or check_axis_signs(window, parameters.signals)
-    return Refusal(reason) if reason else None
+    if reason:
+        return Refusal(reason)
+    integrated = integrate(window, moving_samples(window, parameters.signals), parameters.signals)
+    reason = "; ".join(describe_jumps(position_jumps(integrated))) or check_axis_signs(integrated)
+    return Refusal(reason) if reason else integrated

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 from estimation.motion.checks import check_axis_signs, check_moving, describe_jumps, position_jumps, without_jumps
 from estimation.motion.gates import WindowParameters, gate
+from estimation.motion.integration import integrate
+from estimation.motion.usable_samples import moving_samples
 from estimation.track.passes import Pass, passes
 from estimation.track.screening.screen import PassOutcome, PassStatus
 from estimation.values.windows import Window
@@ -39,13 +41,18 @@ def examine(window: Window, parameters: WindowParameters, *, mounted_reversed: b
     refusal = gated.reason if gated is not None else check_moving(window, parameters.signals)
     if refusal:
         return _examined(window, (), refusal)
-    jumps = position_jumps(window, parameters.signals)
-    cut = without_jumps(window, jumps)
-    found = passes(cut, parameters.vehicle, parameters.signals, mounted_reversed=mounted_reversed)
+    integrated = integrate(window, moving_samples(window, parameters.signals), parameters.signals)
+    jumps = position_jumps(integrated)
+    if jumps:
+        window = without_jumps(window, jumps)
+        integrated = integrate(window, moving_samples(window, parameters.signals), parameters.signals)
+    found = passes(
+        window, parameters.vehicle, parameters.signals, mounted_reversed=mounted_reversed, integrated=integrated
+    )
     if not found:
         least = f"no uninterrupted stretch of {parameters.signals.shortest_segment_s:g} s along one direction"
         return _examined(window, (), "; ".join([*describe_jumps(jumps), least]))
-    refusal = check_axis_signs(cut, parameters.signals)
+    refusal = check_axis_signs(integrated)
     if refusal:
         return _examined(window, (), refusal)
     return _examined(window, tuple(found), "; ".join(describe_jumps(jumps)))

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.motion.integration import segments
+from estimation.motion.integration import IntegratedWindow, bridged, integrate
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_radius_difference import FusionParameters, MotionSignals, fuse, motion_signals
+from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -48,7 +49,12 @@ def gridded(item: Pass, step: float) -> tuple[int, FloatArray, FloatArray]:
 
 
 def passes(
-    window: Window, vehicle: VehicleParameters, parameters: SignalParameters, *, mounted_reversed: bool = False
+    window: Window,
+    vehicle: VehicleParameters,
+    parameters: SignalParameters,
+    *,
+    mounted_reversed: bool = False,
+    integrated: IntegratedWindow | None = None,
 ) -> list[Pass]:
     """Return the passes of a window: one for each uninterrupted stretch along which distance rises, or falls.
 
@@ -65,20 +71,18 @@ def passes(
         Gates on gaps, length and speed.
     mounted_reversed
         The wheelset's left wheel is on the vehicle's right-hand side.
+    integrated
+        The moving samples of the window, integrated; by default that is done here.
     """
-    with np.errstate(invalid="ignore"):
-        usable = window.valid & np.isfinite(window.distance) & (window.speed >= parameters.least_speed_m_s)
-    if not usable.any():
-        return []
+    if integrated is None:
+        integrated = integrate(window, moving_samples(window, parameters), parameters)
     found = []
-    for start, stop in segments(np.asarray(usable), window, parameters):
-        part = slice(start, stop)
-        known = np.asarray(usable[part])
-        at = np.interp(np.arange(stop - start), np.flatnonzero(known), window.distance[part][known])
+    for segment in integrated.segments:
+        at = bridged(window.distance[segment.part], segment.known)
         steps = np.diff(at)
         direction = 1 if steps.min() > 0 else -1 if steps.max() < 0 else 0
         if direction:
-            felt = motion_signals(window, known, part, vehicle, np.asarray(direction * at))
+            felt = motion_signals(segment, vehicle, np.asarray(direction * at))
             found += _placed(window, felt, vehicle, direction, -1 if mounted_reversed else 1)
     return found
 

@@ -16,8 +16,8 @@ from sqlalchemy import update
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.jobs.settings import JobSettings
+from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import Storage
-from estimation.tables.window import NO_ALIGNMENT
 from estimation.track.settings import AlignmentSettings
 from estimation.track.survey_check import SurveyCheck, check_survey
 from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
