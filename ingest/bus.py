@@ -25,10 +25,10 @@ from ingest.frames import (
     REMOTE_FLAG,
     FrameBatch,
     empty_batch,
-    sealed,
+    from_owned_arrays,
     sort_by_time,
 )
-from ingest.logs import write_log
+from ingest.logs import write_blf
 
 INTERFACES = ("virtual", "udp_multicast", "socketcan")
 
@@ -155,7 +155,7 @@ def _written(listener: BusListener, directory: Path, name: str) -> Iterator[Live
 def _write(batch: FrameBatch, dropped: int, directory: Path, name: str) -> Iterator[LiveChunk]:
     if len(batch):
         path = directory / f"{name}__{int(batch.t_ns[0])}.blf"
-        write_log(path, batch)
+        write_blf(path, batch)
         yield LiveChunk(path, len(batch), dropped)
 
 
@@ -232,7 +232,7 @@ def _batch(rows: list[_Row]) -> FrameBatch:
     if not rows:
         return empty_batch()
     t_ns, identifier, length, data = zip(*rows, strict=True)
-    frames = sealed(
+    frames = from_owned_arrays(
         DEFAULT_CHANNEL,
         np.array(t_ns, dtype=np.int64),
         np.array(identifier, dtype=np.uint32),

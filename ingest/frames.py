@@ -81,14 +81,22 @@ def empty_batch(channel: str = DEFAULT_CHANNEL) -> FrameBatch:
     return batch_of(0, np.empty(0, np.int64), np.empty((0, DATA_BYTES), np.uint8), 0, channel)
 
 
-def sealed(
+def from_owned_arrays(
     channel: str,
     t_ns: IntArray,
     arbitration_id: npt.NDArray[np.uint32],
     dlc: npt.NDArray[np.uint8],
     data: npt.NDArray[np.uint8],
 ) -> FrameBatch:
-    """Return a batch of arrays that the caller has just made and gives away: sealed in place instead of copied."""
+    """Return a batch of arrays that nobody else holds: they are made read-only in place instead of copied.
+
+    Parameters
+    ----------
+    channel
+        Name of the bus.
+    t_ns, arbitration_id, dlc, data
+        As in ``FrameBatch``.
+    """
     for array in (t_ns, arbitration_id, dlc, data):
         if array.base is None:
             array.flags.writeable = False
@@ -97,7 +105,9 @@ def sealed(
 
 def take(batch: FrameBatch, index: IntArray | BoolArray | slice) -> FrameBatch:
     """Return the frames that ``index`` (positions, a mask or a slice) picks, in its order."""
-    return sealed(batch.channel, batch.t_ns[index], batch.arbitration_id[index], batch.dlc[index], batch.data[index])
+    return from_owned_arrays(
+        batch.channel, batch.t_ns[index], batch.arbitration_id[index], batch.dlc[index], batch.data[index]
+    )
 
 
 def concatenate(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBatch:
@@ -106,7 +116,7 @@ def concatenate(batches: Sequence[FrameBatch], channel: str | None = None) -> Fr
         return empty_batch(channel or DEFAULT_CHANNEL)
     if len(batches) == 1 and channel in (None, batches[0].channel):
         return batches[0]
-    return sealed(
+    return from_owned_arrays(
         channel=channel or batches[0].channel,
         t_ns=np.concatenate([batch.t_ns for batch in batches]),
         arbitration_id=np.concatenate([batch.arbitration_id for batch in batches]),

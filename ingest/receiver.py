@@ -20,7 +20,7 @@ from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import Assembler, Assembly
 from ingest.catalogue import Catalogue
 from ingest.chunks import DECODED, REJECTED, STORED, Recording, Recordings
-from ingest.logs.formats import suffix_of
+from ingest.logs.formats import format_of
 
 SECOND_NS = 1_000_000_000
 ATTEMPTS = 20
@@ -138,7 +138,7 @@ class Receiver:
                 yield error
 
     def _arrive(self, path: Path, vehicle: str) -> Arrival:
-        suffix = suffix_of(path)
+        suffix = format_of(path).suffix
         digest = self._raw.put_file(path)
         try:
             return Arrival(path, vehicle, digest, self._recordings.read(self._raw.path(digest, suffix), digest))
@@ -147,7 +147,7 @@ class Receiver:
 
     def _receipt(self, arrival: Arrival) -> tuple[ChunkRecord, bool]:
         """Return the committed receipt, and whether it had been there before."""
-        suffix = suffix_of(arrival.path)
+        suffix = format_of(arrival.path).suffix
         now_ns = self._clock.now_ns()
         record = ChunkRecord(
             digest=arrival.digest,

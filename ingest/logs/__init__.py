@@ -1,5 +1,6 @@
-"""Recordings of a bus: log files in and out."""
+"""Recordings of a bus: log files in, one ``FrameBatch`` out."""
 
-from ingest.logs.formats import SUFFIXES, read_log, write_log
+from ingest.logs.blf_writer import write_blf
+from ingest.logs.formats import SUFFIXES, read_log
 
-__all__ = ["SUFFIXES", "read_log", "write_log"]
+__all__ = ["SUFFIXES", "read_log", "write_blf"]

@@ -2,6 +2,8 @@
 
 Nothing is read half: a file that is shorter or longer than its header says, an object without size, a container that
 does not inflate to just the size it declares, an object that is cut off, all raise and name the byte where it is.
+A file is a header and a chain of objects; objects of type 10 are containers, whose inflated contents, joined, are again
+a chain of objects: the frames. Every object begins with ``LOBJ``, its header size, header version, size and type.
 Times are the file's start time (taken as UTC) plus whole nanoseconds; they never pass through a float.
 """
 
@@ -18,19 +20,84 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import LogFileError
-from ingest.frames import DATA_BYTES, ERROR_FLAG, REMOTE_FLAG, FrameBatch, empty_batch, sealed
-from ingest.logs import blf_layout as blf
-from ingest.logs.channels import channel_name
-from ingest.logs.limits import DEFAULT_LIMITS, ReadLimits
+from ingest.frames import DATA_BYTES, ERROR_FLAG, REMOTE_FLAG, FrameBatch, empty_batch, from_owned_arrays
+from ingest.logs.log_format import DEFAULT_LIMITS, LogFormat, ReadLimits, channel_name
 
-BASE_SIZE = blf.OBJECT_BASE.itemsize
-CONTAINER_OVERHEAD = BASE_SIZE + blf.CONTAINER_HEAD.itemsize
+FILE_SIGNATURE = b"LOGG"
+OBJECT_SIGNATURE = b"LOBJ"
+FILE_HEADER_SIZE = 144
+
+CAN_MESSAGE = 1
+LOG_CONTAINER = 10
+CAN_ERROR_EXT = 73
+CAN_MESSAGE2 = 86
+CAN_FD_MESSAGE = 100
+CAN_FD_MESSAGE_64 = 101
+
+STORED = 0
+DEFLATED = 2
+
+TEN_MICROSECONDS = 1
+NANOSECONDS = 2
+
+EXTENDED = 0x8000_0000
+REMOTE = 0x80
+
+SYSTEM_TIME = np.dtype(
+    [(name, "<u2") for name in ("year", "month", "weekday", "day", "hour", "minute", "second", "ms")]
+)
+
+FILE_HEADER = np.dtype(
+    [
+        ("signature", "S4"),
+        ("header_size", "<u4"),
+        ("application", "u1", 4),
+        ("format_version", "u1", 4),
+        ("file_size", "<u8"),
+        ("inflated_size", "<u8"),
+        ("objects", "<u4"),
+        ("objects_read", "<u4"),
+        ("start", SYSTEM_TIME),
+        ("stop", SYSTEM_TIME),
+    ]
+)
+
+OBJECT_BASE = np.dtype(
+    [("signature", "S4"), ("header_size", "<u2"), ("header_version", "<u2"), ("size", "<u4"), ("type", "<u4")]
+)
+
+CONTAINER_HEAD = np.dtype([("method", "<u2"), ("_1", "V6"), ("inflated_size", "<u4"), ("_2", "V4")])
+
+OBJECT_HEAD = np.dtype([*OBJECT_BASE.descr, ("flags", "<u4"), ("_index", "<u2"), ("_version", "<u2"), ("time", "<u8")])
+"""Header versions 1 and 2 have flags and time at the same places; version 2 is 8 bytes longer."""
+
+CAN_BODY = np.dtype([("channel", "<u2"), ("flags", "u1"), ("dlc", "u1"), ("id", "<u4"), ("data", "u1", 8)])
+
+ERROR_BODY = np.dtype(
+    [
+        ("channel", "<u2"),
+        ("length", "<u2"),
+        ("flags", "<u4"),
+        ("ecc", "u1"),
+        ("position", "u1"),
+        ("dlc", "u1"),
+        ("_1", "u1"),
+        ("frame_length", "<u4"),
+        ("id", "<u4"),
+        ("flags_ext", "<u2"),
+        ("_2", "<u2"),
+        ("data", "u1", 8),
+    ]
+)
+
+BASE_SIZE = OBJECT_BASE.itemsize
+CONTAINER_OVERHEAD = BASE_SIZE + CONTAINER_HEAD.itemsize
 HEADER_SIZES = {1: 32, 2: 40}
-NANOSECONDS_PER_UNIT = {blf.TEN_MICROSECONDS: 10_000, blf.NANOSECONDS: 1}
+NANOSECONDS_PER_UNIT = {TEN_MICROSECONDS: 10_000, NANOSECONDS: 1}
 LATEST_NS = 1 << 62
 SMALLEST_OBJECT = BASE_SIZE
 LONGEST_PADDING = 8
-FRAME_KINDS = (blf.CAN_MESSAGE, blf.CAN_MESSAGE2, blf.CAN_ERROR_EXT, blf.CAN_FD_MESSAGE, blf.CAN_FD_MESSAGE_64)
+FRAME_KINDS = (CAN_MESSAGE, CAN_MESSAGE2, CAN_ERROR_EXT, CAN_FD_MESSAGE, CAN_FD_MESSAGE_64)
 
 _BYTES_MASK = np.array([(1 << 8 * length) - 1 for length in range(DATA_BYTES + 1)], dtype="<u8")
 
@@ -48,6 +115,13 @@ class _Part:
 
 def read_blf(path: Path, limits: ReadLimits = DEFAULT_LIMITS) -> FrameBatch:
     """Read all CAN frames of a BLF file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    limits
+        What reading may cost.
 
     Raises
     ------
@@ -69,7 +143,7 @@ def read_blf(path: Path, limits: ReadLimits = DEFAULT_LIMITS) -> FrameBatch:
         raise LogFileError(
             f"holds several buses (channels {', '.join(map(str, channels))}): one file, one bus", file=path
         )
-    return sealed(
+    return from_owned_arrays(
         channel_name(int(channels[0])),
         np.concatenate([part.t_ns for part in parts]),
         np.concatenate([part.identifier for part in parts]),
@@ -80,11 +154,11 @@ def read_blf(path: Path, limits: ReadLimits = DEFAULT_LIMITS) -> FrameBatch:
 
 def _file_header(raw: bytes, path: Path) -> tuple[int, int]:
     """Return the start time in ns and the size of the header."""
-    if len(raw) < blf.FILE_HEADER_SIZE or not raw.startswith(blf.FILE_SIGNATURE):
+    if len(raw) < FILE_HEADER_SIZE or not raw.startswith(FILE_SIGNATURE):
         raise LogFileError("is no BLF file: no LOGG header at byte 0", file=path)
-    header = np.frombuffer(raw, dtype=blf.FILE_HEADER, count=1)[0]
+    header = np.frombuffer(raw, dtype=FILE_HEADER, count=1)[0]
     header_size, file_size = int(header["header_size"]), int(header["file_size"])
-    if header_size < blf.FILE_HEADER.itemsize or header_size > len(raw):
+    if header_size < FILE_HEADER.itemsize or header_size > len(raw):
         raise LogFileError(f"header size {header_size} at byte 4 is impossible", file=path)
     if file_size != len(raw):
         raise LogFileError(
@@ -108,9 +182,9 @@ def _start_ns(start: np.void, path: Path) -> int:
 
 def _base(buffer: bytes, at: int, where: str, path: Path) -> tuple[int, int, int, int]:
     """Return header size, header version, size and type of the object at a byte."""
-    if buffer[at : at + 4] != blf.OBJECT_SIGNATURE or at + BASE_SIZE > len(buffer):
+    if buffer[at : at + 4] != OBJECT_SIGNATURE or at + BASE_SIZE > len(buffer):
         raise LogFileError(f"no object at byte {at} {where}: truncated or corrupt", file=path)
-    base = np.frombuffer(buffer, dtype=blf.OBJECT_BASE, count=1, offset=at)[0]
+    base = np.frombuffer(buffer, dtype=OBJECT_BASE, count=1, offset=at)[0]
     size = int(base["size"])
     if size < SMALLEST_OBJECT:
         raise LogFileError(f"object size {size} at byte {at + 8} {where} is impossible", file=path)
@@ -124,7 +198,7 @@ def _inflated(raw: bytes, at: int, path: Path, limits: ReadLimits) -> Iterator[b
     total = 0
     while at < len(raw):
         _, _, size, kind = _base(raw, at, "of the file", path)
-        if kind == blf.LOG_CONTAINER:
+        if kind == LOG_CONTAINER:
             contents = _container(raw, at, size, path, limits)
             total += len(contents)
             if total > limits.inflated_bytes:
@@ -140,14 +214,14 @@ def _inflated(raw: bytes, at: int, path: Path, limits: ReadLimits) -> Iterator[b
 def _container(raw: bytes, at: int, size: int, path: Path, limits: ReadLimits) -> bytes:
     if size < CONTAINER_OVERHEAD:
         raise LogFileError(f"container of {size} bytes at byte {at} has no head", file=path)
-    head = np.frombuffer(raw, dtype=blf.CONTAINER_HEAD, count=1, offset=at + BASE_SIZE)[0]
+    head = np.frombuffer(raw, dtype=CONTAINER_HEAD, count=1, offset=at + BASE_SIZE)[0]
     method, declared = int(head["method"]), int(head["inflated_size"])
     contents = memoryview(raw)[at + CONTAINER_OVERHEAD : at + size]
     if declared > limits.container_bytes:
         raise LogFileError(f"container at byte {at} declares {declared} bytes, more than is allowed", file=path)
-    if method == blf.STORED:
+    if method == STORED:
         inflated = bytes(contents)
-    elif method == blf.DEFLATED:
+    elif method == DEFLATED:
         inflated = _inflate(contents, declared, at, path)
     else:
         raise LogFileError(f"container at byte {at} has the unknown compression {method}", file=path)
@@ -184,7 +258,7 @@ def _parts(contents: bytes, start_ns: int, path: Path) -> Iterator[_Part]:
 
 def _next_object(contents: bytes, at: int, path: Path) -> int:
     """Return where the next object begins, past the padding; the length of the contents at the end."""
-    found = contents.find(blf.OBJECT_SIGNATURE, at, at + LONGEST_PADDING)
+    found = contents.find(OBJECT_SIGNATURE, at, at + LONGEST_PADDING)
     if found >= 0:
         return found
     if len(contents) - at < LONGEST_PADDING and not any(contents[at:]):
@@ -214,21 +288,21 @@ def _run(contents: bytes, at: int, stride: int, path: Path) -> npt.NDArray[np.ui
 def _decode_run(
     objects: npt.NDArray[np.uint8], header_size: int, version: int, kind: int, start_ns: int, at: int, path: Path
 ) -> _Part | None:
-    bodies = {blf.CAN_MESSAGE: blf.CAN_BODY, blf.CAN_MESSAGE2: blf.CAN_BODY, blf.CAN_ERROR_EXT: blf.ERROR_BODY}
+    bodies = {CAN_MESSAGE: CAN_BODY, CAN_MESSAGE2: CAN_BODY, CAN_ERROR_EXT: ERROR_BODY}
     where = f"object of type {kind} at byte {at} of the inflated contents"
-    if kind in (blf.CAN_FD_MESSAGE, blf.CAN_FD_MESSAGE_64):
+    if kind in (CAN_FD_MESSAGE, CAN_FD_MESSAGE_64):
         raise LogFileError(f"{where} is a CAN FD frame: a vehicle bus is classic CAN", file=path)
     if kind not in bodies:
         return None
-    layout = blf.object_layout(bodies[kind], header_size)
+    layout = object_layout(bodies[kind], header_size)
     if header_size != HEADER_SIZES.get(version) or layout.itemsize > objects.shape[1]:
         raise LogFileError(f"{where} has an impossible header", file=path)
     fields = np.ascontiguousarray(objects[:, : layout.itemsize]).view(layout).ravel()
     identifier = fields["body_id"].astype(np.uint32)
-    if kind == blf.CAN_ERROR_EXT:
+    if kind == CAN_ERROR_EXT:
         identifier |= np.uint32(ERROR_FLAG)
     else:
-        identifier |= np.where(fields["body_flags"] & blf.REMOTE, np.uint32(REMOTE_FLAG), np.uint32(0))
+        identifier |= np.where(fields["body_flags"] & REMOTE, np.uint32(REMOTE_FLAG), np.uint32(0))
     dlc = fields["body_dlc"]
     if (dlc > DATA_BYTES).any():
         raise LogFileError(f"{where} or after it: a frame of {int(dlc.max())} bytes", file=path)
@@ -241,9 +315,37 @@ def _times(fields: npt.NDArray[Any], start_ns: int, where: str, path: Path) -> n
     unknown = ~np.isin(fields["flags"], list(NANOSECONDS_PER_UNIT))
     if unknown.any():
         raise LogFileError(f"{where} or after it: unknown unit of time {int(fields['flags'][unknown][0])}", file=path)
-    coarse = fields["flags"] == blf.TEN_MICROSECONDS
-    limit = np.where(coarse, LATEST_NS // NANOSECONDS_PER_UNIT[blf.TEN_MICROSECONDS], LATEST_NS)
+    coarse = fields["flags"] == TEN_MICROSECONDS
+    limit = np.where(coarse, LATEST_NS // NANOSECONDS_PER_UNIT[TEN_MICROSECONDS], LATEST_NS)
     if (fields["time"] > limit.astype(np.uint64)).any():
         raise LogFileError(f"{where} or after it: a time beyond this age", file=path)
     times = fields["time"].astype(np.int64)
-    return start_ns + np.where(coarse, times * NANOSECONDS_PER_UNIT[blf.TEN_MICROSECONDS], times)
+    return start_ns + np.where(coarse, times * NANOSECONDS_PER_UNIT[TEN_MICROSECONDS], times)
+
+
+def object_layout(body: np.dtype[np.void], header_size: int) -> np.dtype[np.void]:
+    """Return the layout of a whole object.
+
+    Parameters
+    ----------
+    body
+        Layout of the body; its fields get the prefix ``body_``.
+    header_size
+        Bytes before the body.
+    """
+    fields = _fields(OBJECT_HEAD, "", 0) | _fields(body, "body_", header_size)
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [layout for layout, _ in fields.values()],
+            "offsets": [offset for _, offset in fields.values()],
+            "itemsize": header_size + body.itemsize,
+        }
+    )
+
+
+def _fields(layout: np.dtype[np.void], prefix: str, at: int) -> dict[str, tuple[np.dtype[Any], int]]:
+    return {f"{prefix}{name}": (field[0], field[1] + at) for name, field in (layout.fields or {}).items()}
+
+
+FORMAT = LogFormat(suffix=".blf", name="BLF", is_held=lambda head: head.startswith(FILE_SIGNATURE), read=read_blf)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import zlib
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from estimation.errors import LogFileError
 from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
-from ingest.logs import blf_layout as blf
-from ingest.logs.channels import channel_number
+from ingest.logs import blf_reader as blf
+from ingest.logs.log_format import channel_number
 
 CONTAINER_BYTES = 128 * 1024
 COMPRESSION = 1
@@ -23,13 +25,31 @@ MILLISECOND = 1_000_000
 
 
 def write_blf(path: Path, batch: FrameBatch) -> None:
-    """Write a batch as a BLF file; times keep their nanoseconds.
+    """Write a batch as a BLF file, whole or not at all; times keep their nanoseconds.
+
+    Parameters
+    ----------
+    path
+        The file; one that is there is replaced.
+    batch
+        Frames of one bus.
 
     Raises
     ------
-    OSError
+    LogFileError
         The file cannot be written.
     """
+    unfinished = path.with_name(f".{path.stem}.{os.getpid()}.blf")
+    try:
+        _write(unfinished, batch)
+        unfinished.replace(path)
+    except OSError as error:
+        raise LogFileError(error.strerror or str(error), file=path) from error
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _write(path: Path, batch: FrameBatch) -> None:
     start_ns = int(batch.t_ns.min()) // MILLISECOND * MILLISECOND if len(batch) else 0
     stop_ns = int(batch.t_ns.max()) if len(batch) else 0
     objects = _objects(batch, start_ns)

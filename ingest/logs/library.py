@@ -18,19 +18,26 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import LogFileError
-from ingest.frames import FrameBatch, sealed
-from ingest.logs.limits import DEFAULT_LIMITS, ReadLimits
+from ingest.frames import FrameBatch, from_owned_arrays
+from ingest.logs.log_format import ReadLimits
 
 FRAME = np.dtype([("t_ns", "<i8"), ("id", "<u4"), ("dlc", "u1"), ("data", "u1", 8)])
 """How frames travel between parent and child: a ``.npy`` file of these."""
 
 CHILD = "ingest.logs.child"
 ENVIRONMENT = {"TZ": "UTC", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-"""ASC files hold local dates: both ways they are taken as UTC. One thread keeps the address space small."""
+"""ASC files hold local dates: they are taken as UTC. One thread keeps the address space small."""
 
 
-def read_with_library(path: Path, limits: ReadLimits = DEFAULT_LIMITS) -> FrameBatch:
-    """Read a log file of any format that python-can knows, in a child process.
+def read_with_library(path: Path, limits: ReadLimits) -> FrameBatch:
+    """Read a log file of a format that python-can reads, in a child process.
+
+    Parameters
+    ----------
+    path
+        The file; its suffix is that of a format with ``messages``.
+    limits
+        What reading may cost.
 
     Raises
     ------
@@ -39,36 +46,10 @@ def read_with_library(path: Path, limits: ReadLimits = DEFAULT_LIMITS) -> FrameB
     """
     with tempfile.TemporaryDirectory(prefix="treadwatch-log-") as directory:
         out = Path(directory) / "frames.npy"
-        answer = _run_child(["read", str(path.absolute()), str(out)], path, limits)
-        return batch_of_frames(_load(out, path), str(answer["channel"]))
-
-
-def write_with_library(path: Path, batch: FrameBatch, limits: ReadLimits = DEFAULT_LIMITS) -> None:
-    """Write a log file in the format that the suffix names, in a child process.
-
-    Raises
-    ------
-    LogFileError
-        The file cannot be written.
-    """
-    with tempfile.TemporaryDirectory(prefix="treadwatch-log-") as directory:
-        source = Path(directory) / "frames.npy"
-        np.save(source, frames_of_batch(batch), allow_pickle=False)
-        _run_child(["write", str(source), str(path.absolute()), batch.channel], path, limits)
-
-
-def frames_of_batch(batch: FrameBatch) -> npt.NDArray[np.void]:
-    """Return a batch as records, (n,)."""
-    frames = np.empty(len(batch), dtype=FRAME)
-    frames["t_ns"], frames["id"], frames["dlc"] = batch.t_ns, batch.arbitration_id, batch.dlc
-    frames["data"] = batch.data
-    return frames
-
-
-def batch_of_frames(frames: npt.NDArray[np.void], channel: str) -> FrameBatch:
-    """Return records (n,) as a batch."""
+        answer = _run_child([str(path.absolute()), str(out)], path, limits)
+        frames = _load(out, path)
     columns = (np.ascontiguousarray(frames[name]) for name in ("t_ns", "id", "dlc", "data"))
-    return sealed(channel, *columns)
+    return from_owned_arrays(str(answer["channel"]), *columns)
 
 
 def _run_child(arguments: list[str], path: Path, limits: ReadLimits) -> dict[str, Any]:

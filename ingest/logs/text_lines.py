@@ -13,31 +13,16 @@ from estimation.errors import LogFileError
 
 LONGEST_LINE = 1000
 
-_TIME = r"\s*\d+\.\d+\s+"
-_HEAD = rf"{_TIME}\d+\s+[0-9A-Fa-f]+x?\s+(?:Rx|Tx)\s+"
-_BYTES = r"(?:\s+[0-9A-Fa-f]{1,3}){0,8}"
-_TAIL = r"(?:\s+(?:Length|BitCount|ID)\s*=.*)?\s*"
-
-ASC_LINES = re.compile(
-    "|".join(
-        (
-            rf"{_HEAD}d\s+[0-9A-Fa-f]+{_BYTES}{_TAIL}",
-            rf"{_HEAD}r(?:\s+[0-9A-Fa-f]+)?{_TAIL}",
-            rf"{_TIME}\d+\s+ErrorFrame.*",
-            rf"{_TIME}(?:Start of measurement|log trigger event.*|CAN \d+ Status:.*|\d+\s+Statistic:.*)",
-            r"date\s.*|base\s+(?:hex|dec)\s+timestamps\s+absolute\s*",
-            r"(?:no )?internal events logged\s*|//.*|Begin Trigger ?block.*|End Trigger ?block.*|\s*",
-        )
-    ),
-    re.IGNORECASE,
-)
-"""Timestamps ``relative`` (each to the one before) are not among them: python-can would read them as absolute."""
-
-CANDUMP_LINES = re.compile(r"\(\d+\.\d+\) \S+ [0-9A-Fa-f]{3,8}#(?:R[0-8]?|(?:[0-9A-Fa-f]{2}){0,8})(?: [RT])?|\s*")
-
 
 def check_lines(path: Path, pattern: re.Pattern[str]) -> None:
     """Check that every line of a text log is of a known kind and the last one is whole.
+
+    Parameters
+    ----------
+    path
+        The file.
+    pattern
+        What a line may be, without its line end.
 
     Raises
     ------

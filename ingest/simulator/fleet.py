@@ -125,9 +125,7 @@ def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: VehiclePla
     start = datetime.fromtimestamp(scenario.start_ns(vehicle, campaign) // 1_000_000_000, tz=UTC).strftime(STAMP)
     path = out / vehicle.code / f"{vehicle.code}__{start}.blf"
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
-    write_blf(partial, batch)
-    partial.replace(path)
+    write_blf(path, batch)
     seconds = scenario.sessions.duration * len(vehicle.wheelsets)
     return Recording(vehicle.code, campaign + 1, path, len(batch), seconds, truths)
 

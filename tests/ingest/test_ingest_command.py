@@ -21,7 +21,7 @@ from fleet_db.receipts import ChunkRecord
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus, send
-from ingest.logs import write_log
+from ingest.logs import write_blf
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def recordings(folder: Path) -> Path:
     folder.mkdir()
     for hour in range(2):
         batch = Run(seconds=12.0, start_ns=START_NS + 3600 * SECOND_NS * hour).frames()
-        write_log(folder / f"{VEHICLE}__{hour}.blf", batch)
+        write_blf(folder / f"{VEHICLE}__{hour}.blf", batch)
     return folder
 
 
@@ -78,7 +78,7 @@ def test_a_bad_recording_is_named_and_the_others_go_on(deployment: SqlStorage, t
 @pytest.mark.usefixtures("deployment")
 def test_what_cannot_be_meant_is_refused(tmp_path: Path) -> None:
     unnamed = tmp_path / "recording.blf"
-    write_log(unnamed, Run(seconds=1.0).frames())
+    write_blf(unnamed, Run(seconds=1.0).frames())
     with pytest.raises(InputError, match=r"recording\.blf: does not name its vehicle"):
         run(str(unnamed))
     with pytest.raises(InputError, match="does not exist"):

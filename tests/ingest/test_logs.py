@@ -10,14 +10,14 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from log_files import write_recording
 
 from estimation.errors import LogFileError
 from estimation.values.arrays import same_values
 from ingest.bus import messages_of
 from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, empty_batch
-from ingest.logs import read_log, write_log
-from ingest.logs.library import read_with_library, write_with_library
-from ingest.logs.limits import ReadLimits
+from ingest.logs import read_log, write_blf
+from ingest.logs.log_format import ReadLimits
 
 TEXT_FORMATS = [".asc", ".log"]
 FORMATS = [".blf", *TEXT_FORMATS, ".mf4"]
@@ -44,12 +44,31 @@ def assert_same(found: FrameBatch, expected: FrameBatch) -> None:
         assert np.array_equal(getattr(found, name), getattr(expected, name)), name
 
 
+def read_with_python_can(path: Path) -> FrameBatch:
+    """Return the frames of a BLF file as python-can reads them; channels of python-can count from 0."""
+    messages = list(can.BLFReader(path))
+    identifier = [
+        message.arbitration_id
+        | (ERROR_FLAG if message.is_error_frame else 0)
+        | (REMOTE_FLAG if message.is_remote_frame else 0)
+        | (EXTENDED_FLAG if message.is_extended_id and not message.is_error_frame else 0)
+        for message in messages
+    ]
+    return FrameBatch(
+        f"can{messages[0].channel}",
+        np.array([round(message.timestamp * 1e6) * 1000 for message in messages]),
+        np.array(identifier, dtype=np.uint32),
+        np.array([message.dlc for message in messages], dtype=np.uint8),
+        np.array([list(bytes(message.data[:8]).ljust(8, b"\0")) for message in messages], dtype=np.uint8),
+    )
+
+
 @pytest.mark.parametrize("suffix", FORMATS)
 @pytest.mark.parametrize("channel", ["can0", "can3"])
 def test_what_is_written_is_read(tmp_path: Path, suffix: str, channel: str) -> None:
     batch = some_frames(channel=channel)
     path = tmp_path / f"recording{suffix}"
-    write_log(path, batch)
+    write_recording(path, batch)
     assert_same(read_log(path), batch)
     assert [item.name for item in tmp_path.iterdir()] == [path.name], "nothing unfinished is left"
 
@@ -58,14 +77,14 @@ def test_what_is_written_is_read(tmp_path: Path, suffix: str, channel: str) -> N
 def test_extended_and_remote_frames_survive(tmp_path: Path, suffix: str) -> None:
     batch = some_frames(strange=True)
     path = tmp_path / f"recording{suffix}"
-    write_log(path, batch)
+    write_recording(path, batch)
     assert_same(read_log(path), batch)
 
 
 def test_candump_keeps_all_but_the_length_of_remote_frames(tmp_path: Path) -> None:
     batch = some_frames(strange=True)
     path = tmp_path / "recording.log"
-    write_log(path, batch)
+    write_recording(path, batch)
     remote = (batch.arbitration_id & REMOTE_FLAG) != 0
     dlc = np.where(remote, 0, batch.dlc)
     assert_same(read_log(path), FrameBatch(batch.channel, batch.t_ns, batch.arbitration_id, dlc, batch.data))
@@ -74,7 +93,7 @@ def test_candump_keeps_all_but_the_length_of_remote_frames(tmp_path: Path) -> No
 @pytest.mark.parametrize("suffix", [".blf", ".log"])
 def test_a_recording_without_frames_is_a_recording(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"recording{suffix}"
-    write_log(path, empty_batch())
+    write_recording(path, empty_batch())
     if suffix == ".blf":
         assert len(read_log(path)) == 0
     else:
@@ -88,8 +107,8 @@ def test_python_can_reads_what_our_writer_wrote(tmp_path: Path) -> None:
     identifier[8::100] |= np.uint32(ERROR_FLAG)
     batch = FrameBatch("can2", batch.t_ns, identifier, batch.dlc, batch.data)
     path = tmp_path / "recording.blf"
-    write_log(path, batch)
-    theirs = read_with_library(path)
+    write_recording(path, batch)
+    theirs = read_with_python_can(path)
     error = (identifier & ERROR_FLAG) != 0
     bare = np.where(error, identifier & ~np.uint32(EXTENDED_FLAG | REMOTE_FLAG), identifier)
     kept = np.where(error, theirs.arbitration_id & ~np.uint32(REMOTE_FLAG), theirs.arbitration_id)
@@ -113,7 +132,7 @@ def test_we_read_what_python_can_wrote(tmp_path: Path, compression: int, contain
             writer.on_message_received(message)
             if position == 1000:
                 writer.log_event("a marker between frames", message.timestamp)
-    ours, theirs = read_log(path), read_with_library(path)
+    ours, theirs = read_log(path), read_with_python_can(path)
     assert np.array_equal(ours.arbitration_id, batch.arbitration_id)
     assert np.array_equal(ours.data, batch.data)
     assert np.abs(ours.t_ns - batch.t_ns).max() < 1000  # python-can's floats
@@ -125,7 +144,7 @@ def test_our_blf_keeps_nanoseconds(tmp_path: Path) -> None:
     batch = some_frames()
     fine = FrameBatch("can0", batch.t_ns + np.arange(len(batch)) % 997, batch.arbitration_id, batch.dlc, batch.data)
     path = tmp_path / "recording.blf"
-    write_log(path, fine)
+    write_recording(path, fine)
     assert same_values(read_log(path), fine)
 
 
@@ -251,7 +270,7 @@ def test_a_broken_blf_file_is_refused_with_file_and_byte(tmp_path: Path, name: s
 @pytest.mark.parametrize("suffix", [".blf", *TEXT_FORMATS])
 def test_every_truncation_is_seen(tmp_path: Path, suffix: str) -> None:
     whole = tmp_path / f"whole{suffix}"
-    write_log(whole, some_frames(4000))
+    write_recording(whole, some_frames(4000))
     content = whole.read_bytes()
     cuts = np.linspace(5, len(content) - 1, 60 if suffix == ".blf" else 4).astype(int)
     for cut in cuts:
@@ -264,7 +283,7 @@ def test_every_truncation_is_seen(tmp_path: Path, suffix: str) -> None:
 
 def test_a_file_that_was_appended_to_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "long.blf"
-    write_log(path, some_frames())
+    write_recording(path, some_frames())
     with path.open("ab") as file:
         file.write(b"\0" * 200)
     with pytest.raises(LogFileError, match="never closed"):
@@ -274,7 +293,7 @@ def test_a_file_that_was_appended_to_is_refused(tmp_path: Path) -> None:
 def test_flipped_bits_never_pass_unseen_or_raise_anything_else(tmp_path: Path) -> None:
     """Whatever byte of a container is damaged, zlib's checksum or the structure tells."""
     path = tmp_path / "flipped.blf"
-    write_log(path, some_frames(300))
+    write_recording(path, some_frames(300))
     content = bytearray(path.read_bytes())
     rng = np.random.default_rng(0)
     for at in rng.integers(144 + 32, len(content) - 3, 150):
@@ -291,7 +310,7 @@ def test_flipped_bits_never_pass_unseen_or_raise_anything_else(tmp_path: Path) -
 )
 def test_a_damaged_line_is_named(tmp_path: Path, suffix: str, damage: bytes, line: int) -> None:
     path = tmp_path / f"damaged{suffix}"
-    write_log(path, some_frames(50))
+    write_recording(path, some_frames(50))
     lines = path.read_bytes().split(b"\n")
     lines[line - 1] = damage
     path.write_bytes(b"\n".join(lines))
@@ -318,7 +337,7 @@ def test_asc_times_are_absolute_and_utc(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_contents_and_suffix_must_agree(tmp_path: Path) -> None:
     path = tmp_path / "recording.blf"
-    write_log(path, some_frames())
+    write_recording(path, some_frames())
     other = path.rename(tmp_path / "recording.asc")
     with pytest.raises(LogFileError, match=r"called \.asc but holds a BLF log"):
         read_log(other)
@@ -341,7 +360,7 @@ def test_mf4_without_its_extra_names_it(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_the_child_is_held_to_its_limits(tmp_path: Path) -> None:
     path = tmp_path / "recording.log"
-    write_log(path, some_frames(3000))
+    write_recording(path, some_frames(3000))
     with pytest.raises(LogFileError, match="more than 100 frames"):
         read_log(path, ReadLimits(frames=100))
     with pytest.raises(LogFileError, match=r"longer than 0\.01 s"):
@@ -349,13 +368,11 @@ def test_the_child_is_held_to_its_limits(tmp_path: Path) -> None:
     with pytest.raises(LogFileError):
         read_log(path, ReadLimits(memory_bytes=40 << 20))
     blf = tmp_path / "recording.blf"
-    write_log(blf, some_frames(9000))
+    write_recording(blf, some_frames(9000))
     with pytest.raises(LogFileError, match="inflates to more than 200000 bytes"):
         read_log(blf, ReadLimits(inflated_bytes=200_000))
 
 
 def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     with pytest.raises(LogFileError, match="nowhere"):
-        write_log(tmp_path / "nowhere" / "recording.blf", some_frames())
-    with pytest.raises(LogFileError, match="nowhere"):
-        write_with_library(tmp_path / "nowhere" / "recording.asc", some_frames())
+        write_blf(tmp_path / "nowhere" / "recording.blf", some_frames())

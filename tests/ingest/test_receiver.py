@@ -23,7 +23,7 @@ from ingest.canopen import SYNC_ID, TIME_ID
 from ingest.catalogue import default_catalogue
 from ingest.chunks import WAITING
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
-from ingest.logs import write_log
+from ingest.logs import write_blf
 from ingest.receiver import ChunkReceipt, Receiver
 
 LENGTH_S = 10.0
@@ -73,7 +73,7 @@ def files_of(pieces: list[FrameBatch], directory: Path) -> list[Path]:
     for piece in pieces:
         name = hashlib.sha256(piece.t_ns.tobytes() + piece.data.tobytes()).hexdigest()[:12]
         paths.append(directory / f"{VEHICLE}__{name}.blf")
-        write_log(paths[-1], piece)
+        write_blf(paths[-1], piece)
     return paths
 
 

@@ -15,7 +15,7 @@ from ingest import catalogue as kinds
 from ingest.catalogue import default_catalogue
 from ingest.codec import decode, encode
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
-from ingest.logs import read_log, write_log
+from ingest.logs import read_log, write_blf
 
 Signals = dict[str, npt.NDArray[np.float64]]
 Change = Callable[[FrameBatch], FrameBatch]
@@ -105,7 +105,7 @@ class Edited:
 def edited(source: Path, vehicle: str, change: Change, folder: Path) -> Edited:
     """Write the recording ``source`` changed, for ``vehicle``."""
     path = folder / f"{vehicle}.blf"
-    write_log(path, change(read_log(source)))
+    write_blf(path, change(read_log(source)))
     return Edited(path, vehicle)
 
 
