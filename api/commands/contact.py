@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from estimation.contact.table import ContactMethod
+from ingest.profiles import format_names
 
 
 class OutputFormat(StrEnum):
@@ -21,7 +22,10 @@ class OutputFormat(StrEnum):
 
 def contact(
     wheel: Annotated[
-        str, typer.Option(help="Wheel profile of both sides: a name (P8, S1002, EN15302-A ...) or a file")
+        str,
+        typer.Option(
+            help=f"Wheel profile of both sides: a name (P8, S1002, EN15302-A ...) or a file: {format_names()}"
+        ),
     ] = "P8",
     rail: Annotated[
         str, typer.Option(help="Rail profile: a name (56E1, 60E1, 60E2, EN15302-A ...) or a file")

@@ -8,10 +8,13 @@ from typing import Annotated
 import typer
 
 from estimation.errors import ParameterError
+from ingest.logs import SUFFIXES
 
 
 def ingest(
-    files: Annotated[list[Path] | None, typer.Argument(help="Recordings, or folders of them.")] = None,
+    files: Annotated[
+        list[Path] | None, typer.Argument(help=f"Recordings ({', '.join(SUFFIXES)}), or folders of them.")
+    ] = None,
     *,
     vehicle: Annotated[
         str | None, typer.Option(help="Vehicle of the recordings; by default the part of the file name before '__'.")

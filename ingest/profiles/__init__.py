@@ -1,5 +1,5 @@
-"""Profile files of wheels and rails, as instruments and programs write them: MiniProf, SIMPACK, plain columns."""
+"""Profile files of wheels and rails in, a ``Profile`` out."""
 
-from ingest.profiles.files import read_profile
+from ingest.profiles.files import format_names, read_profile
 
-__all__ = ["read_profile"]
+__all__ = ["format_names", "read_profile"]

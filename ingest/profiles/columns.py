@@ -11,7 +11,7 @@ from ingest.profiles.points import FilePoints, number, points_of
 def parse_columns(text: str, file: str, unit: float) -> FilePoints:
     """Return the points of a two-column file; separators are commas, semicolons or blanks.
 
-    Lines that begin with ``#`` and leading lines without any number are passed over. Further columns are ignored.
+    Lines that begin with ``#`` and leading lines without any number are skipped. Further columns are ignored.
 
     Parameters
     ----------

@@ -7,30 +7,30 @@ from typing import Literal
 
 from estimation.contact.profiles import Profile, ProfileKind
 from estimation.errors import ProfileError
+from ingest.profiles import miniprof, simpack
 from ingest.profiles.columns import parse_columns
-from ingest.profiles.miniprof import parse_miniprof, parse_multipart
 from ingest.profiles.orientation import oriented
 from ingest.profiles.points import FilePoints
-from ingest.profiles.simpack import parse_simpack
+
+FORMATS = (miniprof.FORMAT, miniprof.MULTIPART_FORMAT, simpack.FORMAT)
+"""A new format is a module with its ``FORMAT``, and its entry here."""
 
 
 def read_profile(
     path: Path | str, kind: ProfileKind, *, unit: Literal["mm", "m"] = "mm", mirror: bool = False
 ) -> Profile:
-    """Read a wheel or rail profile; the suffix says the format.
-
-    MiniProf (.whl, .ban, .mpt: its first profile), SIMPACK (.prw, .prr), anything else two columns of text.
+    """Read a wheel or rail profile, in the format of ``FORMATS`` that has its suffix, else as two columns of text.
 
     Parameters
     ----------
     path
         The file.
     kind
-        What it holds; a rail measured as .whl is read as the rail it is said to be.
+        What it holds; this decides, not the suffix.
     unit
-        Of two-column files; the others are in mm or say so themselves.
+        Of two-column files; the others are in mm or contain their unit.
     mirror
-        Exchange the two sides of a rail whose gauge side the shape does not tell (both reach 14 mm below the crown).
+        Exchange the two sides of a rail whose shape does not show its gauge side (both reach 14 mm below the crown).
 
     Raises
     ------
@@ -48,15 +48,18 @@ def read_profile(
     if not mirror:
         return profile
     if kind == "wheel":
-        raise ProfileError("the flange tells which side of a wheel is which", file=file, field="mirror")
+        raise ProfileError("the flange shows which side of a wheel is which", file=file, field="mirror")
     return Profile(kind, profile.name, -profile.y[::-1], profile.z[::-1], -profile.slope[::-1])
 
 
+def format_names() -> str:
+    """Return the formats and their suffixes as a text for help and messages."""
+    named = [f"{item.name} ({', '.join(item.suffixes)})" for item in FORMATS]
+    return f"{', '.join(named)}; any other suffix: two columns of text"
+
+
 def _parsed(text: str, file: str, suffix: str, unit: Literal["mm", "m"]) -> FilePoints:
-    if suffix in (".whl", ".ban"):
-        return parse_miniprof(text, file)
-    if suffix == ".mpt":
-        return parse_multipart(text, file)
-    if suffix in (".prw", ".prr"):
-        return parse_simpack(text, file)
+    for item in FORMATS:
+        if suffix in item.suffixes:
+            return item.parse(text, file)
     return parse_columns(text, file, 1.0 if unit == "mm" else 1000.0)

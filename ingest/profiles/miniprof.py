@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 
 from estimation.errors import ProfileError
-from ingest.profiles.points import FilePoints, number, points_of
+from ingest.profiles.points import FilePoints, ProfileFormat, number, points_of
 
 _SECTION = re.compile(r"^\[(?P<name>[^\]]+)\]$")
 _REMARK = re.compile(r'["!%]')
@@ -21,6 +21,11 @@ _OLD_HEADER_WITHIN = 3  # lines
 
 def parse_miniprof(text: str, file: str) -> FilePoints:
     """Return the points of a .whl or .ban file.
+
+    Parameters
+    ----------
+    text, file
+        Content, and the name for messages.
 
     Raises
     ------
@@ -38,6 +43,11 @@ def parse_miniprof(text: str, file: str) -> FilePoints:
 
 def parse_multipart(text: str, file: str) -> FilePoints:
     """Return the points of the first profile of a .mpt file.
+
+    Parameters
+    ----------
+    text, file
+        Content, and the name for messages.
 
     Raises
     ------
@@ -93,3 +103,7 @@ def _check_count(found: int, header: dict[str, tuple[int, str]], file: str) -> N
         raise ProfileError(
             f"{announced} points are announced, {found} follow: truncated?", file=file, line=line, field="XYPoints"
         )
+
+
+FORMAT = ProfileFormat("MiniProf", (".whl", ".ban"), parse_miniprof)
+MULTIPART_FORMAT = ProfileFormat("MiniProf in parts, the first profile", (".mpt",), parse_multipart)

@@ -1,8 +1,9 @@
-"""Points as a file gives them, with the line each stands on."""
+"""What a reader of profile files takes and gives: a text, and points with the line of each."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from estimation.values.arrays import FloatArray
 class FilePoints:
     """Rows of a profile file in their order: lateral and vertical coordinate, mm.
 
-    Unless ``axes_known`` (z down, a wheel's y from its tread datum), axes are as the file has them.
+    With ``axes_known``, z points down and a wheel's y starts at its tread datum; else axes are as the file has them.
     """
 
     file: str
@@ -25,8 +26,26 @@ class FilePoints:
     axes_known: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class ProfileFormat:
+    """A format of profile files; ``files.FORMATS`` lists them."""
+
+    name: str
+    suffixes: tuple[str, ...]  # in lower case, with their dots
+    parse: Callable[[str, str], FilePoints]  # content, and the name for messages; raises ProfileError
+
+
 def points_of(file: str, rows: list[tuple[int, float, float]], *, axes_known: bool = False) -> FilePoints:
-    """Return rows of (line number, y, z) as points.
+    """Return rows as points.
+
+    Parameters
+    ----------
+    file
+        Name of the file, for messages.
+    rows
+        Line number, y and z of each, in mm.
+    axes_known
+        Whether z points down and a wheel's y starts at its tread datum.
 
     Raises
     ------
@@ -40,7 +59,14 @@ def points_of(file: str, rows: list[tuple[int, float, float]], *, axes_known: bo
 
 
 def number(text: str, *, file: str, line: int, field: str) -> float:
-    """Return the finite number that ``text`` is.
+    """Return a cell as a finite number.
+
+    Parameters
+    ----------
+    text
+        The cell.
+    file, line, field
+        Where it is, for messages.
 
     Raises
     ------

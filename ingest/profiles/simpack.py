@@ -13,13 +13,18 @@ import numpy as np
 
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray
-from ingest.profiles.points import FilePoints, number, points_of
+from ingest.profiles.points import FilePoints, ProfileFormat, number, points_of
 
 _TO_MILLIMETRES = 1000.0
 
 
 def parse_simpack(text: str, file: str) -> FilePoints:
     """Return the points of a .prw or .prr file, transformed as its keywords say; mm, z down.
+
+    Parameters
+    ----------
+    text, file
+        Content, and the name for messages.
 
     Raises
     ------
@@ -91,3 +96,6 @@ def _far_enough(y: FloatArray, z: FloatArray, distance: float) -> list[int]:
         if math.hypot(y[i] - y[kept[-1]], z[i] - z[kept[-1]]) >= distance:
             kept.append(i)
     return kept
+
+
+FORMAT = ProfileFormat("SIMPACK", (".prw", ".prr"), parse_simpack)

@@ -8,15 +8,20 @@ import numpy as np
 
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.errors import ProfileError
-from ingest.profiles import read_profile
+from ingest.profiles.files import read_profile
 
 FLANGE_END = -0.045  # m from the tread datum: contact in flanging comes 2 mm nearer to the tip at most
 TREAD_END = 0.030  # m: contact at 12 mm of gauge widening and 10 mm of displacement stays within
-LEAST_FLANGE = 0.015  # m below the tread
+MIN_FLANGE_HEIGHT = 0.015  # m below the tread
 
 
 def read_wheel_profile(path: Path) -> Profile:
-    """Return the wheel profile in a file; formats are those of `read_profile`, two columns in mm.
+    """Return the wheel profile in a file.
+
+    Parameters
+    ----------
+    path
+        A file in a format of ``read_profile``; two columns are in mm.
 
     Raises
     ------
@@ -33,10 +38,10 @@ def read_wheel_profile(path: Path) -> Profile:
             field="y",
         )
     tip = int(np.argmax(profile.z))
-    if not -TREAD_DATUM <= profile.y[tip] <= FLANGE_END or profile.z[tip] < LEAST_FLANGE:
+    if not -TREAD_DATUM <= profile.y[tip] <= FLANGE_END or profile.z[tip] < MIN_FLANGE_HEIGHT:
         raise ProfileError(
             f"no flange: its tip is expected between {-TREAD_DATUM * 1e3:+.0f} and {FLANGE_END * 1e3:+.0f} mm from the "
-            f"tread datum, {LEAST_FLANGE * 1e3:.0f} mm high or more",
+            f"tread datum, {MIN_FLANGE_HEIGHT * 1e3:.0f} mm high or more",
             file=path,
             field="z",
         )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import subprocess
+import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +18,7 @@ from estimation.errors import LogFileError
 from estimation.values.arrays import same_values
 from ingest.bus import messages_of
 from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, empty_batch
-from ingest.logs import read_log, write_blf
+from ingest.logs import SUFFIXES, read_log, write_blf
 from ingest.logs.log_format import ReadLimits
 
 TEXT_FORMATS = [".asc", ".log"]
@@ -333,6 +335,13 @@ def test_asc_times_are_absolute_and_utc(tmp_path: Path, monkeypatch: pytest.Monk
         batch = read_log(path)
         assert batch.t_ns.tolist() == [1_749_722_400_000_000_000 + (milliseconds + 250) * 1_000_000]
         assert batch.channel == "can0"
+
+
+def test_the_help_lists_every_format() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "api.cli", "ingest", "--help"], capture_output=True, text=True, check=True
+    )
+    assert [suffix for suffix in SUFFIXES if suffix not in done.stdout] == []
 
 
 def test_contents_and_suffix_must_agree(tmp_path: Path) -> None:

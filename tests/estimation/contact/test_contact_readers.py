@@ -195,7 +195,7 @@ def test_what_is_no_profile_is_refused(tmp_path: Path) -> None:
         read_profile(short, "wheel")
     wheel = tmp_path / "wheel.csv"
     wheel.write_text(_rows(WHEEL_Y, WHEEL_Z))
-    with pytest.raises(ProfileError, match="flange tells"):
+    with pytest.raises(ProfileError, match="flange shows"):
         read_profile(wheel, "wheel", mirror=True)
 
 
