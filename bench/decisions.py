@@ -25,7 +25,7 @@ from scipy.signal import butter, sosfiltfilt
 from api.factory import open_store
 from api.settings import Settings
 from bench.decision_cases import UNIT, Case, estimated, merged, moved, received, score
-from estimation.filters.wander_removal import HighPass, remove_wander
+from estimation.filters.wander_removal import remove_wander
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
@@ -90,7 +90,7 @@ def cut_offs(cases: Sequence[Case]) -> None:
 
 
 def filters() -> None:
-    """Print the error of the displacement behind smoother, projection and a zero-phase Butterworth filter."""
+    """Print the error of the displacement behind smoother and a zero-phase Butterworth filter."""
     print("displacement from the wheelset's lateral acceleration, against the truth behind the same filter")
     found: dict[str, tuple[list[FloatArray], list[FloatArray]]] = {name: ([], []) for name in HIGH_PASS}
     for seed in SEEDS:
@@ -136,17 +136,8 @@ def rms(parts: Sequence[FloatArray]) -> float:
 
 def smoother(values: FloatArray, distance: FloatArray, _dt: float) -> FloatArray:
     """Return what ``estimation.filters.wander_removal`` leaves of ``values``."""
-    return _high_passed(values, distance, HighPass.SMOOTHER)
-
-
-def projection(values: FloatArray, distance: FloatArray, _dt: float) -> FloatArray:
-    """Return what the other design leaves."""
-    return _high_passed(values, distance, HighPass.PROJECTION)
-
-
-def _high_passed(values: FloatArray, distance: FloatArray, design: HighPass) -> FloatArray:
     known = np.ones(len(values), dtype=np.bool_)
-    return np.asarray(remove_wander(values[None, :], distance, known, CUT_OFF, design)[0])
+    return np.asarray(remove_wander(values[None, :], distance, known, CUT_OFF)[0])
 
 
 def butterworth(values: FloatArray, distance: FloatArray, dt: float) -> FloatArray:
@@ -155,7 +146,7 @@ def butterworth(values: FloatArray, distance: FloatArray, dt: float) -> FloatArr
     return np.asarray(sosfiltfilt(butter(4, speed / CUT_OFF, "high", fs=1 / dt, output="sos"), values))
 
 
-HIGH_PASS = {"smoother": smoother, "projection": projection, "Butterworth, 4th order, forward and back": butterworth}
+HIGH_PASS = {"smoother": smoother, "Butterworth, 4th order, forward and back": butterworth}
 
 
 def groups(cases: Sequence[Case]) -> None:

@@ -1,4 +1,4 @@
-"""Equivalent conicity from the rolling radius difference, after EN 15302, and two cross-checks.
+"""Equivalent conicity from the rolling radius difference, after EN 15302.
 
 The integration (EN 15302:2021 Annex B): with S(y) the integral of Delta r from its zero crossing, a free wheelset
 moves such that psi^2 = 2 (C - S(y)) / (e r0); its wavelength over the travel between the two points where S = C,
@@ -75,41 +75,6 @@ def nonlinearity_parameter(lateral_displacement: npt.ArrayLike, rolling_radius_d
     """
     low, high = equivalent_conicity(lateral_displacement, rolling_radius_difference, (2e-3, 4e-3))
     return float((high - low) / 2.0)
-
-
-def linear_regression_conicity(
-    lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike, amplitudes: npt.ArrayLike
-) -> FloatArray:
-    """Return half the slope of the regression line of Delta r over +- each amplitude around its zero crossing.
-
-    Parameters, errors and NaN as `equivalent_conicity`. With y measured from the crossing and the line through it:
-    tan(gamma_e) = sum(y Delta r) / (2 sum(y^2)), the sums as integrals.
-    """
-    y, difference = _curve(lateral_displacement, rolling_radius_difference)
-    centre = float(_equilibrium(y, difference)[0])
-    share = np.linspace(-1.0, 1.0, 2 * _ANGLES + 1)
-    result = []
-    for amplitude in _amplitudes(amplitudes):
-        offset = amplitude * share
-        values = np.interp(centre + offset, y, difference, left=np.nan, right=np.nan)
-        result.append(np.trapezoid(offset * values, offset) / np.trapezoid(2.0 * offset**2, offset))
-    return np.array(result)
-
-
-def harmonic_conicity(
-    lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike, amplitudes: npt.ArrayLike
-) -> FloatArray:
-    """Return the describing function of Delta r for a sine of each amplitude around its zero crossing, halved.
-
-    Parameters, errors and NaN as `equivalent_conicity`.
-    tan(gamma_e) = 1/(2 pi A) * integral over 0..2 pi of Delta r(y0 + A sin p) sin p dp.
-    """
-    y, difference = _curve(lateral_displacement, rolling_radius_difference)
-    centre = float(_equilibrium(y, difference)[0])
-    sine = np.sin((np.arange(4 * _ANGLES) + 0.5) * (2.0 * math.pi / (4 * _ANGLES)))
-    travel = centre + _amplitudes(amplitudes)[:, np.newaxis] * sine
-    values = np.interp(travel, y, difference, left=np.nan, right=np.nan)
-    return np.asarray((values * sine).mean(axis=1) / _amplitudes(amplitudes))
 
 
 def _curve(displacement: npt.ArrayLike, difference: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -137,16 +137,6 @@ def rail_profile(name: str) -> Profile:
     return _named("rail", name, RAIL_DEFINITIONS)
 
 
-def wheel_names() -> tuple[str, ...]:
-    """Return the names that `wheel_profile` knows."""
-    return tuple(WHEEL_DEFINITIONS)
-
-
-def rail_names() -> tuple[str, ...]:
-    """Return the names that `rail_profile` knows."""
-    return tuple(RAIL_DEFINITIONS)
-
-
 def _named(kind: ProfileKind, name: str, definitions: Mapping[str, Callable[[], tuple[Segment, ...]]]) -> Profile:
     wanted = _plain(name)
     for known, define in definitions.items():

@@ -1,38 +1,26 @@
-"""The high-pass of a stretch: one filter for everything that is compared, with a cut-off that is a wavelength.
+"""The high-pass of a segment: one filter for everything that is compared, with a cut-off that is a wavelength.
 
-Two designs. The *smoother* takes out the most probable wander (``wander_smoother``); the *projection* takes out the
-least-squares fit of cosines in distance down to the cut-off. Both are linear, take stretches of any length and speed,
-have no transient at the ends, and take out whole what offsets and gaps of an acceleration integrate to.
-``docs/decisions/wander-smoother.md`` compares them.
+It takes out the most probable wander (:mod:`estimation.filters.smoothing_spline`) and what offsets and gaps of an
+acceleration integrate to. It is linear, takes segments of any length and speed, and has no transient at the ends.
+``docs/decisions/wander-smoother.md`` gives the reasons.
 """
 
 from __future__ import annotations
 
-from enum import StrEnum
-
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from estimation.filters.smoothing_spline import subtract_smoothing_spline
 from estimation.values.arrays import BoolArray, FloatArray
-
-
-class HighPass(StrEnum):
-    """The design of the high-pass."""
-
-    SMOOTHER = "smoother"
-    PROJECTION = "projection"
 
 
 def remove_wander(
     signals: FloatArray,
     distance: FloatArray,
     known: BoolArray,
-    longest: float,
-    design: HighPass = HighPass.SMOOTHER,
+    cutoff_wavelength: float,
     bridged: int = 0,
 ) -> FloatArray:
-    """Return ``signals`` (m, n) without what varies more slowly along the track than ``longest``.
+    """Return ``signals`` (m, n) without what varies more slowly along the track than ``cutoff_wavelength``.
 
     Parameters
     ----------
@@ -43,35 +31,13 @@ def remove_wander(
     known
         (n,) samples that were measured. After a gap the rates are off by a constant that nobody knows and the
         displacements by a straight line: both are taken out for every modelled gap.
-    longest
-        Cut-off wavelength, m.
-    design
-        Which filter.
+    cutoff_wavelength
+        m, of which half is left.
     bridged
         Gaps of up to so many samples are not modelled: straight lines bridge them well enough.
     """
     removed = np.concatenate([_line_and_parabola(len(distance)), _after_gaps(known, bridged)])
-    if design is HighPass.SMOOTHER:
-        return subtract_smoothing_spline(signals, distance, known, longest, removed)
-    basis = np.concatenate([slow_basis(distance, longest), removed])
-    weighted = basis * known
-    gram = weighted @ basis.T
-    gram[np.diag_indices_from(gram)] *= 1 + 1e-12  # cosines and parabola are nearly dependent in short stretches
-    return np.asarray(signals - cho_solve(cho_factor(gram), weighted @ signals.T).T @ basis)
-
-
-def slow_basis(distance: FloatArray, longest: float) -> FloatArray:
-    """Return (k, n) cosines in distance, a constant among them, of wavelengths from ``longest`` up."""
-    length = float(distance[-1])
-    terms = int(2 * length / longest)
-    basis = np.empty((terms + 1, len(distance)))
-    basis[0] = 1.0
-    first = np.cos(np.pi * distance / length)
-    if terms:
-        basis[1] = first
-    for k in range(2, terms + 1):
-        basis[k] = 2 * first * basis[k - 1] - basis[k - 2]  # Chebyshev: cos(k x)
-    return basis
+    return subtract_smoothing_spline(signals, distance, known, cutoff_wavelength, removed)
 
 
 def _line_and_parabola(n: int) -> FloatArray:

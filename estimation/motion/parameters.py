@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 from estimation.errors import ParameterError
-from estimation.filters.wander_removal import HighPass
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +21,6 @@ class SignalParameters:
     """How windows become motion."""
 
     cutoff_wavelength: float = 40.0  # m; of longer ones less than half is left
-    design: HighPass = HighPass.SMOOTHER
     bridged_samples: int = 3  # gaps up to this long are bridged for the integrals, never used as samples
     modelled_gap_s: float = 0.25  # gaps up to this long do not end a stretch of motion: their integrals are solved for
     gap_margin_s: float = 0.5  # on both sides of a modelled gap, where that takes some of the motion too
@@ -41,7 +39,7 @@ class SignalParameters:
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
-            if not isinstance(value, HighPass) and not value >= 0:
+            if not value >= 0:
                 raise ParameterError(f"{value!r} is negative", field=item.name)
         if not self.cutoff_wavelength > 0:
             raise ParameterError("must be positive", field="cutoff_wavelength")

@@ -102,7 +102,6 @@ def _filtered(
             segment.run,
             known,
             parameters.cutoff_wavelength,
-            parameters.design,
             parameters.bridged_samples,
         )
         for name, values in zip(_FILTERED, fast, strict=True):

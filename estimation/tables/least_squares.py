@@ -1,9 +1,8 @@
 """Weighted least squares on mergeable sufficient statistics.
 
-For ``z = X theta`` the sums ``X'X``, ``X'z``, ``z'z`` and the weight hold all that the data say of ``theta``. Sums
-of two stretches of data merge as ``W^n2 * first + second`` with forgetting factor ``W`` and ``n2`` samples in the
-second, so least squares with forgetting is a monoid: a window is reduced in one pass, windows merge in any grouping,
-and the answer equals that of the recursion sample by sample (Eq. 10-14 of the paper; the tests hold the oracle).
+For ``z = X theta`` the sums ``X'X``, ``X'z``, ``z'z`` and the weight hold all that the data say of ``theta``. They add:
+a window is reduced in one pass, windows merge in any grouping, older ones with a smaller weight, and the answer equals
+that of the recursion sample by sample (Eq. 10-14 of the paper; the tests hold the oracle).
 
 A sample has ``p`` regressors and ``t`` targets (the first is the measurement, the others are its derivatives by
 uncertain parameters, see ``estimation.vehicle.regressors``). The packed moments of a cell are, in this order: the upper
@@ -34,15 +33,13 @@ class Moments:
     regressors: int
     targets: int
     packed: FloatArray  # (c, packed_size)
-    weight: FloatArray  # (c,) sum of the weights W^(age in samples of the cell)
-    count: IntArray  # (c,) samples
+    weight: FloatArray  # (c,) number of samples
 
     def __post_init__(self) -> None:
         c = len(self.weight)
         size = packed_size(self.regressors, self.targets)
         object.__setattr__(self, "packed", frozen_array(self.packed, (c, size), name="packed"))
         object.__setattr__(self, "weight", frozen_array(self.weight, (c,), name="weight"))
-        object.__setattr__(self, "count", frozen_array(self.count, (c,), np.int64, name="count"))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -50,10 +47,8 @@ def _collect(
     features: FloatArray,
     targets: FloatArray,
     cell: IntArray,
-    forgetting: float,
     packed: FloatArray,
     weight: FloatArray,
-    count: IntArray,
 ) -> None:
     n, p = features.shape
     t = targets.shape[1]
@@ -62,10 +57,7 @@ def _collect(
         if c < 0:
             continue
         row = packed[c]
-        if forgetting != 1.0:
-            row *= forgetting
-        weight[c] = weight[c] * forgetting + 1.0
-        count[c] += 1
+        weight[c] += 1.0
         k = 0
         for a in range(p):
             xa = features[i, a]
@@ -80,7 +72,7 @@ def _collect(
         row[k] += targets[i, 0] * targets[i, 0]
 
 
-def collect(features: FloatArray, targets: FloatArray, cell: IntArray, cells: int, forgetting: float = 1.0) -> Moments:
+def collect(features: FloatArray, targets: FloatArray, cell: IntArray, cells: int) -> Moments:
     """Reduce samples to the moments of their cells, in one pass, in the order given.
 
     Parameters
@@ -93,16 +85,12 @@ def collect(features: FloatArray, targets: FloatArray, cell: IntArray, cells: in
         (n,) cell of each sample, 0..cells-1; negative: the sample belongs nowhere.
     cells
         Number of cells.
-    forgetting
-        Forgetting factor per sample of the cell, 0 < W <= 1 (Eq. 12-13).
 
     Raises
     ------
     ValueError
-        Lengths differ, a cell is out of range, or the factor is not in (0, 1].
+        Lengths differ, or a cell is out of range.
     """
-    if not 0.0 < forgetting <= 1.0:
-        raise ValueError(f"forgetting factor {forgetting} is not in (0, 1]")
     if not len(features) == len(targets) == len(cell):
         raise ValueError(f"lengths differ: {len(features)}, {len(targets)}, {len(cell)}")
     if len(cell) and int(cell.max()) >= cells:
@@ -110,35 +98,14 @@ def collect(features: FloatArray, targets: FloatArray, cell: IntArray, cells: in
     p, t = features.shape[1], targets.shape[1]
     packed = np.zeros((cells, packed_size(p, t)))
     weight = np.zeros(cells)
-    count = np.zeros(cells, dtype=np.int64)
     _collect(
         np.ascontiguousarray(features, dtype=np.float64),
         np.ascontiguousarray(targets, dtype=np.float64),
         np.ascontiguousarray(cell, dtype=np.int64),
-        forgetting,
         packed,
         weight,
-        count,
     )
-    return Moments(p, t, packed, weight, count)
-
-
-def merge(first: Moments, second: Moments, forgetting: float = 1.0) -> Moments:
-    """Return the moments of ``first`` followed by ``second`` (associative; commutative too when W = 1)."""
-    if (first.regressors, first.targets, len(first.weight)) != (
-        second.regressors,
-        second.targets,
-        len(second.weight),
-    ):
-        raise ValueError("moments of different models do not merge")
-    fade = np.power(forgetting, second.count.astype(np.float64))
-    return Moments(
-        first.regressors,
-        first.targets,
-        fade[:, None] * first.packed + second.packed,
-        fade * first.weight + second.weight,
-        first.count + second.count,
-    )
+    return Moments(p, t, packed, weight)
 
 
 @dataclass(frozen=True, slots=True)

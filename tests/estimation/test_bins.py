@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from same_values import same_values
 from smooth_wheelset import SmoothTable, ideal, run
 
 from estimation.errors import ParameterError
 from estimation.tables import bin_table
 from estimation.tables.least_squares import solve
-from estimation.values.arrays import same_values
 from estimation.values.motion import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import regression

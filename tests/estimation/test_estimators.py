@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from same_values import same_values
 from scipy.interpolate import BSpline
 from smooth_wheelset import SmoothTable, ideal, run
 
@@ -22,7 +23,6 @@ from estimation.estimators.linear import LinearConicity
 from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.replicates import Replicates, curve_estimate
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.arrays import same_values
 from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.vehicle.regressors import regression

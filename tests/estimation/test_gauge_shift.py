@@ -103,7 +103,6 @@ def test_the_displacement_is_that_at_nominal_gauge_behind_the_same_filter() -> N
         window().distance - window().distance[0],
         window().valid,
         SIGNALS.cutoff_wavelength,
-        SIGNALS.design,
     )
     both = plain.valid & taken_off.valid
     assert both.mean() > 0.8

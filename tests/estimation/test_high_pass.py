@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimation.filters.smoothing_spline import subtract_smoothing_spline
-from estimation.filters.wander_removal import HighPass, remove_wander
+from estimation.filters.wander_removal import remove_wander
 from estimation.values.arrays import FloatArray
 
 CUT_OFF = 40.0
@@ -39,8 +39,8 @@ def rauch_tung_striebel(u: FloatArray, step: float, cutoff_wavelength: float) ->
     return u - np.array(smooth[::-1])[:, 0]
 
 
-def high_passed(u: FloatArray, distance: FloatArray, design: HighPass = HighPass.SMOOTHER) -> FloatArray:
-    return remove_wander(u[None, :], distance, np.ones(len(u), dtype=bool), CUT_OFF, design)[0]
+def high_passed(u: FloatArray, distance: FloatArray) -> FloatArray:
+    return remove_wander(u[None, :], distance, np.ones(len(u), dtype=bool), CUT_OFF)[0]
 
 
 def test_the_smoother_is_the_kalman_smoother_of_the_wander() -> None:
@@ -64,12 +64,9 @@ def test_what_is_left_of_a_wave_follows_the_formula(wavelength: float, left: flo
 @settings(max_examples=15, deadline=None)
 @given(
     seed=st.integers(0, 10_000),
-    design=st.sampled_from(list(HighPass)),
     gaps=st.lists(st.tuples(st.integers(300, 2500), st.integers(2, 60)), max_size=3),
 )
-def test_what_offsets_and_gaps_integrate_to_is_taken_out_whole(
-    seed: int, design: HighPass, gaps: list[tuple[int, int]]
-) -> None:
+def test_what_offsets_and_gaps_integrate_to_is_taken_out_whole(seed: int, gaps: list[tuple[int, int]]) -> None:
     """Whatever the speed: a line and a parabola in time, and after each gap a jump and a line."""
     rng = np.random.default_rng(seed)
     n = 3000
@@ -84,7 +81,7 @@ def test_what_offsets_and_gaps_integrate_to_is_taken_out_whole(
     signal = rng.standard_normal(n)
     parts = np.stack([signal, signal + wander])
     parts[:, ~known] = rng.normal(0, 100)  # what stands in a gap counts for nothing
-    alone, wandering = remove_wander(parts, distance, known, CUT_OFF, design)
+    alone, wandering = remove_wander(parts, distance, known, CUT_OFF)
     np.testing.assert_allclose(wandering[known], alone[known], atol=1e-3)
 
 

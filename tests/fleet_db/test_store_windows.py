@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 import stored_values as make
+from same_values import same_values
 
 from estimation.errors import ConflictError, NotFoundError, StorageError
-from estimation.values.arrays import same_values
 from estimation.values.registry import Reprofiling
 from estimation.values.windows import WindowState
 from fleet_db.storage import SqlStorage

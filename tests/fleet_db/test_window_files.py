@@ -14,9 +14,9 @@ import stored_values as make
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from same_values import same_values
 
 from estimation.errors import StorageError
-from estimation.values.arrays import same_values
 from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
 from fleet_db.telemetry import WindowFiles, pack_window, unpack_window, window_digest
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from same_values import same_values
 
-from estimation.values.arrays import same_values
 from ingest.frames import FrameBatch, between, concatenate, merge, take
 
 FRAME = st.tuples(st.integers(0, 5), st.sampled_from([0x80, 0x181, 0x182]), st.integers(0, 2))

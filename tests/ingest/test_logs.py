@@ -13,9 +13,9 @@ import can
 import numpy as np
 import pytest
 from log_files import write_recording
+from same_values import same_values
 
 from estimation.errors import LogFileError
-from estimation.values.arrays import same_values
 from ingest.bus import messages_of
 from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, empty_batch
 from ingest.logs import SUFFIXES, read_log, write_blf

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from same_values import same_values
 from scenario_text import SMALL
 
 from estimation.contact.profiles import wheel_profile
 from estimation.errors import InputError
-from estimation.values.arrays import FloatArray, same_values
+from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from fleet_db.storage import SqlStorage
 from ingest.registry_file import load_registry, read_registry

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.conicity_methods import harmonic_conicity, linear_regression_conicity
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from estimation.contact.conicity import (
     equivalent_conicity,
-    harmonic_conicity,
-    linear_regression_conicity,
     nonlinearity_parameter,
     zero_crossing,
 )

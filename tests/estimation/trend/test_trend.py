@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from same_values import same_values
 from scipy import stats
 
 from estimation.trend.trend import YEAR_NS, TrendParameters, TrendPoint, probability_above, probability_within, refresh
-from estimation.values.arrays import same_values
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.trend import WearTrend
 

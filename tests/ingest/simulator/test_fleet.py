@@ -11,10 +11,10 @@ import can
 import cantools
 import numpy as np
 import pytest
+from same_values import same_values
 from scenario_text import SMALL
 
 from estimation.errors import ScenarioError
-from estimation.values.arrays import same_values
 from estimation.values.windows import ACCELERATIONS
 from ingest.canopen import vehicle_time_ns
 from ingest.catalogue import default_catalogue

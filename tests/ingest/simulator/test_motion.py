@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from analytic_contact import HALF, RADIUS, AnalyticTable, cones, smooth_pair
 from linear_wheelset import growth_rate
+from same_values import same_values
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from scipy.optimize import brentq
 
 from estimation.errors import ParameterError
-from estimation.values.arrays import FloatArray, same_values
+from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import (
     ContactState,
     VehicleParameters,

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from same_values import same_values
 from section_text import SMALL_SECTION
 
 from estimation.errors import NotFoundError, ScenarioError
-from estimation.values.arrays import same_values
 from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.section_file import builtin_section_scenarios, load_section_scenario, read_section_scenario
