@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from estimation.contact.table import ContactMethod
-from ingest.profiles import format_names
+from ingest.profiles.formats import format_names
 
 
 class OutputFormat(StrEnum):

@@ -16,7 +16,7 @@ from estimation.contact.profiles import Profile, ProfileKind, rail_profile, whee
 from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
-from ingest.profiles import read_profile
+from ingest.profiles.files import read_profile
 
 _DISPLACEMENT_MM = np.linspace(-8.0, 8.0, 161)
 _AMPLITUDE_MM = np.linspace(0.5, 7.0, 66)

@@ -7,13 +7,10 @@ from typing import Literal
 
 from estimation.contact.profiles import Profile, ProfileKind
 from estimation.errors import ProfileError
-from ingest.profiles import miniprof, simpack
 from ingest.profiles.columns import parse_columns
+from ingest.profiles.formats import FORMATS
 from ingest.profiles.orientation import oriented
 from ingest.profiles.points import FilePoints
-
-FORMATS = (miniprof.FORMAT, miniprof.MULTIPART_FORMAT, simpack.FORMAT)
-"""A new format is a module with its ``FORMAT``, and its entry here."""
 
 
 def read_profile(
@@ -50,12 +47,6 @@ def read_profile(
     if kind == "wheel":
         raise ProfileError("the flange shows which side of a wheel is which", file=file, field="mirror")
     return Profile(kind, profile.name, -profile.y[::-1], profile.z[::-1], -profile.slope[::-1])
-
-
-def format_names() -> str:
-    """Return the formats and their suffixes as a text for help and messages."""
-    named = [f"{item.name} ({', '.join(item.suffixes)})" for item in FORMATS]
-    return f"{', '.join(named)}; any other suffix: two columns of text"
 
 
 def _parsed(text: str, file: str, suffix: str, unit: Literal["mm", "m"]) -> FilePoints:

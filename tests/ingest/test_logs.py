@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import subprocess
 import sys
@@ -338,9 +339,8 @@ def test_asc_times_are_absolute_and_utc(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_the_help_lists_every_format() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "api.cli", "ingest", "--help"], capture_output=True, text=True, check=True
-    )
+    command = [sys.executable, "-c", "from api.cli import main; main()", "ingest", "--help"]
+    done = subprocess.run(command, env={**os.environ, "COLUMNS": "200"}, capture_output=True, text=True, check=True)
     assert [suffix for suffix in SUFFIXES if suffix not in done.stdout] == []
 
 

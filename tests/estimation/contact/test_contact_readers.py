@@ -9,7 +9,7 @@ import pytest
 
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.errors import ProfileError
-from ingest.profiles import read_profile
+from ingest.profiles.files import read_profile
 
 WHEEL, RAIL = wheel_profile("S1002"), rail_profile("60E1")
 WHEEL_Y = np.linspace(-69.3, 59.0, 643)
