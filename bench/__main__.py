@@ -17,7 +17,7 @@ from bench.report import BenchRow
 
 NAMES = ("contact", "estimation", "recursion", "decoding", "simulator")
 WITH_OPTIONS = ("section", "mutants", "house")
-LONG = ("signals", "curves")  # of many minutes, run where they are named
+LONG = ("signals", "curves", "window_files")  # of many minutes, run where they are named
 
 
 def main() -> int:
