@@ -26,9 +26,8 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -45,140 +44,18 @@ FAULT_NAMES = ("sensor_fault", "dead")
 
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
-AXLE_OFFSETS_M = (2.0, 4.5, 16.5)
-
 RULES = """\
 [no_data]  # the recordings are years old
 days = 3650.0
 critical_days = 3650.0
 """
 
-HEAD = """\
-name = "{code}"
-description = "small fleet for digests"
-seed = {seed}
-[fleet]
-code = "{code}"
-name = "Fleet {code}"
-[section]
-code = "{code}-1"
-number = 1
-name = "Section {code}-1"
-length_m = 2400.0
-{section}
-[speed]
-lowest_m_s = 14.0
-highest_m_s = 22.0
-[sensors]
-kind = "mems"
-[bus]
-recorder_clock_offset_s = 1.5
-lost_frames_percent = 0.02
-{position}
-[sessions]
-start = 2024-01-08T05:30:00Z
-campaigns = {campaigns}
-minutes_each = {minutes}
-first_odometer_km = 1000.0
-km_between = {km_between}
-km_per_day = 500.0
-start_within_m = 150.0
-"""
-VEHICLE = """
-[[vehicles]]
-code = "{code}"
-class = "railcar"
-max_speed_km_h = 120.0
-axle_offsets_m = {offsets}
-"""
-WHEELSET = """
-[[vehicles.wheelsets]]
-serial = "{serial}"
-{keys}
-"""
-KNOWN_WHEELSETS = {
-    "K-A": (
-        "wear_mm_per_100000_km = 1.2\nreprofiled_at_odometer_km = [60000.0]",
-        "initial_wear_mm = 2.4\ninitial_mileage_km = 250000.0\nwear_mm_per_100000_km = 0.5",
-        (
-            'initial_wear_mm = 0.6\ninitial_mileage_km = 90000.0\n[vehicles.wheelsets.fault]\nkind = "{fault}"\n'
-            "from_campaign = 4"
-        ),
-    )
-}
-UNKNOWN_WHEELSETS = {
-    "U-A": (
-        "initial_wear_mm = 0.1\nwear_mm_per_100000_km = 0.9",
-        "initial_wear_mm = 0.9\nwear_mm_per_100000_km = 0.4",
-        "initial_wear_mm = 0.5\ndiameter_difference_mm = 0.3",
-    ),
-    "U-B": (
-        "initial_wear_mm = 1.2\nwear_mm_per_100000_km = 1.0",
-        "initial_wear_mm = 0.3",
-        "wear_left_mm_per_100000_km = 0.9\nwear_right_mm_per_100000_km = 0.3",
-    ),
-}
+SCENARIOS = Path(__file__).with_name("digest_scenarios")
+FAULT = "FAULT"
+"""Stands in a scenario file for the name of a defective sensor."""
 
-
-@dataclass(frozen=True)
-class Plan:
-    """A scenario and how its recordings are received."""
-
-    name: str
-    head: Mapping[str, object]
-    wheelsets: Mapping[str, Sequence[str]]
-
-    def toml(self, fault: str) -> str:
-        """Return the scenario file, with the word for a defective sensor that the commit knows."""
-        text = HEAD.format(**self.head)
-        for vehicle, wheelsets in self.wheelsets.items():
-            text += VEHICLE.format(code=vehicle, offsets=list(AXLE_OFFSETS_M[: len(wheelsets)]))
-            for axle, keys in enumerate(wheelsets, start=1):
-                text += WHEELSET.format(serial=f"{vehicle}{axle}", keys=keys.format(fault=fault))
-        return text
-
-
-KNOWN = Plan(
-    name="known",
-    head={
-        "code": "K",
-        "seed": 11,
-        "section": "alignment_std_mm = 2.0\nsurvey_alignment_std_mm = 0.05",
-        "position": "",
-        "campaigns": 4,
-        "minutes": 1.55,
-        "km_between": 30000.0,
-    },
-    wheelsets=KNOWN_WHEELSETS,
-)
-UNKNOWN = Plan(
-    name="unknown",
-    head={
-        "code": "U",
-        "seed": 5,
-        "section": "surveyed = false",
-        "position": "[position]\nlargest_offset_m = 20.0\nlargest_scale_percent = 0.1",
-        "campaigns": 3,
-        "minutes": 1.55,
-        "km_between": 20000.0,
-    },
-    wheelsets=UNKNOWN_WHEELSETS,
-)
-TINY = Plan(
-    name="tiny",
-    head={
-        "code": "T",
-        "seed": 3,
-        "section": "alignment_std_mm = 2.0\nsurvey_alignment_std_mm = 0.05",
-        "position": "",
-        "campaigns": 2,
-        "minutes": 1.05,
-        "km_between": 30000.0,
-    },
-    wheelsets={"T-A": ("wear_mm_per_100000_km = 1.2", "initial_wear_mm = 2.4\ninitial_mileage_km = 250000.0")},
-)
-PLANS = {plan.name: plan for plan in (KNOWN, UNKNOWN, TINY)}
-DEFAULT_PLANS = (KNOWN.name, UNKNOWN.name)
+DEFAULT = ("known", "unknown")
+ALL = (*DEFAULT, "tiny")
 
 ESTIMATE_KEYS = {"value", "std", "interval_95", "n_windows", "status"}
 KEPT = {
@@ -225,13 +102,13 @@ TIME = re.compile(r"\d{4}-\d\d-\d\dT[\d:]+(\.\d+)?Z")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the digests; return 1 when they differ from those of ``--against``."""
     parser = argparse.ArgumentParser("python bench/digests.py", description=__doc__)
-    parser.add_argument("--scenario", choices=tuple(PLANS), action="append", help="only this one; may be repeated")
+    parser.add_argument("--scenario", choices=ALL, action="append", help="only this one; may be repeated")
     parser.add_argument("--write", type=Path, metavar="FILE", help="store the canonical JSON")
     parser.add_argument("--against", type=Path, metavar="FILE", help="compare with a stored file")
     parser.add_argument("--rounded", action="store_true", help="compare eight significant digits instead of every bit")
     parser.add_argument("--brief", action="store_true", help=f"keep {LONGEST_COLUMN} numbers of each column")
     given = parser.parse_args(arguments)
-    results = {name: run(PLANS[name]) for name in given.scenario or DEFAULT_PLANS}
+    results = {name: run(name) for name in given.scenario or DEFAULT}
     if given.brief:
         results = brief(results)
     for scenario, groups in results.items():
@@ -252,15 +129,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if found else 0
 
 
-def run(plan: Plan) -> dict[str, Any]:
+def run(scenario: str) -> dict[str, Any]:
     """Return the results of a scenario, from frames to REST answers, by group."""
     with tempfile.TemporaryDirectory(prefix="treadwatch-digests-") as name:
         folder = Path(name)
         environment = environment_of(folder)
-        simulated = simulate(plan, folder, environment)
+        simulated = simulate(scenario, folder, environment)
         by_campaign: dict[int, list[Path]] = {}
-        for vehicle in plan.wheelsets:
-            for campaign, path in enumerate(sorted(simulated.glob(f"{vehicle}/*.blf"))):
+        for vehicle in sorted(path for path in simulated.iterdir() if path.is_dir()):
+            for campaign, path in enumerate(sorted(vehicle.glob("*.blf"))):
                 by_campaign.setdefault(campaign, []).append(path)
         command(["db", "upgrade"], folder, environment)
         for campaign, paths in sorted(by_campaign.items()):
@@ -287,16 +164,17 @@ def environment_of(folder: Path) -> dict[str, str]:
     }
 
 
-def simulate(plan: Plan, folder: Path, environment: dict[str, str]) -> Path:
+def simulate(name: str, folder: Path, environment: dict[str, str]) -> Path:
     """Return the folder of a scenario's recordings."""
     scenario, out = folder / "scenario.toml", folder / "simulated"
+    text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8")
     arguments = ["simulate", "--scenario", str(scenario), "--out", str(out)]
     for fault in FAULT_NAMES[:-1]:
-        scenario.write_text(plan.toml(fault), encoding="utf-8")
+        scenario.write_text(text.replace(FAULT, fault), encoding="utf-8")
         if _try([*arguments, "--registry-only"], folder, environment).returncode == 0:
             break
     else:
-        scenario.write_text(plan.toml(FAULT_NAMES[-1]), encoding="utf-8")
+        scenario.write_text(text.replace(FAULT, FAULT_NAMES[-1]), encoding="utf-8")
     command(arguments, folder, environment)
     return out
 

@@ -43,7 +43,7 @@ import tempfile
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import grimp
@@ -53,7 +53,7 @@ from rich.table import Table
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from bench.digests import PLANS, command, environment_of, program, simulate
+from bench.digests import command, environment_of, program, simulate
 
 PACKAGES = ("api", "fleet_db", "ingest", "estimation")
 SCREEN = 50
@@ -304,11 +304,10 @@ def frame_count(root: Path) -> Count:
 
 def trace(root: Path) -> dict[str, dict[str, list[str]]]:
     """Return by stage and file the functions that run between a recording and the answers."""
-    plan = replace(PLANS["tiny"], head={**PLANS["tiny"].head, "campaigns": 3, "minutes": 1.55})
     with tempfile.TemporaryDirectory(prefix="treadwatch-house-") as name:
         folder = Path(name)
         environment = environment_of(folder) | {"PYTHONPATH": str(root)}
-        simulated = simulate(plan, folder, environment)
+        simulated = simulate("frame", folder, environment)
         *earlier, last = sorted(simulated.glob("*/*.blf"))
         command(["db", "upgrade"], folder, environment)
         command(["ingest", "--registry", str(simulated / "registry.json"), *map(str, earlier)], folder, environment)

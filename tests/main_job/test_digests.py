@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.digests import PLANS, brief, differences, run
+from bench.digests import brief, differences, run
 
 REFERENCE = Path(__file__).with_name("digests_tiny.json")
 RELATIVE = {"geometry": 5e-6, "trend": 1e-6, "alerts": 1e-6, "windows": 1e-9, "tracks": 5e-4}
@@ -17,7 +17,7 @@ machine has run both commits, ``bench/digests.py --against`` compares every bit.
 
 @pytest.fixture(scope="module")
 def tiny() -> object:
-    return brief(run(PLANS["tiny"]))
+    return brief(run("tiny"))
 
 
 @pytest.mark.parametrize("group", sorted(RELATIVE))
