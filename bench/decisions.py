@@ -209,7 +209,7 @@ def published_bins(cases: Sequence[Case]) -> None:
         errors, stds = [], []
         for case, estimate in zip(cases, estimates, strict=True):
             values, scale = getattr(estimate, name), 1e3 if UNIT[name] == "mm" else 1.0
-            centre = 0.5e3 * (estimate.bin_edges[:-1] + estimate.bin_edges[1:])
+            centre = 1e3 * estimate.bin_centres
             error = scale * values.value - np.interp(centre, case.displacement_mm, case.curves[name])
             errors.append(error[np.isfinite(error)])
             stds.append(scale * values.std[np.isfinite(error)])

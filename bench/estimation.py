@@ -87,7 +87,7 @@ def gauge_rows() -> Iterator[BenchRow]:
     status = case.estimate.contact_angle_sum.status
     enough = case.estimate.samples >= LEAST_SAMPLES
     published = sum(s is BinStatus.ESTIMATED for s, e in zip(status, enough, strict=True) if e)
-    centre = 0.5 * (case.estimate.bin_edges[:-1] + case.estimate.bin_edges[1:])
+    centre = case.estimate.bin_centres
     nearest = [int(np.argmin(np.abs(case.printed.centre - c))) for c in centre[enough]]
     printed = case.printed.contact_angle_sum[nearest]
     truth = case.truth["contact_angle_sum"][enough]

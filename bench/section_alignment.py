@@ -11,12 +11,13 @@ import numpy as np
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.alignment_lookup import deconvolved
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.intervals import NORMAL_95
 from estimation.values.track import TrackAlignment
 from ingest.simulator.section_run import SectionRun
 
 BAND = (3.0, 60.0)  # m of wavelength
 ENDS = 300.0  # m of the section that are left out at each end
-NORMAL = 1.959964
+
 STEPS = 6  # of the fit of place and stretch
 
 
@@ -54,7 +55,7 @@ def alignment_score(run: SectionRun, found: TrackAlignment) -> AlignmentScore:
     fullest = found.alignment if found.cutoff_wavelength >= 2.0 * BAND[1] else deconvolved(found)
     known = np.isfinite(fullest)
     whole = np.interp(grid, grid[known], fullest[known])
-    inside = np.abs(error - error.mean()) <= NORMAL * found.alignment_std[inner]
+    inside = np.abs(error - error.mean()) <= NORMAL_95 * found.alignment_std[inner]
     return AlignmentScore(
         band=float((in_band(whole, step) - true_band)[inner & known].std()),
         filtered=float(error.std()),
@@ -73,7 +74,7 @@ def _gauge_score(run: SectionRun, found: TrackAlignment, place: FloatArray, inne
     true = np.interp(place, run.track.s, run.track.gauge_deviation)[inner]
     error = found.gauge_deviation[inner] - true
     error -= error.mean()
-    covered = np.abs(error) <= NORMAL * found.gauge_deviation_std[inner]
+    covered = np.abs(error) <= NORMAL_95 * found.gauge_deviation_std[inner]
     return {"gauge": float(error.std()), "gauge_published": len(error), "gauge_covered": int(covered.sum())}
 
 

@@ -35,10 +35,10 @@ from estimation.tables.window import tabulate_window
 from estimation.track.settings import AlignmentSettings
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
+from estimation.values.intervals import NORMAL_95
 from estimation.values.quantities import Estimate
 from ingest.simulator.section_run import SECTION, SectionRun, WheelsetTruth
 
-NORMAL = 1.959964
 SEARCHED = 0.6e-3  # m
 
 
@@ -156,7 +156,7 @@ def wheelset_score(found: WheelsetGeometry, truth: WheelsetTruth) -> WheelsetSco
         stds.append(estimate.std if known else None)
         conicity = _counted(conicity, estimate, float(true)) if known else conicity
     given = [error for error in errors if error is not None]
-    centre = 0.5 * (found.bin_edges[:-1] + found.bin_edges[1:])
+    centre = found.bin_centres
     shift, mean = origin(found, truth)
     x = centre + shift
     others = Count()
@@ -190,7 +190,7 @@ def origin(found: WheelsetGeometry, truth: WheelsetTruth) -> tuple[float, float]
     Band-limited signals have lost their means, so the estimated curve has its origin at the mean of both: it may lie
     anywhere along the true curve, with its own R on average nought. The place where it fits best is taken.
     """
-    centre, R = 0.5 * (found.bin_edges[:-1] + found.bin_edges[1:]), found.rolling_radius_difference
+    centre, R = found.bin_centres, found.rolling_radius_difference
     known = np.isfinite(R.value)
     if not known.any():
         return truth.zero_crossing, 0.0
@@ -206,7 +206,7 @@ def origin(found: WheelsetGeometry, truth: WheelsetTruth) -> tuple[float, float]
 
 def _bins(values: BinValues, truth: FloatArray) -> tuple[int, int]:
     known = np.array([status is BinStatus.ESTIMATED for status in values.status])
-    inside = np.abs(values.value[known] - truth[known]) <= NORMAL * values.std[known]
+    inside = np.abs(values.value[known] - truth[known]) <= NORMAL_95 * values.std[known]
     return int(known.sum()), int(inside.sum())
 
 

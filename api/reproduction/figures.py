@@ -77,7 +77,7 @@ def figure_estimates(case: Case, title: str) -> Figure:
 
 def _panel(ax: Axes, case: Case, name: str) -> None:
     scale = SCALE[name]
-    centre = 0.5e3 * (case.estimate.bin_edges[:-1] + case.estimate.bin_edges[1:])
+    centre = 1e3 * case.estimate.bin_centres
     motion = case.motion
     left, right = (
         (motion.rolling_radius_left, motion.rolling_radius_right)

@@ -113,7 +113,7 @@ def _cloud(case: Case) -> dict[str, JsonValue]:
 
 
 def _centre(case: Case) -> FloatArray:
-    return np.asarray(0.5 * (case.estimate.bin_edges[:-1] + case.estimate.bin_edges[1:]))
+    return case.estimate.bin_centres
 
 
 def _printed_at(case: Case) -> dict[str, FloatArray]:

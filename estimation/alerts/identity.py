@@ -217,7 +217,7 @@ def _worn(before: Observation, after: Observation, p: IdentityParameters) -> flo
 
 def _curve(item: Observation) -> _Curve:
     geometry = item.geometry
-    centre = 0.5 * (geometry.bin_edges[1:] + geometry.bin_edges[:-1])
+    centre = geometry.bin_centres
     values = geometry.rolling_radius_difference
     known = np.isfinite(values.value) & np.isfinite(values.std)
     return _Curve(centre, np.where(known, values.value, np.nan), np.where(known, values.std, np.nan))

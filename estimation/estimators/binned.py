@@ -46,7 +46,7 @@ class BinnedGeometry:
         found = estimate_geometry(state.table, state.bins, state.geometry)
         difference = found.rolling_radius_difference
         return CurveEstimate(
-            displacement=0.5 * (found.bin_edges[:-1] + found.bin_edges[1:]),
+            displacement=found.bin_centres,
             difference=difference.value,
             difference_std=difference.std,
             amplitude=found.amplitude,

@@ -11,7 +11,7 @@ import numpy as np
 from estimation.estimators.coverage import usable
 from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
 from estimation.geometry.conicity import at_reference_amplitude
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, bin_centres
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.motion import Motion
 
@@ -95,7 +95,7 @@ def geometry_from_curve(
 
 def _difference(curve: CurveEstimate, edges: FloatArray) -> BinValues:
     """Return rL - rR at the bin centres that lie within the curve."""
-    centres = 0.5 * (edges[:-1] + edges[1:])
+    centres = bin_centres(edges)
     known = np.isfinite(curve.difference) & np.isfinite(curve.difference_std)
     if not known.any():
         nothing = np.full(len(centres), np.nan)

@@ -75,7 +75,7 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
     few = (samples < parameters.least_samples) | (replicates.groups_in_bin < FEWEST_GROUPS)
     jump = ~few & _jumps(replicates, few, parameters)
     unc = parameters.uncertainty
-    centre = 0.5 * (table.edges[:-1] + table.edges[1:])
+    centre = table.centres
     noise = _displacement_noise(replicates, few | jump, bins)
     error = DisplacementError.of(
         noise,

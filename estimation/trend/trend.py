@@ -10,6 +10,7 @@ from scipy.special import ndtr
 
 from estimation.trend.wear_curve import WearCurve, fit_wear_curve
 from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.intervals import with_interval
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.trend import WearTrend
 
@@ -107,9 +108,7 @@ def _unestimated(points: _Columns, limit: float, quantity: str, reason: str) -> 
     unknown = Estimate.unknown(reason, len(points.value))
     current, probability = unknown, None
     if len(points.value):
-        value, std = float(points.value[-1]), float(points.std[-1])
-        half = 1.959963984540054 * std
-        current = Estimate(value, std, value - half, value + half, 1.0, Status.ESTIMATED)
+        current = with_interval(float(points.value[-1]), float(points.std[-1]))
         probability = probability_above(current, limit)
     return WearTrend(
         quantity=quantity,

@@ -12,6 +12,17 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 
+def bin_centres(edges: FloatArray) -> FloatArray:
+    """Return the centres (b,) of adjoining bins, in the unit of the edges.
+
+    Parameters
+    ----------
+    edges
+        (b + 1,) increasing.
+    """
+    return np.asarray(0.5 * (edges[:-1] + edges[1:]))
+
+
 def frozen_array(
     value: npt.ArrayLike, shape: tuple[int | None, ...], dtype: npt.DTypeLike = np.float64, *, name: str
 ) -> npt.NDArray[Any]:

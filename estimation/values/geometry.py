@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, bin_centres, frozen_array
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Status
 
@@ -15,7 +15,7 @@ from estimation.values.quantities import Estimate, Status
 class BinTable:
     """Mergeable sufficient statistics of the piecewise least squares, per bin of lateral displacement and group.
 
-    Groups are what standard deviations come from: blocks of running time are dealt to ``g`` groups, and any derived
+    Groups are what standard deviations come from: blocks of running time are assigned to ``g`` groups, and any derived
     number is recomputed with one group left out (delete-a-group jackknife). ``lateral`` and ``yaw`` hold, per group and
     bin, the packed moments that ``estimation.tables.least_squares`` lays out.
     """
@@ -35,6 +35,11 @@ class BinTable:
         object.__setattr__(self, "weight", frozen_array(self.weight, (g, b), name="weight"))
         object.__setattr__(self, "lateral", frozen_array(self.lateral, (g, b, None), name="lateral"))
         object.__setattr__(self, "yaw", frozen_array(self.yaw, (g, b, None), name="yaw"))
+
+    @property
+    def centres(self) -> FloatArray:
+        """Bin centres (b,), m."""
+        return bin_centres(self.edges)
 
 
 class BinStatus(StrEnum):
@@ -94,6 +99,11 @@ class WheelsetGeometry:
         object.__setattr__(self, "bin_edges", frozen_array(self.bin_edges, (b + 1,), name="bin_edges"))
         object.__setattr__(self, "samples", frozen_array(self.samples, (b,), name="samples"))
         object.__setattr__(self, "amplitude", frozen_array(self.amplitude, (len(self.conicity),), name="amplitude"))
+
+    @property
+    def bin_centres(self) -> FloatArray:
+        """Bin centres (b,), m."""
+        return bin_centres(self.bin_edges)
 
 
 @dataclass(frozen=True, slots=True)

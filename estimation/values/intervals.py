@@ -8,6 +8,9 @@ from scipy import stats
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate, Status
 
+NORMAL_95 = 1.959963984540054
+"""Standard deviations from the mean of a normal distribution to the ends of its 95 % interval."""
+
 
 def jackknife_std(replicates: FloatArray) -> FloatArray:
     """Return the delete-a-group standard deviation along axis 0.
@@ -26,16 +29,43 @@ def jackknife_std(replicates: FloatArray) -> FloatArray:
 
 
 def normal_equivalent(jackknife: FloatArray, groups: int) -> FloatArray:
-    """Return the std of a normal distribution with the same 95 % interval as Student's t for ``groups`` groups."""
+    """Return the std of a normal distribution with the same 95 % interval as Student's t.
+
+    Parameters
+    ----------
+    jackknife
+        (...) delete-a-group standard deviations.
+    groups
+        Number of groups; with one the std is returned as it is.
+    """
     if groups < 2:  # noqa: PLR2004 - one group has no spread
         return jackknife
-    return np.asarray(jackknife * (stats.t.ppf(0.975, groups - 1) / stats.norm.ppf(0.975)))
+    return np.asarray(jackknife * (_student_95(groups) / NORMAL_95))
 
 
-def with_interval(value: float, jackknife: float, systematic: float, groups: int, count: float) -> Estimate:
-    """Return the estimate with its 95 % interval: Student's t for the g groups, normal for what is systematic."""
-    student = float(stats.t.ppf(0.975, groups - 1)) * jackknife
-    normal = float(stats.norm.ppf(0.975)) * systematic
-    half = float(np.hypot(student, normal))
-    std = float(np.hypot(jackknife, systematic))
+def with_interval(
+    value: float, sampled: float, systematic: float = 0.0, groups: int | None = None, count: float = 1.0
+) -> Estimate:
+    """Return a number with its 95 % interval; every published interval is made here.
+
+    Parameters
+    ----------
+    value
+        The number, in any unit.
+    sampled
+        Its standard deviation from the spread of the data.
+    systematic
+        Its standard deviation that more data of the same kind do not lessen.
+    groups
+        Groups behind ``sampled``, two or more: Student's t then widens its part; None for a normal distribution.
+    count
+        Effective number of windows behind the number.
+    """
+    factor = NORMAL_95 if groups is None else _student_95(groups)
+    half = float(np.hypot(factor * sampled, NORMAL_95 * systematic))
+    std = float(np.hypot(sampled, systematic))
     return Estimate(float(value), std, float(value) - half, float(value) + half, count, Status.ESTIMATED)
+
+
+def _student_95(groups: int) -> float:
+    return float(stats.t.ppf(0.975, groups - 1))

@@ -124,7 +124,7 @@ def test_all_four_combinations_are_found_from_ideal_signals() -> None:
     """The claim of science: locally linear bins find what constant bins cannot (the contact angle sum)."""
     table = bin_table.tabulate(ideal(run(200)), PARAMETERS)
     truth = SmoothTable()
-    x = 0.5 * (table.edges[1:] + table.edges[:-1])
+    x = table.centres
     n = table.weight.sum(axis=0)
     good = n > 2000
     lateral = solve(table.lateral.sum(axis=0), n, 4, 7).theta[good]

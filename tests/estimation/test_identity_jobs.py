@@ -127,7 +127,7 @@ def without(new_sqlite_storage: Callable[[], Storage], recorded: bool) -> Storag
 
 def same_curve(first: WheelsetGeometry, second: WheelsetGeometry, within: float) -> bool:
     values = [one.rolling_radius_difference.value for one in (first, second)]
-    centre = 0.5 * (first.bin_edges[1:] + first.bin_edges[:-1])
+    centre = first.bin_centres
     both = np.isfinite(values[0] + values[1]) & (np.abs(centre) < 2.5e-3)
     assert both.sum() >= 8
     return bool(np.abs((values[0] - values[1])[both]).max() <= within)

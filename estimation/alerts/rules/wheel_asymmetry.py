@@ -19,8 +19,9 @@ from estimation.alerts.rules.book import WheelAsymmetryRule
 from estimation.values.alerts import AlertKind, Finding, Severity
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import WheelsetGeometry
+from estimation.values.intervals import with_interval
 from estimation.values.json_value import JsonValue
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import Estimate
 
 INSIDE = 1.0e-3  # m: the reference
 OUTSIDE = (2.0e-3, 3.5e-3)  # m: what is compared with it
@@ -40,7 +41,7 @@ def asymmetry_of(geometry: WheelsetGeometry) -> Asymmetry:
 
 
 def _shape(geometry: WheelsetGeometry) -> Estimate:
-    centre = 0.5 * (geometry.bin_edges[1:] + geometry.bin_edges[:-1])
+    centre = geometry.bin_centres
     known = np.isfinite(geometry.rolling_radius_difference.value) & np.isfinite(geometry.rolling_radius_difference.std)
     if np.count_nonzero(known) < 2:  # noqa: PLR2004 - nothing to interpolate between
         return Estimate.unknown("no bins of the rolling radius difference")
@@ -56,9 +57,7 @@ def _shape(geometry: WheelsetGeometry) -> Estimate:
     if inner is None or outer is None:
         return Estimate.unknown(f"bins on both sides reach {max(0.0, float(reach)) * 1e3:.2g} mm")
     difference, spread = outer[0] - inner[0], float(np.hypot(outer[1], inner[1]))
-    half = 1.959963984540054 * spread
-    count = float(geometry.windows)
-    return Estimate(difference, spread, difference - half, difference + half, count, Status.ESTIMATED)
+    return with_interval(difference, spread, count=float(geometry.windows))
 
 
 def _mean(value: FloatArray, std: FloatArray, chosen: BoolArray) -> tuple[float, float] | None:
