@@ -96,9 +96,9 @@ def fleet_knowledge(
     measured
         What measured profiles say, by wheelset.
     """
-    panel = replace(settings.section.panel, length=length, measured=measured)
+    panel = replace(settings.section.panel, length=length)
     parameters = replace(settings.section, panel=panel)
-    estimate = estimate_section(section, found, evidence, parameters)
+    estimate = estimate_section(section, found, evidence, parameters, measured)
     if estimate.alignment is None:
         return estimate.report.reason
     return TrackKnowledge(estimate.alignment, estimate)

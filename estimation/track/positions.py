@@ -12,74 +12,96 @@ wheelsets' curves trade off; a vehicle whose wheelsets differ in wear tells them
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import signal
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters.local_cubic import high_pass
+from estimation.track.gridded_pass import Placed
 from estimation.track.journeys import Journey, PositionParameters, apply_correction
-from estimation.track.panel.basis import PanelParameters, pass_residual
+from estimation.track.panel.basis import Panel, pass_residual
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.passes import Pass, gridded
-from estimation.values.arrays import FloatArray
+from estimation.track.section_grid import SectionGrid
+from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.track import Correction
 
 
 def correlate_positions(
     grouped: Mapping[Journey, Sequence[Pass]],
-    panel: PanelParameters,
+    grid: SectionGrid,
     parameters: PositionParameters,
-    anchor: FloatArray | None = None,
+    alignment: FloatArray | None = None,
 ) -> dict[Journey, Correction]:
     """Return a correction for every journey from the correlation of lateral displacements.
 
     The longest journey is the first reference; then, twice, the mean of all. A journey that agrees with nothing
-    keeps its place with no correction. An ``anchor`` (n,), the alignment as known, is the reference instead, and the
-    fleet as a whole is then moved to where that lies.
+    keeps its place with no correction.
+
+    Parameters
+    ----------
+    grouped
+        Passes by journey.
+    grid
+        Of the section.
+    parameters
+        How far positions may be off.
+    alignment
+        (n,) m, as known: it is the reference instead, and the fleet as a whole is moved to it. None by default.
     """
-    corrections = {journey: Correction(middle=0.5 * panel.length) for journey in grouped}
-    if anchor is not None:
+    corrections = {journey: Correction(middle=0.5 * grid.length) for journey in grouped}
+    filtered = {journey: _filtered_displacements(members, grid) for journey, members in grouped.items()}
+    if alignment is not None:
         return {
-            journey: _fitted(corrections[journey], _lags(members, corrections[journey], anchor, panel, parameters))
-            for journey, members in grouped.items()
+            journey: _fitted(corrections[journey], _lags(filtered[journey], alignment, grid, parameters))
+            for journey in grouped
         }
     first = max(grouped, key=lambda journey: sum(item.at[-1] - item.at[0] for item in grouped[journey]))
-    reference = _mean_displacement({first: grouped[first]}, corrections, panel)
-    for _ in range(3):
-        for journey, members in grouped.items():
-            lags = _lags(members, corrections[journey], reference, panel, parameters)
-            corrections[journey] = _fitted(corrections[journey], lags)
-        corrections = _centred(corrections)
-        reference = _mean_displacement(grouped, corrections, panel)
+    reference = _mean_displacement(filtered[first], grid)
+    for last in (False, False, True):
+        corrections = _centred(
+            {
+                journey: _fitted(corrections[journey], _lags(filtered[journey], reference, grid, parameters))
+                for journey in grouped
+            }
+        )
+        if not last:
+            filtered = {
+                journey: _filtered_displacements(apply_correction(members, corrections[journey]), grid)
+                for journey, members in grouped.items()
+            }
+            reference = _mean_displacement([one for journey in grouped for one in filtered[journey]], grid)
     return corrections
 
 
 def refine(
-    grouped: Mapping[Journey, Sequence[Pass]],
-    corrections: Mapping[Journey, Correction],
-    solution: PanelSolution,
-    panel: PanelParameters,
-    *,
-    anchored: bool = False,
+    placed: Placed, solution: PanelSolution, panel: Panel, *, anchored: bool = False
 ) -> dict[Journey, Correction]:
     """Return better corrections: one Gauss-Newton step on y - d - h(R) = d' (offset + scale (s - middle)).
 
-    ``anchored`` where the alignment holds evidence of where the place lies; else the mean journey keeps its place.
+    Parameters
+    ----------
+    placed
+        Passes at their corrections so far.
+    solution, panel
+        As solved.
+    anchored
+        Whether the alignment holds prior knowledge of positions; else the mean journey keeps its place.
     """
-    slope = np.gradient(np.nan_to_num(solution.alignment), panel.step)
+    slope = np.gradient(np.nan_to_num(solution.alignment), panel.grid.step)
     certain = np.isfinite(solution.alignment)
     better = {}
-    for journey, members in grouped.items():
-        correction = corrections[journey]
+    for journey, one in placed.items():
+        correction = one.correction
         normal, right = 1e-12 * np.eye(2), np.zeros(2)
-        for item in apply_correction(members, correction):
-            rest = pass_residual(item, solution.curves[0, solution.wheelsets.index(item.wheelset)], panel)
-            if rest is None:
+        for item in one.passes:
+            curve = solution.curve_of(item.life)
+            if item.empty or curve is None:
                 continue
-            at, own = rest
+            at, own = item.used_points, pass_residual(item, curve, panel)[item.inside]
             residual = (own - np.nan_to_num(solution.alignment[at])) * certain[at]
-            design = np.stack([slope[at], slope[at] * (at * panel.step - correction.middle)]) * certain[at]
+            design = np.stack([slope[at], slope[at] * (at * panel.grid.step - correction.middle)]) * certain[at]
             normal += design @ design.T
             right += design @ residual
         step = np.linalg.solve(normal + np.diag([0.0, 1e-9 * normal[1, 1]]), right)
@@ -89,70 +111,62 @@ def refine(
     return better if anchored else _centred(better)
 
 
-def _mean_displacement(
-    grouped: Mapping[Journey, Sequence[Pass]], corrections: Mapping[Journey, Correction], panel: PanelParameters
-) -> FloatArray:
+@dataclass(frozen=True, slots=True)
+class _FilteredDisplacement:
+    """High-passed y of a pass at the grid points on the section that the filter reaches."""
+
+    points: IntArray  # (m,)
+    displacement: FloatArray  # (m,) m
+
+
+def _filtered_displacements(passes: Sequence[Pass], grid: SectionGrid) -> list[_FilteredDisplacement]:
+    found, m = [], len(grid.kernel) // 2
+    for item in passes:
+        first, displacement, _ = gridded(item, grid.step)
+        if len(displacement) <= 2 * m + 1:
+            found.append(_FilteredDisplacement(np.empty(0, dtype=np.int64), np.empty(0)))
+            continue
+        y = high_pass(displacement, grid.kernel)[m:-m]
+        points = np.arange(first + m, first + m + len(y), dtype=np.int64)
+        inside = grid.contains(points)
+        found.append(_FilteredDisplacement(points[inside], y[inside]))
+    return found
+
+
+def _mean_displacement(filtered: Sequence[_FilteredDisplacement], grid: SectionGrid) -> FloatArray:
     """Return the mean filtered y (n,) over all passes; zero where there is none."""
-    weights = local_cubic_kernel(panel.cutoff_wavelength, panel.step)
-    total, count = np.zeros(panel.points), np.zeros(panel.points)
-    for journey, members in grouped.items():
-        for item in apply_correction(members, corrections[journey]):
-            points, y = _filtered_displacement(item, weights, panel)
-            np.add.at(total, points, y)
-            np.add.at(count, points, 1.0)
+    total, count = np.zeros(grid.points), np.zeros(grid.points)
+    for one in filtered:
+        np.add.at(total, one.points, one.displacement)
+        np.add.at(count, one.points, 1.0)
     return np.asarray(total / np.maximum(count, 1.0))
 
 
-def _filtered_displacement(item: Pass, weights: FloatArray, panel: PanelParameters) -> tuple[np.ndarray, FloatArray]:
-    first, displacement, _ = gridded(item, panel.step)
-    m = len(weights) // 2
-    if len(displacement) <= 2 * m + 1:
-        return np.empty(0, dtype=np.int64), np.empty(0)
-    y = high_pass(displacement, weights)[m:-m]
-    points = np.arange(first + m, first + m + len(y))
-    inside = (points >= 0) & (points < panel.points)
-    return points[inside], y[inside]
-
-
 def _lags(
-    members: Sequence[Pass],
-    correction: Correction,
-    reference: FloatArray,
-    panel: PanelParameters,
-    parameters: PositionParameters,
+    filtered: Sequence[_FilteredDisplacement], reference: FloatArray, grid: SectionGrid, parameters: PositionParameters
 ) -> list[tuple[float, float]]:
     """Return (middle, offset) in m of the pieces of a journey's passes that have a clear one.
 
     In pieces, because over a long pass an error of the scale moves the two ends against each other.
     """
-    weights = local_cubic_kernel(panel.cutoff_wavelength, panel.step)
     found = []
-    for item in apply_correction(members, correction):
-        points, y = _filtered_displacement(item, weights, panel)
-        pieces = max(round(len(points) * panel.step / parameters.piece), 1)
-        parts = [part for part in np.array_split(np.arange(len(points)), pieces) if len(part)]
-        lags = [_lag(points[part], y[part], reference, panel, parameters) for part in parts]
-        found += [lag for lag in lags if lag is not None]
+    for one in filtered:
+        pieces = max(round(len(one.points) * grid.step / parameters.piece), 1)
+        parts = [part for part in np.array_split(np.arange(len(one.points)), pieces) if len(part)]
+        peaks = [_peak(one.points[part], one.displacement[part], reference, grid, parameters) for part in parts]
+        found += [peak[:2] for peak in peaks if peak is not None and not peak[2] < parameters.least_correlation]
     return found
 
 
-def _lag(
-    points: np.ndarray, y: FloatArray, reference: FloatArray, panel: PanelParameters, parameters: PositionParameters
-) -> tuple[float, float] | None:
-    """Return (middle of the piece, its offset) in m, from the peak of the correlation; None without a clear one."""
-    found = _peak(points, y, reference, panel, parameters)
-    return None if found is None or found[2] < parameters.least_correlation else found[:2]
-
-
 def _peak(
-    points: np.ndarray, y: FloatArray, reference: FloatArray, panel: PanelParameters, parameters: PositionParameters
+    points: np.ndarray, y: FloatArray, reference: FloatArray, grid: SectionGrid, parameters: PositionParameters
 ) -> tuple[float, float, float] | None:
     """Return (middle of the piece, m, its offset, m, the correlation there); None where it is too short."""
-    reach = int(parameters.largest_offset / panel.step)
+    reach = int(parameters.largest_offset / grid.step)
     if len(points) < 4 * reach:
         return None
     low, high = points[0] - reach, points[-1] + reach + 1
-    padded = np.pad(reference, (max(-low, 0), max(high - panel.points, 0)))
+    padded = np.pad(reference, (max(-low, 0), max(high - grid.points, 0)))
     base = max(-low, 0)
     part = padded[low + base : high + base]
     products = signal.correlate(part, y, mode="valid")
@@ -163,20 +177,20 @@ def _peak(
     if 0 < k < len(scores) - 1:
         a, b, c = scores[k - 1 : k + 2]
         shift += 0.5 * (a - c) / (a - 2 * b + c)
-    return 0.5 * (points[0] + points[-1]) * panel.step, shift * panel.step, float(scores[k])
+    return 0.5 * (points[0] + points[-1]) * grid.step, shift * grid.step, float(scores[k])
 
 
-def compared(
-    found: FloatArray, reference: FloatArray, panel: PanelParameters, parameters: PositionParameters
+def register(
+    found: FloatArray, reference: FloatArray, grid: SectionGrid, parameters: PositionParameters
 ) -> tuple[Correction, float]:
     """Return how ``found`` (n,) must be moved to lie on ``reference`` (n,), and the mean correlation of its pieces."""
-    pieces = np.array_split(np.arange(panel.points), max(round(panel.length / (2 * parameters.piece)), 1))
-    peaks = [_peak(part, found[part], reference, panel, parameters) for part in pieces]
-    met = [peak for peak in peaks if peak is not None]
-    if not met:
-        return Correction(middle=0.5 * panel.length), 0.0
-    score = float(np.mean([peak[2] for peak in met]))
-    return _fitted(Correction(middle=0.5 * panel.length), [peak[:2] for peak in met]), score
+    pieces = np.array_split(np.arange(grid.points), max(round(grid.length / (2 * parameters.piece)), 1))
+    peaks = [_peak(part, found[part], reference, grid, parameters) for part in pieces]
+    known = [peak for peak in peaks if peak is not None]
+    if not known:
+        return Correction(middle=0.5 * grid.length), 0.0
+    score = float(np.mean([peak[2] for peak in known]))
+    return _fitted(Correction(middle=0.5 * grid.length), [peak[:2] for peak in known]), score
 
 
 def compose(first: Correction, second: Correction) -> Correction:

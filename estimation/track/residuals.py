@@ -1,25 +1,25 @@
 """How far passes are from the alignment and the curve that were found, by journey and by wheelset.
 
 A wheelset whose R(y - d) is no single curve, because it hits its flanges, hunts, or is hollow on one side, is further
-off than sensors make the others. It is heard less, for its error is not noise: more of its passes would not make up.
+off than sensors make the others. It is given less weight: its error is not noise, and more passes would not reduce it.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from estimation.track.iteration import IterationResult
-from estimation.track.journeys import Journey, PositionParameters, journeys
+from estimation.track.journeys import Journey
 from estimation.track.panel.basis import pass_residual
+from estimation.values.arrays import FloatArray
 
-USUAL = 1.5  # times the median of the wheelsets
-USUAL_LEAST = 0.12e-3  # m
+USUAL_FACTOR = 1.5  # times the median of the wheelsets
+LEAST_USUAL = 0.12e-3  # m
 POWER = 4
-WORTH = 0.25  # weight of the one that is furthest off, above which nothing would change
+LARGEST_EFFECTIVE_WEIGHT = 0.25  # weight of the one that is furthest off, above which nothing would change
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,15 +35,18 @@ class Residuals:
         Empty where none is so far off that it would matter.
         """
         known = [value for value in self.of_wheelsets.values() if np.isfinite(value)]
-        usual = max(USUAL * float(np.median(known)), USUAL_LEAST) if known else np.inf
+        usual = max(USUAL_FACTOR * float(np.median(known)), LEAST_USUAL) if known else np.inf
         found = {name: (usual / value) ** POWER for name, value in self.of_wheelsets.items() if value > usual}
-        return found if min(found.values(), default=1.0) < WORTH else {}
+        return found if min(found.values(), default=1.0) < LARGEST_EFFECTIVE_WEIGHT else {}
 
 
 @dataclass(slots=True)
-class _Sums:
+class _MeanSquare:
     squares: float = 0.0
     count: int = 0
+
+    def add(self, values: FloatArray) -> None:
+        self.squares, self.count = self.squares + float(values @ values), self.count + len(values)
 
     @property
     def rms(self) -> float:
@@ -51,26 +54,26 @@ class _Sums:
 
 
 @dataclass(slots=True)
-class _Tally:
-    journeys: dict[Journey, _Sums] = field(default_factory=lambda: defaultdict(_Sums))
-    wheelsets: dict[str, _Sums] = field(default_factory=lambda: defaultdict(_Sums))
+class _Sums:
+    journeys: dict[Journey, _MeanSquare] = field(default_factory=dict)
+    wheelsets: dict[str, _MeanSquare] = field(default_factory=dict)
 
 
-def residuals(iterated: IterationResult, positions: PositionParameters) -> Residuals:
-    """Return the residuals of a settled section."""
-    tally, d = _Tally(), iterated.solution.alignment
-    for journey, members in journeys(iterated.passes, positions).items():
-        for item in members:
-            own = tally.journeys[journey], tally.wheelsets[item.wheelset]
-            curve = iterated.solution.curves[0, iterated.solution.wheelsets.index(item.wheelset)]
-            told = pass_residual(item, curve, iterated.panel)
-            if told is None:
+def residuals(iterated: IterationResult) -> Residuals:
+    """Return the residuals of an iterated section, by journey and by wheelset."""
+    sums, d = _Sums(), iterated.solution.alignment
+    for journey, one in iterated.placed.items():
+        for item in one.passes:
+            sums.journeys.setdefault(journey, _MeanSquare())
+            sums.wheelsets.setdefault(item.life, _MeanSquare())
+            curve = iterated.solution.curve_of(item.life)
+            if item.empty or curve is None:
                 continue
-            at, values = told
-            rest = (values - d[at])[np.isfinite(d[at])]
-            for sums in own:
-                sums.squares, sums.count = sums.squares + float(rest @ rest), sums.count + len(rest)
+            values = pass_residual(item, curve, iterated.panel)[item.inside]
+            rest = (values - d[item.used_points])[np.isfinite(d[item.used_points])]
+            sums.journeys[journey].add(rest)
+            sums.wheelsets[item.life].add(rest)
     return Residuals(
-        {journey: sums.rms for journey, sums in tally.journeys.items()},
-        {wheelset: sums.rms for wheelset, sums in tally.wheelsets.items()},
+        {journey: mean.rms for journey, mean in sums.journeys.items()},
+        {wheelset: mean.rms for wheelset, mean in sums.wheelsets.items()},
     )

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from estimation.track.convergence import Convergence
 from estimation.track.gauge.wheel_functions import contact_samples, gauge_sign, total_gauge_shifts
 from estimation.track.iteration import IterationResult
 from estimation.values.arrays import FloatArray
@@ -85,6 +86,7 @@ class AlignmentReport:
     status: Status
     reason: str
     converged: bool  # positions and stiffness ratios; where not, ``reason`` says so, also of an estimate
+    convergence: tuple[Convergence, ...]  # of each quantity that is iterated
     rounds: int
     residual_rms_m: float  # of y - d - h(R) over all passes
     moved_m: float  # by which the last round moved a position at most
@@ -121,6 +123,18 @@ def _json(value: object) -> JsonValue:
 def nothing(reason: str, evidence: tuple[str, ...] = ()) -> AlignmentReport:
     """Return the report of passes that say nothing, for this reason."""
     return AlignmentReport(
-        Status.UNESTIMATED, reason, converged=False, rounds=0, residual_rms_m=0.0, moved_m=0.0, passes=0, wheelsets=0,
-        mean_passes=0.0, diversity=0.0, covered=0.0, alignment_std_m=float("nan"), evidence=evidence,
-    )  # fmt: skip
+        status=Status.UNESTIMATED,
+        reason=reason,
+        converged=False,
+        convergence=(),
+        rounds=0,
+        residual_rms_m=0.0,
+        moved_m=0.0,
+        passes=0,
+        wheelsets=0,
+        mean_passes=0.0,
+        diversity=0.0,
+        covered=0.0,
+        alignment_std_m=float("nan"),
+        evidence=evidence,
+    )

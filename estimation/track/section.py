@@ -8,41 +8,24 @@ journey that then agrees with nothing is refused and the others are solved again
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.track.iteration import Grouped, IterationParameters, IterationResult, iterate
-from estimation.track.journeys import Journey, PositionParameters, journeys
-from estimation.track.panel.basis import OnGrid, PanelParameters, on_grid
-from estimation.track.panel.long_waves import long_wave_alignment
+from estimation.track.alignment_std import merged_alignment
+from estimation.track.convergence import Iterated
+from estimation.track.iteration import Grouped, IterationResult, iterate
+from estimation.track.journeys import Journey, journeys
+from estimation.track.panel.basis import KnownBeforehand, Panel
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
-from estimation.track.panel.solution import LEAST_WHEELSETS, PanelSolution, diversity
-from estimation.track.panel.stiffness_ratio import PRIOR_STD
+from estimation.track.panel.solution import LEAST_WHEELSETS, PanelSolution, between_pass_std_ratio
 from estimation.track.passes import Pass
 from estimation.track.residuals import residuals
-from estimation.track.results import LIFE, AlignmentReport, JourneyReport, SectionResults, findings, nothing
-from estimation.values.arrays import FloatArray
+from estimation.track.results import LIFE, AlignmentReport, JourneyReport, nothing
+from estimation.track.section_parameters import SectionParameters
 from estimation.values.quantities import Status
-from estimation.values.track import FLEET, Correction, TrackAlignment
-
-
-@dataclass(frozen=True, slots=True)
-class SectionParameters:
-    """How an epoch of passes becomes an alignment."""
-
-    panel: PanelParameters = field(default_factory=PanelParameters)
-    positions: PositionParameters = field(default_factory=PositionParameters)
-    iteration: IterationParameters = field(default_factory=IterationParameters)
-    scale_error: float = 0.009  # relative std of y - d as a whole that passes leave open, blocks of data cannot show it
-    gauge_scale_error: float = 0.035  # the same where the gauge had to be found too
-    systematic: float = 0.02e-3  # m, std of the alignment that blocks of data cannot show
-    systematic_per_gauge: tuple[float, float] = (0.025, 0.055)  # the same per gauge deviation: recorded, found
-    reaches: float = 120.0  # m, longest wavelength that the alignment holds
-    outlier_factor: float = 2.0  # times the median residual of the other journeys
-    least_outlier_m: float = 0.4e-3  # m
-    gauge_std: float = 1e-3  # m, expected of a gauge that nobody knows and that does not show
+from estimation.values.track import Correction, TrackAlignment
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,37 +38,54 @@ class SectionEstimate:
     solution: PanelSolution | None
 
 
+@dataclass(frozen=True, slots=True)
+class _Accepted:
+    """Where the iteration ended without outliers, and how far every journey was off."""
+
+    iterated: IterationResult
+    outliers: Mapping[Journey, str]  # with the reason
+    rms: Mapping[Journey, float]  # m, of all journeys
+
+
 def estimate_section(
-    section: str, passes: Sequence[Pass], evidence: TrackAlignment | None, parameters: SectionParameters
+    section: str,
+    passes: Sequence[Pass],
+    prior: TrackAlignment | None,
+    parameters: SectionParameters,
+    measured: Mapping[str, MeasuredCurve] | None = None,
 ) -> SectionEstimate:
-    """Return the alignment of a section from ``passes`` and ``evidence``.
+    """Return the alignment of a section from ``passes`` and what was known before.
 
     Parameters
     ----------
     section
         Its code.
     passes
-        Of this epoch; wheelsets are told apart by ``Pass.wheelset``, so passes of other wear need another name. What
-        ``parameters.panel.measured`` says of them is evidence too.
-    evidence
-        The last version, or a recorded alignment; None where nothing is known.
+        Of this epoch; passes of one profile life share a curve.
+    prior
+        The last version, or a survey; None where nothing is known.
     parameters
         Grid, filter, rounds.
+    measured
+        Curves of measured profiles, by profile life.
     """
-    named = () if evidence is None else (f"{evidence.source} version {evidence.version}",)
+    named = () if prior is None else (f"{prior.source} version {prior.version}",)
     grouped: Grouped = journeys(passes, parameters.positions)
+    panel = Panel.of(parameters.panel, KnownBeforehand(measured=measured or {}))
     if not grouped:
         return SectionEstimate(None, nothing("no pass", named), {}, None)
-    known = None if evidence is None else prior_on_grid(evidence, parameters.panel, parameters.panel.cutoff_wavelength)
-    reason = _nothing_to_tell(grouped, parameters) if known is None or not known.has_alignment else ""
+    known = None if prior is None else prior_on_grid(prior, panel.grid, parameters.panel.cutoff_wavelength)
+    reason = _too_few_passes(grouped, panel) if known is None or not known.has_alignment else ""
     if reason:
         return SectionEstimate(None, nothing(reason, named), {}, None)
-    iterated, outliers, residuals = _reject_outliers(grouped, known, parameters)
-    report = _report(iterated, grouped, outliers, residuals, known, parameters)
-    report = replace(report, evidence=named + tuple(f"measured profiles of {one.name}" for one in _measured(iterated)))
+    accepted = _reject_outliers(grouped, known, panel, parameters)
+    iterated = accepted.iterated
+    report = _report(accepted, grouped, known, parameters)
+    used = (f"measured profiles of {one.name}" for one in iterated.measured_curves)
+    report = replace(report, evidence=(*named, *used))
     if report.status is not Status.ESTIMATED:
         return SectionEstimate(None, report, {}, iterated.solution)
-    alignment = _alignment(section, iterated, evidence, parameters)
+    alignment = merged_alignment(section, iterated, prior, parameters)
     certain = np.isfinite(alignment.alignment)
     report = replace(
         report,
@@ -95,44 +95,43 @@ def estimate_section(
     return SectionEstimate(alignment, report, iterated.corrections, iterated.solution)
 
 
-def _nothing_to_tell(grouped: Grouped, p: SectionParameters) -> str:
-    """Return why the passes alone cannot tell anything, before anything is solved; empty where they may."""
-    passed = np.zeros(p.panel.points, dtype=np.int64)
+def _too_few_passes(grouped: Grouped, panel: Panel) -> str:
+    """Return why the passes alone cannot be enough, before anything is solved; empty where they may."""
+    grid, least = panel.grid, panel.parameters.least_passes
+    passed = np.zeros(grid.points, dtype=np.int64)
     lives = set()
     for item in (item for members in grouped.values() for item in members):
-        first, last = (int(np.clip(at / p.panel.step, 0, p.panel.points)) for at in (item.at[0], item.at[-1]))
+        first, last = (int(np.clip(at / grid.step, 0, grid.points)) for at in (item.at[0], item.at[-1]))
         passed[first:last] += 1
         lives.add(item.wheelset)
-    if len(lives) < LEAST_WHEELSETS and not lives & (p.panel.measured or {}).keys():
+    if len(lives) < LEAST_WHEELSETS and not lives & panel.known.measured.keys():
         return "one wheelset alone cannot tell the track from its own geometry"
-    return "" if (passed >= p.panel.least_passes).any() else f"no place with {p.panel.least_passes} passes"
+    return "" if (passed >= least).any() else f"no place with {least} passes"
 
 
-def _reject_outliers(
-    grouped: Grouped, known: PriorAlignment | None, p: SectionParameters
-) -> tuple[IterationResult, dict[Journey, str], dict[Journey, float]]:
-    """Settle, leave out what agrees with nothing, and settle again until all that is left agrees.
+def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Panel, p: SectionParameters) -> _Accepted:
+    """Iterate, leave out what agrees with nothing, and iterate again until all that is left agrees.
 
-    Wheelsets that are further off than others are heard less from then on.
+    Wheelsets that are further off than others have less weight from then on.
     """
-    kept, panel = dict(grouped), p.panel
+    kept = dict(grouped)
     outliers: dict[Journey, str] = {}
     rms: dict[Journey, float] = {}
     while True:
         iterated = iterate(kept, known, panel, p.positions, p.iteration)
-        left = residuals(iterated, p.positions)
+        left = residuals(iterated)
         rms |= left.of_journeys
         found = _find_outliers({journey: rms[journey] for journey in kept}, iterated.corrections, p)
         outliers |= found
         if len(found) == len(kept):
-            return iterated, outliers, rms
+            return _Accepted(iterated, outliers, rms)
         if found:
             kept = {journey: members for journey, members in kept.items() if journey not in found}
             continue
         weights = left.weights()
-        if panel.weights is not None or not weights:
-            return iterated, outliers, rms
-        panel = replace(panel, weights=weights)
+        if panel.known.weights or not weights:
+            return _Accepted(iterated, outliers, rms)
+        panel = replace(panel, known=replace(panel.known, weights=weights))
 
 
 def _find_outliers(
@@ -154,65 +153,77 @@ def _find_outliers(
 
 
 def _report(
-    iterated: IterationResult,
-    grouped: Grouped,
-    outliers: Mapping[Journey, str],
-    rms: Mapping[Journey, float],
-    known: PriorAlignment | None,
-    p: SectionParameters,
+    accepted: _Accepted, grouped: Grouped, known: PriorAlignment | None, p: SectionParameters
 ) -> AlignmentReport:
+    iterated = accepted.iterated
     solution, state = iterated.solution, iterated.state
     passed = state.passes > 0
-    of_panel = solution.report
-    status, reason = of_panel.status, of_panel.reason
-    if known is not None and known.has_alignment:
-        status, reason = Status.ESTIMATED, ""
-    if status is Status.ESTIMATED and len(outliers) == len(grouped):
-        status, reason = Status.UNESTIMATED, "no journey agrees with another: " + next(iter(outliers.values()))
-    restless = _not_converged_reason(iterated, p.iteration)
-    told = [
-        _journey(journey, members, iterated.corrections.get(journey, Correction()), rms[journey], outliers)
+    status, reason = _state_of(accepted, grouped, known)
+    not_converged = _not_converged_reason(iterated, p)
+    journeys_reported = tuple(
+        _journey(journey, members, iterated.corrections.get(journey, Correction()), accepted)
         for journey, members in grouped.items()
-    ]
+    )
     certain = np.isfinite(solution.alignment_std)
     return AlignmentReport(
         status=status,
-        reason=reason or "; ".join(filter(None, (restless, _low_weight_reason(iterated)))),
-        converged=not restless,
+        reason=reason or "; ".join(filter(None, (not_converged, _low_weight_reason(iterated)))),
+        converged=not not_converged,
+        convergence=iterated.convergence(p.iteration),
         rounds=iterated.rounds,
         residual_rms_m=iterated.noise,
         moved_m=iterated.moved,
-        passes=sum(item.passes for item in told if item.used),
+        passes=sum(item.passes for item in journeys_reported if item.used),
         wheelsets=len(solution.wheelsets),
         mean_passes=float(state.passes[passed].mean()) if passed.any() else 0.0,
-        diversity=diversity(state),
+        diversity=between_pass_std_ratio(state),
         covered=float(np.isfinite(solution.alignment).mean()),
         alignment_std_m=float(np.median(solution.alignment_std[certain])) if certain.any() else float("nan"),
-        journeys=tuple(told),
+        journeys=journeys_reported,
     )
+
+
+def _state_of(accepted: _Accepted, grouped: Grouped, known: PriorAlignment | None) -> tuple[Status, str]:
+    """Return whether an alignment is estimated, and why not."""
+    of_panel = accepted.iterated.solution.report
+    status, reason = of_panel.status, of_panel.reason
+    if known is not None and known.has_alignment:
+        status, reason = Status.ESTIMATED, ""
+    if status is Status.ESTIMATED and len(accepted.outliers) == len(grouped):
+        first = next(iter(accepted.outliers.values()))
+        return Status.UNESTIMATED, f"no journey agrees with another: {first}"
+    return status, reason
 
 
 def _low_weight_reason(iterated: IterationResult) -> str:
     """Return which wheelsets count for little, being further off than the others; empty where none is."""
-    weights = iterated.panel.weights or {}
+    weights = iterated.panel.known.weights
     used = sorted(weights.keys() & set(iterated.solution.wheelsets))
-    told = [f"{name.split(LIFE)[0]} ({weights[name]:.2f} of a pass)" for name in used]
-    return f"heard little, for no single curve fits them: {', '.join(told)}" if told else ""
+    listed = [f"{name.split(LIFE)[0]} ({weights[name]:.2f} of a pass)" for name in used]
+    return f"low weight: poor fit of a single curve: {', '.join(listed)}" if listed else ""
 
 
-def _not_converged_reason(iterated: IterationResult, p: IterationParameters) -> str:
-    """Return why the rounds have not settled; empty where they have."""
-    moving = []
-    if not iterated.moved < p.position_tolerance:
-        moving.append(f"positions still moved by {iterated.moved:.2f} m, {p.position_tolerance:g} m is settled")
-    if not iterated.changed < p.ratio_tolerance:
-        moving.append(f"stiffness ratios still changed by {iterated.changed:.3f}, {p.ratio_tolerance:g} is settled")
-    return f"not settled after {iterated.rounds} rounds: {' and '.join(moving)}" if moving else ""
+def _not_converged_reason(iterated: IterationResult, p: SectionParameters) -> str:
+    """Return what has not converged; empty where all has."""
+    tolerance = {
+        Iterated.POSITIONS: f"{p.iteration.position_tolerance:g} m",
+        Iterated.STIFFNESS_RATIOS: f"{p.iteration.ratio_tolerance:g}",
+        Iterated.GAUGE: f"{1e3 * p.iteration.gauge_tolerance:g} mm",
+    }
+    changed = {
+        Iterated.POSITIONS: "positions still moved by {:.2f} m",
+        Iterated.STIFFNESS_RATIOS: "stiffness ratios still changed by {:.3f}",
+        Iterated.GAUGE: "gauge still changed by {:.5f} m",
+    }
+    moving = [
+        f"{changed[one.of].format(one.change)}, the tolerance is {tolerance[one.of]}"
+        for one in iterated.convergence(p.iteration)
+        if not one.converged and one.of in changed
+    ]
+    return f"not converged after {iterated.rounds} rounds: {' and '.join(moving)}" if moving else ""
 
 
-def _journey(
-    journey: Journey, members: Sequence[Pass], correction: Correction, residual: float, outliers: Mapping[Journey, str]
-) -> JourneyReport:
+def _journey(journey: Journey, members: Sequence[Pass], correction: Correction, accepted: _Accepted) -> JourneyReport:
     return JourneyReport(
         vehicle=journey[0],
         from_ns=journey[1],
@@ -221,81 +232,7 @@ def _journey(
         offset_m=correction.offset,
         scale_1=correction.scale,
         middle_m=correction.middle,
-        residual_rms_m=residual,
-        used=journey not in outliers,
-        reason=outliers.get(journey, ""),
-    )
-
-
-def _alignment(
-    section: str, iterated: IterationResult, evidence: TrackAlignment | None, p: SectionParameters
-) -> TrackAlignment:
-    """Return the solution as an alignment, NaN where it is not known; places that nobody passed stay as they were."""
-    found = long_wave_alignment(iterated.passes, iterated.solution, iterated.panel, p.reaches)
-    known = _nothing_known(p) if evidence is None else prior_on_grid(evidence, p.panel, p.reaches)
-    with np.errstate(divide="ignore"):
-        weight = np.minimum((found.pass_std / known.std) ** 2, p.iteration.most_weight)
-    total = found.passes + weight
-    shared = np.maximum(total, 1e-12)
-    d = (found.passes * found.alignment + weight * known.alignment) / shared
-    common = np.where(np.isfinite(iterated.solution.common_std), iterated.solution.common_std, 0.0)
-    std = np.hypot(common * found.passes / shared, found.pass_std / np.sqrt(shared))
-    certain = (found.passes >= p.panel.least_passes) | np.isfinite(known.std)
-    told = findings(iterated, gauge_estimated=not known.gauge_known)
-    gauge = known.gauge if told.gauge is None else told.gauge
-    gauge_std = known.gauge_std if told.gauge_std is None else told.gauge_std
-    of_gauge = p.systematic_per_gauge[told.gauge is not None] * float(np.std(gauge))
-    profile = _profile_std(iterated)
-    std = np.sqrt(std**2 + found.passes / shared * (p.systematic**2 + of_gauge**2 + profile[0] ** 2))
-    return TrackAlignment(
-        section=section,
-        version=0,
-        s=np.asarray(np.arange(p.panel.points) * p.panel.step, dtype=np.float64),
-        alignment=np.where(certain, d, np.nan),
-        alignment_std=np.where(certain, std, np.nan),
-        gauge_deviation=gauge,
-        gauge_deviation_std=gauge_std,
-        passes=np.rint(found.passes + known.passes).astype(np.int64),
-        status=Status.ESTIMATED,
-        source=FLEET,
-        cutoff_wavelength=p.reaches,
-        scale_std=float(np.hypot(_stretch(told, p), profile[1])),
-        gauge_known=known.gauge_known and told.gauge is None,
-        findings=told.findings,
-    )
-
-
-def _stretch(told: SectionResults, p: SectionParameters) -> float:
-    """Return the relative std of a common stretch of y - d."""
-    return p.scale_error if told.gauge is None else float(np.hypot(p.scale_error, p.gauge_scale_error))
-
-
-def _measured(iterated: IterationResult) -> list[MeasuredCurve]:
-    """Return the measured curves of the wheelsets that have passed."""
-    known = iterated.panel.measured or {}
-    return [known[name] for name in iterated.solution.wheelsets if name in known]
-
-
-def _profile_std(iterated: IterationResult) -> tuple[float, float]:
-    """Return std, m, and relative stretch of y - d where only measured profiles could tell the curves; else nought.
-
-    The stretch is that of the profiles, and that of R by a stiffness that is as assumed.
-    """
-    if not iterated.solution.report.held:
-        return 0.0, 0.0
-    squares = np.array([(one.std, one.std / one.spread) for one in _measured(iterated)]) ** 2
-    std, scale_error = np.sqrt(squares.mean(axis=0))
-    seen = [felt for item in iterated.passes if (felt := on_grid(item, iterated.panel)) is not None]
-    stiffness_term, whole = (sum(float(part @ part) for part in parts) for parts in _parts(seen))
-    return float(std), float(np.hypot(scale_error, PRIOR_STD * np.sqrt(stiffness_term / whole) if whole > 0.0 else 0.0))
-
-
-def _parts(seen: Sequence[OnGrid]) -> tuple[list[FloatArray], list[FloatArray]]:
-    return [felt.stiffness_term[felt.inside] for felt in seen], [felt.difference[felt.inside] for felt in seen]
-
-
-def _nothing_known(p: SectionParameters) -> PriorAlignment:
-    zero = np.zeros(p.panel.points)
-    return PriorAlignment(
-        zero, np.full_like(zero, np.inf), zero, zero, np.full_like(zero, p.gauge_std), gauge_known=False
+        residual_rms_m=accepted.rms[journey],
+        used=journey not in accepted.outliers,
+        reason=accepted.outliers.get(journey, ""),
     )

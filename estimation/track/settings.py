@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from estimation.track.screening.screen import ScreeningParameters
-from estimation.track.section import SectionParameters
+from estimation.track.section_parameters import SectionParameters
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,8 @@ from estimation.track.gauge.initial_shape import LEAST_GAUGE
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.passes import Pass
 from estimation.track.screening.screen import PassOutcome, Screened, screen
-from estimation.track.section import SectionEstimate, SectionParameters, estimate_section
+from estimation.track.section import SectionEstimate, estimate_section
+from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.track.survey_check import check_survey
 from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
@@ -64,18 +65,20 @@ def find(
     measured
         What measured profiles say, by the name of the wheelset in ``passes``.
     """
-    panel = replace(settings.section.panel, length=section.length_m, measured=measured)
+    panel = replace(settings.section.panel, length=section.length_m)
     parameters = replace(settings.section, panel=panel)
     recording = in_force is not None and in_force.source == RECORDED
     on_record = recording and in_force is not None and bool(np.isfinite(in_force.alignment).any())
     screened = screen(passes, in_force, replace(settings.screening, positions=parameters.positions))
     if in_force is not None and on_record:
-        beside = _beside_recording(section.code, screened, in_force, parameters, judge=judge)
+        beside = _beside_recording(section.code, screened, in_force, parameters, measured, judge=judge)
         return beside if beside.made else _with_gauge_shifts(beside, in_force, settings)
     evidence = (
-        in_force if in_force is not None and (recording or in_force.cutoff_wavelength == parameters.reaches) else None
+        in_force
+        if in_force is not None and (recording or in_force.cutoff_wavelength == parameters.cutoff_wavelength)
+        else None
     )
-    estimate = estimate_section(section.code, screened.used, evidence, parameters)
+    estimate = estimate_section(section.code, screened.used, evidence, parameters, measured)
     if estimate.alignment is None:
         kept = None if recording else in_force  # a recording of the gauge alone says of no place how it lies
         return Finding(estimate, kept, made=False, trusted=False, outcomes=screened.outcomes)
@@ -84,18 +87,24 @@ def find(
 
 
 def _beside_recording(
-    section: str, screened: Screened, recorded: TrackAlignment, parameters: SectionParameters, *, judge: bool
+    section: str,
+    screened: Screened,
+    recorded: TrackAlignment,
+    parameters: SectionParameters,
+    measured: Mapping[str, MeasuredCurve] | None,
+    *,
+    judge: bool,
 ) -> Finding:
     verdict = None
     if judge:
-        blind = estimate_section(section, screened.used, None, parameters)
+        blind = estimate_section(section, screened.used, None, parameters, measured)
         if blind.alignment is not None:
             judgement = check_survey(recorded, blind.alignment, place_std=_place_std(blind))
             if not judgement.usable:
                 told = f"not used: {judgement.reason}"
                 return Finding(blind, blind.alignment, True, False, screened.outcomes, told)  # noqa: FBT003 - made, not trusted
             verdict = None if judgement.reason else "agrees with what the fleet has felt"
-    estimate = estimate_section(section, screened.used, recorded, parameters)
+    estimate = estimate_section(section, screened.used, recorded, parameters, measured)
     if estimate.alignment is not None and better(estimate.alignment, recorded):
         return Finding(estimate, estimate.alignment, True, False, screened.outcomes, verdict)  # noqa: FBT003 - the same
     return Finding(estimate, recorded, False, True, screened.outcomes, verdict)  # noqa: FBT003 - kept, trusted

@@ -20,7 +20,8 @@ from estimation.numerics_version import NUMERICS_VERSION
 from estimation.tables import bin_table
 from estimation.tables.window import tabulate_window
 from estimation.track.panel.basis import PanelParameters
-from estimation.track.section import SectionParameters, estimate_section
+from estimation.track.section import estimate_section
+from estimation.track.section_parameters import SectionParameters
 from estimation.trend.trend import TrendPoint, refresh
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from gauge_passes import LENGTH, Wheels, passes, section
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters.local_cubic import high_pass
 from estimation.track.gauge.wheel_functions import total_gauge_shifts
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
 from estimation.track.journeys import PositionParameters, journeys
-from estimation.track.panel.basis import PanelParameters
+from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.prior_alignment import PriorAlignment
 from estimation.track.results import SectionResults, findings
 from estimation.values.arrays import FloatArray
 
-PANEL = PanelParameters(length=LENGTH, hats=21)
-GRID = np.arange(PANEL.points) * PANEL.step
+PANEL = Panel.of(PanelParameters(length=LENGTH, basis_count=21))
+GRID = PANEL.grid.s
 INNER = slice(200, -200)
 GAUGE_STD = 2e-3
 CONES = {"A#0#9": 0.16, "A#0#10": 0.05, "B#0#0": 0.08, "C#1#2": 0.12}  # serial, profile, interval of mileage
@@ -43,7 +43,7 @@ def true_gauge(gauge_std: float = GAUGE_STD) -> FloatArray:
 
 def alignment_error(found: IterationResult, gauge_std: float) -> float:
     place = section(gauge_std)
-    true = high_pass(np.interp(GRID, place.s, place.alignment), local_cubic_kernel(PANEL.cutoff_wavelength, PANEL.step))
+    true = high_pass(np.interp(GRID, place.s, place.alignment), PANEL.grid.kernel)
     return float((found.solution.alignment - true)[INNER].std())
 
 
@@ -52,7 +52,7 @@ def shifted(serial: str, seed: int = 5) -> tuple[FloatArray, FloatArray]:
     one = told(GAUGE_STD)
     assert one.gauge is not None
     rng = np.random.default_rng(seed)
-    at = rng.integers(INNER.start, PANEL.points + INNER.stop, 400)
+    at = rng.integers(INNER.start, PANEL.grid.points + INNER.stop, 400)
     x, e, wheels = 1.5e-3 * rng.standard_normal(400), true_gauge()[at], Wheels(LATEST[serial])
     difference = wheels.difference(x, e)
     everywhere = np.linspace(-9e-3, 9e-3, 2001)
@@ -95,9 +95,9 @@ def test_a_gauge_that_does_not_vary_is_not_made_up() -> None:
 def test_a_recorded_gauge_says_where_the_passes_lie() -> None:
     """Nobody knows the alignment, and every odometer is 6 m off."""
     recorded = np.interp(GRID - 6.0, GRID, true_gauge())
-    nothing = np.zeros(PANEL.points)
+    nothing = np.zeros(PANEL.grid.points)
     known = PriorAlignment(
-        nothing, np.full(PANEL.points, np.inf), nothing, recorded, nothing + 0.2e-3, gauge_known=True
+        nothing, np.full(PANEL.grid.points, np.inf), nothing, recorded, nothing + 0.2e-3, gauge_known=True
     )
     positions = PositionParameters()
     grouped = journeys(passes(section(GAUGE_STD), CONES, 3), positions)

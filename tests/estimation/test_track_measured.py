@@ -17,7 +17,8 @@ from estimation.errors import ContactError, ProfileError
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
 from estimation.track.passes import Pass
-from estimation.track.section import SectionEstimate, SectionParameters, estimate_section
+from estimation.track.section import SectionEstimate, estimate_section
+from estimation.track.section_parameters import SectionParameters
 from estimation.values.quantities import Status
 
 STD = 0.1e-3  # m
@@ -31,8 +32,7 @@ def curve(cone: float = 0.10, *, stretched: float = 1.0) -> MeasuredCurve:
 
 
 def estimated(passes: list[Pass], measured: dict[str, MeasuredCurve] | None) -> SectionEstimate:
-    panel = replace(PARAMETERS, measured=measured)
-    return estimate_section("S", passes, None, SectionParameters(panel=panel))
+    return estimate_section("S", passes, None, SectionParameters(panel=PARAMETERS), measured)
 
 
 @cache

@@ -16,14 +16,16 @@ from estimation.errors import ParameterError
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
-from estimation.track.panel.basis import PanelParameters, basis_functions
+from estimation.track.gridded_pass import grid_pass
+from estimation.track.panel.basis import Panel, PanelParameters, basis_functions
 from estimation.track.panel.normal_equations import PanelState, init, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass, gridded, passes
 from estimation.values.quantities import Status
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
-PARAMETERS = PanelParameters(length=3000.0, hats=31)
+PARAMETERS = PanelParameters(length=3000.0, basis_count=31)
+PANEL = Panel.of(PARAMETERS)
 FLEET = ((0.05, 17.0), (0.10, 17.0), (0.16, 17.0), (0.05, 23.0), (0.10, 23.0), (0.16, 23.0))  # cone, speed
 
 
@@ -43,7 +45,7 @@ def fleet_passes(seed: int = 1, alike: bool = False) -> tuple[Pass, ...]:  # noq
 
 
 def _solved(found: tuple[Pass, ...]) -> PanelSolution:
-    return result(update(init(PARAMETERS), list(found)))
+    return result(update(init(PANEL), [grid_pass(item, PANEL.grid) for item in found]))
 
 
 def test_the_local_fit_takes_out_cubics_and_halves_the_cut_off() -> None:
@@ -92,7 +94,7 @@ def test_alignment_and_conicity_come_out_of_unknown_track() -> None:
     solved = _solved(fleet_passes())
     assert solved.report.status is Status.ESTIMATED
     weights = local_cubic_kernel(PARAMETERS.cutoff_wavelength, PARAMETERS.step)
-    grid = np.arange(PARAMETERS.points) * PARAMETERS.step
+    grid = PANEL.grid.s
     truth = track(1)
     true = high_pass(np.interp(grid, truth.s, truth.alignment), weights)
     seen = np.isfinite(solved.alignment) & (grid > 200) & (grid < 1850)
@@ -100,7 +102,7 @@ def test_alignment_and_conicity_come_out_of_unknown_track() -> None:
     assert seen.sum() > 0.99 * (1650 / PARAMETERS.step)  # two filters, 153 m, are lost at each end of a pass
     assert error.std() < 0.12 * true[seen].std()
     amplitudes = (1.0e-3, 1.5e-3, 2.0e-3)
-    curves = solved.curves[0, :, : PARAMETERS.hats]
+    curves = solved.curves[0, :, : PARAMETERS.basis_count]
     for name, curve, weight in zip(solved.wheelsets, curves, solved.weight, strict=True):
         table = SmoothTable(float(name.split()[1]))
         x = table.lateral_displacement
@@ -114,13 +116,14 @@ def test_alignment_and_conicity_come_out_of_unknown_track() -> None:
 @given(order=st.permutations(range(6)), cut=st.integers(1, 5))
 def test_any_order_and_grouping_of_the_passes_gives_the_same(order: list[int], cut: int) -> None:
     found = fleet_passes()
-    small = PanelParameters(length=2000.0, hats=11, groups=4)
-    chosen = [found[i] for i in order]
+    small = Panel.of(PanelParameters(length=2000.0, basis_count=11, groups=4))
+    on_grid = [grid_pass(item, small.grid) for item in found]
+    chosen = [on_grid[i] for i in order]
     state: PanelState = update(update(init(small), chosen[:cut]), chosen[cut:])
-    reference = update(init(small), [found[i] for i in range(6)])
-    contact_samples = [state.wheelsets.index(name) for name in reference.wheelsets]
+    reference = update(init(small), on_grid[:6])
+    columns = [state.wheelsets.index(name) for name in reference.wheelsets]
     for name in ("gram", "cross"):
-        ours, theirs = getattr(state, name)[:, contact_samples], getattr(reference, name)
+        ours, theirs = getattr(state, name)[:, columns], getattr(reference, name)
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
     np.testing.assert_array_equal(state.passes, reference.passes)
     np.testing.assert_allclose(state.displacement, reference.displacement, rtol=1e-9, atol=1e-15)
@@ -137,8 +140,8 @@ def test_one_wheelset_alone_or_wheelsets_all_alike_say_nothing() -> None:
 
 
 def test_nothing_and_what_is_too_short_are_unestimated() -> None:
-    assert result(init(PanelParameters(length=500.0, hats=5))).report.status is Status.UNESTIMATED
-    outlier_factor = Pass("W", "V", 0, np.arange(90) * 0.08, np.zeros(90), np.zeros(90))
-    assert update(init(PARAMETERS), [outlier_factor]).passes.sum() == 0
+    assert result(init(Panel.of(PanelParameters(length=500.0, basis_count=5)))).report.status is Status.UNESTIMATED
+    short = Pass("W", "V", 0, np.arange(90) * 0.08, np.zeros(90), np.zeros(90))
+    assert update(init(PANEL), [grid_pass(short, PANEL.grid)]).passes.sum() == 0
     with pytest.raises(ParameterError, match="cutoff_wavelength"):
         PanelParameters(cutoff_wavelength=0.0)

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_track_panel import PARAMETERS, fleet_passes
+from test_track_panel import PANEL, fleet_passes
 
-from estimation.track.journeys import Journey, PositionParameters, apply_correction, journeys
+from estimation.track.gridded_pass import all_passes, place
+from estimation.track.journeys import Journey, PositionParameters, journeys
 from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import result
 from estimation.track.passes import Pass
@@ -42,15 +43,13 @@ def _left_over(corrections: dict[Journey, Correction]) -> np.ndarray:
 def test_offsets_and_scales_are_found_by_correlation_and_refined_by_the_panel() -> None:
     grouped = journeys(_displaced(), POSITIONS)
     assert len(grouped) == len(OFFSETS)
-    corrections = correlate_positions(grouped, PARAMETERS, POSITIONS)
+    corrections = correlate_positions(grouped, PANEL.grid, POSITIONS)
     coarse = _left_over(corrections)
     assert np.abs(coarse).max() < 2.0
     for _ in range(4):
-        moved = [
-            item for journey, members in grouped.items() for item in apply_correction(members, corrections[journey])
-        ]
-        solution = result(update(init(PARAMETERS), moved))
-        corrections = refine(grouped, corrections, solution, PARAMETERS)
+        placed = place(grouped, corrections, {}, PANEL.grid)
+        solution = result(update(init(PANEL), all_passes(placed)))
+        corrections = refine(placed, solution, PANEL)
     fine = _left_over(corrections)
     assert np.sqrt((fine**2).mean()) < 0.1
     assert np.sqrt((fine**2).mean()) < 0.5 * np.sqrt((coarse**2).mean())
@@ -58,7 +57,7 @@ def test_offsets_and_scales_are_found_by_correlation_and_refined_by_the_panel() 
 
 def test_passes_that_lie_right_are_left_where_they_are() -> None:
     grouped = journeys(fleet_passes(), POSITIONS)
-    corrections = correlate_positions(grouped, PARAMETERS, POSITIONS)
+    corrections = correlate_positions(grouped, PANEL.grid, POSITIONS)
     assert max(abs(c.offset) for c in corrections.values()) < 1.0
 
 
@@ -70,7 +69,7 @@ def test_a_pass_of_somewhere_else_is_not_dragged_along() -> None:
         for item in fleet_passes()
         if item.vehicle == "17 m/s"
     ]
-    corrections = correlate_positions(journeys([*fleet_passes(), *stranger], POSITIONS), PARAMETERS, POSITIONS)
+    corrections = correlate_positions(journeys([*fleet_passes(), *stranger], POSITIONS), PANEL.grid, POSITIONS)
     foreign = next(c for (vehicle, _), c in corrections.items() if vehicle == "stranger")
     assert abs(foreign.offset - np.mean([c.offset for c in corrections.values()])) < 1.5
 

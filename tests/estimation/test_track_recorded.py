@@ -55,7 +55,7 @@ def test_honest_recordings_are_believed_wherever_the_fleet_lies_within_its_own_d
 ) -> None:
     for seed in range(8):
         rng = np.random.default_rng(seed)
-        found = fleet(seed, offset=rng.uniform(-2, 2), suspension_deflection=rng.uniform(-3e-4, 3e-4))
+        found = fleet(seed, offset=rng.uniform(-2, 2), stretch=rng.uniform(-3e-4, 3e-4))
         told = check_survey(recording(seed, std, spacing), found)
         assert told.usable, (seed, told)
         assert told.scale == pytest.approx(1.0, abs=0.06)

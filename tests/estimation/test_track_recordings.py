@@ -9,14 +9,14 @@ import numpy as np
 from gauge_passes import LENGTH, Section, Wheels, passes, section
 
 from estimation.track.panel.basis import PanelParameters
-from estimation.track.section import SectionParameters
+from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import Finding, find
 from estimation.values.quantities import Status
 from estimation.values.track import RECORDED, TrackAlignment, TrackSectionRecord
 
 RECORD = TrackSectionRecord("S", 1, "Section", "56E1", 0.05, 1.435, LENGTH)
-SETTINGS = AlignmentSettings(section=SectionParameters(panel=PanelParameters(hats=21)))
+SETTINGS = AlignmentSettings(section=SectionParameters(panel=PanelParameters(basis_count=21)))
 CONES = {"A#0#0": 0.16, "B#0#0": 0.08, "C#0#0": 0.12}
 
 

@@ -14,8 +14,9 @@ from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
 from estimation.track.passes import Pass, passes
-from estimation.track.residuals import USUAL, USUAL_LEAST, Residuals
-from estimation.track.section import SectionEstimate, SectionParameters, estimate_section
+from estimation.track.residuals import LEAST_USUAL, USUAL_FACTOR, Residuals
+from estimation.track.section import SectionEstimate, estimate_section
+from estimation.track.section_parameters import SectionParameters
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
 
@@ -63,10 +64,10 @@ def error(estimate: SectionEstimate) -> tuple[float, float]:
 
 def test_what_is_usual_counts_whole_and_what_is_not_counts_less_and_less() -> None:
     told = Residuals({}, {"A": 0.10e-3, "B": 0.10e-3, "C": 0.149e-3, "D": 0.3e-3, "E": float("nan")})
-    usual = USUAL * 0.1245e-3
+    usual = USUAL_FACTOR * 0.1245e-3
     assert told.weights() == {"D": pytest.approx((usual / 0.3e-3) ** 4)}
-    assert Residuals({}, {"A": 0.01e-3, "B": 0.01e-3, "C": 0.99 * USUAL_LEAST}).weights() == {}
-    assert Residuals({}, {"A": 0.1e-3, "B": 0.1e-3, "C": 1.2 * USUAL * 0.1e-3}).weights() == {}  # hardly matters
+    assert Residuals({}, {"A": 0.01e-3, "B": 0.01e-3, "C": 0.99 * LEAST_USUAL}).weights() == {}
+    assert Residuals({}, {"A": 0.1e-3, "B": 0.1e-3, "C": 1.2 * USUAL_FACTOR * 0.1e-3}).weights() == {}  # hardly matters
     assert Residuals({}, {"A": float("nan")}).weights() == {}
     assert Residuals({}, {}).weights() == {}
 

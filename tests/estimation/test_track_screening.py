@@ -22,7 +22,7 @@ from estimation.track.screening.agreement import felt, laid
 from estimation.track.screening.screen import PassStatus, screen
 from estimation.values.track import TrackAlignment
 
-PANEL = PanelParameters(length=3000.0, hats=21)
+PANEL = PanelParameters(length=3000.0, basis_count=21)
 KNOWN = alignment(track(1))
 
 

@@ -14,8 +14,10 @@ from test_track_panel import PARAMETERS, fleet_passes
 from test_track_positions import OFFSETS, SCALES
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.track.convergence import Iterated
 from estimation.track.passes import Pass
-from estimation.track.section import SectionEstimate, SectionParameters, estimate_section
+from estimation.track.section import SectionEstimate, estimate_section
+from estimation.track.section_parameters import SectionParameters
 from estimation.values.quantities import Status
 from estimation.values.track import FLEET, TrackAlignment
 
@@ -49,11 +51,15 @@ def error(alignment: TrackAlignment, shift: float = 0.0) -> float:
     return float((alignment.alignment - true)[seen].std() / true[seen].std())
 
 
-def test_positions_and_alignment_settle_together() -> None:
+def test_positions_and_alignment_converge_together() -> None:
     found = first_version()
     assert found.report.status is Status.ESTIMATED
     assert found.report.converged
-    assert found.report.moved_m < SECTION.iteration.iterated
+    assert found.report.moved_m < SECTION.iteration.position_tolerance
+    ended = {one.of: one for one in found.report.convergence}
+    assert ended[Iterated.POSITIONS].change == found.report.moved_m
+    assert ended[Iterated.STIFFNESS_RATIOS].change < SECTION.iteration.ratio_tolerance
+    assert {one.rounds for one in ended.values()} == {found.report.rounds}
     assert found.report.evidence == ()
     assert all(journey.used for journey in found.report.journeys)
     assert known(found).source == FLEET
@@ -69,13 +75,13 @@ def test_positions_and_alignment_settle_together() -> None:
         ({"position_tolerance": 1e-9}, "positions", "stiffness ratios"),
     ],
 )
-def test_what_has_not_settled_is_estimated_and_says_so(limits: dict[str, float], said: str, unsaid: str) -> None:
+def test_what_has_not_converged_is_estimated_and_says_so(limits: dict[str, float], said: str, unsaid: str) -> None:
     impatient = replace(SECTION, iteration=replace(SECTION.iteration, **limits))  # type: ignore[arg-type] - floats all
     found = estimate_section("S", displaced(fleet_passes()), None, impatient)
     assert found.report.status is Status.ESTIMATED
     assert found.alignment is not None
     assert not found.report.converged
-    assert found.report.reason.startswith(f"not settled after {found.report.rounds} rounds: {said} still")
+    assert found.report.reason.startswith(f"not converged after {found.report.rounds} rounds: {said} still")
     assert unsaid not in found.report.reason
     assert first_version().report.reason == ""
 

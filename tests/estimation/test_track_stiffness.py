@@ -5,23 +5,24 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 from smooth_wheelset import mems_windows, run
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
+from estimation.track.gridded_pass import grid_pass, with_ratio
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
 from estimation.track.journeys import PositionParameters, journeys
-from estimation.track.panel.basis import PanelParameters
-from estimation.track.panel.stiffness_ratio import SYSTEMATIC_STD, Ratio, apply_ratios
+from estimation.track.panel.basis import Panel, PanelParameters
+from estimation.track.panel.stiffness_ratio import SYSTEMATIC_STD
 from estimation.track.passes import Pass, passes
 from estimation.track.results import findings
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 CONES = (0.05, 0.10, 0.16)
 SOFT, RIGHT = 17.0, 23.0  # m/s of the vehicle that is believed 20 % too soft, and of one that is known
-PANEL = PanelParameters(length=2800.0, hats=21)
+PANEL = Panel.of(PanelParameters(length=2800.0, basis_count=21))
 
 
 @cache
@@ -61,22 +62,23 @@ def test_the_std_of_a_ratio_covers_its_error_and_is_what_geometry_is_told() -> N
     assert told.stiffness_ratio == {vehicle: ratio.value for vehicle, ratio in one.ratios.items()}
 
 
-def test_an_adjusted_pass_is_that_of_the_vehicle_as_it_is() -> None:
+def test_the_ratio_makes_the_radius_difference_that_of_the_vehicle_as_it_is() -> None:
     """R of the assumed stiffness plus its stiffness term in the right proportion is R of the true stiffness."""
     soft, right = (list(believed(share)[: len(CONES)]) for share in (0.8, 1.0))
-    weights = local_cubic_kernel(PANEL.difference_cutoff_wavelength, 0.25)
-    inner = slice(len(weights) // 2, -(len(weights) // 2))
-    for before, ours, true in zip(soft, apply_ratios(soft, {f"{SOFT:g}": Ratio(1 / 0.8)}), right, strict=True):
-        wrong, left, whole = (
-            high_pass(values, weights)[inner].std()
-            for values in (before.difference - true.difference, ours.difference - true.difference, true.difference)
+    for ours, true in zip(soft, right, strict=True):
+        before, after, whole = (
+            grid_pass(item, PANEL.grid, ratio).difference for item, ratio in ((ours, 1.0), (ours, 1 / 0.8), (true, 1.0))
         )
-        assert wrong > 0.08 * whole
-        assert left < 0.1 * wrong  # the long waves come by a gravity term fitted to the wrong R
+        wrong = (before - whole).std()
+        assert wrong > 0.08 * whole.std()
+        assert (after - whole).std() < 0.1 * wrong  # the long waves come by a gravity term fitted to the wrong R
 
 
-def test_passes_of_vehicles_nothing_is_known_of_stay_as_they_are() -> None:
-    found = list(believed(0.8))
-    assert apply_ratios(found, {}) == found
-    plain = [replace(item, stiffness_term=None) for item in found]
-    assert apply_ratios(plain, {f"{SOFT:g}": Ratio(1.25)}) == plain
+def test_another_ratio_needs_no_filter_again_and_without_stiffness_term_nothing_changes() -> None:
+    item = believed(0.8)[0]
+    at_once = grid_pass(item, PANEL.grid, 1.25)
+    later = with_ratio(grid_pass(item, PANEL.grid), 1.25, PANEL.grid)
+    np.testing.assert_array_equal(later.difference, at_once.difference)
+    np.testing.assert_array_equal(later.inside, at_once.inside)
+    plain = grid_pass(replace(item, stiffness_term=None), PANEL.grid)
+    np.testing.assert_array_equal(with_ratio(plain, 1.25, PANEL.grid).difference, plain.difference)

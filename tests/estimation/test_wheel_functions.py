@@ -14,7 +14,7 @@ from estimation.track.gauge.wheel_functions import (
     INLIER_MISFIT,
     ContactSamples,
     WheelFunctions,
-    fit,
+    fit_wheels,
     gauge_factor,
     gauge_shift_of,
     gauge_sign,
@@ -48,7 +48,7 @@ def true_shift(cone: float, difference: FloatArray, gauge: float) -> FloatArray:
 
 @pytest.mark.parametrize("cone", [0.05, 0.16])
 def test_the_radius_of_each_wheel_comes_out_up_to_a_constant(cone: float) -> None:
-    found = fit(contact_samples(cone))
+    found = fit_wheels(contact_samples(cone))
     for side in ("left", "right"):
         radius = np.interp(SEEN, found.knots, getattr(found, side))
         true = getattr(Wheels(cone), side)(SEEN)
@@ -58,7 +58,7 @@ def test_the_radius_of_each_wheel_comes_out_up_to_a_constant(cone: float) -> Non
 @pytest.mark.parametrize("cone", [0.05, 0.16])
 @pytest.mark.parametrize("gauge", [-2e-3, 1e-3])
 def test_where_a_gauge_puts_a_wheelset_is_where_its_radii_differ_as_much(cone: float, gauge: float) -> None:
-    table = gauge_shift_of(fit(contact_samples(cone)))
+    table = gauge_shift_of(fit_wheels(contact_samples(cone)))
     difference = Wheels(cone).difference(np.linspace(-2e-3, 2e-3, 41), np.zeros(41))
     found = table.at(difference, np.full(41, gauge))
     np.testing.assert_allclose(found, true_shift(cone, difference, gauge), atol=0.03e-3)
@@ -115,12 +115,12 @@ def test_the_sign_of_a_gauge_is_that_which_makes_wheels_steeper_towards_the_flan
     seen = {
         f"W{number}": contact_samples(cone, size=sign, seed=number) for number, cone in enumerate((0.05, 0.1, 0.16))
     }
-    shifts = {name: gauge_shift_of(fit(one.inliers())) for name, one in seen.items()}
+    shifts = {name: gauge_shift_of(fit_wheels(one.inliers())) for name, one in seen.items()}
     assert gauge_sign(seen, shifts) == sign
 
 
 def test_what_all_wheelsets_do_alike_belongs_to_the_track() -> None:
-    tables = {f"W{cone}": gauge_shift_of(fit(contact_samples(cone))) for cone in (0.05, 0.1, 0.16)}
+    tables = {f"W{cone}": gauge_shift_of(fit_wheels(contact_samples(cone))) for cone in (0.05, 0.1, 0.16)}
     left = remove_common_shift(tables)
     middle = len(tables["W0.1"].difference) // 2
     at_zero = np.stack([one.shift[middle] for one in left.values()])

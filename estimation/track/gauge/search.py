@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters.local_cubic import high_pass
 from estimation.track.gauge.least_squares_step import FEWEST_PASSES
-from estimation.track.panel.basis import PanelParameters, basis_functions, gauge_at, on_grid
+from estimation.track.gridded_pass import GriddedPass
+from estimation.track.panel.basis import Panel, gauge_at
 from estimation.track.panel.solution import PanelSolution
-from estimation.track.passes import Pass
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.track import GaugeShift
 
@@ -40,9 +40,9 @@ class SearchParameters:
 
 
 def search_gauge(
-    passes: Sequence[Pass],
+    passes: Sequence[GriddedPass],
     solution: PanelSolution,
-    panel: PanelParameters,
+    panel: Panel,
     shifts: Mapping[str, GaugeShift],
     parameters: SearchParameters,
 ) -> FloatArray:
@@ -58,15 +58,15 @@ def search_gauge(
         Grid, noise and smoothness.
     """
     levels = parameters.levels
-    sums, squares = np.zeros((2, panel.points, len(levels)))
-    count, met = np.zeros((2, panel.points))
+    sums, squares = np.zeros((2, panel.grid.points, len(levels)))
+    count, met = np.zeros((2, panel.grid.points))
     for item in passes:
         placed = _placed(item, solution, panel, shifts)
         if placed is None:
             continue
         at, at_nominal, R = placed
-        each = at_nominal[:, None] - item.side * shifts[item.wheelset].over(R, levels)
-        weight = panel.weight_of(item.wheelset)
+        each = at_nominal[:, None] - item.side * shifts[item.life].over(R, levels)
+        weight = panel.known.weight_of(item.life)
         sums[at] += weight * each
         squares[at] += weight * (each * each)
         count[at] += weight
@@ -81,20 +81,19 @@ def search_gauge(
 
 
 def _placed(
-    item: Pass, solution: PanelSolution, panel: PanelParameters, shifts: Mapping[str, GaugeShift]
+    item: GriddedPass, solution: PanelSolution, panel: Panel, shifts: Mapping[str, GaugeShift]
 ) -> tuple[IntArray, FloatArray, FloatArray] | None:
     """Return grid points (m,), d plus the shift as this pass sees it (m,), m, and R (m,)."""
-    felt = on_grid(item, panel)
-    if felt is None or item.wheelset not in solution.wheelsets:
+    curve = solution.curve_of(item.life)
+    if item.empty or curve is None:
         return None
-    curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
-    R = np.clip(felt.difference, -panel.reach, panel.reach)
-    nominal = item.side * (curve[: panel.hats] @ basis_functions(R, panel.knots) + curve[-1] * felt.stiffness_term)
-    shift = item.side * shifts[item.wheelset].at(felt.difference, gauge_at(felt.points, panel))
-    weights = local_cubic_kernel(panel.cutoff_wavelength, panel.step)
+    p = panel.parameters
+    R = np.clip(item.difference, -p.reach, p.reach)
+    nominal = item.side * (np.interp(R, p.knots, curve[: p.basis_count]) + curve[-1] * item.stiffness_term)
+    shift = item.side * shifts[item.life].at(item.difference, gauge_at(item.points, panel))
     whole = nominal + shift
-    y = high_pass(felt.displacement + felt.shift - whole, weights) + whole
-    return felt.points[felt.inside], (y - nominal)[felt.inside], felt.difference[felt.inside]
+    y = high_pass(item.displacement - whole, panel.grid.kernel) + whole
+    return item.used_points, (y - nominal)[item.inside], item.difference[item.inside]
 
 
 def _best_way(cost: FloatArray, level: FloatArray) -> IntArray:

@@ -14,10 +14,16 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.track.panel.basis import PanelParameters, basis_functions, columns, gauge_at, on_grid
+from estimation.track.gridded_pass import GriddedPass
+from estimation.track.panel.basis import (
+    Panel,
+    curve_displacement,
+    gauge_at,
+    gauge_curves,
+    known_shift,
+    pass_residual,
+)
 from estimation.track.panel.solution import PanelSolution
-from estimation.track.passes import Pass
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array
 from estimation.values.track import GaugeShift
 
@@ -69,35 +75,32 @@ class ContactSamples:
         return ContactSamples(self.displacement[near], self.misfit[near], self.difference[near], self.gauge[near])
 
 
-def contact_samples(
-    passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters
-) -> dict[str, ContactSamples]:
-    """Return the places of every wheelset, seen from itself; what the filter takes from y - d is put back from h(R, e).
+def contact_samples(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel) -> dict[str, ContactSamples]:
+    """Return where every wheelset sat, seen from itself; what the filter takes from y - d is put back from h(R, e).
 
     Parameters
     ----------
-    passes, solution, panel
-        As solved; ``panel.gauge`` given.
+    passes
+        On the grid of the panel.
+    solution, panel
+        As solved, with a gauge.
     """
-    weights = local_cubic_kernel(panel.cutoff_wavelength, panel.step)
     found: dict[str, list[FloatArray]] = {}
     for item in passes:
-        felt = on_grid(item, panel)
-        if felt is None or item.wheelset not in solution.wheelsets:
+        curve = solution.curve_of(item.life)
+        if item.empty or curve is None:
             continue
-        curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
-        own = curve @ columns(felt, panel)
-        rest = high_pass(felt.displacement - item.side * own, weights)
-        d = np.where(felt.inside, solution.alignment[np.clip(felt.points, 0, panel.points - 1)], np.nan)
-        misfit = item.side * (rest - d)
-        model = own - curve[-1] * felt.stiffness_term + item.side * felt.shift
-        met: BoolArray = np.isfinite(misfit) & (np.abs(felt.difference) < panel.reach)
-        rows = np.stack([model + misfit, misfit, felt.difference, gauge_at(felt.points, panel)])
-        found.setdefault(item.wheelset, []).append(rows[:, met])
+        d = np.where(item.inside, solution.alignment[np.clip(item.points, 0, panel.grid.points - 1)], np.nan)
+        misfit = item.side * (pass_residual(item, curve, panel) - d)
+        without_stiffness = curve_displacement(item, curve, panel) - curve[-1] * item.stiffness_term
+        model = without_stiffness + item.side * known_shift(item, panel)
+        known: BoolArray = np.isfinite(misfit) & (np.abs(item.difference) < panel.parameters.reach)
+        rows = np.stack([model + misfit, misfit, item.difference, gauge_at(item.points, panel)])
+        found.setdefault(item.life, []).append(rows[:, known])
     return {name: ContactSamples(*np.concatenate(rows, axis=1)) for name, rows in found.items()}
 
 
-def fit(seen: ContactSamples, factor: float = 1.0) -> WheelFunctions:
+def fit_wheels(seen: ContactSamples, factor: float = 1.0) -> WheelFunctions:
     """Return the functions of the wheels of one wheelset, gauge deviations taken ``factor`` times."""
     x, half = seen.displacement, 0.5 * factor * seen.gauge
     B = sparse.hstack([_hats(x - half, KNOTS), -_hats(-x - half, KNOTS)]).tocsr()
@@ -129,17 +132,17 @@ def remove_common_shift(shifts: Mapping[str, GaugeShift]) -> dict[str, GaugeShif
     return {name: replace(one, shift=one.shift - mean) for name, one in shifts.items()}
 
 
-def total_gauge_shifts(solution: PanelSolution, panel: PanelParameters) -> dict[str, GaugeShift]:
+def total_gauge_shifts(solution: PanelSolution, panel: Panel) -> dict[str, GaugeShift]:
     """Return all that the gauge does: what the panel knew beforehand, and h1 and h2 on top, as far as e was met."""
     assert panel.gauge is not None
-    k, k1 = panel.hats, panel.gauge_basis_count
-    met = float(np.abs(panel.gauge).max())
-    e = np.clip(GAUGES, -met, met) / panel.gauge_unit
-    hats = basis_functions(np.clip(DIFFERENCES, -panel.reach, panel.reach), panel.gauge_knots)
+    p, largest = panel.parameters, float(np.abs(panel.gauge).max())
+    e = np.clip(GAUGES, -largest, largest) / p.gauge_unit
+    R = np.clip(DIFFERENCES, -p.reach, p.reach)
     found = {}
     for name, curve in zip(solution.wheelsets, solution.curves[0], strict=True):
-        shift = np.outer(curve[k : k + k1] @ hats, e) + np.outer(curve[k + k1 : k + 2 * k1] @ hats, e * e)
-        known = None if panel.shifts is None else panel.shifts.get(name)
+        first, second = (np.interp(R, p.gauge_knots, values) for values in gauge_curves(curve, panel))
+        shift = np.outer(first, e) + np.outer(second, e * e)
+        known = panel.known.gauge_shifts.get(name)
         found[name] = GaugeShift(DIFFERENCES, GAUGES, shift if known is None else shift + known.shift)
     return found
 
@@ -150,7 +153,7 @@ def gauge_factor(seen: Mapping[str, ContactSamples]) -> float:
     h1 and e have a common factor that the panel leaves open, a wheel does not.
     """
     some = [one.inliers(2) for _, one in sorted(seen.items())][:: max(len(seen) // MOST_WHEELSETS, 1)][:MOST_WHEELSETS]
-    misfits = [sum(_misfit(one, factor) for one in some) for factor in FACTORS]
+    misfits = [sum(_misfit_wheels(one, factor) for one in some) for factor in FACTORS]
     best = min(max(int(np.argmin(misfits)), 1), len(FACTORS) - 2)
     near = slice(best - 1, best + 2)
     bend, slope, _ = np.polyfit(np.log(FACTORS[near]), misfits[near], 2)
@@ -168,9 +171,9 @@ def gauge_sign(seen: Mapping[str, ContactSamples], shifts: Mapping[str, GaugeShi
     return 1 if sum(_outwards(one, shifts[name]) for name, one in seen.items()) >= 0 else -1
 
 
-def _misfit(seen: ContactSamples, factor: float) -> float:
+def _misfit_wheels(seen: ContactSamples, factor: float) -> float:
     """Return the mean square of x less the shift, m2, around its curve over R: straight between knots."""
-    shift = gauge_shift_of(fit(seen, factor))
+    shift = gauge_shift_of(fit_wheels(seen, factor))
     x = seen.displacement - shift.at(seen.difference, factor * seen.gauge)
     B = _hats(seen.difference, CURVE_KNOTS)
     curve = spsolve((B.T @ B + 1e-6 * sparse.eye(len(CURVE_KNOTS))).tocsc(), B.T @ x)

@@ -3,42 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import ParameterError
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.filters.local_cubic import high_pass
+from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.measured_curves import MeasuredCurve
-from estimation.track.passes import Pass, gridded
-from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.track.section_grid import SectionGrid
+from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.track import GaugeShift
 
 
 @dataclass(frozen=True, slots=True)
 class PanelParameters:
-    """Grid, filter and functions of the panel."""
+    """Grid, filter and basis functions of the panel."""
 
     step: float = 1.0  # m
     length: float = 12_000.0  # m of the section
     cutoff_wavelength: float = 30.0  # m
-    difference_cutoff_wavelength: float = (
-        120.0  # m, of R before h is applied to it: h is not linear, so R must be whole
-    )
-    reach: float = 5.0e-3  # m of R that the hat functions span, both ways; further out is flange contact, and h flat
-    impact: float = 6.0e-3  # m of R; beyond lie flange impacts, hunting and clipped sensors: what is near is left out
-    hats: int = 41
-    gauge: FloatArray | None = field(default=None, compare=False)  # (points,) m, deviation; None: none is modelled
-    gauge_basis_count: int = 15
-    shifts: Mapping[str, GaugeShift] | None = field(default=None, compare=False)  # of wheelsets, as far as known
-    measured: Mapping[str, MeasuredCurve] | None = field(default=None, compare=False)  # of wheelsets, as far as known
-    weights: Mapping[str, float] | None = field(default=None, compare=False)  # of a pass, by wheelset; 1 unless told
+    difference_cutoff_wavelength: float = 120.0  # m, of R before h is applied to it
+    reach: float = 5.0e-3  # m of R that the basis functions span, both ways; beyond is flange contact, and h flat
+    impact: float = 6.0e-3  # m of R, beyond which nothing is used
+    basis_count: int = 41  # basis functions of h0
+    gauge_basis_count: int = 15  # of h1, and of h2
     gauge_unit: float = 2e-3  # m
-    groups: int = 12  # of the jackknife, dealt along the section
+    groups: int = 12  # of the jackknife: blocks along the section in turn
     block: float = 250.0  # m
     roughness: float = 1e-3  # of h, relative to the data
-    least_passes: int = 3  # at a place
+    least_passes: int = 3  # at a grid point
 
     def __post_init__(self) -> None:
         for name in (
@@ -55,36 +50,60 @@ class PanelParameters:
                 raise ParameterError(f"{getattr(self, name)!r} is not positive", field=name)
 
     @property
-    def points(self) -> int:
-        """Grid points of the section."""
-        return int(self.length / self.step) + 1
-
-    @property
     def knots(self) -> FloatArray:
-        """Knots (hats,) of R, m."""
-        return _knots(self.reach, self.hats)
+        """Knots (basis_count,) of R, m."""
+        return _knots(self.reach, self.basis_count)
 
     @property
     def gauge_knots(self) -> FloatArray:
-        """Knots (gauge_hats,) of R, m, of h1 and h2."""
+        """Knots (gauge_basis_count,) of R, m, of h1 and h2."""
         return _knots(self.reach, self.gauge_basis_count)
 
-    @property
-    def columns(self) -> int:
-        """Unknowns per wheelset: h0, then h1 and h2 where gauge is modelled, then the stiffness term."""
-        return self.hats + (0 if self.gauge is None else 2 * self.gauge_basis_count) + 1
 
-    def weight_of(self, wheelset: str) -> float:
+@dataclass(frozen=True, slots=True)
+class KnownBeforehand:
+    """What is known of a section and its passes before the panel is solved."""
+
+    gauge: FloatArray | None = None  # (points,) m, deviation; None: none is modelled
+    gauge_shifts: Mapping[str, GaugeShift] = field(default_factory=dict)  # by profile life
+    measured: Mapping[str, MeasuredCurve] = field(default_factory=dict)  # by profile life
+    weights: Mapping[str, float] = field(default_factory=dict)  # of a pass, by profile life; 1 where there is none
+
+    def weight_of(self, life: str) -> float:
         """Return how much a pass of this wheelset counts."""
-        return 1.0 if self.weights is None else self.weights.get(wheelset, 1.0)
+        return self.weights.get(life, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """A panel regression: its parameters, the grid of the section, and what is known beforehand."""
+
+    parameters: PanelParameters
+    grid: SectionGrid
+    known: KnownBeforehand
+
+    @classmethod
+    def of(cls, parameters: PanelParameters, known: KnownBeforehand | None = None) -> Panel:
+        """Return the panel with the grid of ``parameters``; nothing is known by default."""
+        p = parameters
+        grid = SectionGrid(p.length, p.step, p.cutoff_wavelength, p.difference_cutoff_wavelength, p.impact)
+        return cls(parameters, grid, known or KnownBeforehand())
+
+    def with_gauge(self, gauge: FloatArray, gauge_shifts: Mapping[str, GaugeShift] | None = None) -> Panel:
+        """Return the panel with a gauge deviation (points,), m; its shifts stay as they are by default."""
+        shifts = self.known.gauge_shifts if gauge_shifts is None else gauge_shifts
+        return replace(self, known=replace(self.known, gauge=gauge, gauge_shifts=shifts))
 
     @property
-    def reach_points(self) -> int:
-        """Grid points at each end of a pass that the two filters cannot say anything of."""
-        return (
-            len(local_cubic_kernel(self.cutoff_wavelength, self.step))
-            + len(local_cubic_kernel(self.difference_cutoff_wavelength, self.step))
-        ) // 2
+    def gauge(self) -> FloatArray | None:
+        """Gauge deviation (points,), m; None where none is modelled."""
+        return self.known.gauge
+
+    @property
+    def unknowns(self) -> int:
+        """Unknowns per wheelset: h0, then h1 and h2 where gauge is modelled, then the stiffness term."""
+        p = self.parameters
+        return p.basis_count + (0 if self.gauge is None else 2 * p.gauge_basis_count) + 1
 
 
 def _knots(reach: float, count: int) -> FloatArray:
@@ -92,108 +111,115 @@ def _knots(reach: float, count: int) -> FloatArray:
     return np.asarray(reach * np.sinh(np.linspace(-1.5, 1.5, count)) / np.sinh(1.5))
 
 
-def filtered(
-    item: Pass, parameters: PanelParameters
-) -> tuple[IntArray, npt.NDArray[np.float32], FloatArray, FloatArray] | None:
-    """Return grid points (m,), filtered columns (k, m), y (m,) and R (m,) of a pass; None where it is too short.
+@dataclass(frozen=True, slots=True)
+class PassRows:
+    """The rows of a regression that one pass makes, high-passed, at the grid points that can be used."""
 
-    Columns and R change their sign where the wheelset's left wheel runs on the section's right rail.
+    points: IntArray  # (m,)
+    design: npt.NDArray[np.float32]  # (k, m)
+    displacement: FloatArray  # (m,) y, m
+    difference: FloatArray  # (m,) R, m
+
+
+def pass_rows(item: GriddedPass, panel: Panel) -> PassRows:
+    """Return the high-passed design matrix, y and R of a pass that is not empty.
+
+    Design matrix and R change their sign where the wheelset's left wheel runs on the section's right rail.
+
+    Parameters
+    ----------
+    item
+        The pass.
+    panel
+        Its basis functions, and what is known beforehand.
     """
-    felt = on_grid(item, parameters)
-    if felt is None:
-        return None
-    weights = local_cubic_kernel(parameters.cutoff_wavelength, parameters.step)
-    # single precision: half the time, and columns have no drift that would use it up
-    shapes = columns(felt, parameters).astype(np.float32)
-    B = high_pass(shapes, weights.astype(np.float32))[:, felt.inside]
-    y, R = high_pass(np.stack([felt.displacement, felt.difference]), weights)[:, felt.inside]
-    return felt.points[felt.inside], item.side * B, y, item.side * R
+    kernel = panel.grid.kernel
+    # single precision: half the time, and the basis functions have no drift that would use it up
+    basis = design_matrix(item, panel).astype(np.float32)
+    design = high_pass(basis, kernel.astype(np.float32))[:, item.inside]
+    displacement = item.displacement - known_shift(item, panel)
+    y, R = high_pass(np.stack([displacement, item.difference]), kernel)[:, item.inside]
+    return PassRows(item.used_points, item.side * design, y, item.side * R)
 
 
-def pass_residual(item: Pass, curve: FloatArray, parameters: PanelParameters) -> tuple[IntArray, FloatArray] | None:
-    """Return grid points (m,) and the filtered y - h(R) (m,) of a pass, m; None where it is too short.
+def unfiltered_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
+    """Return y - h(R) (m,) of a pass at all its grid points, m, before any filter.
 
     Parameters
     ----------
     item
         The pass.
     curve
-        (columns,) coefficients of its wheelset.
-    parameters
-        Of the panel.
+        (unknowns,) coefficients of its wheelset.
+    panel
+        Its basis functions, and what is known beforehand.
     """
-    felt = on_grid(item, parameters)
-    if felt is None:
-        return None
-    rest = felt.displacement - item.side * (curve @ columns(felt, parameters))
-    filtered_rest = high_pass(rest, local_cubic_kernel(parameters.cutoff_wavelength, parameters.step))
-    return felt.points[felt.inside], filtered_rest[felt.inside]
+    shift = known_shift(item, panel)
+    return np.asarray(item.displacement - shift - item.side * curve_displacement(item, curve, panel))
 
 
-@dataclass(frozen=True, slots=True)
-class OnGrid:
-    """A pass on the grid of the section; ``inside`` where both filters see enough of it, and no impact."""
+def pass_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
+    """Return the high-passed y - h(R) (m,) of a pass at all its grid points, m.
 
-    points: IntArray  # (m,)
-    displacement: FloatArray  # (m,) y, m, without ``shift``, slow part meaningless
-    shift: FloatArray  # (m,) m, what is known beforehand of what the gauge does to y
-    difference: FloatArray  # (m,) R, m, without what is longer than ``difference_cutoff_wavelength``
-    stiffness_term: FloatArray  # (m,) m
-    certain: BoolArray  # (m,) where R is, and no impact
-    inside: BoolArray  # (m,)
-
-
-def on_grid(item: Pass, parameters: PanelParameters) -> OnGrid | None:
-    """Return a pass on the grid, R high-passed once; None where it is too short or off the section."""
-    first, displacement, difference = gridded(item, parameters.step)
-    points = np.arange(first, first + len(displacement))
-    if len(points) <= 2 * parameters.reach_points + 1:
-        return None
-    long = local_cubic_kernel(parameters.difference_cutoff_wavelength, parameters.step)
-    certain = valid_support(np.ones(len(points), dtype=np.bool_), long)
-    stiffness_term = (
-        np.zeros(len(points))
-        if item.stiffness_term is None
-        else np.interp(points * parameters.step, item.at, item.stiffness_term)
-    )
-    R, E = high_pass(np.stack([difference, stiffness_term]), long)
-    certain &= np.abs(R) <= parameters.impact
-    inside = valid_support(certain, local_cubic_kernel(parameters.cutoff_wavelength, parameters.step))
-    inside &= (points >= 0) & (points < parameters.points)
-    if not inside.any():
-        return None
-    R, E = np.where(certain, R, 0.0), np.where(certain, E, 0.0)
-    shift = _shift(item, points, R, parameters)
-    return OnGrid(points, displacement - shift, shift, R, E, certain, inside)
+    Parameters
+    ----------
+    item
+        The pass.
+    curve
+        (unknowns,) coefficients of its wheelset.
+    panel
+        Its basis functions, and what is known beforehand.
+    """
+    return high_pass(unfiltered_residual(item, curve, panel), panel.grid.kernel)
 
 
-def _shift(item: Pass, points: IntArray, R: FloatArray, parameters: PanelParameters) -> FloatArray:
-    known = None if parameters.shifts is None else parameters.shifts.get(item.wheelset)
-    if known is None:
-        return np.zeros(len(points))
-    return item.side * known.at(R, gauge_at(points, parameters))
+def known_shift(item: GriddedPass, panel: Panel) -> FloatArray:
+    """Return what is known beforehand of what the gauge does to y (m,), m."""
+    shift = panel.known.gauge_shifts.get(item.life)
+    if shift is None:
+        return np.zeros(len(item.points))
+    return item.side * shift.at(item.difference, gauge_at(item.points, panel))
 
 
-def columns(felt: OnGrid, parameters: PanelParameters) -> FloatArray:
+def design_matrix(item: GriddedPass, panel: Panel) -> FloatArray:
     """Return the functions (k, m) of a pass that its displacement is a sum of, before the filter."""
-    R = np.clip(felt.difference, -parameters.reach, parameters.reach)
-    rows = [basis_functions(R, parameters.knots)]
-    if parameters.gauge is not None:
-        coarse = basis_functions(R, parameters.gauge_knots)
-        e = gauge_at(felt.points, parameters) / parameters.gauge_unit
+    p = panel.parameters
+    R = np.clip(item.difference, -p.reach, p.reach)
+    rows = [basis_functions(R, p.knots)]
+    if panel.gauge is not None:
+        coarse = basis_functions(R, p.gauge_knots)
+        e = gauge_at(item.points, panel) / p.gauge_unit
         rows += [coarse * e, coarse * e**2]
-    return np.concatenate([*rows, felt.stiffness_term[None, :]])
+    return np.concatenate([*rows, item.stiffness_term[None, :]])
 
 
-def gauge_at(points: IntArray, parameters: PanelParameters) -> FloatArray:
+def curve_displacement(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
+    """Return ``curve`` (k,) times the design matrix of a pass (m,), m, without making that."""
+    p = panel.parameters
+    R = np.clip(item.difference, -p.reach, p.reach)
+    displacement = np.interp(R, p.knots, curve[: p.basis_count]) + curve[-1] * item.stiffness_term
+    if panel.gauge is not None:
+        first, second = gauge_curves(curve, panel)
+        e = gauge_at(item.points, panel) / p.gauge_unit
+        displacement += e * np.interp(R, p.gauge_knots, first) + e**2 * np.interp(R, p.gauge_knots, second)
+    return np.asarray(displacement)
+
+
+def gauge_curves(curve: FloatArray, panel: Panel) -> tuple[FloatArray, FloatArray]:
+    """Return h1 and h2 at the gauge knots (gauge_basis_count,), m, of the coefficients (unknowns,) of a wheelset."""
+    start, count = panel.parameters.basis_count, panel.parameters.gauge_basis_count
+    return curve[start : start + count], curve[start + count : start + 2 * count]
+
+
+def gauge_at(points: IntArray, panel: Panel) -> FloatArray:
     """Return the gauge deviation (m,) at grid points, m; zero off the section."""
-    assert parameters.gauge is not None
-    on = (points >= 0) & (points < parameters.points)
-    return np.where(on, parameters.gauge[np.clip(points, 0, parameters.points - 1)], 0.0)
+    assert panel.gauge is not None
+    on = panel.grid.contains(points)
+    return np.where(on, panel.gauge[np.clip(points, 0, panel.grid.points - 1)], 0.0)
 
 
 def basis_functions(R: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return the values (k, n) of the piecewise linear functions of R; beyond the outer knots they go on straight."""
+    """Return the piecewise linear functions (k, n) of R (n,), m; beyond the knots (k,), m, they go on straight."""
     cell = np.clip(np.searchsorted(knots, R) - 1, 0, len(knots) - 2)
     share = (R - knots[cell]) / (knots[cell + 1] - knots[cell])
     values = np.zeros((len(knots), len(R)))

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
-from estimation.track.panel.basis import PanelParameters, columns, on_grid
+from estimation.track.gridded_pass import GriddedPass
+from estimation.track.panel.basis import Panel, unfiltered_residual
 from estimation.track.panel.solution import PanelSolution
-from estimation.track.passes import Pass
 from estimation.values.arrays import FloatArray
 
 
@@ -29,20 +29,19 @@ class LongWaveAlignment:
 
 
 def long_wave_alignment(
-    passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters, cutoff_wavelength: float
+    passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, cutoff_wavelength: float
 ) -> LongWaveAlignment:
     """Return the alignment from ``passes`` with the curves of ``solution``."""
-    weights = local_cubic_kernel(cutoff_wavelength, panel.step)
-    total, square, count = np.zeros((3, panel.points))
+    weights = local_cubic_kernel(cutoff_wavelength, panel.grid.step)
+    total, square, count = np.zeros((3, panel.grid.points))
     for item in passes:
-        felt = on_grid(item, panel)
-        if felt is None or item.wheelset not in solution.wheelsets:
+        curve = solution.curve_of(item.life)
+        if item.empty or curve is None:
             continue
-        curve = solution.curves[0, solution.wheelsets.index(item.wheelset)]
-        own = high_pass(felt.displacement - item.side * (curve @ columns(felt, panel)), weights)
-        inside = valid_support(felt.certain, weights) & (felt.points >= 0) & (felt.points < panel.points)
-        at = felt.points[inside]
-        weight = panel.weight_of(item.wheelset)
+        own = high_pass(unfiltered_residual(item, curve, panel), weights)
+        inside = valid_support(item.certain, weights) & panel.grid.contains(item.points)
+        at = item.points[inside]
+        weight = panel.known.weight_of(item.life)
         total[at] += weight * own[inside]
         square[at] += weight * own[inside] ** 2
         count[at] += weight

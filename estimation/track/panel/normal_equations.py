@@ -1,27 +1,27 @@
 """Alignment and geometry together, from many passes of many wheelsets over one place: a panel regression.
 
 At one place, pass p of wheelset w has y = d + h_w(R) + noise, where h_w is the inverse of its rolling radius
-difference R(y - d) and d belongs to the place. With h_w = sum_j c_wj phi_j (hat functions of R) this is linear in d
-and c: d is the mean over the passes, c follows from what the passes have apart. No start, no rounds, one minimum; and
-because R is measured far better than y, the regression of y on R is the one that its noise does not flatten.
-Everything is compared after the same high-pass.
+difference R(y - d) and d belongs to the place. With h_w = sum_j c_wj phi_j (piecewise linear functions of R) this is
+linear in d and c: d is the mean over the passes, c follows from the differences between the passes. It needs no start
+and no rounds and has one minimum; and because R is measured far better than y, the noise of R hardly flattens the
+regression of y on R. Everything is compared after the same high-pass.
 
-Two more columns per wheelset are linear too: the stiffness term of R, whose coefficient says by how much the assumed
-ratio of yaw stiffness to creep coefficient is off; and, where the gauge deviation e(s) is given, hats of R times e and
+Two more terms per wheelset are linear too: the stiffness term of R, whose coefficient is the error of the assumed
+ratio of yaw stiffness to creep coefficient; and, where the gauge deviation e(s) is given, functions of R times e and
 times its square, h(R, e) = h0(R) + e h1(R) + e^2 h2(R), because gauge moves each wheel against its own rail.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from estimation.track.panel.basis import PanelParameters, filtered
-from estimation.track.passes import Pass
+from estimation.track.gridded_pass import GriddedPass
+from estimation.track.panel.basis import Panel, PassRows, pass_rows
 from estimation.values.arrays import FloatArray, IntArray
 
 
@@ -29,97 +29,102 @@ from estimation.values.arrays import FloatArray, IntArray
 class PanelState:
     """Sums over passes; merging or adding passes in any order gives the same sums up to rounding.
 
-    ``gram`` and ``cross`` are per group of blocks along the section; ``functions``, ``displacement`` and ``passes`` are
-    per grid point. Wheelsets are in the order in which they came.
+    ``gram`` and ``cross`` are per group of blocks along the section; ``basis_sums``, ``displacement`` and ``passes``
+    are per grid point. Wheelsets are in the order in which they came.
     """
 
-    parameters: PanelParameters
+    panel: Panel
     wheelsets: tuple[str, ...]
     gram: FloatArray  # (g, w, k, k)
     cross: FloatArray  # (g, w, k)
     square: FloatArray  # (g,) sum of y^2
-    functions: npt.NDArray[np.float32]  # (w, k, n) sum over passes of the filtered columns
+    basis_sums: npt.NDArray[np.float32]  # (w, k, n) sum over passes of the filtered basis functions
     displacement: FloatArray  # (n,) sum over passes of the filtered y
     passes: FloatArray  # (n,) sum of their weights
     difference: FloatArray  # (2, n) sums of the filtered R and of its square
-    met: IntArray  # (n,) passes, whatever they weigh
-    has_alignment: bool = False  # evidence of how the place lies is among the sums
+    count: IntArray  # (n,) passes, whatever they weigh
+    has_alignment: bool = False  # whether a prior alignment is among the sums
 
 
-def init(parameters: PanelParameters) -> PanelState:
-    """Return the empty state."""
-    g, k, n = parameters.groups, parameters.columns, parameters.points
+def init(panel: Panel) -> PanelState:
+    """Return the empty state of a panel."""
+    g, k, n = panel.parameters.groups, panel.unknowns, panel.grid.points
     return PanelState(
-        parameters,
-        (),
-        np.zeros((g, 0, k, k)),
-        np.zeros((g, 0, k)),
-        np.zeros(g),
-        np.zeros((0, k, n), dtype=np.float32),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros((2, n)),
-        np.zeros(n, dtype=np.int64),
+        panel=panel,
+        wheelsets=(),
+        gram=np.zeros((g, 0, k, k)),
+        cross=np.zeros((g, 0, k)),
+        square=np.zeros(g),
+        basis_sums=np.zeros((0, k, n), dtype=np.float32),
+        displacement=np.zeros(n),
+        passes=np.zeros(n),
+        difference=np.zeros((2, n)),
+        count=np.zeros(n, dtype=np.int64),
     )
 
 
-def update(state: PanelState, passes: list[Pass]) -> PanelState:
-    """Return the state with ``passes`` added; the cost is that of the passes, and one copy of the sums."""
-    wheelsets = tuple(dict.fromkeys((*state.wheelsets, *(item.wheelset for item in passes))))
+def update(state: PanelState, passes: Sequence[GriddedPass]) -> PanelState:
+    """Return the state with ``passes`` added; the cost is that of the passes, and one copy of the sums.
+
+    Parameters
+    ----------
+    state
+        Sums so far.
+    passes
+        On the grid of the state's panel.
+    """
+    wheelsets = tuple(dict.fromkeys((*state.wheelsets, *(item.life for item in passes))))
     new = len(wheelsets) - len(state.wheelsets)
-    gram = np.pad(state.gram, ((0, 0), (0, new), (0, 0), (0, 0)))
-    cross = np.pad(state.cross, ((0, 0), (0, new), (0, 0)))
-    functions = np.pad(state.functions, ((0, new), (0, 0), (0, 0)))
-    square, displacement = state.square.copy(), state.displacement.copy()
-    counts, difference, met = state.passes.copy(), state.difference.copy(), state.met.copy()
-    for item in passes:
-        columns = filtered(item, state.parameters)
-        if columns is None:
-            continue
-        w, (at, B, y, R) = wheelsets.index(item.wheelset), columns
-        weight = state.parameters.weight_of(item.wheelset)
-        for group, B_there, y_there in _dealt(at, B, y, state.parameters):
-            gram[group, w] += weight * (B_there @ B_there.T)
-            cross[group, w] += weight * (B_there @ y_there)
-            square[group] += weight * (y_there @ y_there)
-        functions[w][:, _whole(at)] += np.float32(weight) * B
-        displacement[at] += weight * y
-        counts[at] += weight
-        met[at] += 1
-        difference[0, at] += weight * R
-        difference[1, at] += weight * R * R
-    return replace(
+    sums = replace(
         state,
         wheelsets=wheelsets,
-        gram=gram,
-        cross=cross,
-        square=square,
-        functions=functions,
-        displacement=displacement,
-        passes=counts,
-        difference=difference,
-        met=met,
+        gram=np.pad(state.gram, ((0, 0), (0, new), (0, 0), (0, 0))),
+        cross=np.pad(state.cross, ((0, 0), (0, new), (0, 0))),
+        square=state.square.copy(),
+        basis_sums=np.pad(state.basis_sums, ((0, new), (0, 0), (0, 0))),
+        displacement=state.displacement.copy(),
+        passes=state.passes.copy(),
+        difference=state.difference.copy(),
+        count=state.count.copy(),
     )
+    for item in passes:
+        if not item.empty:
+            _add(sums, wheelsets.index(item.life), pass_rows(item, state.panel), state.panel.known.weight_of(item.life))
+    return sums
 
 
-def _dealt(
-    at: IntArray, B: npt.NDArray[np.float32], y: FloatArray, parameters: PanelParameters
-) -> Iterator[tuple[int, npt.NDArray[np.float32], FloatArray]]:
-    """Yield each group with its part of the columns (k, m) and of the displacement (m,)."""
-    group = groups_of(at, parameters)
+def _add(sums: PanelState, w: int, rows: PassRows, weight: float) -> None:
+    """Add the rows of one pass of wheelset ``w`` to sums that nobody else holds."""
+    at, y, R = rows.points, rows.displacement, rows.difference
+    for group, B_there, y_there in _by_group(rows, sums.panel):
+        sums.gram[group, w] += weight * (B_there @ B_there.T)
+        sums.cross[group, w] += weight * (B_there @ y_there)
+        sums.square[group] += weight * (y_there @ y_there)
+    sums.basis_sums[w][:, _as_slice(at)] += np.float32(weight) * rows.design
+    sums.displacement[at] += weight * y
+    sums.passes[at] += weight
+    sums.count[at] += 1
+    sums.difference[0, at] += weight * R
+    sums.difference[1, at] += weight * R * R
+
+
+def _by_group(rows: PassRows, panel: Panel) -> Iterator[tuple[int, npt.NDArray[np.float32], FloatArray]]:
+    """Yield each group with its part of the design matrix (k, m) and of the displacement (m,)."""
+    group = groups_of(rows.points, panel)
     order = np.argsort(group, kind="stable")
-    B, y = B[:, order], y[order]
-    ends = np.cumsum(np.bincount(group, minlength=parameters.groups))
+    B, y = rows.design[:, order], rows.displacement[order]
+    ends = np.cumsum(np.bincount(group, minlength=panel.parameters.groups))
     for number, (start, end) in enumerate(pairwise((0, *ends))):
         if end > start:
             yield number, B[:, start:end], y[start:end]
 
 
-def _whole(at: IntArray) -> IntArray | slice:
+def _as_slice(at: IntArray) -> IntArray | slice:
     """Return increasing grid points as a slice where none is left out: many times quicker to add to."""
     return slice(int(at[0]), int(at[-1]) + 1) if at[-1] - at[0] + 1 == len(at) else at
 
 
-def groups_of(at: IntArray, parameters: PanelParameters) -> IntArray:
-    """Return the group (m,) of each grid point: blocks along the section, dealt in turn."""
-    return np.asarray((at * parameters.step // parameters.block).astype(np.int64) % parameters.groups)
+def groups_of(at: IntArray, panel: Panel) -> IntArray:
+    """Return the group (m,) of each grid point: blocks along the section, assigned in turn."""
+    block = panel.parameters.block
+    return np.asarray((at * panel.grid.step // block).astype(np.int64) % panel.parameters.groups)

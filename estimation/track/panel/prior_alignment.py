@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
-from estimation.track.panel.basis import PanelParameters
 from estimation.track.panel.normal_equations import PanelState, groups_of
 from estimation.track.panel.solution import PanelSolution
+from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import FloatArray
 from estimation.values.track import TrackAlignment
 
@@ -31,24 +31,24 @@ class PriorAlignment:
         return bool(np.isfinite(self.std).any())
 
 
-def prior_on_grid(evidence: TrackAlignment, panel: PanelParameters, cutoff_wavelength: float) -> PriorAlignment:
+def prior_on_grid(evidence: TrackAlignment, grid: SectionGrid, cutoff_wavelength: float) -> PriorAlignment:
     """Return ``evidence`` on the grid of the panel, high-passed at ``cutoff_wavelength`` (m) unless it was before."""
-    grid = np.arange(panel.points) * panel.step
+    s = grid.s
     certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
-    inside = np.interp(grid, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
-    d = np.interp(grid, evidence.s, np.where(certain, evidence.alignment, 0.0))
-    std = np.interp(grid, evidence.s, np.where(certain, evidence.alignment_std, 0.0))
+    inside = np.interp(s, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
+    d = np.interp(s, evidence.s, np.where(certain, evidence.alignment, 0.0))
+    std = np.interp(s, evidence.s, np.where(certain, evidence.alignment_std, 0.0))
     if evidence.cutoff_wavelength != cutoff_wavelength:
-        weights = local_cubic_kernel(cutoff_wavelength, panel.step)
+        weights = local_cubic_kernel(cutoff_wavelength, grid.step)
         inside = valid_support(np.asarray(inside), weights)
         d = high_pass(d, weights)
-    passes = np.interp(grid, evidence.s, evidence.passes.astype(np.float64))
+    passes = np.interp(s, evidence.s, evidence.passes.astype(np.float64))
     return PriorAlignment(
         np.where(inside, d, 0.0),
         np.where(inside, std, np.inf),
         np.where(inside, np.rint(passes), 0.0),
-        np.interp(grid, evidence.s, evidence.gauge_deviation),
-        np.interp(grid, evidence.s, evidence.gauge_deviation_std),
+        np.interp(s, evidence.s, evidence.gauge_deviation),
+        np.interp(s, evidence.s, evidence.gauge_deviation_std),
         evidence.gauge_known,
     )
 
@@ -58,11 +58,12 @@ def add_prior(state: PanelState, known: PriorAlignment, noise: float, most_weigh
     with np.errstate(divide="ignore"):
         weight = np.minimum((noise / known.std) ** 2, most_weight)
     d = known.alignment
-    group = groups_of(np.arange(state.parameters.points), state.parameters)
-    square = state.square + np.bincount(group, weights=weight * d * d, minlength=state.parameters.groups)
+    panel = state.panel
+    group = groups_of(np.arange(panel.grid.points), panel)
+    square = state.square + np.bincount(group, weights=weight * d * d, minlength=panel.parameters.groups)
     return replace(
         state,
-        parameters=replace(state.parameters, least_passes=1),
+        panel=replace(panel, parameters=replace(panel.parameters, least_passes=1)),
         displacement=state.displacement + weight * d,
         passes=state.passes + weight,
         square=square,
@@ -89,6 +90,6 @@ def fleet_step(state: PanelState, solution: PanelSolution, known: PriorAlignment
     met = (weight > 0) & (state.passes > 0) & np.isfinite(solution.alignment)
     own = np.where(met, state.passes, 1)
     of_passes = (solution.passes * np.nan_to_num(solution.alignment) - weight * known.alignment) / own
-    slope = np.where(met, np.gradient(np.where(met, of_passes, 0.0), state.parameters.step), 0.0)
+    slope = np.where(met, np.gradient(np.where(met, of_passes, 0.0), state.panel.grid.step), 0.0)
     square = float(slope @ slope)
     return float(slope @ np.where(met, of_passes - known.alignment, 0.0)) / square if square > 0.0 else None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from estimation.track.panel.basis import PanelParameters
+from estimation.track.panel.basis import Panel
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, groups_of
 from estimation.values.arrays import FloatArray
@@ -17,23 +17,23 @@ from estimation.values.quantities import Status
 LEAST_DIVERSITY = 0.15
 LEAST_WHEELSETS = 2
 GAUGE_RIDGE = 1e-4  # of h1 and h2 per knot, relative to the data of a knot of h0
-ELASTIC_PRIOR = 2e-7  # m2: variance of a pass over that of the coefficient of the stiffness term
+STIFFNESS_TERM_PRIOR = 2e-7  # m2: variance of a pass over that of the coefficient of the stiffness term
 PASS_STD = 0.12e-3  # m of y - d - h(R) of a pass, as measured profiles are weighed against it
-ALIKE = 20.0  # samples of a pass whose errors are one
-PARTS = 4.0  # of a measured curve, whose errors are their own
-HELD = 100.0  # times the data of a knot: a curve that only the measurement can tell
+CORRELATED_SAMPLES = 20.0  # samples of a pass whose errors are one
+INDEPENDENT_PARTS = 4.0  # of a measured curve, whose errors are their own
+FIXED_CURVE_WEIGHT = 100.0  # times the data of a knot: a curve that only the measurement can tell
 
 
 @dataclass(frozen=True, slots=True)
 class PanelReport:
     """Whether the passes could tell alignment and geometry apart.
 
-    ``held`` where they could not, and measured profiles have done it for them.
+    ``curves_fixed`` where they could not, and measured profiles have done it for them.
     """
 
     status: Status
     reason: str
-    held: bool
+    curves_fixed: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,17 +50,21 @@ class PanelSolution:
     common_std: FloatArray  # (n,) m, the share of it that the curves' uncertainty makes
     passes: FloatArray  # (n,) sum of their weights
 
+    def curve_of(self, wheelset: str) -> FloatArray | None:
+        """Return the coefficients (c,) of a wheelset from all data; None where it has no curve."""
+        return self.curves[0, self.wheelsets.index(wheelset)] if wheelset in self.wheelsets else None
+
 
 def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     """Return what the passes so far say of the section and of the wheelsets that passed it; quicker without std."""
-    p = state.parameters
-    w, k = len(state.wheelsets), p.columns
+    p = state.panel.parameters
+    w, k, n = len(state.wheelsets), state.panel.unknowns, state.panel.grid.points
     enough = state.passes >= p.least_passes
-    group = groups_of(np.arange(p.points), p)
+    group = groups_of(np.arange(n), state.panel)
     normal = np.empty((p.groups, w * k, w * k))
     right = np.empty((p.groups, w * k))
-    stacked = state.functions.reshape(w * k, p.points)
-    share = np.zeros(p.points)
+    stacked = state.basis_sums.reshape(w * k, n)
+    share = np.zeros(n)
     share[enough] = 1.0 / state.passes[enough]
     for g in range(p.groups):
         mine = np.flatnonzero((group == g) & (state.passes > 0))
@@ -70,19 +74,19 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
         normal[g] = linalg.block_diag(*state.gram[g]) - root @ root.T
         right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[mine]).astype(np.float32)
     reason = _too_little(state)
-    held = bool(reason) and not state.has_alignment and bool(enough.any()) and bool(_measured(state))
-    curves = _curves(normal, right, state, held=held, std=std)
+    curves_fixed = bool(reason) and not state.has_alignment and bool(enough.any()) and bool(_measured(state))
+    curves = _curves(normal, right, state, curves_fixed=curves_fixed, std=std)
     alignments = (state.displacement - _by_curves(curves, state)) * share
     residual = _residual_rms(state, curves[0], normal, right)
     common = jackknife_std(alignments)
     certainty = np.hypot(common, residual * np.sqrt(share))
-    told = held or not reason
+    told = curves_fixed or not reason
     return PanelSolution(
-        report=PanelReport(Status.ESTIMATED if told else Status.UNESTIMATED, "" if told else reason, held),
+        report=PanelReport(Status.ESTIMATED if told else Status.UNESTIMATED, "" if told else reason, curves_fixed),
         wheelsets=state.wheelsets,
         knots=p.knots,
         curves=curves,
-        weight=np.einsum("gwkk->wk", state.gram)[:, : p.hats],
+        weight=np.einsum("gwkk->wk", state.gram)[:, : p.basis_count],
         alignment=np.where(enough, alignments[0], np.nan),
         alignment_std=np.where(enough, certainty, np.nan),
         common_std=np.where(enough, common, np.nan),
@@ -92,26 +96,28 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
 
 def _by_curves(curves: FloatArray, state: PanelState) -> FloatArray:
     """Return the sum over passes (r, n), m, of what curves (r, w, c) make of displacement; rounded to a nanometre."""
-    summed = state.functions.reshape(-1, state.parameters.points)
+    summed = state.basis_sums.reshape(-1, state.panel.grid.points)
     return np.asarray(curves.reshape(len(curves), -1).astype(np.float32) @ summed, dtype=np.float64)
 
 
-def _curves(normal: FloatArray, right: FloatArray, state: PanelState, *, held: bool, std: bool) -> FloatArray:
+def _curves(normal: FloatArray, right: FloatArray, state: PanelState, *, curves_fixed: bool, std: bool) -> FloatArray:
     """Solve for all data and with each group left out; curves pass through zero at R = 0."""
-    w, p = len(state.wheelsets), state.parameters
+    w, p, c = len(state.wheelsets), state.panel.parameters, state.panel.unknowns
     if w == 0:
         return np.zeros((1 + len(normal), 0, 1))
     total, total_right = normal.sum(axis=0), right.sum(axis=0)
-    size = float(np.diag(total).reshape(w, -1)[:, : p.hats].mean())
-    prior = linalg.block_diag(*[_prior(size if size > 0.0 else 1.0, p)] * w)  # all passes too short: nothing was met
-    prior += _no_common_shift(w, p, 1e2 * float(np.diag(total).max(initial=0.0)))
-    measured, measured_right = _prior_of_measured(state, HELD * size if held else None)
+    size = float(np.diag(total).reshape(w, -1)[:, : p.basis_count].mean())
+    prior = linalg.block_diag(
+        *[_prior(size if size > 0.0 else 1.0, state.panel)] * w
+    )  # all passes too short: nothing was met
+    prior += _no_common_shift(w, state.panel, 1e2 * float(np.diag(total).max(initial=0.0)))
+    measured, measured_right = _prior_of_measured(state, FIXED_CURVE_WEIGHT * size if curves_fixed else None)
     prior, total_right = prior + measured, total_right + measured_right
-    if held:  # as little as the curves do the passes tell the stiffness: it is as assumed
-        stiffness_term = np.arange(p.columns - 1, len(total), p.columns)
-        prior[stiffness_term, stiffness_term] += HELD * total[stiffness_term, stiffness_term]
+    if curves_fixed:  # as little as the curves do the passes tell the stiffness: it is as assumed
+        stiffness = np.arange(c - 1, len(total), c)
+        prior[stiffness, stiffness] += FIXED_CURVE_WEIGHT * total[stiffness, stiffness]
     curves = [
-        linalg.solve(total - left_out + prior, total_right - left_right, assume_a="sym").reshape(w, p.columns)
+        linalg.solve(total - left_out + prior, total_right - left_right, assume_a="sym").reshape(w, c)
         for left_out, left_right in zip(
             [np.zeros_like(total), *(normal if std else ())],
             [np.zeros_like(total_right), *(right if std else ())],
@@ -119,53 +125,55 @@ def _curves(normal: FloatArray, right: FloatArray, state: PanelState, *, held: b
         )
     ]
     for curve in curves:
-        curve[:, : p.hats] -= curve[:, [p.hats // 2]]
+        curve[:, : p.basis_count] -= curve[:, [p.basis_count // 2]]
     return np.stack(curves)
 
 
-def _prior(scale: float, p: PanelParameters) -> FloatArray:
+def _prior(scale: float, panel: Panel) -> FloatArray:
     """Return the normal matrix (c, c) of what is known of one wheelset's columns beforehand."""
-    blocks = [scale * (_rough(p.hats, p.roughness) + 1e-6 * np.ones((p.hats, p.hats)) / p.hats)]
-    if p.gauge is not None:
+    p, count = panel.parameters, panel.parameters.basis_count
+    blocks = [scale * (_rough(count, p.roughness) + 1e-6 * np.ones((count, count)) / count)]
+    if panel.gauge is not None:
         k = p.gauge_basis_count
         blocks += [scale * (_rough(k, 3 * p.roughness) + GAUGE_RIDGE * np.eye(k))] * 2
-    return linalg.block_diag(*blocks, np.full((1, 1), ELASTIC_PRIOR))
+    return linalg.block_diag(*blocks, np.full((1, 1), STIFFNESS_TERM_PRIOR))
 
 
 def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
     """Return the curves that have been measured, by the number of their wheelset."""
-    known = state.parameters.measured or {}
+    known = state.panel.known.measured
     return {number: known[name] for number, name in enumerate(state.wheelsets) if name in known}
 
 
-def _prior_of_measured(state: PanelState, held: float | None) -> tuple[FloatArray, FloatArray]:
+def _prior_of_measured(state: PanelState, fixed_weight: float | None) -> tuple[FloatArray, FloatArray]:
     """Return normal matrix (w c, w c) and right side (w c,) of h0 as measured, up to a constant.
 
-    ``held`` is the weight of a knot where only the measurement can tell the curve; None lets its std weigh it.
+    ``fixed_weight`` is the weight of a knot where only the measurement can tell the curve; None lets its std weigh it.
     """
-    w, p = len(state.wheelsets), state.parameters
-    matrix, right = np.zeros((w * p.columns, w * p.columns)), np.zeros(w * p.columns)
+    w, p, c = len(state.wheelsets), state.panel.parameters, state.panel.unknowns
+    matrix, right = np.zeros((w * c, w * c)), np.zeros(w * c)
     for number, curve in _measured(state).items():
         displacement, reached = curve.at(p.knots)
-        own = (PASS_STD / curve.std) ** 2 * ALIKE * PARTS / p.hats
-        weight = reached * (own if held is None else held)
+        own = (PASS_STD / curve.std) ** 2 * CORRELATED_SAMPLES * INDEPENDENT_PARTS / p.basis_count
+        weight = reached * (own if fixed_weight is None else fixed_weight)
         if not weight.any():
             continue
         block = np.diag(weight) - np.outer(weight, weight) / weight.sum()  # less its mean: the filter takes constants
-        at = slice(number * p.columns, number * p.columns + p.hats)
+        at = slice(number * c, number * c + p.basis_count)
         matrix[at, at], right[at] = block, block @ displacement
     return matrix, right
 
 
-def _no_common_shift(w: int, p: PanelParameters, strength: float) -> FloatArray:
+def _no_common_shift(w: int, panel: Panel, strength: float) -> FloatArray:
     """Return the normal matrix (w c, w c) of the mean of h1(0) and that of h2(0) over the wheelsets being zero.
 
     A shift of all wheelsets alike in proportion to the gauge deviation, or its square, cannot be told from the track.
     """
-    if p.gauge is None:
-        return np.zeros((w * p.columns, w * p.columns))
-    middle = p.hats + p.gauge_basis_count // 2
-    first, second = (np.tile(np.eye(p.columns)[at], w) / w for at in (middle, middle + p.gauge_basis_count))
+    p, c = panel.parameters, panel.unknowns
+    if panel.gauge is None:
+        return np.zeros((w * c, w * c))
+    middle = p.basis_count + p.gauge_basis_count // 2
+    first, second = (np.tile(np.eye(c)[at], w) / w for at in (middle, middle + p.gauge_basis_count))
     return np.asarray(strength * (np.outer(first, first) + np.outer(second, second)))
 
 
@@ -202,7 +210,7 @@ def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
     return float(np.sqrt(max(float(squares), 0.0) / freedom))
 
 
-def diversity(state: PanelState) -> float:
+def between_pass_std_ratio(state: PanelState) -> float:
     """Return the std of R between the passes of a place over the std of R."""
     several = state.passes > 1
     count = state.passes[several]
@@ -214,12 +222,12 @@ def diversity(state: PanelState) -> float:
 
 def _too_little(state: PanelState) -> str:
     """Return why the passes alone cannot tell the track from the wheelsets; empty where they can."""
-    least = state.parameters.least_passes
+    least = state.panel.parameters.least_passes
     if not (state.passes >= least).any():
         return f"no place with {least} passes"
     if len(state.wheelsets) < LEAST_WHEELSETS:
         return "one wheelset alone cannot tell the track from its own geometry"
-    found = diversity(state)
+    found = between_pass_std_ratio(state)
     if found < LEAST_DIVERSITY:
         return f"the passes are too alike: diversity {found:.2f}, {LEAST_DIVERSITY} is needed"
     return ""

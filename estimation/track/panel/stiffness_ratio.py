@@ -1,9 +1,9 @@
 """What the passes say of the vehicles themselves: yaw stiffness over creep coefficient, which scales part of R.
 
-R = rL - rR is measured as a sum of a rolling part, -(2 l r0/V) psi', that no uncertain parameter scales, and of an
-stiffness term, -(r0/(l f11)) (k_psi psi + I psi''), that goes with yaw stiffness over creep coefficient. The two are
-out of phase, so a wrong ratio leaves residuals: y = d + h(R + delta E) = d + h(R) + h' delta E + ... has one
-more column, E.
+R = rL - rR is measured as a sum of a rolling part, -(2 l r0/V) psi', that no uncertain parameter scales, and of the
+stiffness term E = -(r0/(l f11)) (k_psi psi + I psi''), which is proportional to yaw stiffness over creep coefficient.
+The two are out of phase, so a wrong ratio leaves residuals: y = d + h(R + delta E) = d + h(R) + h' delta E + ... has
+one more term, E.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.track.panel.basis import PanelParameters
+from estimation.track.gridded_pass import GriddedPass
+from estimation.track.panel.basis import Panel
 from estimation.track.panel.solution import PanelSolution
-from estimation.track.passes import Pass
 from estimation.values.intervals import jackknife_std
 
 PRIOR_STD = 0.15  # of the ratio, relative
@@ -31,33 +31,26 @@ class Ratio:
     std: float = PRIOR_STD
 
 
-def apply_ratios(passes: Sequence[Pass], ratios: Mapping[str, Ratio]) -> list[Pass]:
-    """Return the passes with the stiffness term of R as large as the ratio of their vehicle makes it."""
-    found = []
-    for item in passes:
-        ratio = ratios.get(item.vehicle)
-        if ratio is None or item.stiffness_term is None:
-            found.append(item)
-        else:
-            found.append(replace(item, difference=item.difference + (ratio.value - 1.0) * item.stiffness_term))
-    return found
+def ratio_values(ratios: Mapping[str, Ratio]) -> dict[str, float]:
+    """Return the value of each vehicle's ratio."""
+    return {vehicle: one.value for vehicle, one in ratios.items()}
 
 
 def refine_ratios(
-    ratios: Mapping[str, Ratio], passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters
+    ratios: Mapping[str, Ratio], passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel
 ) -> dict[str, Ratio]:
     """Return the ratios after one Gauss-Newton step from the solution of the adjusted passes.
 
     The step of a vehicle is the mean over its wheelsets, weighted by the squares of their slopes, as far as the data
     are worth against what is known beforehand. Where measured profiles had to tell the curves, nothing is learnt.
     """
-    if solution.report.held:
-        return {item.vehicle: Ratio() for item in passes if item.stiffness_term is not None}
+    if solution.report.curves_fixed:
+        return {item.source.vehicle: Ratio() for item in passes if item.source.stiffness_term is not None}
     slopes = _slopes(solution, panel)
     numerators: dict[str, np.ndarray] = {}
     squares: dict[str, float] = {}
     for vehicle, wheelset in sorted(
-        {(item.vehicle, item.wheelset) for item in passes if item.stiffness_term is not None}
+        {(item.source.vehicle, item.life) for item in passes if item.source.stiffness_term is not None}
     ):
         if wheelset not in solution.wheelsets:
             continue
@@ -79,8 +72,8 @@ def refine_ratios(
     return result
 
 
-def certain(
-    ratios: Mapping[str, Ratio], passes: Sequence[Pass], solution: PanelSolution, panel: PanelParameters
+def with_ratio_std(
+    ratios: Mapping[str, Ratio], passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel
 ) -> dict[str, Ratio]:
     """Return the ratios with which ``passes`` were adjusted, each with its std from the groups of ``solution``."""
     found = refine_ratios(ratios, passes, solution, panel)
@@ -90,8 +83,8 @@ def certain(
     }
 
 
-def _slopes(solution: PanelSolution, panel: PanelParameters) -> np.ndarray:
+def _slopes(solution: PanelSolution, panel: Panel) -> np.ndarray:
     """Return dh/dR (w,) of every wheelset, averaged over what it has seen."""
-    rise = np.diff(solution.curves[0, :, : panel.hats], axis=1) / np.diff(panel.knots)
+    rise = np.diff(solution.curves[0, :, : panel.parameters.basis_count], axis=1) / np.diff(panel.parameters.knots)
     seen = np.minimum(solution.weight[:, 1:], solution.weight[:, :-1])
     return np.asarray((rise * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1e-12))

@@ -1,0 +1,114 @@
+"""The published alignment and its standard deviation: passes and prior alignment, each by its variance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.track.iteration import IterationResult
+from estimation.track.panel.long_waves import LongWaveAlignment, long_wave_alignment
+from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
+from estimation.track.panel.stiffness_ratio import PRIOR_STD
+from estimation.track.results import SectionResults, findings
+from estimation.track.section_grid import SectionGrid
+from estimation.track.section_parameters import SectionParameters
+from estimation.values.arrays import FloatArray
+from estimation.values.quantities import Status
+from estimation.values.track import FLEET, TrackAlignment
+
+
+def merged_alignment(
+    section: str, iterated: IterationResult, prior: TrackAlignment | None, p: SectionParameters
+) -> TrackAlignment:
+    """Return the solution as an alignment, NaN where it is not known; places that nobody passed stay as they were.
+
+    Parameters
+    ----------
+    section
+        Its code.
+    iterated
+        The solution.
+    prior
+        What was known before; None where nothing was.
+    p
+        Cut-off of the alignment, and the standard deviations that blocks of data cannot show.
+    """
+    grid = iterated.panel.grid
+    found = long_wave_alignment(iterated.passes, iterated.solution, iterated.panel, p.cutoff_wavelength)
+    known = _nothing_known(p, grid) if prior is None else prior_on_grid(prior, grid, p.cutoff_wavelength)
+    with np.errstate(divide="ignore"):
+        weight = np.minimum((found.pass_std / known.std) ** 2, p.iteration.most_weight)
+    shared = np.maximum(found.passes + weight, 1e-12)
+    d = (found.passes * found.alignment + weight * known.alignment) / shared
+    certain = (found.passes >= p.panel.least_passes) | np.isfinite(known.std)
+    results = findings(iterated, gauge_estimated=not known.gauge_known)
+    gauge = known.gauge if results.gauge is None else results.gauge
+    gauge_std = known.gauge_std if results.gauge_std is None else results.gauge_std
+    profiles = _profile_uncertainty(iterated)
+    of_gauge = p.systematic_per_gauge[results.gauge is not None] * float(np.std(gauge))
+    std = _std(found, shared, iterated, (p.systematic, of_gauge, profiles.std))
+    return TrackAlignment(
+        section=section,
+        version=0,
+        s=grid.s,
+        alignment=np.where(certain, d, np.nan),
+        alignment_std=np.where(certain, std, np.nan),
+        gauge_deviation=gauge,
+        gauge_deviation_std=gauge_std,
+        passes=np.rint(found.passes + known.passes).astype(np.int64),
+        status=Status.ESTIMATED,
+        source=FLEET,
+        cutoff_wavelength=p.cutoff_wavelength,
+        scale_std=float(np.hypot(_scale_std(results, p), profiles.scale_std)),
+        gauge_known=known.gauge_known and results.gauge is None,
+        findings=results.findings,
+    )
+
+
+def _std(
+    found: LongWaveAlignment, shared: FloatArray, iterated: IterationResult, systematic: tuple[float, float, float]
+) -> FloatArray:
+    """Return the std (n,), m: of the curves, of the passes, and systematic terms, m, by the passes' share."""
+    of_curves = iterated.solution.common_std
+    common = np.where(np.isfinite(of_curves), of_curves, 0.0)
+    std = np.hypot(common * found.passes / shared, found.pass_std / np.sqrt(shared))
+    first, second, third = systematic
+    return np.asarray(np.sqrt(std**2 + found.passes / shared * (first**2 + second**2 + third**2)))
+
+
+def _scale_std(results: SectionResults, p: SectionParameters) -> float:
+    """Return the relative std of a common scale of y - d."""
+    return p.scale_error if results.gauge is None else float(np.hypot(p.scale_error, p.gauge_scale_error))
+
+
+@dataclass(frozen=True, slots=True)
+class _ProfileUncertainty:
+    """What measured profiles leave open where only they determine the curves; else zero."""
+
+    std: float  # m
+    scale_std: float  # relative, of y - d: of the profiles, and of R by a stiffness that is as assumed
+
+
+def _profile_uncertainty(iterated: IterationResult) -> _ProfileUncertainty:
+    if not iterated.solution.report.curves_fixed:
+        return _ProfileUncertainty(0.0, 0.0)
+    squares = np.array([(one.std, one.std / one.spread) for one in iterated.measured_curves]) ** 2
+    std, scale = np.sqrt(squares.mean(axis=0))
+    used = [item for item in iterated.passes if not item.empty]
+    stiffness = sum(float(part @ part) for part in (item.stiffness_term[item.inside] for item in used))
+    whole = sum(float(part @ part) for part in (item.difference[item.inside] for item in used))
+    of_stiffness = PRIOR_STD * np.sqrt(stiffness / whole) if whole > 0.0 else 0.0
+    return _ProfileUncertainty(float(std), float(np.hypot(scale, of_stiffness)))
+
+
+def _nothing_known(p: SectionParameters, grid: SectionGrid) -> PriorAlignment:
+    zero = np.zeros(grid.points)
+    return PriorAlignment(
+        alignment=zero,
+        std=np.full_like(zero, np.inf),
+        passes=zero,
+        gauge=zero,
+        gauge_std=np.full_like(zero, p.gauge_std),
+        gauge_known=False,
+    )

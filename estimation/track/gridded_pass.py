@@ -1,0 +1,173 @@
+"""Passes on the grid of their section: resampled and filtered once per position.
+
+A vehicle's stiffness ratio scales part of R. Resampling and filter are linear, so another ratio needs neither again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.filters.local_cubic import high_pass, valid_support
+from estimation.track.journeys import Journey, apply_correction
+from estimation.track.passes import Pass, gridded
+from estimation.track.section_grid import SectionGrid
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.track import Correction
+
+
+@dataclass(frozen=True, slots=True)
+class GriddedPass:
+    """A pass on the grid of the section; empty where it is too short for the filters or off the section."""
+
+    source: Pass  # at the position where it was resampled
+    ratio: float  # stiffness ratio of its vehicle that ``difference`` is computed with
+    points: IntArray  # (m,) grid points, increasing by one
+    displacement: FloatArray  # (m,) y, m, slow part meaningless
+    unit_difference: FloatArray  # (m,) R at ratio one, m, high-passed, also where it is uncertain
+    unit_stiffness_term: FloatArray  # (m,) m, part of R that scales with the ratio, likewise
+    difference: FloatArray  # (m,) R, m, without what is longer than the grid's cut-off; zero where uncertain
+    stiffness_term: FloatArray  # (m,) m, likewise
+    certain: BoolArray  # (m,) where R is known, and no impact
+    inside: BoolArray  # (m,) where both filters see enough of it, and no impact
+
+    @property
+    def life(self) -> str:
+        """Profile life of the wheelset."""
+        return self.source.wheelset
+
+    @property
+    def side(self) -> int:
+        """-1 where the wheelset's left wheel runs on the section's right rail, else 1."""
+        return self.source.side
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing of it can be used."""
+        return not self.inside.any()
+
+    @property
+    def used_points(self) -> IntArray:
+        """Grid points (n,) that can be used."""
+        return self.points[self.inside]
+
+
+def grid_pass(item: Pass, grid: SectionGrid, ratio: float = 1.0) -> GriddedPass:
+    """Return a pass on the grid of its section.
+
+    Parameters
+    ----------
+    item
+        The pass, at its position.
+    grid
+        Of the section.
+    ratio
+        Yaw stiffness over creep coefficient of its vehicle, relative to the assumed one.
+    """
+    first, displacement, difference = gridded(item, grid.step)
+    points = np.arange(first, first + len(displacement), dtype=np.int64)
+    nothing, nowhere = np.zeros(0), np.zeros(0, dtype=np.bool_)
+    if len(points) <= 2 * grid.filter_reach + 1:
+        none = np.zeros(0, dtype=np.int64)
+        return GriddedPass(item, ratio, none, nothing, nothing, nothing, nothing, nothing, nowhere, nowhere)
+    stiffness_term = (
+        np.zeros(len(points))
+        if item.stiffness_term is None
+        else np.interp(points * grid.step, item.at, item.stiffness_term)
+    )
+    R, E = high_pass(np.stack([difference, stiffness_term]), grid.difference_kernel)
+    unmasked = GriddedPass(item, ratio, points, displacement, R, E, nothing, nothing, nowhere, nowhere)
+    return _masked(unmasked, ratio, grid)
+
+
+def with_ratio(item: GriddedPass, ratio: float, grid: SectionGrid) -> GriddedPass:
+    """Return a gridded pass for another stiffness ratio of its vehicle, neither resampled nor filtered again.
+
+    Parameters
+    ----------
+    item
+        The pass.
+    ratio
+        Yaw stiffness over creep coefficient, relative to the assumed one.
+    grid
+        On which it is.
+    """
+    if ratio == item.ratio or not len(item.points):
+        return replace(item, ratio=ratio)
+    return _masked(item, ratio, grid)
+
+
+def _masked(item: GriddedPass, ratio: float, grid: SectionGrid) -> GriddedPass:
+    """Return a pass with R for ``ratio``, and what can be used of it."""
+    R = item.unit_difference + (ratio - 1.0) * item.unit_stiffness_term
+    certain = valid_support(np.ones(len(R), dtype=np.bool_), grid.difference_kernel)
+    certain &= np.abs(R) <= grid.impact_difference
+    return replace(
+        item,
+        ratio=ratio,
+        difference=np.where(certain, R, 0.0),
+        stiffness_term=np.where(certain, item.unit_stiffness_term, 0.0),
+        certain=certain,
+        inside=valid_support(certain, grid.kernel) & grid.contains(item.points),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedJourney:
+    """The passes of a journey at corrected positions."""
+
+    correction: Correction
+    passes: tuple[GriddedPass, ...]
+
+
+Placed = Mapping[Journey, PlacedJourney]
+
+
+def place(
+    grouped: Mapping[Journey, Sequence[Pass]],
+    corrections: Mapping[Journey, Correction],
+    ratios: Mapping[str, float],
+    grid: SectionGrid,
+    before: Placed | None = None,
+) -> dict[Journey, PlacedJourney]:
+    """Return the passes at corrected positions on the grid; a journey that has not moved is taken as it was.
+
+    Parameters
+    ----------
+    grouped
+        Passes as measured, by journey.
+    corrections
+        Of their positions.
+    ratios
+        Stiffness ratios by vehicle; 1 where there is none.
+    grid
+        Of the section.
+    before
+        The journeys where they were last.
+    """
+    placed = {}
+    for journey, members in grouped.items():
+        last = None if before is None else before.get(journey)
+        if last is None or last.correction != corrections[journey]:
+            moved = apply_correction(members, corrections[journey])
+            passes = tuple(grid_pass(item, grid, ratios.get(item.vehicle, 1.0)) for item in moved)
+            last = PlacedJourney(corrections[journey], passes)
+        placed[journey] = last
+    return with_ratios(placed, ratios, grid)
+
+
+def with_ratios(placed: Placed, ratios: Mapping[str, float], grid: SectionGrid) -> dict[Journey, PlacedJourney]:
+    """Return the passes for other stiffness ratios, by vehicle; 1 where there is none."""
+    return {
+        journey: replace(
+            one, passes=tuple(with_ratio(item, ratios.get(item.source.vehicle, 1.0), grid) for item in one.passes)
+        )
+        for journey, one in placed.items()
+    }
+
+
+def all_passes(placed: Placed) -> list[GriddedPass]:
+    """Return the passes of all journeys in order."""
+    return [item for one in placed.values() for item in one.passes]
