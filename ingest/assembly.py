@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from estimation.values.registry import Mounting, VehicleRecord
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
-from ingest.align.ticks import Placed, unite
+from ingest.align.clock import AlignedFrames, merge_aligned
 from ingest.align.windows import (
     Lookup,
     MountedWindow,
@@ -82,14 +82,14 @@ class Assembler:
         sources = self.sources(unit, record, recording)
         loaded = {source.digest: self.recordings.load_neighbour(source) for source in sources[1:]}
         loaded[record.digest] = recording
-        placed = stretches(loaded.values(), self.catalogue)
+        aligned = stretches(loaded.values(), self.catalogue)
         coming = [(source, loaded[source.digest]) for source in sources if source.state != DECODED]
-        spans = [_span(each, placed) for _, each in coming]
+        spans = [_span(each, aligned) for _, each in coming]
         receipts = [_receipt_after(*each, span) for each, span in zip(coming, spans, strict=True)]
         known = [span for span in spans if span is not None]
         if not known:
             return Assembly(frozenset(loaded), tuple(receipts), ())
-        samples, met = vehicle_samples(vehicle.code, self.catalogue, unite(placed))
+        samples, met = vehicle_samples(vehicle.code, self.catalogue, merge_aligned(aligned))
         windows, counts = self._windows(unit, vehicle, samples, known)
         receipts[0] = _with_counts(receipts[0], {**_nonzero(asdict(met)), **asdict(counts)})
         return Assembly(frozenset(loaded), tuple(receipts), windows)
@@ -108,11 +108,11 @@ class Assembler:
         return tuple(windows), replace(counts, windows=len(windows))
 
 
-def _span(recording: Recording, placed: Iterable[Placed]) -> Span | None:
+def _span(recording: Recording, aligned: Iterable[AlignedFrames]) -> Span | None:
     """Return where a recording lies on the vehicle's clock: by its own TIME frames, else by those beside it."""
     if len(recording.batch) == 0:
         return None
-    beside = (stretch.times.at(*recording.recorder_ns) for stretch in placed)
+    beside = (stretch.times.at(*recording.recorder_ns) for stretch in aligned)
     return recording.vehicle_ns or next((span for span in beside if span is not None), None)
 
 

@@ -13,8 +13,7 @@ from estimation.errors import LogFileError, StorageError
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
-from ingest.align.clock import CONTEXT_NS, TIME_REACH_NS, check_sync_rate
-from ingest.align.ticks import Placed, place
+from ingest.align.clock import CONTEXT_NS, TIME_REACH_NS, AlignedFrames, align_to_clock, check_sync_rate
 from ingest.catalogue import Catalogue
 from ingest.frames import FrameBatch, between, merge
 from ingest.logs import read_log
@@ -41,7 +40,7 @@ class Recording:
 
     digest: str
     batch: FrameBatch
-    alone: Placed
+    alone: AlignedFrames
 
     @property
     def recorder_ns(self) -> tuple[int, int]:
@@ -74,7 +73,7 @@ class Recordings:
         """
         batch = merge([read_log(path)])
         check_sync_rate(batch, self.catalogue.sample_interval_ns)
-        return Recording(digest, batch, place(self.catalogue, batch))
+        return Recording(digest, batch, align_to_clock(self.catalogue, batch))
 
     def load(self, record: ChunkRecord) -> Recording:
         """Return the recording of a receipt.
@@ -141,7 +140,7 @@ def needed_range(first_ns: int, last_ns: int, length_ns: int) -> tuple[int, int,
     return first, last, from_ns, to_ns
 
 
-def stretches(recordings: Iterable[Recording], catalogue: Catalogue) -> list[Placed]:
+def stretches(recordings: Iterable[Recording], catalogue: Catalogue) -> list[AlignedFrames]:
     """Merge recordings whose recorder stamps touch and whose recorders agree, and place each such stretch.
 
     The answer depends on the set of recordings, not on their order.
@@ -157,7 +156,9 @@ def stretches(recordings: Iterable[Recording], catalogue: Catalogue) -> list[Pla
                 apart.append(group)
         groups = [*apart, joined]
     return [
-        group[0].alone if len(group) == 1 else place(catalogue, merge([recording.batch for recording in group]))
+        group[0].alone
+        if len(group) == 1
+        else align_to_clock(catalogue, merge([recording.batch for recording in group]))
         for group in groups
     ]
 

@@ -1,13 +1,15 @@
-"""The vehicle's clock: which sampling instant a SYNC stands for.
+"""Frames of a recorder on the vehicle's clock: every frame gets the sampling instant of its SYNC.
 
-The recorder's clock is only trusted over a few seconds. TIME frames tell the vehicle time once a second in whole
+The recorder's clock is only trusted over a few seconds. TIME frames give the vehicle time once a second in whole
 milliseconds; a SYNC carries its number modulo 240. The number nearest to the estimate from the TIME frames beside it,
 with that remainder, is the number of the SYNC: exact, and the same from any TIME frame near it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -15,7 +17,8 @@ from estimation.errors import LogFileError
 from estimation.values.arrays import BoolArray, IntArray, frozen_array
 from ingest.align.counts import AlignCounts
 from ingest.canopen import SYNC_ID, SYNC_PERIOD, TIME_ID, vehicle_time_ns
-from ingest.codec import Decoded
+from ingest.catalogue import ACCELERATION, Catalogue, MessagePlan
+from ingest.codec import Decoded, FrameCounts, RawArray, decode
 from ingest.frames import FrameBatch
 
 TIME_REACH_NS = 3_000_000_000
@@ -41,7 +44,7 @@ UNPLACED = -1
 
 @dataclass(frozen=True, slots=True)
 class SyncClock:
-    """The SYNCs of a stretch whose numbers are known, by the recorder's time."""
+    """The SYNCs whose numbers are known, by the recorder's time."""
 
     t_ns: IntArray  # (k,) recorder
     tick: IntArray  # (k,) sampling intervals since the Unix epoch, vehicle
@@ -76,7 +79,7 @@ class SyncClock:
 
 @dataclass(frozen=True, slots=True)
 class TimeFrames:
-    """The TIME frames of a stretch: the recorder's stamp and the vehicle time that each tells."""
+    """The TIME frames of a recording: the recorder's stamp and the vehicle time of each."""
 
     t_ns: IntArray  # (k,) recorder, increasing
     vehicle_ns: IntArray  # (k,)
@@ -112,17 +115,31 @@ class TimeFrames:
 
 
 def time_frames(decoded: Decoded, batch: FrameBatch) -> TimeFrames:
-    """Return the TIME frames of a time-ordered batch; those that tell an impossible time are left out."""
+    """Return the TIME frames of a batch; those with an impossible time are left out.
+
+    Parameters
+    ----------
+    decoded, batch
+        The batch, in the order of time, and what it contains.
+    """
     values = decoded.messages.get(TIME_ID)
     if values is None:
         return TimeFrames(np.empty(0, np.int64), np.empty(0, np.int64))
     valid = values.valid().all(axis=1)
-    told = vehicle_time_ns(values.column("milliseconds"), values.column("days"))
-    return TimeFrames(batch.t_ns[values.index[valid]], told[valid])
+    vehicle_ns = vehicle_time_ns(values.column("milliseconds"), values.column("days"))
+    return TimeFrames(batch.t_ns[values.index[valid]], vehicle_ns[valid])
 
 
 def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[SyncClock, AlignCounts]:
-    """Give the SYNCs of a time-ordered batch their numbers."""
+    """Return the SYNCs of a batch with their numbers.
+
+    Parameters
+    ----------
+    decoded, batch
+        The batch, in the order of time, and what it contains.
+    interval_ns
+        Sampling interval, ns.
+    """
     syncs = decoded.messages.get(SYNC_ID)
     times = time_frames(decoded, batch)
     if syncs is None:
@@ -130,11 +147,11 @@ def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[S
             time_frames=len(times.t_ns)
         )
     t_ns, counter, valid = batch.t_ns[syncs.index], syncs.column("counter"), syncs.valid()[:, 0]
-    told, agreed = _told(times, t_ns)
-    nearest = (told + interval_ns // 2) // interval_ns
+    estimate, agreed = _vehicle_times(times, t_ns)
+    nearest = (estimate + interval_ns // 2) // interval_ns
     half = SYNC_PERIOD // 2
     tick = nearest + (counter - 1 - nearest + half) % SYNC_PERIOD - half
-    in_phase = np.abs(tick * interval_ns - told) <= TIME_TOLERANCE_NS
+    in_phase = np.abs(tick * interval_ns - estimate) <= TIME_TOLERANCE_NS
     placed = valid & agreed & in_phase
     steps = np.diff(tick[placed])
     near = np.diff(t_ns[placed]) <= TIME_REACH_NS
@@ -148,8 +165,8 @@ def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[S
     return SyncClock(t_ns[placed], tick[placed], interval_ns), counts
 
 
-def _told(times: TimeFrames, t_ns: IntArray) -> tuple[IntArray, BoolArray]:
-    """Return the vehicle time at recorder times (n,), and where the TIME frames beside them tell one time."""
+def _vehicle_times(times: TimeFrames, t_ns: IntArray) -> tuple[IntArray, BoolArray]:
+    """Return the vehicle time at recorder times (n,), and where the TIME frames beside them agree."""
     if len(times.t_ns) == 0:
         return np.zeros(len(t_ns), np.int64), np.zeros(len(t_ns), np.bool_)
     before = np.searchsorted(times.t_ns, t_ns, side="right") - 1
@@ -169,7 +186,14 @@ def _jumps(times: TimeFrames) -> int:
 
 
 def check_sync_rate(batch: FrameBatch, interval_ns: int) -> None:
-    """Check that the SYNCs of a time-ordered recording come every ``interval_ns``.
+    """Check that the SYNCs of a time-ordered recording come at the sampling rate.
+
+    Parameters
+    ----------
+    batch
+        The recording.
+    interval_ns
+        Sampling interval of the catalogue, ns.
 
     Raises
     ------
@@ -186,3 +210,114 @@ def check_sync_rate(batch: FrameBatch, interval_ns: int) -> None:
         raise LogFileError(
             f"SYNC comes every {found / 1e6:.3f} ms, the catalogue says every {interval_ns / 1e6:.3f} ms"
         )
+
+
+@dataclass(frozen=True, slots=True)
+class TickedValues:
+    """One message on the vehicle's clock; where ``conflict`` is set, two frames claimed one instant."""
+
+    plan: MessagePlan
+    tick: IntArray  # (n,) strictly increasing
+    raw: RawArray  # (n, m)
+    conflict: BoolArray  # (n,)
+
+    def __post_init__(self) -> None:
+        n = len(self.tick)
+        object.__setattr__(self, "tick", frozen_array(self.tick, (n,), np.int64, name="tick"))
+        object.__setattr__(self, "raw", frozen_array(self.raw, (n, len(self.plan.signals)), self.raw.dtype, name="raw"))
+        object.__setattr__(self, "conflict", frozen_array(self.conflict, (n,), np.bool_, name="conflict"))
+
+    def column(self, name: str) -> IntArray:
+        """Return the raw values of one signal, (n,) int64."""
+        return self.raw[:, self.plan.names.index(name)].astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class AlignedFrames:
+    """Frames of one recorder on the vehicle's clock, by arbitration id, with counts of what was left out."""
+
+    messages: Mapping[int, TickedValues]
+    times: TimeFrames
+    frame_counts: FrameCounts
+    align_counts: AlignCounts
+
+
+def align_to_clock(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
+    """Decode a batch and put its frames on the vehicle's clock.
+
+    Parameters
+    ----------
+    catalogue
+        The messages of the bus.
+    batch
+        Frames in merged order (:func:`ingest.frames.merge`).
+    """
+    decoded = decode(catalogue, batch)
+    clock, counts = sync_clock(decoded, batch, catalogue.sample_interval_ns)
+    messages = {}
+    without_sync = 0
+    for arbitration_id, values in decoded.messages.items():
+        if arbitration_id in (SYNC_ID, TIME_ID):
+            continue
+        tick = clock.ticks(batch.t_ns[values.index])
+        found = tick != UNPLACED
+        if found.all():
+            messages[arbitration_id], repeated = by_tick(values.plan, tick, values.raw)
+        else:
+            without_sync += int(np.count_nonzero(~found))
+            messages[arbitration_id], repeated = by_tick(values.plan, tick[found], values.raw[found])
+        counts += repeated
+    samples = sum(len(message.tick) for message in messages.values() if message.plan.kind == ACCELERATION)
+    counts += AlignCounts(frames_without_sync=without_sync, samples=samples)
+    return AlignedFrames(MappingProxyType(messages), time_frames(decoded, batch), decoded.counts, counts)
+
+
+def merge_aligned(parts: Sequence[AlignedFrames]) -> Mapping[int, TickedValues]:
+    """Return the messages of several recorders by arbitration id; where two differ at an instant, they conflict.
+
+    Parameters
+    ----------
+    parts
+        Aligned frames of one vehicle, at least one.
+    """
+    if len(parts) == 1:
+        return parts[0].messages
+    merged = {}
+    for arbitration_id in sorted({key for part in parts for key in part.messages}):
+        found = [part.messages[arbitration_id] for part in parts if arbitration_id in part.messages]
+        tick, raw = np.concatenate([item.tick for item in found]), np.concatenate([item.raw for item in found])
+        values, _ = by_tick(found[0].plan, tick, raw)
+        bad = np.concatenate([item.tick[item.conflict] for item in found])
+        conflict = values.conflict | np.isin(values.tick, bad)
+        merged[arbitration_id] = TickedValues(values.plan, values.tick, values.raw, conflict)
+    return MappingProxyType(merged)
+
+
+def by_tick(plan: MessagePlan, tick: IntArray, raw: RawArray) -> tuple[TickedValues, AlignCounts]:
+    """Order values by tick and keep one of each tick; equal ones are dropped, unequal ones conflict.
+
+    Parameters
+    ----------
+    plan
+        The message.
+    tick
+        (n,) sampling instant of each frame.
+    raw
+        (n, m) raw values of its signals.
+    """
+    none = np.zeros(len(tick), dtype=np.bool_)
+    if np.all(tick[1:] > tick[:-1]):
+        return TickedValues(plan, tick, raw, none), AlignCounts()
+    order = np.lexsort((*raw.T, tick))
+    tick, raw = tick[order], raw[order]
+    repeated = tick[1:] == tick[:-1]
+    other = repeated & (raw[1:] != raw[:-1]).any(axis=1)
+    conflict = none.copy()
+    conflict[1:] |= other
+    conflict[:-1] |= other
+    first = np.concatenate([[True], ~repeated])
+    kept = TickedValues(plan, tick[first], raw[first], np.isin(tick[first], tick[conflict]))
+    counts = AlignCounts(
+        duplicate_frames=int(np.count_nonzero(repeated & ~other)), conflicting_frames=int(np.count_nonzero(other))
+    )
+    return kept, counts

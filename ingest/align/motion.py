@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
-from ingest.align.ticks import TickedValues
+from ingest.align.clock import TickedValues
 from ingest.catalogue import MOTION, POSITION, VEHICLE_NODE
 from ingest.codec import MessageValues
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.windows import ACCELERATIONS
-from ingest.align.clock import TIME_REACH_NS
+from ingest.align.clock import TIME_REACH_NS, TickedValues
 from ingest.align.counts import AlignCounts
-from ingest.align.ticks import TickedValues
 from ingest.catalogue import ACCELERATION, EMERGENCY, STATUS, Catalogue
 from ingest.codec import MessageValues
 

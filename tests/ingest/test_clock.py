@@ -8,9 +8,8 @@ from vehicle_bus import CATALOGUE, INTERVAL_NS, SECOND_NS, START_NS, VEHICLE, Ru
 
 from estimation.errors import LogFileError
 from ingest import catalogue as kinds
-from ingest.align.clock import check_sync_rate
+from ingest.align.clock import AlignedFrames, align_to_clock, check_sync_rate
 from ingest.align.samples import NodeSamples, node_samples
-from ingest.align.ticks import Placed, place
 from ingest.canopen import SYNC_ID, TIME_ID, sync_counter, time_of_day, vehicle_time_ns
 from ingest.frames import FrameBatch, concatenate, merge, sort_by_time, take
 
@@ -19,8 +18,8 @@ STATUS_1 = 0x281
 EMERGENCY_1 = 0x081
 
 
-def placed(batch: FrameBatch) -> Placed:
-    return place(CATALOGUE, merge([batch]))
+def placed(batch: FrameBatch) -> AlignedFrames:
+    return align_to_clock(CATALOGUE, merge([batch]))
 
 
 def without(batch: FrameBatch, drop: np.ndarray) -> FrameBatch:

@@ -10,7 +10,7 @@ from estimation.errors import ParameterError
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.windows import Window
 from ingest import catalogue as kinds
-from ingest.align.ticks import place
+from ingest.align.clock import align_to_clock
 from ingest.align.windows import (
     CLIPPING_GUARD_S,
     Lookup,
@@ -42,7 +42,7 @@ def windows(
     batch = run.frames()
     if drop is not None:
         batch = take(batch, ~np.isin(batch.arbitration_id, drop))
-    samples, _ = vehicle_samples(VEHICLE, CATALOGUE, place(CATALOGUE, merge([batch])).messages)
+    samples, _ = vehicle_samples(VEHICLE, CATALOGUE, align_to_clock(CATALOGUE, merge([batch])).messages)
     starts = window_starts(run.start_ns, int(run.ticks[-1]) * INTERVAL_NS, LENGTH_NS)
     found, counts = [], WindowCounts()
     for outcome in windows_of(samples, starts, LENGTH_NS, lookup or Lookup(RECORD, mounted, known_section)):
