@@ -35,7 +35,7 @@ from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
 from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
-from fleet_db.packed.bin_table import pack_bin_table
+from fleet_db.packed_values import pack_bin_table
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_motion, wheelset_record
 from ingest.simulator.fleet import run_fleet
 from ingest.simulator.scenario_file import load_scenario

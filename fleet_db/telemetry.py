@@ -20,7 +20,7 @@ from estimation.errors import DamagedError, StorageError
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
 from fleet_db.atomic_files import write_atomically
-from fleet_db.packed.numbers import number_from_json, number_to_json, real_from_json
+from fleet_db.fields import from_json, to_json
 from fleet_db.packing import Array, pack, unpack
 
 KIND = "window"
@@ -108,7 +108,7 @@ def unpack_window(blob: bytes, *, where: str) -> Window:
     """
     packed = unpack(blob, KIND, where=where)
     scalars, arrays = packed.scalars, packed.arrays
-    steps: Any = tuple(real_from_json(step) for step in scalars["resolution"])
+    steps: Any = from_json(scalars["resolution"], tuple[float, ...])
     values: dict[str, Any] = {
         name: _from_counts(arrays[name], step) for name, step in zip(ACCELERATIONS, steps, strict=True)
     }
@@ -118,8 +118,8 @@ def unpack_window(blob: bytes, *, where: str) -> Window:
         array.flags.writeable = False
     return Window(
         **{name: scalars[name] for name in ("wheelset", "vehicle", "axle", "start_ns", "length_ns", "track_section")},
-        sample_interval_s=real_from_json(scalars["sample_interval_s"]),
-        odometer_m=real_from_json(scalars["odometer_m"]),
+        sample_interval_s=from_json(scalars["sample_interval_s"], float),
+        odometer_m=from_json(scalars["odometer_m"], float),
         **values,
         valid=valid,
         resolution=steps,
@@ -152,17 +152,17 @@ def _scalars(window: Window) -> dict[str, Any]:
         "start_ns": int(window.start_ns),
         "length_ns": int(window.length_ns),
         "track_section": window.track_section,
-        "sample_interval_s": number_to_json(window.sample_interval_s),
-        "odometer_m": number_to_json(window.odometer_m),
-        "resolution": [number_to_json(step) for step in window.resolution],
+        "sample_interval_s": to_json(window.sample_interval_s),
+        "odometer_m": to_json(window.odometer_m),
+        "resolution": to_json(window.resolution),
         "quality": {
-            name: value if name in QUALITY_COUNTS else number_to_json(float(value)) for name, value in quality.items()
+            name: value if name in QUALITY_COUNTS else to_json(float(value)) for name, value in quality.items()
         },
     }
 
 
 def _quality(fields: Mapping[str, Any]) -> WindowQuality:
     numbers: dict[str, Any] = {
-        name: value if name in QUALITY_COUNTS else number_from_json(value) for name, value in fields.items()
+        name: value if name in QUALITY_COUNTS else from_json(value, float) for name, value in fields.items()
     }
     return WindowQuality(**numbers)

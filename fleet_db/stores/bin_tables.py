@@ -13,7 +13,7 @@ from estimation.values.geometry import BinTable
 from estimation.values.windows import WindowRecord
 from fleet_db.changes import Changes
 from fleet_db.models import WindowBinTableRow, WindowRow
-from fleet_db.packed.bin_table import pack_bin_table, unpack_bin_table
+from fleet_db.packed_values import pack_bin_table, unpack_bin_table
 from fleet_db.rows import table_of, upsert
 from fleet_db.stores.windows import content_digest, to_window_record
 

@@ -13,7 +13,7 @@ from estimation.values.geometry import GeometryRecord
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import GeometryRow, WindowBinTableRow
-from fleet_db.packed.geometry import pack_geometry, unpack_geometry
+from fleet_db.packed_values import pack_geometry, unpack_geometry
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.session import to_json
 from fleet_db.stores.wheelset_bins import BINS, replace_bins

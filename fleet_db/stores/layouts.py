@@ -8,7 +8,7 @@ from sqlalchemy import Connection, func, insert, select
 
 from estimation.values.track import TrackLayout
 from fleet_db.models import TrackLayoutRow
-from fleet_db.packed.layout import pack_layout, unpack_layout
+from fleet_db.packed_values import pack_layout, unpack_layout
 from fleet_db.rows import table_of
 
 LAYOUTS = table_of(TrackLayoutRow)

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, Row, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from fleet_db.models import MeasuredProfilesRow
-from fleet_db.packed.wheel_pair import pack_wheel_pair, unpack_wheel_pair
+from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
 from fleet_db.rows import table_of, upsert
 
 MEASURED = table_of(MeasuredProfilesRow)

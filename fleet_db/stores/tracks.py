@@ -30,7 +30,7 @@ from fleet_db.models import (
     WindowPositionRow,
     WindowRow,
 )
-from fleet_db.packed.alignment import pack_alignment, unpack_alignment
+from fleet_db.packed_values import pack_alignment, unpack_alignment
 from fleet_db.rows import null_if_nan, table_of, upsert
 from fleet_db.stores.layouts import find_layout, newest_version, store_layout
 

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, insert, select
 from estimation.values.trend import TrendRecord
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import TrendRow
-from fleet_db.packed.trend import pack_trend, unpack_trend
+from fleet_db.packed_values import pack_trend, unpack_trend
 from fleet_db.rows import null_if_nan, table_of
 
 TRENDS = table_of(TrendRow)

@@ -25,7 +25,7 @@ from estimation.errors import MigrationError, ParameterError, StorageError
 from estimation.values.track import RECORDED
 from fleet_db.migrate import SCRIPTS, check_head, head, upgrade
 from fleet_db.models import Base
-from fleet_db.packed.alignment import pack_alignment
+from fleet_db.packed_values import pack_alignment
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 

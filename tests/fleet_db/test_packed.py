@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import struct
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,26 +14,31 @@ import stored_values as make
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from same_values import same_values
 
 from estimation.errors import StorageError
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.track import FLEET, GaugeShift, TrackFindings
-from fleet_db.packed.alignment import pack_alignment, unpack_alignment
-from fleet_db.packed.bin_table import pack_bin_table, unpack_bin_table
-from fleet_db.packed.geometry import pack_geometry, unpack_geometry
-from fleet_db.packed.numbers import (
-    estimate_from_json,
-    estimate_to_json,
-    forecast_from_json,
-    forecast_to_json,
-    number_from_json,
-    number_to_json,
+from estimation.values.trend import WearTrend
+from fleet_db.fields import fields_of, from_json, to_json, value_of
+from fleet_db.packed_values import (
+    pack_alignment,
+    pack_bin_table,
+    pack_geometry,
+    pack_layout,
+    pack_trend,
+    pack_wheel_pair,
+    unpack_alignment,
+    unpack_bin_table,
+    unpack_geometry,
+    unpack_layout,
+    unpack_trend,
+    unpack_wheel_pair,
 )
-from fleet_db.packed.trend import pack_trend, unpack_trend
-from fleet_db.packed.wheel_pair import pack_wheel_pair, unpack_wheel_pair
 from fleet_db.packing import pack, unpack
+from fleet_db.telemetry import unpack_window
 
 ANY_FLOAT = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
 DTYPES = st.sampled_from([np.dtype("<f8"), np.dtype("<i8"), np.dtype("<i2"), np.dtype("u1")])
@@ -48,7 +56,7 @@ def test_any_array_comes_back_with_the_same_bits(array: FloatArray) -> None:
 
 @given(st.one_of(st.none(), st.integers(-(2**63), 2**63), ANY_FLOAT))
 def test_any_number_comes_back_exactly(number: float | None) -> None:
-    found = number_from_json(number_to_json(number))
+    found = from_json(to_json(number), float | None)
     assert type(found) is type(number)
     assert make.same(found, number)
 
@@ -64,12 +72,12 @@ def test_any_estimate_comes_back_exactly(
     reason: str,
 ) -> None:
     estimate = Estimate(value, std, low, high, count, status, reason)
-    assert make.same(estimate_from_json(estimate_to_json(estimate)), estimate)
+    assert make.same(from_json(to_json(estimate), Estimate), estimate)
 
 
 @given(*[st.one_of(st.none(), ANY_FLOAT, st.integers())] * 3)
 def test_any_forecast_comes_back_exactly(p10: float | None, p50: float | None, p90: float | None) -> None:
-    assert make.same(forecast_from_json(forecast_to_json(Forecast(p10, p50, p90))), Forecast(p10, p50, p90))
+    assert make.same(from_json(to_json(Forecast(p10, p50, p90)), Forecast), Forecast(p10, p50, p90))
 
 
 @given(st.data(), st.integers(0, 6), st.integers(1, 12))
@@ -100,12 +108,15 @@ def test_geometry_trend_and_alignment_come_back_exactly(seed: int) -> None:
     assert make.same(unpack_alignment(pack_alignment(alignment), 0, where="here"), alignment)
 
 
+def gauge_shifts(wheelsets: int) -> dict[str, GaugeShift]:
+    """Return a gauge shift of each of some wheelsets."""
+    difference, gauge = np.linspace(-1.0, 1.0, 5), np.linspace(-0.2, 0.2, 3)
+    return {f"W{k}": GaugeShift((k + 1) * difference, gauge, np.outer(difference**k, gauge)) for k in range(wheelsets)}
+
+
 @pytest.mark.parametrize("wheelsets", [0, 3])
 def test_what_the_passes_of_a_section_found_comes_back_exactly(wheelsets: int) -> None:
-    difference, gauge = np.linspace(-1.0, 1.0, 5), np.linspace(-0.2, 0.2, 3)
-    shifts = {
-        f"W{k}": GaugeShift((k + 1) * difference, gauge, np.outer(difference**k, gauge)) for k in range(wheelsets)
-    }
+    shifts = gauge_shifts(wheelsets)
     found = TrackFindings({"V1": 1.01, "V2": 0.93}, 0.004, shifts)
     alignment = replace(
         make.alignment(1), source=FLEET, cutoff_wavelength=120.0, scale_std=0.01, gauge_known=False, findings=found
@@ -129,6 +140,55 @@ def test_a_date_keeps_its_last_nanosecond() -> None:
     trend = unpack_trend(pack_trend(make.trend()), where="here")
     assert trend.date_of_limit_ns.p10 == make.START + 1
     assert float(make.START + 1) != make.START + 1  # a float64 would not have
+
+
+STORED = json.loads((Path(__file__).parent / "stored_blobs.json").read_text(encoding="utf-8"))
+
+
+def stored(name: str) -> bytes:
+    """Return a blob as the first release wrote it."""
+    return base64.b64decode(STORED[name])
+
+
+def test_what_the_first_release_stored_is_still_read() -> None:
+    shifts = gauge_shifts(2)
+    surveyed = make.alignment(1)
+    of_fleet = replace(
+        surveyed, source=FLEET, cutoff_wavelength=120.0, scale_std=0.01, gauge_known=False,
+        findings=TrackFindings({"V1": 1.01, "V2": 0.93}, 0.004, shifts),
+    )  # fmt: skip
+    assert make.same(unpack_geometry(stored("wheelset_geometry"), where="here"), make.geometry(1))
+    assert make.same(unpack_trend(stored("wear_trend"), where="here"), make.trend(1))
+    assert make.same(unpack_alignment(stored("surveyed"), 0, where="here"), surveyed)
+    assert unpack_alignment(stored("of_fleet"), 0, where="here").source == FLEET
+    assert make.same(
+        unpack_wheel_pair(stored("wheel_pair"), where="here"), (make.wheel("left", 1), make.wheel("right", 2))
+    )
+    assert make.same(unpack_bin_table(stored("bin_table"), where="here"), make.bin_table(1, 3, 4))
+    assert same_values(unpack_window(stored("window"), where="here"), make.window(samples=50))
+    layout = unpack_layout(stored("track_layout"), 3, where="here")
+    assert (layout.section, layout.version, list(layout.cant)) == ("S-1", 3, [0.0, 0.05, 0.0])
+    # versions of a track are told apart by the bytes of their blob
+    assert pack_alignment(surveyed) == stored("surveyed")
+    assert pack_alignment(of_fleet) == stored("of_fleet")
+    assert pack_layout(layout) == stored("track_layout")
+
+
+def test_a_field_that_was_not_stored_has_its_default() -> None:
+    scalars, arrays = fields_of(make.trend(1))
+    del scalars["reason"]
+    scalars["current"] = scalars["current"][:-1]  # an estimate without its last field
+    found = value_of(WearTrend, scalars, arrays)
+    assert (found.reason, found.current.reason) == ("", "")
+    assert found.current.value == make.trend(1).current.value
+
+
+def test_what_does_not_fit_its_type_is_refused() -> None:
+    scalars, arrays = fields_of(make.trend(1))
+    with pytest.raises(StorageError, match="a packed number is None"):
+        value_of(WearTrend, scalars | {"limit": None}, arrays)
+    with pytest.raises(TypeError, match="object has no place"):
+        to_json(object())
 
 
 @given(st.data())

@@ -20,7 +20,7 @@ from estimation.values.track import (
     TrackReport,
 )
 from estimation.values.windows import WindowPosition, WindowState
-from fleet_db.packed.alignment import pack_alignment, unpack_alignment
+from fleet_db.packed_values import pack_alignment, unpack_alignment
 from fleet_db.storage import SqlStorage
 
 FOUND = TrackFindings(

@@ -17,7 +17,7 @@ from estimation.jobs.catalogue import run_all
 from estimation.values.geometry import GeometryRecord
 from estimation.values.runs import JobRun
 from fleet_db.models import Base
-from fleet_db.packed.geometry import pack_geometry
+from fleet_db.packed_values import pack_geometry
 from fleet_db.receipts import ChunkRecord
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage

@@ -1,0 +1,151 @@
+"""The fields of a frozen value as named arrays and JSON, exactly: the value's own class is the only description of it.
+
+Arrays stay arrays. Every other field becomes JSON by its type: None, flags, whole numbers and texts as they are, an
+enumeration by its value, a float in hexadecimal, which loses no bit of NaN, infinity or a signed zero, a tuple as a
+list, a mapping as an object, and a value inside a value (an estimate) as the list of its fields.
+
+What was stored before a field was added is read with that field's default; a value inside a value gets new fields last.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Collection, Hashable, Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from functools import cache
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from estimation.errors import StorageError
+from estimation.values.json_value import JsonValue
+from fleet_db.packing import Array
+
+V = TypeVar("V")
+
+
+def fields_of(value: object, *, without: Collection[str] = ()) -> tuple[dict[str, JsonValue], dict[str, Array]]:
+    """Return the fields of a frozen value: JSON by name, and arrays by name, each in the order of the class.
+
+    Parameters
+    ----------
+    value
+        Of a dataclass.
+    without
+        Names of fields to leave out.
+    """
+    scalars: dict[str, JsonValue] = {}
+    arrays: dict[str, Array] = {}
+    for name, hint in _hints(cast("Hashable", type(value))).items():
+        if name in without:
+            continue
+        item = getattr(value, name)
+        if get_origin(hint) is np.ndarray:
+            arrays[name] = item
+        else:
+            scalars[name] = to_json(item)
+    return scalars, arrays
+
+
+def value_of(kind: type[V], scalars: Mapping[str, Any], arrays: Mapping[str, Array], **given: object) -> V:
+    """Return the value whose fields were stored.
+
+    Parameters
+    ----------
+    kind
+        Its class.
+    scalars, arrays
+        What ``fields_of`` returned; names that are no field are ignored.
+    given
+        Fields that were not stored this way; they win.
+
+    Raises
+    ------
+    StorageError
+        A field does not fit its type.
+    """
+    stored: dict[str, Any] = {}
+    for name, hint in _hints(cast("Hashable", kind)).items():
+        if get_origin(hint) is np.ndarray and name in arrays:
+            stored[name] = arrays[name]
+        elif name in scalars and name not in given:
+            stored[name] = from_json(scalars[name], hint)
+    return kind(**{**stored, **given})
+
+
+def to_json(item: object) -> JsonValue:
+    """Return a field as JSON.
+
+    Raises
+    ------
+    TypeError
+        Its type has no place in JSON.
+    """
+    if isinstance(item, Enum):
+        item = item.value
+    elif is_dataclass(item):
+        item = tuple(getattr(item, field.name) for field in fields(item))
+    if item is None or isinstance(item, bool | str):
+        return item
+    if isinstance(item, int | np.integer):
+        return int(item)
+    if isinstance(item, float):
+        return float(item).hex()
+    if isinstance(item, Mapping):
+        return {str(name): to_json(one) for name, one in item.items()}
+    if isinstance(item, tuple | list):
+        return [to_json(one) for one in item]
+    raise TypeError(f"{type(item).__name__} has no place in a packed value")
+
+
+def from_json(stored: Any, hint: Any) -> Any:  # noqa: ANN401 - the type is what the hint says
+    """Return a field from JSON.
+
+    Parameters
+    ----------
+    stored
+        What ``to_json`` returned.
+    hint
+        The type of the field, as the class declares it.
+
+    Raises
+    ------
+    StorageError
+        ``stored`` does not fit.
+    """
+    if get_origin(hint) in {Union, types.UnionType}:
+        if stored is None:
+            return None
+        (hint,) = (one for one in get_args(hint) if one is not types.NoneType)
+    if hint is float:
+        return _number(stored)
+    if get_origin(hint) is not None:
+        return _collection(stored, hint)
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return hint(stored)
+    if isinstance(hint, type) and is_dataclass(hint):
+        return hint(*(from_json(one, of) for one, of in zip(stored, _hints(hint).values(), strict=False)))
+    return stored
+
+
+def _collection(stored: Any, hint: Any) -> tuple[Any, ...] | dict[str, Any]:  # noqa: ANN401 - as ``from_json``
+    inner = get_args(hint)
+    if get_origin(hint) is tuple:
+        return tuple(from_json(one, inner[0]) for one in stored)
+    return {name: from_json(one, inner[1]) for name, one in stored.items()}
+
+
+def _number(stored: object) -> float:
+    if isinstance(stored, int):
+        return stored  # a whole number beside floats, such as a date in nanoseconds, keeps its last digit
+    if isinstance(stored, str):
+        return float.fromhex(stored)
+    raise StorageError(f"a packed number is {stored!r}")
+
+
+@cache
+def _hints(kind: Hashable) -> Mapping[str, Any]:
+    """Return the types of the fields of a dataclass, in the order of its fields."""
+    hints = get_type_hints(kind)
+    return {field.name: hints[field.name] for field in fields(cast("Any", kind))}

@@ -1,1 +1,0 @@
-"""Value types as packed arrays, one file a type; what comes back has the same bits."""

@@ -1,0 +1,237 @@
+"""What is stored whole in one blob: trends, geometries, alignments, layouts, bin tables, profiles of wheels.
+
+A value is packed by its own fields (``fleet_db.fields``); here is only what is stored otherwise than declared. The
+same value is the same blob: versions of a track are compared by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from estimation.contact.profiles import Profile
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinValues, WheelsetGeometry
+from estimation.values.json_value import JsonValue
+from estimation.values.track import RECORDED, GaugeShift, TrackAlignment, TrackFindings, TrackLayout
+from estimation.values.trend import WearTrend
+from fleet_db.fields import fields_of, from_json, to_json, value_of
+from fleet_db.packing import Array, pack, unpack
+
+VERSION = 1
+TREND, GEOMETRY, LAYOUT, BIN_TABLE = "wear_trend", "wheelset_geometry", "track_layout", "bin_table"
+WHEEL_PAIR, ALIGNMENT = "wheel_pair", "track_alignment"
+SURVEYED, ESTIMATED = 1, 2  # versions of a packed alignment: the first has no source, cut-off, scale and gauge
+SURVEY = (RECORDED, np.inf, 0, True)  # these four of a surveyed alignment
+PROFILE_ARRAYS = ("y", "z", "slope")
+
+
+def pack_trend(trend: WearTrend) -> bytes:
+    """Return ``trend`` as one blob."""
+    return pack(TREND, VERSION, *fields_of(trend))
+
+
+def unpack_trend(blob: bytes, *, where: str) -> WearTrend:
+    """Return the trend, bit for bit.
+
+    Raises
+    ------
+    StorageError
+        The blob is damaged; ``where`` names it.
+    """
+    packed = unpack(blob, TREND, where=where)
+    return value_of(WearTrend, packed.scalars, packed.arrays)
+
+
+def pack_geometry(geometry: WheelsetGeometry) -> bytes:
+    """Return ``geometry`` as one blob; the four combinations are stacked."""
+    combinations: dict[str, BinValues] = {name: getattr(geometry, name) for name in COMBINATIONS}
+    statuses = {name: to_json(values.status) for name, values in combinations.items()}
+    scalars, arrays = fields_of(geometry, without=COMBINATIONS)
+    return pack(
+        GEOMETRY,
+        VERSION,
+        {"combinations": statuses, **_renamed(scalars, "reported_amplitude", "headline_amplitude")},
+        {
+            **arrays,
+            "values": np.stack([values.value for values in combinations.values()]),
+            "stds": np.stack([values.std for values in combinations.values()]),
+        },
+    )
+
+
+def unpack_geometry(blob: bytes, *, where: str) -> WheelsetGeometry:
+    """Return the geometry, bit for bit.
+
+    Raises
+    ------
+    StorageError
+        The blob is damaged; ``where`` names it.
+    """
+    packed = unpack(blob, GEOMETRY, where=where)
+    statuses, arrays = packed.scalars["combinations"], packed.arrays
+    combinations = {
+        name: BinValues(value, std, from_json(listed, tuple[BinStatus, ...]))
+        for (name, listed), value, std in zip(statuses.items(), arrays["values"], arrays["stds"], strict=True)
+    }
+    scalars = _renamed(packed.scalars, "headline_amplitude", "reported_amplitude")
+    return value_of(WheelsetGeometry, scalars, arrays, **combinations)
+
+
+def pack_layout(layout: TrackLayout) -> bytes:
+    """Return ``layout`` as one blob, without its version, so that the same content is the same blob."""
+    return pack(LAYOUT, VERSION, *fields_of(layout, without={"version"}))
+
+
+def unpack_layout(blob: bytes, version: int, *, where: str) -> TrackLayout:
+    """Return the layout as ``version``, bit for bit.
+
+    Raises
+    ------
+    DamagedError
+        The blob is damaged; ``where`` names it.
+    """
+    packed = unpack(blob, LAYOUT, where=where)
+    return value_of(TrackLayout, packed.scalars, packed.arrays, version=version)
+
+
+def pack_alignment(alignment: TrackAlignment) -> bytes:
+    """Return ``alignment`` as one blob, without its version, so that the same content is the same blob."""
+    scalars, arrays = fields_of(alignment, without={"version", "findings"})
+    first = {name: scalars[name] for name in ("section", "status")}
+    known = (alignment.source, alignment.cutoff_wavelength, alignment.scale_std, alignment.gauge_known) == SURVEY
+    if known and alignment.findings is None:
+        return pack(ALIGNMENT, SURVEYED, first, arrays)
+    scalars = _renamed(scalars, "cutoff_wavelength", "cut_off")
+    if alignment.findings is not None:
+        scalars["findings"], shifts = _pack_findings(alignment.findings)
+        arrays |= shifts
+    return pack(ALIGNMENT, ESTIMATED, scalars, arrays)
+
+
+def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment:
+    """Return the alignment as ``version``, bit for bit.
+
+    Raises
+    ------
+    StorageError
+        The blob is damaged; ``where`` names it.
+    """
+    packed = unpack(blob, ALIGNMENT, where=where)
+    scalars = _renamed(packed.scalars, "cut_off", "cutoff_wavelength")
+    stored = scalars.pop("findings", None)
+    findings = None if stored is None else _unpack_findings(stored, packed.arrays)
+    return value_of(TrackAlignment, scalars, packed.arrays, version=version, findings=findings)
+
+
+def _pack_findings(findings: TrackFindings) -> tuple[JsonValue, dict[str, Array]]:
+    """Return findings as JSON and stacked arrays: the grids of each wheelset's gauge shift, and (wheelset, r, e)."""
+    names = sorted(findings.gauge_shifts)
+    stored: JsonValue = {
+        "stiffness_ratio": to_json(dict(sorted(findings.stiffness_ratio.items()))),
+        "stiffness_ratio_std": to_json(findings.stiffness_ratio_std),
+        "gauge_shifts": to_json(names),
+    }
+    if not names:
+        return stored, {}
+    shifts = [findings.gauge_shifts[name] for name in names]
+    return stored, {
+        "shift_difference": np.stack([item.difference for item in shifts]),
+        "shift_gauge": np.stack([item.gauge for item in shifts]),
+        "shift": np.stack([item.shift for item in shifts]),
+    }
+
+
+def _unpack_findings(stored: Mapping[str, Any], arrays: Mapping[str, Array]) -> TrackFindings:
+    shifts = {
+        name: GaugeShift(arrays["shift_difference"][k], arrays["shift_gauge"][k], arrays["shift"][k])
+        for k, name in enumerate(stored["gauge_shifts"])
+    }
+    return value_of(TrackFindings, stored, {}, gauge_shifts=shifts)
+
+
+def pack_wheel_pair(left: Profile, right: Profile) -> bytes:
+    """Return the profiles of both wheels of a wheelset as one blob."""
+    sides = {"left": left, "right": right}
+    return pack(
+        WHEEL_PAIR,
+        VERSION,
+        {side: profile.name for side, profile in sides.items()},
+        {f"{side}_{name}": getattr(profile, name) for side, profile in sides.items() for name in PROFILE_ARRAYS},
+    )
+
+
+def unpack_wheel_pair(blob: bytes, *, where: str) -> tuple[Profile, Profile]:
+    """Return the left and the right profile, bit for bit.
+
+    Raises
+    ------
+    DamagedError
+        The blob is damaged; ``where`` names it.
+    """
+    packed = unpack(blob, WHEEL_PAIR, where=where)
+    left, right = (
+        Profile("wheel", packed.scalars[side], *(packed.arrays[f"{side}_{name}"] for name in PROFILE_ARRAYS))
+        for side in ("left", "right")
+    )
+    return left, right
+
+
+def pack_bin_table(table: BinTable) -> bytes:
+    """Return ``table`` as one blob. A cell is empty when every bit of its weight and moments is zero."""
+    cells = np.concatenate([table.weight[:, :, None], table.lateral, table.yaw], axis=2)
+    filled: BoolArray = np.any(cells.view(np.int64), axis=2)
+    return pack(
+        BIN_TABLE,
+        VERSION,
+        {
+            "parameter_key": table.parameter_key,
+            "samples": int(table.samples),
+            "windows": int(table.windows),
+            "groups": len(table.weight),
+            "lateral": table.lateral.shape[2],
+        },
+        {"edges": table.edges, "filled": np.packbits(filled), "cells": np.ascontiguousarray(cells[filled].T)},
+    )
+
+
+def unpack_bin_table(blob: bytes, *, where: str) -> BinTable:
+    """Return the table, bit for bit.
+
+    Raises
+    ------
+    StorageError
+        The blob is damaged; ``where`` names it.
+    """
+    packed = unpack(blob, BIN_TABLE, where=where)
+    edges, found = packed.arrays["edges"], packed.arrays["cells"]
+    groups, bins = packed.scalars["groups"], len(edges) - 1
+    filled = np.unpackbits(packed.arrays["filled"], count=groups * bins).astype(bool)
+    yaw_from = 1 + packed.scalars["lateral"]
+    weight, lateral, yaw = (
+        _spread(rows, filled, groups, bins) for rows in (found[:1], found[1:yaw_from], found[yaw_from:])
+    )
+    return BinTable(
+        parameter_key=packed.scalars["parameter_key"],
+        edges=edges,
+        weight=weight[:, :, 0],
+        lateral=lateral,
+        yaw=yaw,
+        samples=packed.scalars["samples"],
+        windows=packed.scalars["windows"],
+    )
+
+
+def _spread(rows: FloatArray, filled: BoolArray, groups: int, bins: int) -> FloatArray:
+    """Return columns ``rows`` (m, filled) put back among the empty cells: (groups, bins, m)."""
+    cells = np.zeros((groups * bins, len(rows)))
+    cells[filled] = rows.T
+    cells.flags.writeable = False
+    return cells.reshape(groups, bins, len(rows))
+
+
+def _renamed(scalars: Mapping[str, Any], before: str, after: str) -> dict[str, Any]:
+    """Return ``scalars`` with one name replaced in its place: a field was renamed after values had been stored."""
+    return {after if name == before else name: value for name, value in scalars.items()}
