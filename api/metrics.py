@@ -71,7 +71,7 @@ class StoredMeasures(Collector):
         family = GaugeMetricFamily("treadwatch_alerts_open", "Open alerts.", labels=labels)
         with self._storage.read() as unit:
             of_wheelsets = [alert for alert in unit.alerts.all_open() if alert.scope is AlertScope.WHEELSET]
-            found = Tally((alert.fleet, alert.kind.value, alert.severity.value) for alert in of_wheelsets)
+            found = Tally((alert.fleet, alert.kind, alert.severity.value) for alert in of_wheelsets)
         for key, count in sorted(found.items()):
             family.add_metric(list(key), count)
         return family

@@ -1,4 +1,4 @@
-"""Read rules from a TOML file; everything that is not written there keeps its shipped default.
+"""Read alert rules from a TOML file; everything that is not written there keeps its shipped default.
 
 ::
 
@@ -10,132 +10,108 @@
     vehicle_class = "freight"
     up_to_km_h = 120
     limit = 0.45
+
+A table is named after the ``kind`` of a rule; its keys are the fields of the rule, and their ranges stand there.
 """
 
 from __future__ import annotations
 
 import math
-import tomllib
+import operator
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import MISSING, Field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
-from estimation.alerts.rules.book import RuleBook, SpeedBand
-from estimation.errors import InputError
+from annotated_types import Interval
+from pydantic import BaseModel, create_model
+from pydantic import Field as Key
+from pydantic.types import AllowInfNan
 
-_Rule = TypeVar("_Rule")
+from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
+from estimation.alerts.rules.rule import AlertRule
+from ingest.input_file import InputFile, InputTable, read_toml
 
-# least and greatest of every number that is not simply "finite and not negative"
-_PROBABILITY = (0.5, 0.9999)
-_SHARE = (0.0, 1.0)
-_RANGES: Mapping[str, tuple[float, float]] = {
-    "raise_probability": _PROBABILITY,
-    "clear_probability": _PROBABILITY,
-    "raise_share": _SHARE,
-    "clear_share": _SHARE,
-    "clipped_share": _SHARE,
-    "invalid_share": _SHARE,
-    "per_km_h": (-1.0, 1.0),
-    "up_to_km_h": (1.0, math.inf),
-    "limit": (0.001, 2.0),
-    "on_evaluations": (1, 1000),
-    "off_evaluations": (1, 1000),
-    "minimum_windows": (1, 1_000_000),
-    "minimum_points": (2, 1_000_000),
-    "latest_windows": (1, 1000),
-    "more_than": (1, 1_000_000),
-    "within_hours": (0.01, 87_600.0),
-    "days": (0.01, 3650.0),
-    "acknowledgement_days": (0.01, 3650.0),
-}
-# (raise, clear, whether clear lies below)
-_APART = (
-    ("limit_forecast", "within_km", "clear_within_km", False),
-    ("wheel_asymmetry", "offset_limit_mm", "offset_clear_mm", True),
-    ("wheel_asymmetry", "shape_limit_mm", "shape_clear_mm", True),
-    ("no_data", "days", "critical_days", False),
-    ("sensor_fault", "raise_share", "clear_share", True),
-)
+_Value = TypeVar("_Value")
+
+_USUAL_RANGE = Interval(ge=0.0, le=1e9)  # of a number whose rule gives none
+_RELATIONS = {"<=": (operator.le, "is above"), ">=": (operator.ge, "is below")}
+_ALARM_FLOOD = "alarm_flood"
 
 
-def load_rules(path: Path) -> RuleBook:
+def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
     """Return the rule book of a TOML file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    book
+        What it changes; the shipped rules by default.
 
     Raises
     ------
     InputError
         The file cannot be read or is no TOML; an unknown table or key; a value of the wrong type or outside its range;
-        a clear limit on the wrong side of its raise limit. Names the file and the field.
+        a clear limit on the wrong side of its raise limit. Names the file, the line and the field.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"the rules cannot be read: {error}", file=path) from error
-    try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"this is no TOML: {error}", file=path) from error
-    book = RuleBook()
-    known = {f.name: getattr(book, f.name) for f in fields(book)}
-    rules = {}
-    for name, table in tables.items():
-        if name not in known:
-            raise InputError(f"unknown rule; there are {', '.join(known)}", file=path, field=name)
-        rules[name] = _filled(known[name], table, path, name)
-    book = replace(book, **rules)
-    _check_apart(book, path)
-    return book
+    book = book if book is not None else RuleBook()
+    file = read_toml(path)
+    tables: dict[str, Any] = {rule.kind: (_table_of(type(rule)) | None, None) for rule in book.rules}
+    tables[_ALARM_FLOOD] = (_table_of(AlarmFloodRule) | None, None)
+    model = create_model("Rules", __base__=InputTable, **tables)
+    given = file.parse(model)
+    rules = [_changed(rule, getattr(given, rule.kind)) for rule in book.rules]
+    for rule in rules:
+        _check_relations(rule, file)
+    return replace(book, rules=tuple(rules), alarm_flood=_changed(book.alarm_flood, getattr(given, _ALARM_FLOOD)))
 
 
-def _filled(default: _Rule, table: object, path: Path, place: str) -> _Rule:
-    if not isinstance(table, dict):
-        raise InputError("must be a table", file=path, field=place)
-    values: dict[str, Any] = {}
-    known = {f.name for f in fields(default)}  # type: ignore[arg-type]
-    for key, value in table.items():
-        where = f"{place}.{key}"
-        if key not in known:
-            raise InputError(f"unknown key; there are {', '.join(sorted(known))}", file=path, field=where)
-        if key == "bands":
-            values[key] = _bands(value, path, where)
-        elif key in ("delays", "parameters"):
-            values[key] = _filled(getattr(default, key), value, path, where)
-        else:
-            values[key] = _checked(getattr(default, key), key, value, path, where)
-    return replace(default, **values)  # type: ignore[type-var]
+def _table_of(value_type: type[Any]) -> type[InputTable]:
+    """Return the schema of a table that sets fields of a dataclass; fields with a default may be left out."""
+    hints = get_type_hints(value_type, include_extras=True)
+    keys: dict[str, Any] = {item.name: _key_of(item, hints[item.name]) for item in fields(value_type)}
+    return create_model(value_type.__name__, __base__=InputTable, **keys)
 
 
-def _bands(value: object, path: Path, place: str) -> tuple[SpeedBand, ...]:
-    if not isinstance(value, list) or not value:
-        raise InputError("must be a list of at least one band", file=path, field=place)
-    bands = []
-    for i, table in enumerate(value):
-        where = f"{place}[{i}]"
-        if isinstance(table, dict) and "limit" not in table:
-            raise InputError("a band needs a limit", file=path, field=f"{where}.limit")
-        bands.append(_filled(SpeedBand(math.inf, 0.4), table, path, where))
-    return tuple(bands)
+def _key_of(item: Field[Any], hint: object) -> tuple[object, object]:
+    """Return type and default of a key, as pydantic takes them."""
+    default = ... if item.default is MISSING and item.default_factory is MISSING else None
+    if is_dataclass(hint) and isinstance(hint, type):
+        return _table_of(hint) | None, default
+    if get_origin(hint) is tuple:
+        return Annotated[list[_table_of(get_args(hint)[0])], Key(min_length=1)], default  # type: ignore[misc]  # of values
+    if hint in (float, int):
+        return Annotated[hint, _USUAL_RANGE], default
+    if item.default == math.inf:
+        return Annotated[hint, AllowInfNan(True)], default  # noqa: FBT003 - its own signature
+    return hint, default
 
 
-def _checked(default: object, key: str, value: object, path: Path, place: str) -> object:
-    if isinstance(default, (bool, str)):
-        if not isinstance(value, type(default)):
-            raise InputError(f"must be a {type(default).__name__}", file=path, field=place)
+def _changed(value: _Value, given: BaseModel | None) -> _Value:
+    """Return a dataclass with the fields that a table sets."""
+    if given is None:
         return value
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError("must be a number", file=path, field=place)
-    if isinstance(default, int) and value != int(value if math.isfinite(value) else 0):
-        raise InputError("must be a whole number", file=path, field=place)
-    least, greatest = _RANGES.get(key, (0.0, 1e9))
-    if not least <= value <= greatest:
-        raise InputError(f"{value} is outside {least:g} to {greatest:g}", file=path, field=place)
-    return int(value) if isinstance(default, int) else float(value)
+    return replace(value, **_set_fields(value, given))  # type: ignore[type-var]  # a dataclass
 
 
-def _check_apart(book: RuleBook, path: Path) -> None:
-    for rule, raised, cleared, below in _APART:
-        first, second = getattr(getattr(book, rule), raised), getattr(getattr(book, rule), cleared)
-        if (second > first) if below else (second < first):
-            side = "above" if below else "below"
-            raise InputError(f"{second:g} lies {side} {raised} ({first:g})", file=path, field=f"{rule}.{cleared}")
+def _set_fields(value: Any, given: BaseModel) -> Mapping[str, Any]:  # noqa: ANN401 - any dataclass or its type
+    found: dict[str, Any] = {}
+    hints = get_type_hints(value if isinstance(value, type) else type(value))
+    for name in given.model_fields_set:
+        item = getattr(given, name)
+        if isinstance(item, BaseModel):
+            item = _changed(getattr(value, name), item)
+        elif isinstance(item, list):
+            element = get_args(hints[name])[0]
+            item = tuple(element(**_set_fields(element, entry)) for entry in item)
+        found[name] = float(item) if hints[name] is float else item
+    return found
+
+
+def _check_relations(rule: AlertRule, file: InputFile) -> None:
+    for name, relation, other in rule.relations:
+        holds, contrary = _RELATIONS[relation]
+        value, limit = getattr(rule, name), getattr(rule, other)
+        if not holds(value, limit):
+            raise file.error(f"{value:g} {contrary} {other} ({limit:g})", (rule.kind, name))

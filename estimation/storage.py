@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from typing import Protocol
 
 from estimation.contact.profiles import MeasuredProfiles
-from estimation.values.alerts import Alert, AlertEventKind, AlertKind, AlertScope, Condition
+from estimation.values.alerts import Alert, AlertEventKind, AlertScope, Condition
 from estimation.values.geometry import BinTable, GeometryRecord
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobRun
@@ -120,7 +120,7 @@ class Alerts(Protocol):
         *,
         fleet: str | None,
         wheelset: str | None,
-        kind: AlertKind | None,
+        kind: str | None,
         condition: Condition | None,
         open_only: bool,
         after_id: int | None,

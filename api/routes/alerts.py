@@ -22,10 +22,10 @@ from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Page
 from api.services import ServicesDep
-from estimation.values.alerts import AlertKind, AlertScope, Condition
+from estimation.values.alerts import AlertScope, Condition
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
-Kind = Annotated[AlertKind | None, Query(description="Only of this kind.")]
+Kind = Annotated[alerts.KnownKind | None, Query(description="Only of this kind.")]
 InCondition = Annotated[Condition | None, Query(description="Only in this condition.")]
 Scope = Annotated[AlertScope | None, Query(description="Only alerts of wheelsets, or only fleet alerts.")]
 MemberOf = Annotated[

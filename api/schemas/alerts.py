@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Annotated
 
-from pydantic import Field, JsonValue
+from pydantic import AfterValidator, Field, JsonValue, WithJsonSchema
 
 from api.schemas.common import Links, Representation, Request, finite
 from api.schemas.registry import segment
 from api.times import Moment, Timestamp, to_rfc3339
+from estimation.alerts.rules.book import ALERT_RULES
 from estimation.values.alerts import Alert as AlertValue
-from estimation.values.alerts import AlertEvent, AlertEventKind, AlertKind, AlertScope, Condition, Severity
+from estimation.values.alerts import AlertEvent, AlertEventKind, AlertScope, Condition, Severity
 
 _WORDS = r"^[^\x00]*$"
+LIMIT_UNITS = {rule.kind: rule.limit_unit for rule in ALERT_RULES}
+
+
+def _known(kind: str) -> str:
+    if kind not in LIMIT_UNITS:
+        raise ValueError(f"is none of {', '.join(LIMIT_UNITS)}")
+    return kind
+
+
+# the schema lists the kinds of today's rules; a stored alert keeps that of a rule that is gone
+AlertKind = Annotated[str, WithJsonSchema({"type": "string", "enum": [rule.kind for rule in ALERT_RULES]})]
+KnownKind = Annotated[AlertKind, AfterValidator(_known)]
 
 
 class DisplayState(StrEnum):
@@ -106,16 +120,6 @@ class ExternalReference(Request):
 
     ref: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["maximo:WO-4711"])
     by: str = Field(default="maintenance system", min_length=1, max_length=200, pattern=_WORDS)
-
-
-LIMIT_UNITS: dict[AlertKind, str] = {
-    AlertKind.CONICITY_LIMIT: "1",
-    AlertKind.LIMIT_FORECAST: "km",
-    AlertKind.WHEEL_ASYMMETRY: "mm",
-    AlertKind.NO_DATA: "days",
-    AlertKind.SENSOR_FAULT: "1",
-    AlertKind.IDENTITY: "1",
-}
 
 
 def display_state(alert: AlertValue, now_ns: int) -> DisplayState:

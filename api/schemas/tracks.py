@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pydantic import Field
+from pydantic import Field, JsonValue
 
 from api.schemas.common import Links, Representation, finite, finite_list
 from api.schemas.registry import segment
@@ -69,6 +69,7 @@ class AlignmentReport(Representation):
     evidence: list[str] = Field(description="What was known besides the passes.")
     recording: str | None = Field(description="Check of the surveyed alignment against the fleet.")
     refused_windows: dict[str, int] = Field(description="Windows without a pass, by reason.")
+    parameters: dict[str, JsonValue] = Field(description="Settings that shaped it; empty where none were kept.")
     journeys: list[Journey]
     code_version: str
     links: Links
@@ -183,6 +184,7 @@ _AS_STORED: dict[str, Any] = {
     "evidence": [],
     "recording": None,
     "refused_windows": {},
+    "parameters": {},
 }
 
 

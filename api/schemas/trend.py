@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pydantic import Field
+from pydantic import Field, JsonValue
 
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
 from api.schemas.registry import segment
@@ -47,6 +47,7 @@ class TrendProvenance(Representation):
 
     code_version: str
     input_digest: str
+    parameters: dict[str, JsonValue] = Field(description="Settings that shaped it; empty where none were kept.")
 
 
 class Trend(Representation):
@@ -112,7 +113,11 @@ def trend(record: TrendRecord) -> Trend:
         distance_to_limit_km=_distance(found.distance_to_limit_km, unknown),
         date_of_limit=_date(found.date_of_limit_ns, unknown),
         probability_over_limit_1=finite(found.probability_over_limit),
-        provenance=TrendProvenance(code_version=record.code_version, input_digest=record.input_digest),
+        provenance=TrendProvenance(
+            code_version=record.code_version,
+            input_digest=record.input_digest,
+            parameters=dict(record.parameters),
+        ),
         links={
             "self": f"{own}/trend",
             "as_recorded": f"{own}/trend?as_of={to_rfc3339(record.recorded_ns)}",

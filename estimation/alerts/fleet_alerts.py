@@ -11,15 +11,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from estimation.alerts.life_cycle import DELAYS, SEVERITY_RANK, updated, without_stale_acknowledgement
-from estimation.alerts.rules.book import RuleBook, StormRule
+from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
 from estimation.errors import InputError
-from estimation.values.alerts import Alert, AlertEventKind, AlertKind, Condition, Transition
+from estimation.values.alerts import Alert, AlertEventKind, Condition, Transition
 from estimation.values.json_value import JsonValue
 
 HOUR_NS = 3_600_000_000_000
 
 
-def in_storm(opened_ns: Sequence[int], rule: StormRule) -> list[bool]:
+def in_flood(opened_ns: Sequence[int], rule: AlarmFloodRule) -> list[bool]:
     """Return of each alert whether it is one of too many.
 
     Parameters
@@ -32,23 +32,23 @@ def in_storm(opened_ns: Sequence[int], rule: StormRule) -> list[bool]:
     Returns
     -------
     list of bool
-        In the order given: true where some stretch of ``within_hours`` (both ends included) holds the alert and more
+        In the order given: true where some span of ``within_hours`` (both ends included) holds the alert and more
         than ``more_than`` altogether.
     """
     order = sorted(range(len(opened_ns)), key=lambda i: opened_ns[i])
     within_ns = round(rule.within_hours * HOUR_NS)
-    found = [False] * len(opened_ns)
+    flooding = [False] * len(opened_ns)
     first = 0
     for last, i in enumerate(order):
         while opened_ns[i] - opened_ns[order[first]] > within_ns:
             first += 1
         if last - first + 1 > rule.more_than:
-            for one in order[first : last + 1]:
-                found[one] = True
-    return found
+            for member in order[first : last + 1]:
+                flooding[member] = True
+    return flooding
 
 
-def opened(fleet: str, kind: AlertKind, members: Sequence[Alert], book: RuleBook) -> Alert:
+def opened(fleet: str, kind: str, members: Sequence[Alert], book: RuleBook) -> Alert:
     """Return the fleet alert that members-to-be call for, to be stored before them so that they can name it.
 
     It lists them only once they are stored, see :func:`refreshed`; to be raised after that.
@@ -73,8 +73,8 @@ def opened(fleet: str, kind: AlertKind, members: Sequence[Alert], book: RuleBook
         occurrence_count=len(members),
         probability=None,
         evidence={
-            "more_than": book.storm.more_than,
-            "within_hours": book.storm.within_hours,
+            "more_than": book.alarm_flood.more_than,
+            "within_hours": book.alarm_flood.within_hours,
             "members": [],
             DELAYS: {"acknowledgement_days": book.delays_of(kind).acknowledgement_days},
         },

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from estimation.alerts.rules.book import AlertDelays
+from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Finding, Severity, Transition
 from estimation.values.json_value import JsonValue

@@ -9,7 +9,10 @@ from dataclasses import replace
 from estimation.alerts.identity import IdentityEvent
 from estimation.alerts.life_cycle import close, transition
 from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.evaluation import WheelsetFacts, findings, overtaken
+from estimation.alerts.rules.evaluation import findings, superseded
+from estimation.alerts.rules.identity import IdentityRule
+from estimation.alerts.rules.rule import WheelsetFacts
+from estimation.alerts.rules.sensor_fault import SensorFaultRule
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.identities import new_events
 from estimation.jobs.steps.raise_alerts import raise_in_fleet
@@ -31,7 +34,7 @@ def run(context: JobContext) -> Mapping[str, int]:
     with context.storage.read() as unit:
         wheelsets = unit.registry.wheelsets()
         serials = [wheelset.serial for wheelset in wheelsets]
-        identities = new_events(unit, wheelsets, context.settings.rules.identity.parameters)
+        identities = new_events(unit, wheelsets, context.settings.rules.rule(IdentityRule).parameters)
         fleets = [fleet.code for fleet in unit.registry.fleets()]
     counts: Counter[str] = Counter(dict.fromkeys(("wheelsets", *(kind.value for kind in AlertEventKind)), 0))
     found: list[Transition] = []
@@ -60,7 +63,7 @@ def _evaluate(
     facts = replace(_facts(unit, unit.registry.wheelset(serial), book), identity=identity)
     events: list[AlertEventKind] = []
     to_raise: list[Transition] = []
-    ended = overtaken(facts, book)
+    ended = superseded(facts, book)
     for alert, reason, at_ns in ended:
         events += _save(unit, close(alert, reason, at_ns), now_ns, reason)
     gone = {alert.alert_id for alert, _, _ in ended}
@@ -97,7 +100,7 @@ def _facts(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> Wheels
         vehicle=unit.registry.vehicle(mounting.vehicle),
         geometry=unit.geometries.current(wheelset.serial),
         trend=unit.trends.latest(wheelset.serial),
-        windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, book.sensor_fault.latest_windows),
+        windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, book.rule(SensorFaultRule).latest_windows),
         open_alerts=alerts,
     )
 

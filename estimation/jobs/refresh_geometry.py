@@ -11,7 +11,6 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from estimation.alerts.rules.identity import Break
 from estimation.errors import DamagedError
 from estimation.estimators.catalogue import SHIPPED, estimator_named
 from estimation.estimators.interface import EstimatorParameters
@@ -20,11 +19,12 @@ from estimation.geometry.estimate import estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.identities import latest_break
+from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.replay import TabulatedWindow, replayed
 from estimation.storage import UnitOfWork
 from estimation.tables import bin_table
 from estimation.values.geometry import BinTable, GeometryRecord, WheelsetGeometry
+from estimation.values.identity import IdentityChange
 from estimation.values.motion import Motion
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.windows import WindowRecord
@@ -95,19 +95,19 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
 
     Only the tables that such a geometry needs are read, so that new windows cost themselves and not the history. A
     geometry whose windows are all gone (refused since, or of another baseline now) is followed by an empty one. The
-    current geometry is that of the newest baseline with windows. What lies on both sides of a break of the wheelset's
-    identity is never merged, and what cannot be told to lie on either side is left out.
+    current geometry is that of the newest baseline with windows. What lies on both sides of an identity change of the
+    wheelset is never merged, and what cannot be told to lie on either side is left out.
     """
     settings = context.settings.estimation
     records: list[GeometryRecord] = []
     newest: tuple[Baseline, list[_Entry]] | None = None
-    broken = latest_break(unit, serial)
+    change = identity_change(unit, serial)
     turned = [mounting for mounting in unit.registry.mountings(serial) if mounting.reversed]
     for baseline in baselines(unit.registry.wheelset(serial)):
         index = unit.tables.index(serial, baseline.from_ns, baseline.to_ns)
         entries = _apart(
             [_mounted(entry, turned) for entry in index if entry[1] == settings.bins.key],
-            broken,
+            change,
         )
         records += _intervals(unit, serial, baseline, entries, context)
         if entries:
@@ -116,7 +116,7 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     if current is not None and (newest is None or newest[0].number < current.baseline):
         records.append(_emptied(current, context))
     elif newest is not None:
-        near = _remembered(_since(newest[1], broken), settings.half_life_km)
+        near = _remembered(_since(newest[1], change), settings.half_life_km)
         records.append(_record(unit, newest[0], None, near, context))
     return records
 
@@ -143,16 +143,16 @@ def _mounted(entry: _Entry, turned: Sequence[Mounting]) -> _Entry:
     return entry
 
 
-def _apart(entries: Sequence[_Entry], broken: Break | None) -> list[_Entry]:
-    """Return the entries that lie before or after a break."""
-    if broken is None:
+def _apart(entries: Sequence[_Entry], change: IdentityChange | None) -> list[_Entry]:
+    """Return the entries that lie before or after an identity change."""
+    if change is None:
         return list(entries)
-    return [e for e in entries if e[0].start_ns < broken.before_ns or e[0].start_ns >= broken.after_ns]
+    return [e for e in entries if e[0].start_ns < change.before_ns or e[0].start_ns >= change.after_ns]
 
 
-def _since(entries: Sequence[_Entry], broken: Break | None) -> Sequence[_Entry]:
-    """Return the entries after a break; all where there are none."""
-    after = [entry for entry in entries if broken is not None and entry[0].start_ns >= broken.after_ns]
+def _since(entries: Sequence[_Entry], change: IdentityChange | None) -> Sequence[_Entry]:
+    """Return the entries after an identity change; all where there are none."""
+    after = [entry for entry in entries if change is not None and entry[0].start_ns >= change.after_ns]
     return after or entries
 
 

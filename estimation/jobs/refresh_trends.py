@@ -8,13 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.evaluation import speed_class
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.steps.identities import latest_break, unbroken
+from estimation.jobs.steps.identities import identity_change
 from estimation.storage import UnitOfWork
 from estimation.trend.points import conicity_points
 from estimation.trend.trend import TrendParameters, refresh
 from estimation.values.geometry import GeometryRecord
+from estimation.values.identity import since_change
 from estimation.values.registry import WheelsetRecord
 from estimation.values.trend import TrendRecord
 
@@ -35,8 +36,8 @@ def _refresh(context: JobContext, wheelset: WheelsetRecord) -> str:
     params, baseline = context.settings.trend, len(wheelset.reprofilings)
     with context.storage.read() as unit:
         limit = _limit(unit, wheelset, context.settings.rules)
-        since = latest_break(unit, wheelset.serial)
-        records = unbroken(unit.geometries.intervals(wheelset.serial, baseline), since)
+        change = identity_change(unit, wheelset.serial)
+        records = since_change(unit.geometries.intervals(wheelset.serial, baseline), change)
         latest = unit.trends.latest(wheelset.serial)
     if limit is None:
         return "without_limit"
@@ -49,7 +50,15 @@ def _refresh(context: JobContext, wheelset: WheelsetRecord) -> str:
         return "unchanged"
     chosen = conicity_points(records)
     trend = refresh(chosen.points, limit, params, quantity=chosen.quantity, note=chosen.note)
-    record = TrendRecord(wheelset.serial, baseline, trend, digest, context.code_version, context.clock.now_ns())
+    record = TrendRecord(
+        wheelset=wheelset.serial,
+        baseline=baseline,
+        trend=trend,
+        input_digest=digest,
+        code_version=context.code_version,
+        recorded_ns=context.clock.now_ns(),
+        parameters=asdict(params),
+    )
     with context.storage.write() as unit:
         return "refreshed" if unit.trends.put(record) else "unchanged"
 
@@ -59,7 +68,7 @@ def _limit(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> float 
     mounting = wheelset.mounting or max(unit.registry.mountings(wheelset.serial), key=lambda m: m.from_ns, default=None)
     if mounting is None:
         return None
-    return book.conicity_limit.limit_for(*speed_class(unit.registry.vehicle(mounting.vehicle)))
+    return book.rule(ConicityLimitRule).limit_for(unit.registry.vehicle(mounting.vehicle))
 
 
 def _digest(records: Sequence[GeometryRecord], limit: float, params: TrendParameters) -> str:

@@ -13,17 +13,6 @@ from enum import StrEnum
 from estimation.values.json_value import JsonValue
 
 
-class AlertKind(StrEnum):
-    """Which rule speaks."""
-
-    CONICITY_LIMIT = "conicity_limit"
-    LIMIT_FORECAST = "limit_forecast"
-    WHEEL_ASYMMETRY = "wheel_asymmetry"
-    NO_DATA = "no_data"
-    SENSOR_FAULT = "sensor_fault"
-    IDENTITY = "identity"
-
-
 class AlertScope(StrEnum):
     """What an alert is about."""
 
@@ -64,7 +53,7 @@ class Finding:
     """What one rule says of one wheelset at one time; ``breached`` None means the data cannot say."""
 
     wheelset: str
-    kind: AlertKind
+    kind: str  # of the rule
     breached: bool | None
     cleared: bool | None  # beyond the clear limit (apart from the raise limit)
     severity: Severity
@@ -87,7 +76,7 @@ class Alert:
     alert_id: int
     fleet: str
     wheelset: str | None
-    kind: AlertKind
+    kind: str  # of the rule behind it
     severity: Severity
     condition: Condition
     opened_ns: int

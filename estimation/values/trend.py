@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Forecast, Status
 
 
@@ -46,3 +48,4 @@ class TrendRecord:
     input_digest: str
     code_version: str
     recorded_ns: int
+    parameters: Mapping[str, JsonValue] = field(default_factory=dict)  # that shaped it; empty of releases without them

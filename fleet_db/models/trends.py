@@ -6,7 +6,7 @@ from sqlalchemy import CheckConstraint, ForeignKey, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.quantities import Status
-from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Packed, Real, Serial, one_of
+from fleet_db.models.base import Base, Count, Digest, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
 
 
 class TrendRow(Base):
@@ -39,3 +39,4 @@ class TrendRow(Base):
     date_of_limit_p50_ns: Mapped[Nanoseconds | None]
     probability_over_limit: Mapped[Real | None]
     packed: Mapped[Packed]
+    parameters: Mapped[Json | None]

@@ -10,7 +10,8 @@ from typing import Any
 from sqlalchemy import Connection, Select, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertKind, AlertScope, Condition, Severity
+from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, Condition, Severity
+from estimation.values.identity import IDENTITY
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import AlertEventRow, AlertRow
@@ -64,7 +65,7 @@ class AlertStore:
         *,
         fleet: str | None,
         wheelset: str | None,
-        kind: AlertKind | None,
+        kind: str | None,
         condition: Condition | None,
         open_only: bool,
         after_id: int | None,
@@ -137,7 +138,7 @@ class AlertStore:
         ]
         for row in rows:
             self.connection.execute(insert(EVENTS).values(**row))
-        if events and saved.kind is AlertKind.IDENTITY and saved.wheelset is not None:
+        if events and saved.kind == IDENTITY and saved.wheelset is not None:
             self.changes.note(saved.wheelset)  # its geometry starts again from the identity change
         return saved
 
@@ -175,13 +176,13 @@ class AlertStore:
             ALERTS.c.closed_ns.is_(None),
             ALERTS.c.fleet == alert.fleet,
             ALERTS.c.wheelset == alert.wheelset,
-            ALERTS.c.kind == alert.kind.value,
+            ALERTS.c.kind == alert.kind,
             ALERTS.c.alert_id != alert.alert_id,
         )
         other = self.connection.scalar(statement)
         if other is not None:
             raise ConflictError(
-                f"alert {other} of kind {alert.kind.value} is already open for {_subject(alert)}",
+                f"alert {other} of kind {alert.kind} is already open for {_subject(alert)}",
                 kind="alert",
                 key=str(other),
             )
@@ -208,7 +209,7 @@ def _subject(alert: Alert) -> str:
 
 
 def _fields(alert: Alert) -> dict[str, Any]:
-    enumerations = {name: getattr(alert, name).value for name in ("kind", "severity", "condition")}
+    enumerations = {name: getattr(alert, name).value for name in ("severity", "condition")}
     return asdict(alert) | enumerations | {"external_refs": list(alert.external_refs)}
 
 
@@ -216,7 +217,6 @@ def _alert(fields: Any) -> Alert:  # noqa: ANN401 - a row or the JSON of an even
     return Alert(
         **{
             **fields,
-            "kind": AlertKind(fields["kind"]),
             "severity": Severity(fields["severity"]),
             "condition": Condition(fields["condition"]),
             "external_refs": tuple(fields["external_refs"]),

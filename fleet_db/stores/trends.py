@@ -50,7 +50,15 @@ class TrendStore:
         if row is None:
             return None
         trend = unpack_trend(row.packed, where=f"trend {row.trend_id}")
-        return TrendRecord(row.wheelset, row.baseline, trend, row.input_digest, row.code_version, row.recorded_ns)
+        return TrendRecord(
+            wheelset=row.wheelset,
+            baseline=row.baseline,
+            trend=trend,
+            input_digest=row.input_digest,
+            code_version=row.code_version,
+            recorded_ns=row.recorded_ns,
+            parameters=row.parameters or {},
+        )
 
 
 def _values(record: TrendRecord) -> dict[str, Any]:
@@ -75,4 +83,5 @@ def _values(record: TrendRecord) -> dict[str, Any]:
         "date_of_limit_p50_ns": int(date) if date is not None and abs(date) < 2**63 else None,
         "probability_over_limit": null_if_nan(trend.probability_over_limit),
         "packed": pack_trend(trend),
+        "parameters": dict(record.parameters),
     }

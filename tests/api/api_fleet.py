@@ -8,7 +8,7 @@ import numpy as np
 
 from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.storage import Storage
-from estimation.values.alerts import Alert, AlertEventKind, AlertKind, Condition, Severity
+from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
@@ -140,7 +140,7 @@ def trend_record(recorded_ns: int, last: float) -> TrendRecord:
     return TrendRecord(WHEELSETS[0], 2, trend, f"{recorded_ns + 1:064x}", "0.1.0+test", recorded_ns)
 
 
-def alert(serial: str, kind: AlertKind = AlertKind.CONICITY_LIMIT, fleet: str = "alpha") -> Alert:
+def alert(serial: str, kind: str = "conicity_limit", fleet: str = "alpha") -> Alert:
     """Return an active alert, not yet stored."""
     return Alert(
         alert_id=0,
@@ -160,10 +160,10 @@ def alert(serial: str, kind: AlertKind = AlertKind.CONICITY_LIMIT, fleet: str = 
     )
 
 
-def raised(storage: Storage, serial: str, kind: AlertKind = AlertKind.CONICITY_LIMIT, fleet: str = "alpha") -> Alert:
+def raised(storage: Storage, serial: str, kind: str = "conicity_limit", fleet: str = "alpha") -> Alert:
     """Store an alert and return it with its number."""
     with storage.write() as unit:
-        open_one = next((one for one in unit.alerts.all_open(serial) if one.kind is kind), None)
+        open_one = next((one for one in unit.alerts.all_open(serial) if one.kind == kind), None)
         if open_one is not None:
             closed = replace(open_one, closed_ns=RECORDED, close_reason="test")
             unit.alerts.save(closed, [AlertEventKind.CLOSED], RECORDED)
@@ -241,7 +241,7 @@ def populate(storage: Storage) -> None:
         unit.trends.put(trend_record(RECORDED + DAY, 0.25))
     for serial in WHEELSETS[:10]:
         raised(storage, serial, fleet="alpha" if int(serial[-1]) % 2 == 0 else "=beta")
-    raised(storage, WHEELSETS[0], AlertKind.NO_DATA)
+    raised(storage, WHEELSETS[0], "no_data")
     for number in range(7):
         with storage.write() as unit:
             run = unit.jobs.start("estimate_windows", "schedule", RECORDED + number)

@@ -12,8 +12,6 @@ import httpx
 import pytest
 from running_service import Service
 
-from estimation.values.alerts import AlertKind
-
 _numbers = count()
 ACKNOWLEDGE = {"by": "j.smith", "note": "seen"}
 SHELVE = {"by": "j.smith", "until": "2200-01-01T00:00:00Z", "reason": "reprofiling is ordered"}
@@ -24,7 +22,7 @@ ACTIONS = [("acknowledge", ACKNOWLEDGE), ("shelve", SHELVE), ("external-refs", L
 def fresh_alert(service: Service) -> str:
     """Return the path of an alert of the test's own."""
     serial = api_fleet.WHEELSETS[10 + next(_numbers) % 10]
-    alert = api_fleet.raised(service.storage, serial, AlertKind.SENSOR_FAULT)
+    alert = api_fleet.raised(service.storage, serial, "sensor_fault")
     return f"/v1/alerts/{alert.alert_id}"
 
 

@@ -8,8 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 import api_fleet
 from running_service import Service
 
-from estimation.values.alerts import AlertKind
-
 
 def poll(service: Service, after: str | None, limit: int = 1000) -> tuple[list[tuple[int, str]], str]:
     """Return (alert, event) pairs and the next cursor."""
@@ -24,7 +22,7 @@ def poll(service: Service, after: str | None, limit: int = 1000) -> tuple[list[t
 def test_the_feed_has_a_cursor_even_when_nothing_is_new_and_the_client_owns_it(service: Service) -> None:
     _, end = poll(service, None)
     assert poll(service, end) == ([], end)
-    alert = api_fleet.raised(service.storage, "WS-023", AlertKind.WHEEL_ASYMMETRY)
+    alert = api_fleet.raised(service.storage, "WS-023", "wheel_asymmetry")
     news, after = poll(service, end)
     assert news == [(alert.alert_id, "raised")]
     assert poll(service, end) == (news, after)
@@ -65,7 +63,7 @@ def test_a_client_that_polls_while_many_write_misses_nothing(service: Service) -
 
     def write(number: int) -> None:
         for _ in range(8):
-            alert = api_fleet.raised(service.storage, api_fleet.WHEELSETS[number + 1], AlertKind.LIMIT_FORECAST)
+            alert = api_fleet.raised(service.storage, api_fleet.WHEELSETS[number + 1], "limit_forecast")
             path = f"/v1/alerts/{alert.alert_id}"
             body = {"by": f"writer {number}"}
             done = service.client.post(f"{path}/acknowledge", json=body, headers={"If-Match": "*"})

@@ -10,10 +10,10 @@ from running_service import Service
 
 from estimation.alerts.rules.book import RuleBook
 from estimation.jobs.steps.raise_alerts import raise_in_fleet
-from estimation.values.alerts import Alert, AlertEventKind, AlertKind, Transition
+from estimation.values.alerts import Alert, AlertEventKind, Transition
 
 MEMBERS = api_fleet.WHEELSETS[11:18]
-KIND = AlertKind.WHEEL_ASYMMETRY
+KIND = "wheel_asymmetry"
 
 
 def feed(service: Service, after: str | None) -> dict[str, Any]:

@@ -12,7 +12,6 @@ from smooth_wheelset import SmoothTable, alignment, mems_windows, track
 from test_bad_input_jobs import run_jobs
 
 from estimation.storage import Storage
-from estimation.values.alerts import AlertKind
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.track import FLEET, RECORDED, TrackAlignment, TrackSectionRecord
@@ -107,7 +106,7 @@ def current(storage: Storage, name: str) -> WheelsetGeometry:
 
 def mistakes(storage: Storage) -> dict[str | None, tuple[object, object]]:
     with storage.read() as unit:
-        found = [alert for alert in unit.alerts.all_open() if alert.kind is AlertKind.IDENTITY]
+        found = [alert for alert in unit.alerts.all_open() if alert.kind == "identity"]
     return {alert.wheelset: (alert.evidence["mistake"], alert.evidence["partner"]) for alert in found}
 
 
@@ -168,7 +167,7 @@ def test_two_swapped_wheelsets_are_reported_and_not_averaged(
         with sqlite_storage.read() as unit:
             kinds = {alert.kind for alert in unit.alerts.all_open(one)}
             trend = unit.trends.latest(one)
-        assert not kinds & {AlertKind.CONICITY_LIMIT, AlertKind.LIMIT_FORECAST, AlertKind.WHEEL_ASYMMETRY}
+        assert not kinds & {"conicity_limit", "limit_forecast", "wheel_asymmetry"}
         assert trend is not None
         assert len(trend.trend.value) == VISITS - EVENT
     as_they_were(sqlite_storage, without, "C", "D", recorded=recorded)

@@ -12,7 +12,7 @@ import numpy as np
 
 from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.storage import Storage
-from estimation.values.alerts import Alert, AlertKind, Condition, Severity
+from estimation.values.alerts import Alert, Condition, Severity
 from estimation.values.geometry import BinStatus, BinTable, BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
@@ -28,7 +28,7 @@ MOUNTING = Mounting("WS-1", "V-1", 1, START, None, 1000.5, 2000.25)
 SECTION = TrackSectionRecord("S-7", 7, "by the river", "56E1", 0.05, 1.435, 12_345.5)
 CHUNK = ChunkRecord("c" * 64, "V-1", ".blf", 123, "stored", "", None, None, 0, {}, START, START + 1)
 ALERT = Alert(
-    0, "F-1", "WS-1", AlertKind.CONICITY_LIMIT, Severity.WARNING, Condition.ACTIVE, 10, 10, 1, 0.9,
+    0, "F-1", "WS-1", "conicity_limit", Severity.WARNING, Condition.ACTIVE, 10, 10, 1, 0.9,
     {"value": 0.31, "windows": [1, 2], "limit": None}, "reprofile", 0.3, 0.25,
 )  # fmt: skip
 

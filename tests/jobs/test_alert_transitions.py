@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimation.alerts.life_cycle import DAY_NS, acknowledge, close, link, shelve, transition
-from estimation.alerts.rules.book import AlertDelays
+from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
-from estimation.values.alerts import Alert, AlertEventKind, AlertKind, Condition, Finding, Severity, Transition
+from estimation.values.alerts import Alert, AlertEventKind, Condition, Finding, Severity, Transition
 
 DELAYS = AlertDelays(on_evaluations=1, off_evaluations=2, acknowledgement_days=30.0)
 
@@ -27,7 +27,7 @@ def finding(
 ) -> Finding:
     return Finding(
         wheelset="W1",
-        kind=AlertKind.CONICITY_LIMIT,
+        kind="conicity_limit",
         breached=breached,
         cleared=(None if breached is None else not breached) if cleared is None else cleared,
         severity=severity,

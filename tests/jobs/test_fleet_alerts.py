@@ -10,15 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wheelset_life import DAY_NS, START_NS, SetClock, register, run_windows
 
-from estimation.alerts.fleet_alerts import HOUR_NS, in_storm, opened, refreshed
+from estimation.alerts.fleet_alerts import HOUR_NS, in_flood, opened, refreshed
 from estimation.alerts.life_cycle import acknowledge
-from estimation.alerts.rules.book import NoDataRule, RuleBook, StormRule
+from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
+from estimation.alerts.rules.no_data import NoDataRule
 from estimation.errors import ConflictError, InputError
 from estimation.jobs import evaluate_alerts
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
-from estimation.values.alerts import Alert, AlertEventKind, AlertKind, AlertScope, Condition, Severity
+from estimation.values.alerts import Alert, AlertEventKind, AlertScope, Condition, Severity
 from estimation.values.runs import JobRun
 
 RAISED, UPDATED, ACKNOWLEDGED, CLEARED, CLOSED = (
@@ -28,13 +29,13 @@ RAISED, UPDATED, ACKNOWLEDGED, CLEARED, CLOSED = (
     AlertEventKind.CLEARED,
     AlertEventKind.CLOSED,
 )
-SILENT = AlertKind.NO_DATA
+SILENT = "no_data"
 WHEELSETS = [f"W{number}" for number in range(1, 9)]
 
 
 @given(st.lists(st.integers(0, 100), max_size=14), st.integers(1, 5), st.integers(1, 40))
 def test_a_storm_is_any_stretch_that_holds_too_many(hours: list[int], more_than: int, within: int) -> None:
-    found = in_storm([hour * HOUR_NS for hour in hours], StormRule(more_than, float(within)))
+    found = in_flood([hour * HOUR_NS for hour in hours], AlarmFloodRule(more_than, float(within)))
     for i, hour in enumerate(hours):
         starts = [start for start in hours if start <= hour <= start + within]
         crowds = [sum(start <= other <= start + within for other in hours) for start in starts]
@@ -42,9 +43,9 @@ def test_a_storm_is_any_stretch_that_holds_too_many(hours: list[int], more_than:
 
 
 def test_the_shipped_storm_is_more_than_five_within_a_day() -> None:
-    assert in_storm([0] * 5, StormRule()) == [False] * 5
-    assert in_storm([0] * 5 + [24 * HOUR_NS], StormRule()) == [True] * 6
-    assert in_storm([0] * 5 + [24 * HOUR_NS + 1], StormRule()) == [False] * 6
+    assert in_flood([0] * 5, AlarmFloodRule()) == [False] * 5
+    assert in_flood([0] * 5 + [24 * HOUR_NS], AlarmFloodRule()) == [True] * 6
+    assert in_flood([0] * 5 + [24 * HOUR_NS + 1], AlarmFloodRule()) == [False] * 6
 
 
 def member(number: int, **changes: object) -> Alert:
@@ -245,7 +246,9 @@ def test_who_falls_silent_within_the_storm_joins_it(storage: Storage) -> None:
 
 def test_the_operator_sets_what_a_storm_is(storage: Storage) -> None:
     fleet_of(storage, {"W1": 1.0, "W2": 1.0, "W3": 3.0})
-    book = RuleBook(storm=StormRule(more_than=2, within_hours=49.0), no_data=NoDataRule(days=5.0))
+    book = replace(RuleBook(), alarm_flood=AlarmFloodRule(more_than=2, within_hours=49.0)).with_rules(
+        NoDataRule(days=5.0)
+    )
     evaluate(storage, 9.0, book)
     assert told(storage) == [(RAISED, None)]
     assert open_of_fleet(storage)[0].evidence["more_than"] == 2

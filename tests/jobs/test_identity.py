@@ -11,9 +11,9 @@ from test_wear_jobs import feed, open_alert, run_jobs, told
 from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, register, run_windows
 
 from estimation.alerts.identity import Mistake, Observation, identity_events
-from estimation.jobs.steps.identities import latest_break
+from estimation.jobs.steps.identities import identity_change
 from estimation.storage import Storage
-from estimation.values.alerts import AlertEventKind, AlertKind, Condition
+from estimation.values.alerts import AlertEventKind, Condition
 from estimation.values.geometry import BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.registry import Mounting
 
@@ -147,19 +147,17 @@ def swapped_fleet(storage: Storage) -> None:
 def test_a_swap_raises_both_and_no_wear_alert_and_the_trend_begins_anew(storage: Storage) -> None:
     swapped_fleet(storage)
     run_jobs(storage, 8.2)
-    alerts = {serial: open_alert(storage, serial, AlertKind.IDENTITY) for serial in ("W1", "W2")}
+    alerts = {serial: open_alert(storage, serial, "identity") for serial in ("W1", "W2")}
     assert {serial: alert.evidence["partner"] for serial, alert in alerts.items()} == {"W1": "W2", "W2": "W1"}
     assert {alert.evidence["mistake"] for alert in alerts.values()} == {"swapped"}
-    assert {kind for _, kind in told(storage)} == {
-        AlertKind.IDENTITY
-    }  # 0.46 is over the limit of 0.40, but whose is it?
+    assert {kind for _, kind in told(storage)} == {"identity"}  # 0.46 is over the limit of 0.40, but whose is it?
     told_before = feed(storage)
     run_jobs(storage, 8.4)
     assert feed(storage) == told_before
     with storage.read() as unit:
         trends = {serial: unit.trends.latest(serial) for serial in ("W1", "W2", "W3")}
-        assert latest_break(unit, "W3") is None
-        found = latest_break(unit, "W1")
+        assert identity_change(unit, "W3") is None
+        found = identity_change(unit, "W1")
         assert found is not None
         assert found.after_ns == START_NS + 4 * DAY_NS
         assert unit.geometries.stale(10).count("W1") == 1
@@ -172,7 +170,7 @@ def test_the_alert_stands_until_the_mounting_is_corrected(storage: Storage, how:
     swapped_fleet(storage)
     run_jobs(storage, 8.2)
     run_jobs(storage, 20.0)
-    assert open_alert(storage, "W1", AlertKind.IDENTITY).condition is Condition.ACTIVE
+    assert open_alert(storage, "W1", "identity").condition is Condition.ACTIVE
     with storage.write() as unit:
         if how == "mounting":
             unit.registry.add_mounting(Mounting("W1", "V1", 1, START_NS, None, 0.0, 0.0, reversed=True))
@@ -180,10 +178,10 @@ def test_the_alert_stands_until_the_mounting_is_corrected(storage: Storage, how:
             unit.registry.add_mounting(Mounting("W1", "V1", 1, START_NS, START_NS + 9 * DAY_NS, 0.0, 0.0))
             unit.registry.add_mounting(Mounting("W1", "V1", 1, START_NS + 9 * DAY_NS, None, 9000.0, 9000.0))
     run_jobs(storage, 20.2)
-    closed = [e.alert for e in feed(storage) if e.kind is AlertEventKind.CLOSED and e.alert.kind is AlertKind.IDENTITY]
+    closed = [e.alert for e in feed(storage) if e.kind is AlertEventKind.CLOSED and e.alert.kind == "identity"]
     assert {(alert.wheelset, alert.close_reason) for alert in closed} == {
         ("W1", "mounting corrected" if how == "mounting" else "wheelset exchanged")
     }
     with storage.read() as unit:
-        assert next((one for one in unit.alerts.all_open("W1") if one.kind is AlertKind.IDENTITY), None) is None
-        assert latest_break(unit, "W1") is not None  # what was before stays apart
+        assert next((one for one in unit.alerts.all_open("W1") if one.kind == "identity"), None) is None
+        assert identity_change(unit, "W1") is not None  # what was before stays apart

@@ -9,20 +9,11 @@ import pytest
 from scipy import stats
 from wheelset_life import DAY_NS, geometry_of, known, window_record
 
-from estimation.alerts.rules.book import (
-    ConicityLimitRule,
-    LimitForecastRule,
-    NoDataRule,
-    RuleBook,
-    SensorFaultRule,
-    SpeedBand,
-    WheelAsymmetryRule,
-)
-from estimation.alerts.rules.conicity_limit import conicity_limit_finding
-from estimation.alerts.rules.limit_forecast import limit_forecast_finding
-from estimation.alerts.rules.no_data import no_data_finding
-from estimation.alerts.rules.sensor_fault import sensor_fault_finding
-from estimation.alerts.rules.wheel_asymmetry import asymmetry_of, wheel_asymmetry_finding
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand, conicity_limit_finding
+from estimation.alerts.rules.limit_forecast import LimitForecastRule, limit_forecast_finding
+from estimation.alerts.rules.no_data import NoDataRule, no_data_finding
+from estimation.alerts.rules.sensor_fault import SensorFaultRule, sensor_fault_finding
+from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule, asymmetry_of, wheel_asymmetry_finding
 from estimation.trend.trend import TrendPoint, refresh
 from estimation.values.alerts import Severity
 from estimation.values.quantities import Estimate, Forecast, Status
@@ -33,16 +24,16 @@ from estimation.values.quantities import Estimate, Forecast, Status
     [(80.0, 0.40), (120.0, 0.40), (121.0, 0.534 - 121.0 / 900.0), (300.0, 0.534 - 1.0 / 3.0), (301.0, 0.20)],
 )
 def test_the_shipped_conicity_limit_by_speed(speed: float, limit: float) -> None:
-    assert RuleBook().conicity_limit.limit_for("metro", speed) == pytest.approx(limit)
+    assert ConicityLimitRule().limit_at("metro", speed) == pytest.approx(limit)
 
 
 def test_a_class_of_its_own_goes_before_the_bands_of_all() -> None:
-    bands = (SpeedBand(100.0, 0.3), SpeedBand(float("inf"), 0.2), SpeedBand(100.0, 0.5, vehicle_class="freight"))
+    bands = (SpeedBand(0.3, 100.0), SpeedBand(0.2), SpeedBand(0.5, 100.0, vehicle_class="freight"))
     rule = ConicityLimitRule(bands=bands)
-    assert rule.limit_for("freight", 90.0) == 0.5
-    assert rule.limit_for("freight", 110.0) == 0.2
-    assert rule.limit_for("metro", 90.0) == 0.3
-    assert ConicityLimitRule(bands=bands[:1]).limit_for("metro", 110.0) is None
+    assert rule.limit_at("freight", 90.0) == 0.5
+    assert rule.limit_at("freight", 110.0) == 0.2
+    assert rule.limit_at("metro", 90.0) == 0.3
+    assert ConicityLimitRule(bands=bands[:1]).limit_at("metro", 110.0) is None
 
 
 @pytest.mark.parametrize(("value", "std"), [(0.44, 0.02), (0.41, 0.02), (0.385, 0.02), (0.3, 0.02), (0.5, 0.02)])
@@ -59,11 +50,11 @@ def test_conicity_is_judged_by_probability(value: float, std: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("conicity", "windows", "blind"),
+    ("conicity", "windows", "reason"),
     [(Estimate.unknown("not covered"), 10, ""), (known(0.6, 0.01), 2, ""), (known(0.6, 0.01), 10, "sensor is faulty")],
 )
-def test_conicity_that_cannot_be_said_is_unknown(conicity: Estimate, windows: int, blind: str) -> None:
-    found = conicity_limit_finding(ConicityLimitRule(), "W", conicity, windows, 0.4, 5, blind=blind)
+def test_conicity_that_cannot_be_said_is_unknown(conicity: Estimate, windows: int, reason: str) -> None:
+    found = conicity_limit_finding(ConicityLimitRule(), "W", conicity, windows, 0.4, 5, not_assessable_reason=reason)
     assert (found.breached, found.cleared, found.probability) == (None, None, None)
     assert found.evidence["unknown_because"]
 
@@ -79,7 +70,7 @@ def test_a_limit_that_comes_near_is_forecast() -> None:
     assert (far.breached, far.cleared) == (False, True)
     between = limit_forecast_finding(LimitForecastRule(within_km=3_000.0, clear_within_km=60_000.0), "W", trend, 5)
     assert (between.breached, between.cleared) == (False, False)
-    assert limit_forecast_finding(rule, "W", trend, 5, blind="silent").breached is None
+    assert limit_forecast_finding(rule, "W", trend, 5, not_assessable_reason="silent").breached is None
     assert limit_forecast_finding(rule, "W", refresh(points[:2], 0.4), 5).breached is None
     assert limit_forecast_finding(rule, "W", refresh([], 0.4), 5).breached is None
     never = replace(trend, distance_to_limit_km=Forecast(None, None, None), probability_over_limit=0.01)

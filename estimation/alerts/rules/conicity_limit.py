@@ -2,11 +2,107 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from annotated_types import Interval
+
 from estimation.alerts.rules import evidence
-from estimation.alerts.rules.book import ConicityLimitRule
+from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, WindowCount
 from estimation.trend.trend import probability_above
-from estimation.values.alerts import AlertKind, Finding, Severity
-from estimation.values.quantities import Estimate
+from estimation.values.alerts import Finding, Severity
+from estimation.values.quantities import Estimate, Status
+from estimation.values.registry import VehicleRecord
+
+ANY_CLASS = "*"
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedBand:
+    """The conicity limit of a vehicle class up to a speed: ``limit + per_km_h * speed``."""
+
+    limit: Annotated[float, Interval(ge=0.001, le=2.0)]
+    up_to_km_h: Annotated[float, Interval(ge=1.0)] = float("inf")
+    per_km_h: Annotated[float, Interval(ge=-1.0, le=1.0)] = 0.0
+    vehicle_class: str = ANY_CLASS
+
+    def at(self, speed_km_h: float) -> float:
+        """Return the limit.
+
+        Parameters
+        ----------
+        speed_km_h
+            Greatest speed of the vehicle.
+        """
+        return self.limit + self.per_km_h * speed_km_h
+
+
+DEFAULT_BANDS = (SpeedBand(0.40, 120.0), SpeedBand(0.534, 300.0, -1.0 / 900.0), SpeedBand(0.20))
+
+
+@dataclass(frozen=True, slots=True)
+class ConicityLimitRule(AlertRule):
+    """Equivalent conicity over its limit for the vehicle's class and greatest speed."""
+
+    kind: ClassVar[str] = "conicity_limit"
+    limit_unit: ClassVar[str] = "1"
+    of_wear: ClassVar[bool] = True
+
+    raise_probability: Probability = 0.9
+    clear_probability: Probability = 0.9
+    clear_margin: float = 0.02  # of the clear limit below the raise limit
+    critical_margin: float = 0.05  # critical when over the limit by this much
+    minimum_windows: WindowCount = 3
+    bands: tuple[SpeedBand, ...] = DEFAULT_BANDS
+
+    def limit_for(self, vehicle: VehicleRecord) -> float | None:
+        """Return the limit of a vehicle; None where no band applies.
+
+        Parameters
+        ----------
+        vehicle
+            Its class and greatest speed count.
+        """
+        return self.limit_at(vehicle.vehicle_class, 3.6 * vehicle.max_speed_m_s)
+
+    def limit_at(self, vehicle_class: str, speed_km_h: float) -> float | None:
+        """Return the limit; bands of the class itself go before those of any class. None where no band applies.
+
+        Parameters
+        ----------
+        vehicle_class
+            Of the vehicle.
+        speed_km_h
+            Its greatest speed.
+        """
+        for band in (*self._bands(vehicle_class), *self._bands(ANY_CLASS)):
+            if speed_km_h <= band.up_to_km_h:
+                return band.at(speed_km_h)
+        return None
+
+    def _bands(self, vehicle_class: str) -> Sequence[SpeedBand]:
+        return sorted((b for b in self.bands if b.vehicle_class == vehicle_class), key=lambda b: b.up_to_km_h)
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
+        """Return what the conicity says of the limit: that of the trend, or of the geometry where there is no trend."""
+        limit = None if facts.vehicle is None else self.limit_for(facts.vehicle)
+        if facts.geometry is None or limit is None:
+            return None
+        geometry, trend = facts.geometry.geometry, facts.current_trend
+        conicity, quantity = geometry.equivalent_conicity, "equivalent_conicity"
+        if trend is not None and trend.trend.current.status is Status.ESTIMATED:
+            conicity, quantity = trend.trend.current, trend.trend.quantity
+        return conicity_limit_finding(
+            self,
+            facts.wheelset.serial,
+            conicity,
+            geometry.windows,
+            limit,
+            facts.geometry.to_ns,
+            quantity=quantity,
+            not_assessable_reason=facts.not_assessable_reason,
+        )
 
 
 def conicity_limit_finding(
@@ -18,7 +114,7 @@ def conicity_limit_finding(
     measured_ns: int,
     *,
     quantity: str = "equivalent_conicity",
-    blind: str = "",
+    not_assessable_reason: str = "",
 ) -> Finding:
     """Return what the conicity says of the limit.
 
@@ -38,10 +134,10 @@ def conicity_limit_finding(
         Time of the newest data behind the conicity.
     quantity
         What the conicity is, with its amplitude where it is not 3 mm.
-    blind
+    not_assessable_reason
         Why the data do not say how the wheelset is now (silent, sensor fault, reprofiled since); empty where they do.
     """
-    reason = blind or conicity.reason
+    reason = not_assessable_reason or conicity.reason
     if not reason and windows < rule.minimum_windows:
         reason = f"{windows} windows, {rule.minimum_windows} needed"
     over = None if reason else probability_above(conicity, limit)
@@ -52,7 +148,7 @@ def conicity_limit_finding(
         severity = Severity.CRITICAL
     return Finding(
         wheelset=wheelset,
-        kind=AlertKind.CONICITY_LIMIT,
+        kind=ConicityLimitRule.kind,
         breached=None if over is None else over >= rule.raise_probability,
         cleared=None if over is None or above_clear is None else 1.0 - above_clear >= rule.clear_probability,
         severity=severity,

@@ -2,27 +2,43 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import ClassVar
 
-from estimation.alerts.identity import IdentityEvent, Mistake
+from estimation.alerts.identity import IdentityEvent, IdentityParameters, Mistake
 from estimation.alerts.rules import evidence
-from estimation.values.alerts import Alert, AlertKind, Finding, Severity
+from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
+from estimation.values.alerts import Alert, Finding, Severity
+from estimation.values.identity import AFTER, BEFORE, IDENTITY
 from estimation.values.json_value import JsonValue
 from estimation.values.registry import Mounting
 
-BEFORE, AFTER, MOUNTED = "before_ns", "after_ns", "mounted"
-_SAID = {
+MOUNTED = "mounted"
+_EXPLANATIONS = {
     Mistake.REVERSED: "the geometry has become its own mirror image: it runs the other way round than on file",
     Mistake.SWAPPED: "the geometry has become that of another wheelset, and the other's has become this one's",
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Break:
-    """A stretch of time at which a wheelset stopped being what it had been."""
+class IdentityRule(AlertRule):
+    """A wheelset is not the one on file, or not the way round; its alert stands until its mounting is corrected."""
 
-    before_ns: int  # end of the data before
-    after_ns: int  # begin of the data after
+    kind: ClassVar[str] = IDENTITY
+    limit_unit: ClassVar[str] = "1"
+    hides_wear: ClassVar[str] = "the wheelset is not the one on file, or not the way round"
+
+    parameters: IdentityParameters = field(default_factory=IdentityParameters)
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
+        """Return what stands against the wheelset's identity, unless the mounting has been corrected since."""
+        mounting = facts.wheelset.mounting
+        if mounting is None or not self.enabled:
+            return None
+        standing = next((alert for alert in facts.open_alerts if alert.kind == self.kind), None)
+        if standing is not None and (mounting_corrected(standing, mounting) or mounting.from_ns > standing.opened_ns):
+            standing = None
+        return identity_finding(facts.identity, mounting, standing)
 
 
 def identity_finding(event: IdentityEvent | None, mounting: Mounting, standing: Alert | None) -> Finding | None:
@@ -31,14 +47,14 @@ def identity_finding(event: IdentityEvent | None, mounting: Mounting, standing: 
     Parameters
     ----------
     event
-        What has been found since the last break; None where nothing.
+        What has been found since the last identity change; None where nothing.
     mounting
         In service.
     standing
         The open alert: it stands until its mounting is corrected on file.
     """
     if event is None:
-        return None if standing is None else _again(standing)
+        return None if standing is None else _unchanged(standing)
     details: dict[str, JsonValue] = {
         "mistake": event.mistake.value,
         "partner": event.partner,
@@ -46,12 +62,12 @@ def identity_finding(event: IdentityEvent | None, mounting: Mounting, standing: 
         AFTER: event.after_ns,
         "jump": evidence.number(event.jump, 3),
         "left": evidence.number(event.left, 3),
-        "reason": _SAID[event.mistake],
+        "reason": _EXPLANATIONS[event.mistake],
         MOUNTED: mounted(mounting),
     }
     return Finding(
         wheelset=event.wheelset,
-        kind=AlertKind.IDENTITY,
+        kind=IDENTITY,
         breached=True,
         cleared=False,
         severity=Severity.WARNING,
@@ -64,10 +80,10 @@ def identity_finding(event: IdentityEvent | None, mounting: Mounting, standing: 
     )
 
 
-def _again(alert: Alert) -> Finding:
+def _unchanged(alert: Alert) -> Finding:
     return Finding(
         wheelset=alert.wheelset or "",
-        kind=AlertKind.IDENTITY,
+        kind=IDENTITY,
         breached=True,
         cleared=False,
         severity=alert.severity,
@@ -85,12 +101,6 @@ def mounted(mounting: Mounting) -> list[JsonValue]:
     return [mounting.vehicle, mounting.axle, mounting.from_ns, mounting.reversed]
 
 
-def corrected(alert: Alert, mounting: Mounting) -> bool:
+def mounting_corrected(alert: Alert, mounting: Mounting) -> bool:
     """Whether the mounting on file is another than the alert was raised on."""
-    return alert.kind is AlertKind.IDENTITY and alert.evidence.get(MOUNTED) != mounted(mounting)
-
-
-def break_of(alert: Alert) -> Break | None:
-    """Return the break that an alert tells of."""
-    before, after = alert.evidence.get(BEFORE), alert.evidence.get(AFTER)
-    return Break(before, after) if isinstance(before, int) and isinstance(after, int) else None
+    return alert.kind == IDENTITY and alert.evidence.get(MOUNTED) != mounted(mounting)

@@ -2,16 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from annotated_types import Interval
+
 from estimation.alerts.rules import evidence
-from estimation.alerts.rules.book import LimitForecastRule
+from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts
 from estimation.trend.trend import probability_within
-from estimation.values.alerts import AlertKind, Finding, Severity
+from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Status
 from estimation.values.trend import WearTrend
 
 
+@dataclass(frozen=True, slots=True)
+class LimitForecastRule(AlertRule):
+    """The conicity limit is going to be reached within a distance."""
+
+    kind: ClassVar[str] = "limit_forecast"
+    limit_unit: ClassVar[str] = "km"
+    of_wear: ClassVar[bool] = True
+    relations: ClassVar[Sequence[tuple[str, str, str]]] = (("clear_within_km", ">=", "within_km"),)
+
+    within_km: float = 20_000.0
+    clear_within_km: float = 30_000.0
+    raise_probability: Probability = 0.5  # that it is reached within within_km
+    clear_probability: Probability = 0.8  # that it is not reached within clear_within_km
+    minimum_points: Annotated[int, Interval(ge=2, le=1_000_000)] = 3
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
+        """Return what the trend says; None without one of the present profile."""
+        if facts.geometry is None or facts.current_trend is None:
+            return None
+        return limit_forecast_finding(
+            self,
+            facts.wheelset.serial,
+            facts.current_trend.trend,
+            facts.geometry.to_ns,
+            not_assessable_reason=facts.not_assessable_reason,
+        )
+
+
 def limit_forecast_finding(
-    rule: LimitForecastRule, wheelset: str, trend: WearTrend, measured_ns: int, *, blind: str = ""
+    rule: LimitForecastRule, wheelset: str, trend: WearTrend, measured_ns: int, *, not_assessable_reason: str = ""
 ) -> Finding:
     """Return what the trend says of the distance to its limit.
 
@@ -25,18 +59,18 @@ def limit_forecast_finding(
         Trend since the last reprofiling.
     measured_ns
         Time of the newest data behind the trend.
-    blind
+    not_assessable_reason
         Why the data do not say how the wheelset is now; empty where they do.
     """
     points = len(trend.value)
-    reason = blind or (trend.reason if trend.status is not Status.ESTIMATED else "")
+    reason = not_assessable_reason or (trend.reason if trend.status is not Status.ESTIMATED else "")
     if not reason and points < rule.minimum_points:
         reason = f"{points} points, {rule.minimum_points} needed"
     within = None if reason else probability_within(trend, rule.within_km)
     within_clear = None if reason else probability_within(trend, rule.clear_within_km)
     return Finding(
         wheelset=wheelset,
-        kind=AlertKind.LIMIT_FORECAST,
+        kind=LimitForecastRule.kind,
         breached=None if within is None else within >= rule.raise_probability,
         cleared=None if within_clear is None else 1.0 - within_clear >= rule.clear_probability,
         severity=Severity.INFO if within is None or within < rule.clear_probability else Severity.WARNING,

@@ -2,10 +2,35 @@
 
 from __future__ import annotations
 
-from estimation.alerts.rules.book import NoDataRule
-from estimation.values.alerts import AlertKind, Finding, Severity
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from estimation.alerts.rules.rule import AlertDelays, AlertRule, Days, WheelsetFacts
+from estimation.values.alerts import Finding, Severity
 
 DAY_NS = 86_400_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class NoDataRule(AlertRule):
+    """No window that could be estimated for some days."""
+
+    kind: ClassVar[str] = "no_data"
+    limit_unit: ClassVar[str] = "days"
+    hides_wear: ClassVar[str] = "no usable data for too long"
+    relations: ClassVar[Sequence[tuple[str, str, str]]] = (("critical_days", ">=", "days"),)
+
+    delays: AlertDelays = field(default_factory=lambda: AlertDelays(off_evaluations=1))
+    days: Days = 7.0
+    critical_days: float = 28.0
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:
+        """Return whether the wheelset has fallen silent."""
+        mounting = facts.wheelset.mounting
+        if mounting is None:
+            return None
+        return no_data_finding(self, facts.wheelset.serial, facts.last_usable_ns, mounting.from_ns, now_ns)
 
 
 def no_data_finding(
@@ -38,7 +63,7 @@ def no_data_finding(
     critical = silent_days > rule.critical_days
     return Finding(
         wheelset=wheelset,
-        kind=AlertKind.NO_DATA,
+        kind=NoDataRule.kind,
         breached=breached,
         cleared=not breached,
         severity=Severity.CRITICAL if critical else Severity.WARNING,

@@ -3,13 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
+from annotated_types import Interval
 from scipy.special import betainc
 
 from estimation.alerts.rules import evidence
-from estimation.alerts.rules.book import SensorFaultRule
-from estimation.values.alerts import AlertKind, Finding, Severity
+from estimation.alerts.rules.rule import AlertRule, Probability, Share, WheelsetFacts, WindowCount
+from estimation.values.alerts import Finding, Severity
 from estimation.values.windows import WindowRecord
+
+
+@dataclass(frozen=True, slots=True)
+class SensorFaultRule(AlertRule):
+    """Too many of the latest windows have a sensor that failed, clips or marks its values invalid."""
+
+    kind: ClassVar[str] = "sensor_fault"
+    limit_unit: ClassVar[str] = "1"
+    hides_wear: ClassVar[str] = "the sensor is faulty"
+    relations: ClassVar[Sequence[tuple[str, str, str]]] = (("clear_share", "<=", "raise_share"),)
+
+    latest_windows: Annotated[int, Interval(ge=1, le=1000)] = 20
+    minimum_windows: WindowCount = 3
+    raise_share: Share = 0.5
+    clear_share: Share = 0.1
+    raise_probability: Probability = 0.8
+    clear_probability: Probability = 0.8
+    clipped_share: Share = 0.05  # of a window's samples that makes it faulty
+    invalid_share: Share = 0.2
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
+        """Return what the latest windows of the mounting say of the sensor."""
+        mounting = facts.wheelset.mounting
+        if mounting is None:
+            return None
+        return sensor_fault_finding(self, facts.wheelset.serial, facts.windows, mounting.from_ns)
 
 
 def faulty(rule: SensorFaultRule, window: WindowRecord) -> str:
@@ -51,7 +80,7 @@ def sensor_fault_finding(
     below_clear = float(betainc(k + 1, n - k + 1, rule.clear_share))
     return Finding(
         wheelset=wheelset,
-        kind=AlertKind.SENSOR_FAULT,
+        kind=SensorFaultRule.kind,
         breached=over >= rule.raise_probability if enough else None,
         cleared=below_clear >= rule.clear_probability if enough else None,
         severity=Severity.WARNING,

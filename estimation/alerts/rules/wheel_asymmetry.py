@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import ndtr
 
 from estimation.alerts.rules import evidence
-from estimation.alerts.rules.book import WheelAsymmetryRule
-from estimation.values.alerts import AlertKind, Finding, Severity
+from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, WindowCount
+from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.intervals import with_interval
@@ -25,6 +26,49 @@ from estimation.values.quantities import Estimate
 
 INSIDE = 1.0e-3  # m: the reference
 OUTSIDE = (2.0e-3, 3.5e-3)  # m: what is compared with it
+
+
+@dataclass(frozen=True, slots=True)
+class WheelAsymmetryRule(AlertRule):
+    """Left and right wheel differ: an offset of the rolling line, or unequal tread shapes."""
+
+    kind: ClassVar[str] = "wheel_asymmetry"
+    limit_unit: ClassVar[str] = "mm"
+    of_wear: ClassVar[bool] = True
+    relations: ClassVar[Sequence[tuple[str, str, str]]] = (
+        ("offset_clear_mm", "<=", "offset_limit_mm"),
+        ("shape_clear_mm", "<=", "shape_limit_mm"),
+    )
+
+    offset_limit_mm: float = 2.0  # lateral displacement at which both wheels roll on one radius
+    offset_clear_mm: float = 1.5
+    shape_limit_mm: float = 0.5  # even part of the rolling radius difference, outside against inside
+    shape_clear_mm: float = 0.35
+    raise_probability: Probability = 0.95
+    clear_probability: Probability = 0.9
+    minimum_windows: WindowCount = 3
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
+        """Return what the current geometry says; None without one."""
+        if facts.geometry is None:
+            return None
+        return wheel_asymmetry_finding(
+            self,
+            facts.wheelset.serial,
+            asymmetry_of(facts.geometry.geometry),
+            facts.geometry.geometry.windows,
+            facts.geometry.to_ns,
+            raised_by=_raised_by(facts.open_alerts),
+            not_assessable_reason=facts.not_assessable_reason,
+        )
+
+
+def _raised_by(alerts: Sequence[Alert]) -> list[str]:
+    for alert in alerts:
+        indicators = alert.evidence.get("raised_by")
+        if alert.kind == WheelAsymmetryRule.kind and isinstance(indicators, list):
+            return [str(name) for name in indicators]
+    return []
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +119,15 @@ def wheel_asymmetry_finding(
     measured_ns: int,
     *,
     raised_by: Sequence[str] = (),
-    blind: str = "",
+    not_assessable_reason: str = "",
 ) -> Finding:
     """Return what the indicators say.
 
     Breached when one of them is; it takes both to say that none is. Cleared when every indicator that raised the open
     alert (``raised_by``, from its evidence) is known and below its clear limit and no known one is above its own.
     """
-    reason = blind or ("" if windows >= rule.minimum_windows else f"{windows} windows, {rule.minimum_windows} needed")
+    too_few = "" if windows >= rule.minimum_windows else f"{windows} windows, {rule.minimum_windows} needed"
+    reason = not_assessable_reason or too_few
     limits = {
         "offset": (asymmetry.offset, rule.offset_limit_mm, rule.offset_clear_mm),
         "shape": (asymmetry.shape, rule.shape_limit_mm, rule.shape_clear_mm),
@@ -102,7 +147,7 @@ def wheel_asymmetry_finding(
     }
     return Finding(
         wheelset=wheelset,
-        kind=AlertKind.WHEEL_ASYMMETRY,
+        kind=WheelAsymmetryRule.kind,
         breached=True if breaching else (False if len(known) == len(over) else None),
         cleared=_cleared(over_clear, blamed, rule.clear_probability),
         severity=Severity.WARNING,

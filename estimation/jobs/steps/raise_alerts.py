@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from estimation.alerts.fleet_alerts import in_storm, opened, refreshed
+from estimation.alerts.fleet_alerts import in_flood, opened, refreshed
 from estimation.alerts.rules.book import RuleBook
 from estimation.storage import UnitOfWork
-from estimation.values.alerts import Alert, AlertEventKind, AlertKind, Condition, Transition
+from estimation.values.alerts import Alert, AlertEventKind, Condition, Transition
 
 
 @dataclass(frozen=True, slots=True)
 class _Standing:
     """The open alerts of a fleet before anything is raised."""
 
-    of_fleet: dict[AlertKind, Alert]
+    of_fleet: dict[str, Alert]
     alone: Sequence[Alert]  # raised, and no members
 
 
@@ -49,9 +49,9 @@ def raise_in_fleet(
         if kind not in fleet_alerts:
             fleet_alerts[kind] = unit.alerts.save(opened(fleet, kind, members, book), (), now_ns)
     joined = {(alert.wheelset, kind) for kind, members in joining.items() for alert in members}
-    told_before = [alert for alert in standing.alone if (alert.wheelset, alert.kind) in joined]
+    announced = [alert for alert in standing.alone if (alert.wheelset, alert.kind) in joined]
     events: list[AlertEventKind] = []
-    for change in [*(Transition(alert, (AlertEventKind.UPDATED,)) for alert in told_before), *found]:
+    for change in [*(Transition(alert, (AlertEventKind.UPDATED,)) for alert in announced), *found]:
         alert = change.alert
         if (alert.wheelset, alert.kind) in joined:
             alert = replace(alert, fleet_alert_id=fleet_alerts[alert.kind].alert_id)
@@ -72,18 +72,16 @@ def _standing(unit: UnitOfWork, fleet: str) -> _Standing:
     return _Standing({alert.kind: alert for alert in stored if alert.wheelset is None}, alone)
 
 
-def _joining(
-    unit: UnitOfWork, standing: _Standing, found: Sequence[Alert], book: RuleBook
-) -> dict[AlertKind, list[Alert]]:
+def _joining(unit: UnitOfWork, standing: _Standing, found: Sequence[Alert], book: RuleBook) -> dict[str, list[Alert]]:
     """Return by kind what becomes a member; the members that an open fleet alert has already count as well."""
     joining = {}
-    for kind in AlertKind:
+    for kind in (rule.kind for rule in book.rules):
         fleet_alert = standing.of_fleet.get(kind)
         members = [] if fleet_alert is None else unit.alerts.members(fleet_alert.alert_id)
-        free = [alert for alert in (*standing.alone, *found) if alert.kind is kind]
-        among = in_storm([alert.opened_ns for alert in (*free, *members)], book.storm)
-        if any(among[: len(free)]):
-            joining[kind] = [alert for alert, joins in zip(free, among, strict=False) if joins]
+        free = [alert for alert in (*standing.alone, *found) if alert.kind == kind]
+        flooding = in_flood([alert.opened_ns for alert in (*free, *members)], book.alarm_flood)
+        if any(flooding[: len(free)]):
+            joining[kind] = [alert for alert, joins in zip(free, flooding, strict=False) if joins]
     return joining
 
 

@@ -1,0 +1,54 @@
+"""Identity changes: when a wheelset on file stopped being the one that ran, or the way round that it ran.
+
+They are found by the alert rule of this kind and kept in the evidence of its alerts. Geometries and trends read them:
+data from both sides of a change are of two wheelsets and are never merged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from estimation.values.alerts import Alert
+from estimation.values.geometry import GeometryRecord
+
+IDENTITY = "identity"  # kind of the alerts that record a change
+BEFORE, AFTER = "before_ns", "after_ns"  # in their evidence
+
+
+@dataclass(frozen=True, slots=True)
+class IdentityChange:
+    """The time within which the wheelset changed; what was recorded within it is of neither."""
+
+    before_ns: int  # end of the data before
+    after_ns: int  # begin of the data after
+
+
+def latest_identity_change(alerts: Iterable[Alert]) -> IdentityChange | None:
+    """Return the last change; None where there is none.
+
+    Parameters
+    ----------
+    alerts
+        Of one wheelset, open and closed; those of other kinds are left out.
+    """
+    changes = [_change(alert) for alert in alerts if alert.kind == IDENTITY]
+    return max((change for change in changes if change is not None), key=lambda change: change.after_ns, default=None)
+
+
+def since_change(records: Sequence[GeometryRecord], change: IdentityChange | None) -> list[GeometryRecord]:
+    """Return the geometries of the wheelset that it is now.
+
+    Parameters
+    ----------
+    records
+        Geometries of one wheelset.
+    change
+        Its last; None keeps all records.
+    """
+    return [record for record in records if change is None or record.from_ns >= change.after_ns]
+
+
+def _change(alert: Alert) -> IdentityChange | None:
+    before, after = alert.evidence.get(BEFORE), alert.evidence.get(AFTER)
+    return IdentityChange(before, after) if isinstance(before, int) and isinstance(after, int) else None
