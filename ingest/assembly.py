@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
-from estimation.values.registry import Mounting, VehicleRecord
+from estimation.values.registry import VehicleRecord
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.clock import AlignedFrames, merge_aligned
 from ingest.align.windows import (
-    Lookup,
     MountedWindow,
+    RegistryLookup,
     VehicleSamples,
     WindowCounts,
     add_counts,
@@ -100,7 +100,8 @@ class Assembler:
         first, last, _, _ = needed_range(min(s[0] for s in spans), max(s[1] for s in spans), self.length_ns)
         starts = window_starts(first, last, self.length_ns)
         windows, counts = [], WindowCounts()
-        for outcome in windows_of(samples, starts, self.length_ns, _lookup(unit, vehicle)):
+        lookup = _lookup(unit, vehicle, starts.start, starts.stop + self.length_ns)
+        for outcome in windows_of(samples, starts, self.length_ns, lookup):
             if isinstance(outcome, MountedWindow):
                 windows.append(outcome)
             else:
@@ -116,27 +117,12 @@ def _span(recording: Recording, aligned: Iterable[AlignedFrames]) -> Span | None
     return recording.vehicle_ns or next((span for span in beside if span is not None), None)
 
 
-def _lookup(unit: SqlUnitOfWork, vehicle: VehicleRecord) -> Lookup:
-    sections: dict[int, str | None] = {}
-
-    def section_code(number: int) -> str | None:
-        if number not in sections:
-            found = unit.tracks.section_by_number(number)
-            sections[number] = found.code if found is not None else None
-        return sections[number]
-
-    mountings: dict[int, Mounting] = {}
-
-    def mounting_at(axle: int, at_ns: int) -> Mounting | None:
-        last = mountings.get(axle)
-        if last is not None and last.from_ns <= at_ns and (last.to_ns is None or at_ns < last.to_ns):
-            return last
-        found = unit.registry.mounting_at(vehicle.code, axle, at_ns)
-        if found is not None:
-            mountings[axle] = found
-        return found
-
-    return Lookup(vehicle, mounting_at, section_code)
+def _lookup(unit: SqlUnitOfWork, vehicle: VehicleRecord, from_ns: int, to_ns: int) -> RegistryLookup:
+    return RegistryLookup(
+        vehicle,
+        tuple(unit.registry.mountings_on(vehicle.code, from_ns, to_ns)),
+        {section.number: section.code for section in unit.tracks.sections()},
+    )
 
 
 def _receipt_after(record: ChunkRecord, recording: Recording, span: Span | None) -> ChunkRecord:

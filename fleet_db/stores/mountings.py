@@ -28,6 +28,17 @@ def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> 
     return None if row is None else to_mounting(row)
 
 
+def mountings_on(connection: Connection, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
+    """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start."""
+    statement = (
+        select(MOUNTINGS)
+        .where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.from_ns < to_ns)
+        .where(or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > from_ns))
+        .order_by(MOUNTINGS.c.axle, MOUNTINGS.c.from_ns)
+    )
+    return [to_mounting(row) for row in connection.execute(statement)]
+
+
 def mountings_of(connection: Connection, wheelset: str) -> Sequence[Mounting]:
     """Return every mounting of a wheelset, oldest first."""
     statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset == wheelset).order_by(MOUNTINGS.c.from_ns)

@@ -17,7 +17,15 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.models import FleetRow, ReprofilingRow, VehicleRow, WheelsetRow, WindowRow
 from fleet_db.rows import table_of, upsert
 from fleet_db.stores.measured_profiles import measured_profiles_of, store_measured_profiles
-from fleet_db.stores.mountings import MOUNTINGS, add_mounting, mounting_at, mountings_of, reversed_on_file, to_mounting
+from fleet_db.stores.mountings import (
+    MOUNTINGS,
+    add_mounting,
+    mounting_at,
+    mountings_of,
+    mountings_on,
+    reversed_on_file,
+    to_mounting,
+)
 
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
 REPROFILINGS, WINDOWS = table_of(ReprofilingRow), table_of(WindowRow)
@@ -86,6 +94,10 @@ class RegistryStore:
     def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
         """Return which wheelset ran at an axle at a time of the vehicle's clock."""
         return mounting_at(self.connection, vehicle, axle, at_ns)
+
+    def mountings_on(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
+        """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start."""
+        return mountings_on(self.connection, vehicle, from_ns, to_ns)
 
     def mountings(self, wheelset: str) -> Sequence[Mounting]:
         """Return every mounting of a wheelset, oldest first."""

@@ -1,13 +1,13 @@
 """Windows of running time per wheelset, cut on an absolute grid of the vehicle's clock.
 
-A window is made when its node sent frames for at least :data:`LEAST_PRESENCE` of it and the vehicle moved: the edges of
-a recording give partial windows, a node that says nothing gives none (its silence is what is then seen), and a node
-that says "not available" gives a window without a valid sample whose quality tells so.
+A window is made when its node sent frames for at least :data:`MIN_PRESENCE` of it and the vehicle moved: the edges of
+a recording give partial windows, a node that sends nothing gives none, and a node that sends "not available" gives
+a window without a valid sample whose quality shows it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from ingest.align.motion import NO_SECTION, GridMotion, VehicleMotion, vehicle_m
 from ingest.align.samples import NodeSamples, node_samples, widened
 from ingest.catalogue import ACCELERATION, Catalogue, resolution
 
-LEAST_PRESENCE = 0.2
+MIN_PRESENCE = 0.2
 """Share of a window that frames of its node must be there for."""
 
 CLIPPING_GUARD_S = 0.04
@@ -34,7 +34,7 @@ MOVING_M_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class VehicleSamples:
-    """Everything one vehicle said over some time, on its clock."""
+    """Everything one vehicle sent over some time, on its clock."""
 
     vehicle: str
     interval_ns: int
@@ -63,18 +63,36 @@ class MountedWindow:
 
 
 @dataclass(frozen=True, slots=True)
-class Lookup:
-    """What the registry knows: who ran where, and what sections are called."""
+class RegistryLookup:
+    """What the registry knows of a vehicle over some time: who ran where, and what sections are called."""
 
     vehicle: VehicleRecord
-    mounting_at: Callable[[int, int], Mounting | None]  # axle, time
-    section_code: Callable[[int], str | None]  # number on the bus
+    mountings: tuple[Mounting, ...]
+    section_codes: Mapping[int, str]  # by the number on the bus
+
+    def mounting_at(self, axle: int, at_ns: int) -> Mounting | None:
+        """Return which wheelset ran at an axle at a time of the vehicle's clock."""
+        for mounting in self.mountings:
+            ended = mounting.to_ns is not None and mounting.to_ns <= at_ns
+            if mounting.axle == axle and mounting.from_ns <= at_ns and not ended:
+                return mounting
+        return None
 
 
 def vehicle_samples(
     vehicle: str, catalogue: Catalogue, messages: Mapping[int, TickedValues]
 ) -> tuple[VehicleSamples, AlignCounts]:
-    """Return the samples of all wheelset nodes of a vehicle, and its motion."""
+    """Return the samples of all wheelset nodes of a vehicle with its motion, and counts of what was left out.
+
+    Parameters
+    ----------
+    vehicle
+        Code of the vehicle.
+    catalogue
+        The messages of its bus.
+    messages
+        Its frames on its clock, by arbitration id.
+    """
     nodes: dict[int, NodeSamples] = {}
     counts = AlignCounts()
     for node in catalogue.wheelset_nodes:
@@ -88,14 +106,33 @@ def vehicle_samples(
 
 
 def window_starts(first_ns: int, last_ns: int, length_ns: int) -> range:
-    """Return the starts of all windows that overlap ``[first_ns, last_ns]``."""
+    """Return the starts of all windows that overlap a span of the vehicle's clock.
+
+    Parameters
+    ----------
+    first_ns, last_ns
+        First and last instant, ns.
+    length_ns
+        Length of a window, ns.
+    """
     return range(first_ns // length_ns * length_ns, last_ns + 1, length_ns)
 
 
 def windows_of(
-    samples: VehicleSamples, starts: Iterable[int], length_ns: int, lookup: Lookup
+    samples: VehicleSamples, starts: Iterable[int], length_ns: int, lookup: RegistryLookup
 ) -> Iterator[MountedWindow | WindowCounts]:
-    """Yield the windows that begin at ``starts``, and counts of those that are not made.
+    """Yield the windows, and counts of those that are not made.
+
+    Parameters
+    ----------
+    samples
+        The vehicle's samples and motion.
+    starts
+        Starts of the windows on the vehicle's clock, ns.
+    length_ns
+        Length of a window, ns.
+    lookup
+        The registry, over all of the windows.
 
     Raises
     ------
@@ -115,7 +152,7 @@ def windows_of(
             if node is None:
                 continue
             span = slice(*np.searchsorted(node.block.t_ns, [start_ns, start_ns + length_ns]).tolist())
-            if span.stop - span.start < LEAST_PRESENCE * count:
+            if span.stop - span.start < MIN_PRESENCE * count:
                 yield WindowCounts(windows_too_short=span.stop > span.start)
                 continue
             motion = motion or samples.motion.on_grid(start_ns // samples.interval_ns, count)
@@ -128,7 +165,7 @@ def _window(
     span: slice,
     extent: tuple[int, int],
     motion: GridMotion,
-    lookup: Lookup,
+    lookup: RegistryLookup,
 ) -> MountedWindow | WindowCounts:
     t_ns, axle = node.block.t_ns[span], node.block.node
     mounting = lookup.mounting_at(axle, int(t_ns[0]))
@@ -141,7 +178,7 @@ def _window(
     slot = (t_ns - extent[0]) // samples.interval_ns
     good = node.block.valid[span].all(axis=1) & ~np.isnan(motion.speed[slot])
     good &= ~widened(node.clipped[span], slot, round(CLIPPING_GUARD_S * 1e9 / samples.interval_ns))
-    section, distance = _place(motion, slot[good], lookup, lookup.vehicle.axle_offsets_m[axle - 1])
+    section, distance = _section_and_distance(motion, slot[good], lookup, lookup.vehicle.axle_offsets_m[axle - 1])
     if section is not None:
         good &= ~np.isnan(distance[slot])
     valid = np.zeros(len(motion.speed), dtype=np.bool_)
@@ -168,7 +205,9 @@ def _window(
     return MountedWindow(window, mounting)
 
 
-def _place(motion: GridMotion, slot: IntArray, lookup: Lookup, offset: float) -> tuple[str | None, FloatArray]:
+def _section_and_distance(
+    motion: GridMotion, slot: IntArray, lookup: RegistryLookup, offset: float
+) -> tuple[str | None, FloatArray]:
     """Return the one section of the window and the distance of the wheelset along it (n,), NaN off the section.
 
     The section is the one that most good samples lie on (the lower number of two), if the registry knows it. A
@@ -181,7 +220,7 @@ def _place(motion: GridMotion, slot: IntArray, lookup: Lookup, offset: float) ->
     if len(numbers) == 0:
         return None, nowhere
     number = int(numbers[np.argmax(times)])
-    code = lookup.section_code(number)
+    code = lookup.section_codes.get(number)
     if code is None:
         return None, nowhere
     distance = motion.distance - motion.forward * offset

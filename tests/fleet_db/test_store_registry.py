@@ -68,6 +68,14 @@ def test_a_wheelset_is_exchanged(fleet: SqlStorage) -> None:
         assert registry.mounting_at("V-1", 1, make.START + HOUR - 1) == ended
         assert registry.mounting_at("V-1", 1, make.START + HOUR) == following
         assert registry.mounting_at("V-1", 2, make.START) is None
+
+        def at_first_axle(from_ns: int, to_ns: int) -> list[Mounting]:
+            return [item for item in registry.mountings_on("V-1", from_ns, to_ns) if item.axle == 1]
+
+        assert registry.mountings_on("V-1", 0, make.START) == []
+        assert at_first_axle(0, make.START + HOUR) == [ended]
+        assert at_first_axle(make.START + HOUR - 1, make.START + 2 * HOUR) == [ended, following]
+        assert at_first_axle(make.START + HOUR, make.START + 2 * HOUR) == [following]
         assert registry.wheelset("WS-1").mounting is None
         assert registry.wheelset("WS-3").mounting == following
 

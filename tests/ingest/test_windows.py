@@ -13,8 +13,8 @@ from ingest import catalogue as kinds
 from ingest.align.clock import align_to_clock
 from ingest.align.windows import (
     CLIPPING_GUARD_S,
-    Lookup,
     MountedWindow,
+    RegistryLookup,
     WindowCounts,
     add_counts,
     vehicle_samples,
@@ -28,16 +28,12 @@ COUNT = LENGTH_NS // INTERVAL_NS
 RECORD = VehicleRecord(VEHICLE, "north", "multiple unit", 2, 40.0, OFFSETS_M)
 
 
-def mounted(axle: int, _at_ns: int) -> Mounting | None:
-    return Mounting(f"WS-{axle}", VEHICLE, axle, 0, None, 0.0, 0.0)
-
-
-def known_section(number: int) -> str | None:
-    return "KM12" if number == SECTION else None
+MOUNTED = tuple(Mounting(f"WS-{axle}", VEHICLE, axle, 0, None, 0.0, 0.0) for axle in (1, 2))
+LOOKUP = RegistryLookup(RECORD, MOUNTED, {SECTION: "KM12"})
 
 
 def windows(
-    run: Run, lookup: Lookup | None = None, drop: np.ndarray | None = None
+    run: Run, lookup: RegistryLookup = LOOKUP, drop: np.ndarray | None = None
 ) -> tuple[list[Window], WindowCounts]:
     batch = run.frames()
     if drop is not None:
@@ -45,7 +41,7 @@ def windows(
     samples, _ = vehicle_samples(VEHICLE, CATALOGUE, align_to_clock(CATALOGUE, merge([batch])).messages)
     starts = window_starts(run.start_ns, int(run.ticks[-1]) * INTERVAL_NS, LENGTH_NS)
     found, counts = [], WindowCounts()
-    for outcome in windows_of(samples, starts, LENGTH_NS, lookup or Lookup(RECORD, mounted, known_section)):
+    for outcome in windows_of(samples, starts, LENGTH_NS, lookup):
         if isinstance(outcome, MountedWindow):
             found.append(outcome.window)
         else:
@@ -130,7 +126,7 @@ def test_without_position_accelerations_stay_and_the_place_is_unknown() -> None:
 
 
 def test_a_section_that_the_registry_does_not_know_is_no_section() -> None:
-    found, _ = windows(Run(seconds=25.0), Lookup(RECORD, mounted, lambda _number: None))
+    found, _ = windows(Run(seconds=25.0), RegistryLookup(RECORD, MOUNTED, {}))
     assert {w.track_section for w in found} == {None}
 
 
@@ -138,9 +134,10 @@ def test_a_window_belongs_to_one_section() -> None:
     ticks = Run(seconds=20.0).ticks
     section = np.where(np.arange(len(ticks)) < 2750, SECTION, SECTION + 1)  # 4 s into the window at 7 s
     position = {"track_section": section, "distance": np.where(section == SECTION, 100.0, 0.0) + np.arange(5000) * 0.08}
-    found, _ = windows(Run(seconds=20.0, changes={(kinds.POSITION, 16): position}), Lookup(RECORD, mounted, str))
+    lookup = RegistryLookup(RECORD, MOUNTED, {SECTION: "KM12", SECTION + 1: "KM13"})
+    found, _ = windows(Run(seconds=20.0, changes={(kinds.POSITION, 16): position}), lookup)
     window = next(w for w in found if w.axle == 1 and w.start_ns == START_NS + 7 * SECOND_NS)
-    assert window.track_section == str(SECTION + 1)
+    assert window.track_section == "KM13"
     assert not window.valid[:1000].any()
     assert window.valid[1100:].all()
     assert np.isnan(window.distance[:1000]).all()
@@ -158,13 +155,9 @@ def test_running_backwards_the_wheelset_is_ahead_of_the_reference() -> None:
 def test_wheelsets_are_looked_up_by_time() -> None:
     exchange = START_NS + 12 * SECOND_NS
 
-    def changed(axle: int, at_ns: int) -> Mounting | None:
-        if axle == 1:
-            return None
-        serial, begin = ("old", 0) if at_ns < exchange else ("new", exchange)
-        return Mounting(serial, VEHICLE, axle, begin, None if begin else exchange, 0.0, 0.0)
-
-    found, counts = windows(Run(seconds=25.0), Lookup(RECORD, changed, known_section))
+    old = Mounting("old", VEHICLE, 2, 0, exchange, 0.0, 0.0)
+    new = Mounting("new", VEHICLE, 2, exchange, None, 0.0, 0.0)
+    found, counts = windows(Run(seconds=25.0), RegistryLookup(RECORD, (old, new), {SECTION: "KM12"}))
     assert [w.wheelset for w in found] == ["old", "new"]
     assert counts.windows_unmounted == 4  # axle 1 three times, and the window in which the exchange falls
 
@@ -178,4 +171,4 @@ def test_edges_below_a_fifth_of_a_window_are_counted_only() -> None:
 def test_the_window_length_is_a_whole_number_of_samples() -> None:
     samples, _ = vehicle_samples(VEHICLE, CATALOGUE, {})
     with pytest.raises(ParameterError, match="whole number of sampling intervals"):
-        list(windows_of(samples, [0], LENGTH_NS + 1, Lookup(RECORD, mounted, known_section)))
+        list(windows_of(samples, [0], LENGTH_NS + 1, LOOKUP))
