@@ -1,0 +1,36 @@
+"""The simulator stands on the far side of the bus: what it shares with the product is listed here, and nothing else."""
+
+from __future__ import annotations
+
+import grimp
+
+ALLOWED = (
+    "estimation.contact",
+    "estimation.errors",
+    "estimation.values",
+    "estimation.vehicle",
+    "ingest.bus",
+    "ingest.canopen",
+    "ingest.catalogue",
+    "ingest.codec",
+    "ingest.frames",
+    "ingest.input_file",
+    "ingest.logs.blf_writer",
+    "ingest.simulator",
+    "ingest.track_file",
+)
+
+
+def allowed(module: str) -> bool:
+    return any(module == name or module.startswith(f"{name}.") for name in ALLOWED)
+
+
+def test_the_simulator_imports_only_what_is_listed() -> None:
+    graph = grimp.build_graph("api", "ingest", "fleet_db", "estimation")
+    simulator = {"ingest.simulator"} | graph.find_descendants("ingest.simulator")
+    simulator = {module for module in simulator if ".section_" not in module}
+    assert len(simulator) > 10
+    imports = {
+        (module, imported) for module in simulator for imported in graph.find_modules_directly_imported_by(module)
+    }
+    assert sorted(pair for pair in imports if not allowed(pair[1])) == []
