@@ -6,21 +6,23 @@ every pass, forgets what lies further away than its reach, and takes out the slo
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy import signal
 
-from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.arrays import BoolArray, FloatArray, frozen_array
 
 Precision = TypeVar("Precision", bound=np.floating[Any])
 REACH_IN_WIDTHS = 3.5
 CUT_OFF_IN_WIDTHS = 3.43  # wavelength that is halved over the width of the weights: (1 + u) exp(-u) = 1/2, u = 1.678
 
 
+@lru_cache(maxsize=64)
 def local_cubic_kernel(cutoff_wavelength: float, step: float) -> FloatArray:
-    """Return the weights (2 m + 1,) of the local cubic fit on a grid of ``step`` m; they sum to one.
+    """Return the weights (2 m + 1,) of the local cubic fit on a grid of ``step`` m, read-only; they sum to one.
 
     Parameters
     ----------
@@ -36,7 +38,7 @@ def local_cubic_kernel(cutoff_wavelength: float, step: float) -> FloatArray:
     moments = [float((weights * u**k).sum()) for k in (0, 2, 4)]
     # (a + b u^2) w(u) with sum 1 and no second moment reproduces cubics
     a, b = np.linalg.solve([[moments[0], moments[1]], [moments[1], moments[2]]], [1.0, 0.0])
-    return np.asarray((a + b * u * u) * weights)
+    return frozen_array((a + b * u * u) * weights, (2 * m + 1,), name="weights")
 
 
 def high_pass(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) -> npt.NDArray[Precision]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from estimation.motion.integration import IntegratedWindow, bridged, mirrored
 from estimation.motion.parameters import SignalParameters
@@ -153,10 +154,9 @@ def check_axis_signs(integrated: IntegratedWindow) -> str:
 
 def _high_pass_running_mean(values: FloatArray, width: int) -> FloatArray:
     """Return values less their running mean over about ``width`` samples twice, which takes slow wandering out."""
-    kernel = np.ones(2 * (width // 2) + 1) / (2 * (width // 2) + 1)
     rest = values
     for _ in range(2):
-        rest = rest - np.convolve(rest, kernel, mode="same")
+        rest = rest - uniform_filter1d(rest, 2 * (width // 2) + 1, mode="constant")
     return np.asarray(rest[width:-width])
 
 
