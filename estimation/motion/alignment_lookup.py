@@ -1,6 +1,6 @@
-"""An alignment that has lost its long wavelengths, made fit to be taken from a motion that loses them otherwise.
+"""The alignment along a window; one that has lost its long wavelengths is deconvolved before.
 
-What a fleet finds is F d, the alignment d behind the filter of ``track.local_filter``. The motion needs G (y - d) with
+What a fleet finds is F d, the alignment d behind the filter of ``estimation.filters.local_cubic``. The motion needs G (y - d) with
 a filter G of its own, and G (y - F d) would leave G (1 - F) d: a quarter of the alignment at the cut-off. So F is
 undone as far as G can bear it: G grows small faster than F, and what is multiplied by up to 1/(2 e) here comes out
 of G smaller than it went in.
@@ -8,23 +8,37 @@ of G smaller than it went in.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy import fft
 from scipy.interpolate import CubicSpline
 
 from estimation.filters.local_cubic import local_cubic_kernel
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.track import TrackAlignment
 
 FEWEST_POINTS = 4  # of a spline
 
 FULL_BAND_FACTOR = 2.0  # times the wavelength that is looked at: an alignment that reaches further holds it unchanged
 
+TRACKS = 16  # sections whose deconvolved alignment is kept: every window of a section needs it
+
 SPLINE_MARGIN = 20  # points of the stored alignment beyond the window, so that the spline's ends do not matter
 
 
-def alignment_at(distance: FloatArray, track: TrackAlignment, longest: float) -> FloatArray:
-    """Return d (n,) by a cubic spline through the stored alignment; NaN off the section and where it is not known."""
+def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength: float) -> FloatArray:
+    """Return d (n,), m, by a cubic spline through the stored alignment; NaN off the section and where it is not known.
+
+    Parameters
+    ----------
+    distance
+        (n,) m along the section; NaN where not known.
+    track
+        Alignment on a uniform grid.
+    cutoff_wavelength
+        m, of the high-pass that the motion goes through.
+    """
     d = np.full(len(distance), np.nan)
     with np.errstate(invalid="ignore"):
         on_track = np.flatnonzero((distance >= track.s[0]) & (distance <= track.s[-1]))
@@ -33,7 +47,7 @@ def alignment_at(distance: FloatArray, track: TrackAlignment, longest: float) ->
     at = distance[on_track]
     first = max(int(np.searchsorted(track.s, at.min())) - SPLINE_MARGIN, 0)
     last = int(np.searchsorted(track.s, at.max())) + SPLINE_MARGIN
-    whole = track.alignment if track.cutoff_wavelength >= FULL_BAND_FACTOR * longest else deconvolved(track)
+    whole = track.alignment if track.cutoff_wavelength >= FULL_BAND_FACTOR * cutoff_wavelength else deconvolved(track)
     s, alignment = track.s[first:last], whole[first:last]
     known = np.isfinite(alignment)
     if known.sum() < FEWEST_POINTS:
@@ -48,6 +62,7 @@ def alignment_at(distance: FloatArray, track: TrackAlignment, longest: float) ->
 REGULARISATION = 0.03  # e: where F leaves less than about this, less is undone
 
 
+@lru_cache(maxsize=TRACKS)
 def deconvolved(track: TrackAlignment) -> FloatArray:
     """Return the alignment (n,), m, with F undone; as it is where the track has no cut-off. NaN stays NaN.
 
@@ -68,10 +83,9 @@ def deconvolved(track: TrackAlignment) -> FloatArray:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], finite.astype(np.int8), [0]])))
     for start, stop in edges.reshape(-1, 2):
         inner = slice(start + lost, max(stop - lost, start + lost))
-        result[inner] = _regularised_inverse(track.alignment[start:stop], weights)[
-            lost : lost + inner.stop - inner.start
-        ]
-    return result
+        inverse = _regularised_inverse(track.alignment[start:stop], weights)
+        result[inner] = inverse[lost : lost + inner.stop - inner.start]
+    return frozen_array(result, (len(result),), name="alignment")
 
 
 def _regularised_inverse(filtered: FloatArray, weights: FloatArray) -> FloatArray:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from estimation.motion.alignment_lookup import TRACKS
 from estimation.motion.integration import IntegratedWindow, bridged, mirrored
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import FloatArray
@@ -197,5 +199,10 @@ def to_wheelset_axes(
     """
     mounted = -1 if mounted_reversed else 1
     if way * mounted < 0:
-        track = replace(track, alignment=-track.alignment)
+        track = _turned(track)
     return mirrored(integrated) if mounted_reversed else integrated, track
+
+
+@lru_cache(maxsize=TRACKS)
+def _turned(track: TrackAlignment) -> TrackAlignment:
+    return replace(track, alignment=-track.alignment)

@@ -67,9 +67,12 @@ class TrackFindings:
     gauge_shifts: Mapping[str, GaugeShift]  # by wheelset, where gauge varies
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class TrackAlignment:
-    """What is known of a track section: lateral alignment and gauge deviation against distance, each with its std."""
+    """Lateral alignment and gauge deviation of a track section against distance, each with its std.
+
+    Two of them are equal if they are the same object, which makes them keys of caches.
+    """
 
     section: str
     version: int
