@@ -1,9 +1,9 @@
 """The alignment along a window; one that has lost its long wavelengths is deconvolved before.
 
-What a fleet finds is F d, the alignment d behind the filter of ``estimation.filters.local_cubic``. The motion needs G (y - d) with
-a filter G of its own, and G (y - F d) would leave G (1 - F) d: a quarter of the alignment at the cut-off. So F is
-undone as far as G can bear it: G grows small faster than F, and what is multiplied by up to 1/(2 e) here comes out
-of G smaller than it went in.
+What a fleet finds is F d, the alignment d behind the filter F of ``estimation.filters.local_cubic``. The motion needs
+G (y - d) with a filter G of its own, and G (y - F d) would leave G (1 - F) d: a quarter of d at the cut-off.
+So F is undone as far as G can bear it: G falls faster than F towards long wavelengths, and what is multiplied by up to
+1/(2 e) here comes out of G smaller than it went in.
 """
 
 from __future__ import annotations
