@@ -62,7 +62,10 @@ def equivalent_conicity(
 def zero_crossing(lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike) -> float:
     """Return the lateral displacement where the radii are equal (of several, the deepest equilibrium), m, or NaN.
 
-    Parameters and errors as `equivalent_conicity`.
+    Parameters
+    ----------
+    lateral_displacement, rolling_radius_difference
+        (n,) m, as :func:`equivalent_conicity` takes them.
     """
     y, difference = _curve(lateral_displacement, rolling_radius_difference)
     return float(_equilibrium(y, difference)[0])
@@ -71,7 +74,10 @@ def zero_crossing(lateral_displacement: npt.ArrayLike, rolling_radius_difference
 def nonlinearity_parameter(lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike) -> float:
     """Return NP = (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2, in 1/mm as EN 15302 gives it; NaN if not covered.
 
-    Parameters and errors as `equivalent_conicity`.
+    Parameters
+    ----------
+    lateral_displacement, rolling_radius_difference
+        (n,) m, as :func:`equivalent_conicity` takes them.
     """
     low, high = equivalent_conicity(lateral_displacement, rolling_radius_difference, (2e-3, 4e-3))
     return float((high - low) / 2.0)

@@ -116,6 +116,11 @@ def profile_from_points(kind: ProfileKind, name: str, y: FloatArray, z: FloatArr
 def wheel_profile(name: str) -> Profile:
     """Return the wheel profile of that name: P8, S1002, EN15302-A, -B, -C, -H or -I; case and punctuation are free.
 
+    Parameters
+    ----------
+    name
+        Of the standard profile.
+
     Raises
     ------
     ProfileError
@@ -128,6 +133,11 @@ def rail_profile(name: str) -> Profile:
     """Return the rail profile of that name: 56E1 (BS113A), 60E1, 60E2, 54E1, UIC60 or EN15302-A; spelling is free.
 
     EN15302-A is given in track axes (inclined already); all others are uninclined.
+
+    Parameters
+    ----------
+    name
+        Of the standard profile.
 
     Raises
     ------

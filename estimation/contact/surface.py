@@ -44,6 +44,11 @@ def wheel_surface(wheel: Profile) -> Surface:
 
     The lateral axis is the profile's own. A wheel that touches with the tip or its inner side has derailed. Of a
     wheel without a flange (a plain cone) everything can touch.
+
+    Parameters
+    ----------
+    wheel
+        Profile of a wheel.
     """
     margin = _TIP if np.ptp(wheel.z) > _LEAST_FLANGE else 0.0
     start = int(np.flatnonzero(wheel.z >= wheel.z.max() - margin)[-1])

@@ -66,6 +66,13 @@ def wear_course(family: WearFamily, depth: float) -> TreadWear:
     rail at 1435 mm equivalent conicity at 3 mm (EN 15302) grows steadily with depth: P8 on 56E1 from 0.195 to 0.44
     at 2.2 mm, S1002 on 60E1 from 0.174 to 0.42 at 1.3 mm; beyond, P8 grows on and S1002 levels off near 0.46.
 
+    Parameters
+    ----------
+    family
+        Wheel and rail pair.
+    depth
+        Height lost at the centre of the tread, m.
+
     Raises
     ------
     ParameterError
@@ -80,6 +87,13 @@ def wear_course(family: WearFamily, depth: float) -> TreadWear:
 
 def worn(wheel: Profile, wear: TreadWear) -> Profile:
     """Return the wheel profile after it has lost that material; the new profile is not touched.
+
+    Parameters
+    ----------
+    wheel
+        New wheel profile.
+    wear
+        Material lost.
 
     Raises
     ------

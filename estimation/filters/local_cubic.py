@@ -42,13 +42,29 @@ def local_cubic_kernel(cutoff_wavelength: float, step: float) -> FloatArray:
 
 
 def high_pass(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) -> npt.NDArray[Precision]:
-    """Return ``signals`` (m, n) minus their local fit; the first and last len(weights)//2 samples mean nothing."""
+    """Return ``signals`` (m, n) minus their local fit; the first and last len(weights)//2 samples mean nothing.
+
+    Parameters
+    ----------
+    signals
+        (n,) or (m, n) on a uniform grid of distance, in any unit.
+    weights
+        (2 k + 1,) from :func:`local_cubic_kernel` for that grid, of the same precision.
+    """
     kernel = weights[None, :] if signals.ndim > 1 else weights
     return np.asarray(signals - signal.fftconvolve(signals, kernel, mode="same", axes=-1))
 
 
 def valid_support(valid: BoolArray, weights: FloatArray) -> BoolArray:
-    """Return where every sample within the reach of the filter is valid."""
+    """Return where every sample within the reach of the filter is valid.
+
+    Parameters
+    ----------
+    valid
+        (n,) samples on a uniform grid.
+    weights
+        (2 k + 1,) of the filter.
+    """
     m = len(weights) // 2
     padded = np.concatenate([np.zeros(m), ~valid, np.zeros(m)])
     padded[:m] = padded[len(padded) - m :] = 1.0

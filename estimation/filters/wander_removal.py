@@ -47,7 +47,15 @@ def _line_and_parabola(n: int) -> FloatArray:
 
 
 def modelled_gaps(known: BoolArray, bridged: int) -> list[tuple[int, int]]:
-    """Return the gaps ``[first, behind)`` between known samples that are longer than ``bridged`` samples."""
+    """Return the gaps ``[first, behind)`` between known samples that are longer than ``bridged`` samples.
+
+    Parameters
+    ----------
+    known
+        (n,) samples that were measured.
+    bridged
+        Samples of the longest gap that is left out.
+    """
     edges = np.flatnonzero(np.diff(known.astype(np.int8))) + 1
     first, behind = edges[~known[edges]], edges[known[edges]]
     behind = behind[behind > first[0]] if len(first) else behind

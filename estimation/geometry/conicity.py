@@ -57,7 +57,15 @@ _Row = tuple[FloatArray, FloatArray]  # displacement (k,), rolling radius differ
 
 
 def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> CurveEstimates:
-    """Return conicity by amplitude, NP (1/mm) and the zero crossing, each with its interval or its reason."""
+    """Return conicity by amplitude, NP (1/mm) and the zero crossing, each with its interval or its reason.
+
+    Parameters
+    ----------
+    curve
+        rL - rR over the bins, with its replicates and systematic errors.
+    parameters
+        Amplitudes, m, at which the conicity is published.
+    """
     amplitude = np.array(parameters.amplitudes)
     run = _run_around_zero(curve)
     groups = len(curve.difference) - 1
@@ -166,7 +174,17 @@ def _estimate(values: FloatArray, groups: int, count: float, reason: str) -> Est
 def at_reference_amplitude(
     amplitude: FloatArray, conicity: tuple[Estimate, ...], parameters: CurveParameters
 ) -> tuple[Estimate, float]:
-    """Return the conicity at the reference amplitude, or at the largest covered below it."""
+    """Return the conicity at the reference amplitude, or at the largest covered below it.
+
+    Parameters
+    ----------
+    amplitude
+        (a,) m.
+    conicity
+        (a,) the estimate at each amplitude.
+    parameters
+        The reference amplitude.
+    """
     for a, value in sorted(zip(amplitude, conicity, strict=True), key=lambda pair: -pair[0]):
         if a <= parameters.reference_amplitude + 1e-9 and value.value is not None:
             return value, float(a)

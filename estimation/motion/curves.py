@@ -20,7 +20,17 @@ GRID_STEP = 1.0  # m, to which a layout is refined before it is looked at
 
 
 def straight(distance: FloatArray, layout: TrackLayout, limits: CurveLimits) -> BoolArray:
-    """Return which places (n,) lie on track that is straight within ``limits``; places off the layout do not."""
+    """Return which places (n,) lie on track that is straight within ``limits``; places off the layout do not.
+
+    Parameters
+    ----------
+    distance
+        (n,) m along the section; NaN where not known.
+    layout
+        Curvature and cant of the section.
+    limits
+        What counts as straight, and the margin from the rest.
+    """
     grid = np.union1d(np.arange(layout.s[0], layout.s[-1], GRID_STEP), layout.s)
     bent = (np.abs(np.interp(grid, layout.s, layout.curvature)) > limits.curvature) | (
         np.abs(np.interp(grid, layout.s, layout.cant)) > limits.cant

@@ -28,7 +28,17 @@ class WindowParameters:
 
 
 def gate(quality: WindowQuality, track_section: str | None, gates: Gates) -> Refusal | None:
-    """Return why a window of this quality is not looked at; None where it is."""
+    """Return why a window of this quality is not looked at; None where it is.
+
+    Parameters
+    ----------
+    quality
+        What was counted of the window.
+    track_section
+        Code of its section; None where it is not known.
+    gates
+        Limits of the quality.
+    """
     if quality.sensor_fault:
         return Refusal("the sensor reports a fault")
     if quality.coverage < gates.least_coverage:

@@ -36,6 +36,11 @@ def whole_runs(windows: Iterable[Window]) -> Iterator[Window]:
 
     Long wavelengths need long stretches: what is near the end of a window is lost to the filters, what is near a seam
     is not.
+
+    Parameters
+    ----------
+    windows
+        In order of time.
     """
     for run in _unbroken(windows, _shared_start_end, sys.maxsize):
         yield joined(run)
@@ -64,7 +69,13 @@ def _unbroken(
 
 
 def joined(windows: Sequence[Window]) -> Window:
-    """Return windows that follow each other as one; the quality is the worst of each measure, shares are means."""
+    """Return windows that follow each other as one; the quality is the worst of each measure, shares are means.
+
+    Parameters
+    ----------
+    windows
+        One or more, in order of time, each beginning where the one before ends.
+    """
     first = windows[0]
     if len(windows) == 1:
         return first

@@ -57,7 +57,17 @@ class FusedSignals:
 
 
 def fuse(felt: MotionSignals, vehicle: VehicleParameters, parameters: FusionParameters) -> FusedSignals:
-    """Return y, R and its stiffness term on a grid; short waves of R from the yaw sensor, long ones from Eq. 1."""
+    """Return y, R and its stiffness term on a grid; short waves of R from the yaw sensor, long ones from Eq. 1.
+
+    Parameters
+    ----------
+    felt
+        (n,) signals of one segment, over an increasing distance.
+    vehicle
+        Parameters of Eq. 1 and Eq. 2.
+    parameters
+        Grid, crossover wavelength and what is known of g beforehand.
+    """
     step = parameters.step
     run = np.arange(np.ceil(felt.run[0] / step), np.floor(felt.run[-1] / step) + 1) * step
     V, y, R, stiffness_term, ψ = (

@@ -58,7 +58,13 @@ class BinParameters:
 
 
 def init(parameters: BinParameters) -> BinTable:
-    """Return the empty table."""
+    """Return the empty table.
+
+    Parameters
+    ----------
+    parameters
+        Bins, groups and key of the table.
+    """
     edges = parameters.edges
     shape = (parameters.groups, len(edges) - 1)
     return BinTable(
@@ -89,7 +95,15 @@ def group_of(block: IntArray, groups: int) -> IntArray:
 
 
 def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
-    """Reduce one stretch of motion to its bin table; blocks are dealt to the groups by :func:`group_of`."""
+    """Reduce one stretch of motion to its bin table; blocks are dealt to the groups by :func:`group_of`.
+
+    Parameters
+    ----------
+    motion
+        Motion of one wheelset relative to the track, (n,) samples.
+    parameters
+        Bins, groups, and the vehicle of Eq. 1 and Eq. 2.
+    """
     edges = parameters.edges
     bins = len(edges) - 1
     position = (motion.displacement - edges[0]) / parameters.width
@@ -118,6 +132,13 @@ def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
 def merge(first: BinTable, second: BinTable, forgetting: float = 1.0) -> BinTable:
     """Return ``forgetting * first + second``; associative, and commutative without forgetting.
 
+    Parameters
+    ----------
+    first, second
+        Tables of the same parameters.
+    forgetting
+        Weight of the first table, 0 to 1; that of the second is 1.
+
     Raises
     ------
     ValueError
@@ -137,7 +158,15 @@ def merge(first: BinTable, second: BinTable, forgetting: float = 1.0) -> BinTabl
 
 
 def merge_all(tables: list[BinTable], parameters: BinParameters) -> BinTable:
-    """Merge in the order given, without forgetting."""
+    """Merge in the order given, without forgetting.
+
+    Parameters
+    ----------
+    tables
+        Of the same parameters.
+    parameters
+        Those of the tables; of the empty table where there are none.
+    """
     return reduce(merge, tables, init(parameters))
 
 
@@ -152,6 +181,8 @@ def merge_with_mileage(
         (mileage in km, table), ascending.
     half_life_km
         Distance after which an observation counts half.
+    parameters
+        Those of the tables; of the empty table where there are none.
     """
     if not tables:
         return init(parameters)

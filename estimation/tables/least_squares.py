@@ -22,7 +22,15 @@ SMALLEST_EIGENVALUE = 1e-10  # of the scaled normal matrix; below it a direction
 
 
 def packed_size(regressors: int, targets: int) -> int:
-    """Return the length of the packed moments of one cell."""
+    """Return the length of the packed moments of one cell.
+
+    Parameters
+    ----------
+    regressors
+        Number p of regressors.
+    targets
+        Number t of targets.
+    """
     return regressors * (regressors + 1) // 2 + regressors * targets + 1
 
 
@@ -131,6 +139,10 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
         (c, packed_size) moments.
     weight
         (c,) sums of weights.
+    regressors
+        Number p of regressors.
+    targets
+        Number t of targets.
     """
     p, t = regressors, targets
     c = len(packed)
@@ -152,7 +164,17 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
 
 
 def unpack(packed: FloatArray, regressors: int, targets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return X'X (c, p, p), X'Z (c, p, t) and z'z (c,) from packed moments (c, packed_size)."""
+    """Return X'X (c, p, p), X'Z (c, p, t) and z'z (c,) from packed moments (c, packed_size).
+
+    Parameters
+    ----------
+    packed
+        (c, packed_size) moments.
+    regressors
+        Number p of regressors.
+    targets
+        Number t of targets.
+    """
     p, t = regressors, targets
     c = len(packed)
     triangle = p * (p + 1) // 2

@@ -92,13 +92,29 @@ class ContactState:
 
 
 def lateral_suspension_force(parameters: VehicleParameters, state: WheelsetState) -> FloatArray:
-    """Return Fsy (n,), N: the force of spring and damper on the wheelset, positive to the left (Eq. 4)."""
+    """Return Fsy (n,), N: the force of spring and damper on the wheelset, positive to the left (Eq. 4).
+
+    Parameters
+    ----------
+    parameters
+        Spring ky and damper fy.
+    state
+        (n,) displacements and velocities.
+    """
     y, v, ym, vm = (_array(value) for value in _lateral(state))
     return parameters.lateral_stiffness * (ym - y) + parameters.lateral_damping * (vm - v)
 
 
 def yaw_suspension_moment(parameters: VehicleParameters, state: WheelsetState) -> FloatArray:
-    """Return Mpsi (n,), N m: the moment of the yaw suspension on the wheelset (Eq. 5)."""
+    """Return Mpsi (n,), N m: the moment of the yaw suspension on the wheelset (Eq. 5).
+
+    Parameters
+    ----------
+    parameters
+        Yaw spring and damper.
+    state
+        (n,) yaw and yaw rate.
+    """
     psi, psi_rate = _array(state.yaw), _array(state.yaw_rate)
     return -parameters.yaw_stiffness * psi - parameters.yaw_damping * psi_rate
 
@@ -106,7 +122,19 @@ def yaw_suspension_moment(parameters: VehicleParameters, state: WheelsetState) -
 def lateral_acceleration(
     parameters: VehicleParameters, speed: npt.ArrayLike, state: WheelsetState, contact: ContactState
 ) -> FloatArray:
-    """Return y'' (n,), m/s2, of the wheelset (Eq. 1); ``speed`` V in m/s, positive."""
+    """Return y'' (n,), m/s2, of the wheelset (Eq. 1); ``speed`` V in m/s, positive.
+
+    Parameters
+    ----------
+    parameters
+        Table A.1.
+    speed
+        V, (n,) or scalar, m/s, positive.
+    state
+        (n,) states of wheelset and mass.
+    contact
+        (n,) radii, angles and roll.
+    """
     p = parameters
     f11, f22, f23 = p.longitudinal_creep_coefficient, p.lateral_creep_coefficient, p.lateral_spin_creep_coefficient
     V, psi, psi_rate = _array(speed), _array(state.yaw), _array(state.yaw_rate)
@@ -125,7 +153,19 @@ def lateral_acceleration(
 def yaw_acceleration(
     parameters: VehicleParameters, speed: npt.ArrayLike, state: WheelsetState, contact: ContactState
 ) -> FloatArray:
-    """Return psi'' (n,), rad/s2, of the wheelset (Eq. 2 and 5); ``speed`` V in m/s, positive."""
+    """Return psi'' (n,), rad/s2, of the wheelset (Eq. 2 and 5); ``speed`` V in m/s, positive.
+
+    Parameters
+    ----------
+    parameters
+        Table A.1.
+    speed
+        V, (n,) or scalar, m/s, positive.
+    state
+        (n,) states of wheelset and mass.
+    contact
+        (n,) radii, angles and roll.
+    """
     p = parameters
     f11, f23, f33 = p.longitudinal_creep_coefficient, p.lateral_spin_creep_coefficient, p.spin_creep_coefficient
     half, r0 = p.half_contact_distance, p.nominal_radius
@@ -146,12 +186,30 @@ def yaw_acceleration(
 
 
 def mass_lateral_acceleration(parameters: VehicleParameters, state: WheelsetState) -> FloatArray:
-    """Return ym'' (n,), m/s2, of the suspended mass (Eq. 3)."""
+    """Return ym'' (n,), m/s2, of the suspended mass (Eq. 3).
+
+    Parameters
+    ----------
+    parameters
+        Suspended mass, spring and damper.
+    state
+        (n,) displacements and velocities.
+    """
     return -lateral_suspension_force(parameters, state) / parameters.suspended_mass
 
 
 def lateral_slip_velocity(speed: npt.ArrayLike, state: WheelsetState, contact: ContactState) -> FloatArray:
-    """Return y' + (rL+rR)/2 phi' - V psi (n,), m/s: the lateral slip that Eq. 1 and 2 share."""
+    """Return y' + (rL+rR)/2 phi' - V psi (n,), m/s: the lateral slip that Eq. 1 and 2 share.
+
+    Parameters
+    ----------
+    speed
+        V, (n,) or scalar, m/s.
+    state
+        (n,) lateral velocity and yaw.
+    contact
+        (n,) radii and roll rate.
+    """
     return (
         _array(state.lateral_velocity)
         + 0.5 * _radius_sum(contact) * _array(contact.roll_rate)
@@ -163,6 +221,13 @@ def creep_rate(parameters: VehicleParameters, speed: float) -> float:
     """Return the fastest decay rate of the creep modes, 1/s: the larger of 2 f22/(m V) and 2 l^2 f11/(I V).
 
     It bounds the step of an explicit integration: the rate grows without limit as the speed falls.
+
+    Parameters
+    ----------
+    parameters
+        Creep coefficients, mass and yaw inertia.
+    speed
+        V, m/s, positive.
     """
     p = parameters
     lateral = 2.0 * p.lateral_creep_coefficient / (p.wheelset_mass * speed)

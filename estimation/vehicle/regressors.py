@@ -38,6 +38,13 @@ def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
     """Return regressors and targets of Eq. 1 and Eq. 2 for every sample of ``motion``.
 
     What is known of the vehicle's stiffness ratio is taken into account.
+
+    Parameters
+    ----------
+    motion
+        (n,) samples relative to the track.
+    parameters
+        As assumed; the longitudinal creep coefficient is divided by the stiffness ratio of the motion.
     """
     f11 = parameters.longitudinal_creep_coefficient / motion.stiffness_ratio
     p = replace(parameters, longitudinal_creep_coefficient=f11)
