@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from http import HTTPMethod, HTTPStatus
 from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
-from api.media_types import choose
 from api.problems import PROBLEM_MEDIA_TYPE, ProblemError, ProblemItem, pointer
 
 JSON = "application/json"
@@ -92,3 +91,40 @@ async def media_type(request: Request) -> str:
 
 
 Accepted = Annotated[str, Depends(media_type)]
+
+
+def _ranges(accept: str) -> list[tuple[str, float]]:
+    found = []
+    for part in accept.split(","):
+        name, *parameters = (piece.strip() for piece in part.split(";"))
+        weight = 1.0
+        for parameter in parameters:
+            key, _, value = parameter.partition("=")
+            if key.strip().lower() == "q":
+                try:
+                    weight = float(value)
+                except ValueError:
+                    weight = 0.0
+        if name:
+            found.append((name.lower(), weight))
+    return found
+
+
+def _quality(media_type: str, ranges: Sequence[tuple[str, float]]) -> float:
+    """Return the weight of the most specific range that covers ``media_type``; 0 where none does."""
+    family = media_type.split("/", maxsplit=1)[0] + "/*"
+    for wanted in (media_type, family, "*/*"):
+        weights = [weight for name, weight in ranges if name == wanted]
+        if weights:
+            return max(weights)
+    return 0.0
+
+
+def choose(accept: str | None, offered: Sequence[str]) -> str | None:
+    """Return which of ``offered`` (best first) the client likes most; None where it accepts none of them."""
+    if accept is None or not accept.strip():
+        return offered[0]
+    ranges = _ranges(accept)
+    weighed = [(_quality(media_type, ranges), -place, media_type) for place, media_type in enumerate(offered)]
+    quality, _, media_type = max(weighed)
+    return media_type if quality > 0.0 else None

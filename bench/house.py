@@ -76,8 +76,8 @@ OWN_FILES = ("bench/house.py", "tests/bench/test_house.py")
 INFRASTRUCTURE = re.compile(
     r"""(
       api/(cli|commands/.*|factory|settings|rules_file|logs|metrics|services|job_runner|app|openapi_document)\.py
-    | api/(problems|times|media_types|contract|cursors|parameters|middleware)\.py
-    | fleet_db/(changes|failures|locks|migrate|session|storage|rows|packing|atomic_files|packed/numbers)\.py
+    | api/(problems|times|contract|cursors|parameters|middleware)\.py
+    | fleet_db/(changes|locks|migrate|session|storage|rows|packing|fields|atomic_files)\.py
     | fleet_db/stores/jobs\.py
     | estimation/(errors|settings|jobs/job|jobs/settings|jobs/scheduler|jobs/catalogue|rules/loading)\.py
     )""",

@@ -11,9 +11,8 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Engine
 
 from estimation.errors import MigrationError, StorageError
-from fleet_db.failures import translate_errors
 from fleet_db.locks import Subject, serialise
-from fleet_db.session import IMMEDIATE, database_engine, sqlite_file
+from fleet_db.session import IMMEDIATE, database_engine, sqlite_file, translate_errors
 
 SCRIPTS = Path(__file__).parent / "migrations"
 

@@ -1,4 +1,4 @@
-"""Engines from a URL: SQLite as one careful writer, PostgreSQL through psycopg 3.
+"""Engines from a URL, and their errors as ours: SQLite as one careful writer, PostgreSQL through psycopg 3.
 
 SQLite: the driver's own transaction handling is off, every transaction begins explicitly, and a transaction that will
 write begins IMMEDIATE, so that two writers wait for each other instead of failing half-way.
@@ -7,16 +7,18 @@ write begins IMMEDIATE, so that two writers wait for each other instead of faili
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy
 from sqlalchemy import URL, Connection, Engine, event
-from sqlalchemy.exc import ArgumentError
+from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, SQLAlchemyError, StatementError
 from sqlalchemy.pool import ConnectionPoolEntry
 
-from estimation.errors import ParameterError
+from estimation.errors import ConflictError, ParameterError, StorageError
 
 BUSY_TIMEOUT_MS = 30_000
 BEGIN_OPTION = "sqlite_begin"
@@ -95,3 +97,34 @@ def _postgresql_engine(url: URL) -> Engine:
         connect_args={"connect_timeout": 10},
         json_serializer=to_json,
     )
+
+
+@contextmanager
+def translate_errors() -> Iterator[None]:
+    """Turn errors of SQLAlchemy and of the drivers into ours.
+
+    Raises
+    ------
+    ConflictError
+        A constraint of the database refused it.
+    ParameterError
+        A value that JSON cannot hold (NaN, infinity, an object).
+    StorageError
+        Everything else: unreachable, locked, full.
+    """
+    try:
+        yield
+    except IntegrityError as error:
+        raise ConflictError(f"the database refused it: {_first_line(error.orig)}") from error
+    except DBAPIError as error:
+        raise StorageError(f"the database failed: {_first_line(error.orig)}") from error
+    except StatementError as error:
+        if isinstance(error.orig, ValueError | TypeError):
+            raise ParameterError(f"cannot be stored: {_first_line(error.orig)}") from error
+        raise StorageError(f"the database failed: {_first_line(error.orig)}") from error
+    except SQLAlchemyError as error:
+        raise StorageError(f"the database failed: {_first_line(error)}") from error
+
+
+def _first_line(error: BaseException | None) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -10,9 +10,8 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine
 
 from fleet_db.changes import Changes
-from fleet_db.failures import translate_errors
 from fleet_db.locks import file_scheduler_lock, postgresql_scheduler_lock, single_writer
-from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, sqlite_file
+from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, sqlite_file, translate_errors
 from fleet_db.stores.alerts import AlertStore
 from fleet_db.stores.bin_tables import BinTableStore
 from fleet_db.stores.chunks import ChunkStore

@@ -1,4 +1,4 @@
-"""Geometry estimates, append-only."""
+"""Geometry estimates, append-only, and the bins of each current one as plain rows for queries in SQL."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, and_, exists, func, insert, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Row, and_, delete, exists, func, insert, or_, select, update
 
-from estimation.values.geometry import GeometryRecord
+from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, WheelsetGeometry
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import GeometryRow, WindowBinTableRow
+from fleet_db.models import GeometryRow, WheelsetBinRow, WindowBinTableRow
 from fleet_db.packed_values import pack_geometry, unpack_geometry
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.session import to_json
-from fleet_db.stores.wheelset_bins import BINS, replace_bins
 
+BINS = table_of(WheelsetBinRow)
+UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in COMBINATIONS}
 GEOMETRIES, TABLES = table_of(GeometryRow), table_of(WindowBinTableRow)
 NEWEST_FIRST = (GEOMETRIES.c.recorded_ns.desc(), GEOMETRIES.c.geometry_id.desc())
 
@@ -49,7 +50,7 @@ class GeometryStore:
         statement = insert(GEOMETRIES).values(**values).returning(GEOMETRIES.c.geometry_id)
         geometry_id = self.connection.execute(statement).scalar_one()
         if record.interval is None and self._newest_baseline(record.wheelset) == record.baseline:
-            replace_bins(self.connection, record.wheelset, geometry_id, record.geometry)
+            _replace_bins(self.connection, record.wheelset, geometry_id, record.geometry)
         return True
 
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:
@@ -207,3 +208,32 @@ def _record(row: Row[Any]) -> GeometryRecord:
         code_version=row.code_version,
         recorded_ns=row.recorded_ns,
     )
+
+
+def _replace_bins(connection: Connection, wheelset: str, geometry_id: int, geometry: WheelsetGeometry) -> None:
+    """Replace the rows of ``wheelset`` by the bins of ``geometry``."""
+    connection.execute(delete(BINS).where(BINS.c.wheelset == wheelset))
+    rows = [
+        {
+            "wheelset": wheelset,
+            "bin": index,
+            "geometry_id": geometry_id,
+            "lateral_displacement_low_m": float(geometry.bin_edges[index]),
+            "lateral_displacement_high_m": float(geometry.bin_edges[index + 1]),
+            "samples": null_if_nan(float(geometry.samples[index])),
+            **_bin_columns(geometry, index),
+        }
+        for index in range(len(geometry.samples))
+    ]
+    if rows:
+        connection.execute(insert(BINS), rows)
+
+
+def _bin_columns(geometry: WheelsetGeometry, index: int) -> dict[str, Any]:
+    columns: dict[str, Any] = {}
+    for name, unit in UNITS.items():
+        values: BinValues = getattr(geometry, name)
+        columns[f"{name}_{unit}"] = null_if_nan(float(values.value[index]))
+        columns[f"{name}_std_{unit}"] = null_if_nan(float(values.std[index]))
+        columns[f"{name}_status"] = str(values.status[index])
+    return columns

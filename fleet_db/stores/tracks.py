@@ -24,16 +24,17 @@ from estimation.values.windows import WindowPosition
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import (
     TrackAlignmentRow,
+    TrackLayoutRow,
     TrackReportRow,
     TrackSectionRow,
     TrackVersionRow,
     WindowPositionRow,
     WindowRow,
 )
-from fleet_db.packed_values import pack_alignment, unpack_alignment
+from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
 from fleet_db.rows import null_if_nan, table_of, upsert
-from fleet_db.stores.layouts import find_layout, newest_version, store_layout
 
+LAYOUTS = table_of(TrackLayoutRow)
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
 REPORTS, POSITIONS, WINDOWS = table_of(TrackReportRow), table_of(WindowPositionRow), table_of(WindowRow)
 SAME_VERSION = and_(VERSIONS.c.section == ALIGNMENTS.c.section, VERSIONS.c.version == ALIGNMENTS.c.version)
@@ -260,3 +261,41 @@ def _alignment_record(row: Any) -> AlignmentRecord:  # noqa: ANN401 - a row of R
         points=row.points,
         recorded_ns=row.recorded_ns,
     )
+
+
+def find_layout(connection: Connection, section: str, version: int | None) -> TrackLayout | None:
+    """Return one version of the layout of a section, or the newest; None where there is none."""
+    statement = select(LAYOUTS.c.version, LAYOUTS.c.packed).where(LAYOUTS.c.section == section)
+    if version is not None:
+        statement = statement.where(LAYOUTS.c.version == version)
+    row = connection.execute(statement.order_by(LAYOUTS.c.version.desc()).limit(1)).first()
+    if row is None:
+        return None
+    return unpack_layout(row.packed, row.version, where=f"layout {row.version} of track section {section!r}")
+
+
+def newest_version(connection: Connection, section: str) -> int | None:
+    """Return the newest version of the layout of a section; None where there is none."""
+    found: int | None = connection.scalar(select(func.max(LAYOUTS.c.version)).where(LAYOUTS.c.section == section))
+    return found
+
+
+def store_layout(connection: Connection, layout: TrackLayout) -> int:
+    """Store a layout as the next version of its section, which exists, and return that.
+
+    The content of the newest version again changes nothing and returns its version.
+    """
+    packed = pack_layout(layout)
+    digest = hashlib.sha256(packed).hexdigest()
+    newest = connection.execute(
+        select(LAYOUTS.c.version, LAYOUTS.c.content_digest)
+        .where(LAYOUTS.c.section == layout.section)
+        .order_by(LAYOUTS.c.version.desc())
+        .limit(1)
+    ).first()
+    if newest is not None and newest.content_digest == digest:
+        return int(newest.version)
+    version = 1 if newest is None else int(newest.version) + 1
+    row = {"section": layout.section, "version": version, "points": len(layout.s)}
+    connection.execute(insert(LAYOUTS).values(**row, content_digest=digest, packed=packed))
+    return version

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from running_service import Service
 
 from api.answers import csv_text
-from api.media_types import choose
+from api.contract import choose
 from api.times import from_rfc3339, to_rfc3339
 
 TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z")
