@@ -27,8 +27,8 @@ OPEN = """
 import sys
 from pathlib import Path
 import stored_values as make
-from estimation.alerts import AlertEventKind
-from estimation.ports import FleetRecord
+from estimation.values.alerts import AlertEventKind
+from estimation.values.registry import FleetRecord
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 storage = SqlStorage(database_engine(sys.argv[1]), Path(sys.argv[2]))
