@@ -121,13 +121,13 @@ def record(
 ) -> Iterator[LiveChunk]:
     """Listen to a bus and yield log files of ``chunk_seconds`` each, until ``stop`` is set.
 
-    Files are called ``<name>__<first stamp in ns>.blf``. A silent bus gives no files; what was heard when ``stop`` is
-    set becomes the last one.
+    Files are called ``<name>__<first stamp in ns>.blf``. A bus without frames gives no files; the frames received when
+    ``stop`` is set become the last one.
 
     Raises
     ------
     ConflictError
-        The bus failed; what was heard before has been yielded.
+        The bus failed; what was received before has been yielded.
     """
     if chunk_seconds <= 0.0:
         raise ParameterError(f"is {chunk_seconds:g}; a chunk has a length", field="chunk seconds")

@@ -2,7 +2,7 @@
 
 The SYNC producer is the keeper of the vehicle's clock: SYNC number ``k`` is sent at ``k`` sampling intervals after the
 Unix epoch on that clock, and its counter is ``1 + k mod 240``. So one TIME frame that is right to a tenth of a second
-tells the exact instant of every SYNC around it.
+gives the exact instant of every SYNC around it.
 """
 
 from __future__ import annotations
@@ -36,6 +36,6 @@ def time_of_day(t_ns: npt.ArrayLike) -> tuple[IntArray, IntArray]:
 
 
 def vehicle_time_ns(milliseconds: npt.ArrayLike, days: npt.ArrayLike) -> IntArray:
-    """Return the vehicle time in ns UTC that a TIME frame tells."""
+    """Return the vehicle time in ns UTC of a TIME frame."""
     whole_days = np.asarray(days, dtype=np.int64) + EPOCH_DAYS
     return (whole_days * DAY_MS + np.asarray(milliseconds, dtype=np.int64)) * 1_000_000

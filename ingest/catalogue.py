@@ -47,7 +47,7 @@ _NAME = re.compile(r"(?P<kind>[A-Z]+)(?:_(?P<node>\d+))?")
 
 @dataclass(frozen=True, slots=True)
 class SignalPlan:
-    """Where a signal lies in the payload and what its raw value means: ``value = raw * scale + offset``."""
+    """The bits of a signal in the payload and the meaning of its raw value: ``value = raw * scale + offset``."""
 
     name: str
     start_bit: int
@@ -201,7 +201,7 @@ def _signal_plan(signal: Any, name: str, path: Path) -> SignalPlan:  # noqa: ANN
     if not lowest <= minimum < maximum <= highest:
         raise CatalogueError("the limits do not fit the number of bits", file=path, field=name)
     if invalid is not None and (minimum <= invalid <= maximum or not lowest <= invalid <= highest):
-        raise CatalogueError("InvalidRawValue lies inside the limits or outside the raw range", file=path, field=name)
+        raise CatalogueError("InvalidRawValue is inside the limits or outside the raw range", file=path, field=name)
     return SignalPlan(
         name=signal.name,
         start_bit=signal.start,

@@ -73,7 +73,7 @@ class MessageValues:
         return (self.raw >= low) & (self.raw <= high)
 
     def invalid(self) -> BoolArray:
-        """Return (n, m): the raw value says "not available" or lies outside the limits."""
+        """Return (n, m): the raw value says "not available" or is outside the limits."""
         low, high = raw_limits(self.plan, with_clipped=True)
         return (self.raw < low) | (self.raw > high)
 
@@ -91,7 +91,7 @@ class Decoded:
 
 
 def raw_limits(plan: MessagePlan, *, with_clipped: bool) -> tuple[IntArray, IntArray]:
-    """Return the lowest and highest raw values (m,) that are values, those that tell of clipping among them or not."""
+    """Return the lowest and highest raw values (m,) that are values, with or without those that stand for clipping."""
     low = [s.raw_minimum + (s.clips and s.signed and not with_clipped) for s in plan.signals]
     high = [s.raw_maximum - (s.clips and not with_clipped) for s in plan.signals]
     return np.array(low, dtype=np.int64), np.array(high, dtype=np.int64)
@@ -173,7 +173,7 @@ def encode(
 ) -> FrameBatch:
     """Return one frame per time with signals in the units of the catalogue.
 
-    NaN becomes "not available"; what lies beyond a limit is clipped to it; signals that are not given are "not
+    NaN becomes "not available"; a value beyond a limit is clipped to it; signals that are not given are "not
     available" where the catalogue has a code for that, else 0.
 
     Raises

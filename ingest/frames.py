@@ -111,7 +111,15 @@ def take(batch: FrameBatch, index: IntArray | BoolArray | slice) -> FrameBatch:
 
 
 def concatenate(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBatch:
-    """Return the frames of all batches, one after the other, as one bus (named as the first unless told)."""
+    """Return the frames of all batches, one after the other, as one bus.
+
+    Parameters
+    ----------
+    batches
+        Batches in their order.
+    channel
+        Name of the bus; by default that of the first batch.
+    """
     if not batches:
         return empty_batch(channel or DEFAULT_CHANNEL)
     if len(batches) == 1 and channel in (None, batches[0].channel):

@@ -34,7 +34,7 @@ CURVE_CANT_MM = 20.0
 def read_track_columns(path: Path) -> FloatArray:
     """Return (n, 3): distance, alignment (positive to the left), gauge deviation (actual minus nominal), all in m.
 
-    Further columns are let be; blank lines are skipped.
+    Further columns are ignored; blank lines are skipped.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def _table(path: Path, header: list[str], lines: list[_Row], columns: Sequence[s
 
 
 def uniform_distance(s: FloatArray) -> bool:
-    """Whether distances (n,) are evenly spaced, as far as the millimetre that they are written in can tell."""
+    """Whether distances (n,) are evenly spaced, within the millimetre that they are written in."""
     steps = np.diff(s)
     return bool(np.all(np.abs(steps - steps.mean()) <= 1e-6 * steps.mean() + 1.1e-3))
 

@@ -14,7 +14,7 @@ from estimation.errors import ParameterError
 from estimation.jobs.scheduler import stop_on_signals
 from ingest.bus import open_bus
 from ingest.simulator.fleet import FleetReport, Recording, prepare, run_fleet
-from ingest.simulator.live import speak
+from ingest.simulator.live import transmit
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import builtin_scenarios, load_scenario
 
@@ -135,5 +135,5 @@ def transmit_live(
             total = scenario.sessions.campaigns
             console.print(f"campaign {campaign} of {total}, {sent:,} frames so far", highlight=False)
 
-        sent = speak(scenario, bus, codes[0], speed_up=speed_up, stop=stop, progress=show)
+        sent = transmit(scenario, bus, codes[0], speed_up=speed_up, stop=stop, progress=show)
     console.print(f"{sent:,} frames sent", highlight=False)

@@ -81,7 +81,15 @@ class VehicleMotion:
 
 
 def vehicle_motion(messages: Mapping[int, TickedValues], interval_ns: int) -> VehicleMotion:
-    """Return what the vehicle node told; without its frames everything is unknown."""
+    """Return place and speed of a vehicle; without frames of its vehicle node everything is unknown.
+
+    Parameters
+    ----------
+    messages
+        Its frames on its clock, by arbitration id.
+    interval_ns
+        Sampling interval, ns.
+    """
     motion = _track(messages, MOTION, ("speed", "odometer"))
     return VehicleMotion(
         interval_ns, motion, _track(messages, POSITION, ("track_section", "distance", "position_quality"))

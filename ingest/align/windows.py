@@ -26,7 +26,7 @@ MIN_PRESENCE = 0.2
 """Share of a window that frames of its node must be there for."""
 
 CLIPPING_GUARD_S = 0.04
-"""What lies this near to a clipped sample is left out with it: the sensor's filter has spread what was cut off."""
+"""Samples this near to a clipped one are left out with it: the sensor's filter has spread what was cut off."""
 
 MOVING_M_S = 0.5
 """A window in which the vehicle never ran faster is no running time."""

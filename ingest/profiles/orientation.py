@@ -4,7 +4,7 @@ What a file leaves open (SIMPACK leaves only the gauge side) is decided from the
 
 - z is turned over if the point that must lie inside the profile (the crown of a rail, the tip of a flange) comes out
   in the first or last tenth (rails) or twentieth (wheels) of the points.
-- A wheel's flange is brought to the side of negative y. If its tip then lies within 25 mm of zero, zero is the flange
+- A wheel's flange is brought to the side of negative y. If its tip is then within 25 mm of zero, zero is the flange
   back and y is moved to the tread datum. Zero of z is the tread at the datum.
 - A rail whose positive side alone reaches 14 mm below the crown is mirrored, because the gauge is measured there.
   Zero of z is the crown; y stays, because a rail is placed in the track by its gauge.

@@ -1,6 +1,6 @@
 """Curves of a simulated track: curvature and cant along it, and what they do to a wheelset that follows them.
 
-Motion is told relative to the path: y from the designed centre line, yaw from its tangent. With curvature kappa
+Motion is relative to the path: y from the designed centre line, yaw from its tangent. With curvature kappa
 (positive to the left), cant angle theta (right rail above the left one, over the distance of the contact points) and
 a = V^2 kappa - g theta, the uncompensated lateral acceleration, Eq. 1-3 gain
 
@@ -9,7 +9,7 @@ a = V^2 kappa - g theta, the uncompensated lateral acceleration, Eq. 1-3 gain
     ym''   - a
 
 because creep goes by the absolute yaw rate psi' + V kappa; the middle term is the path difference, which a difference
-of rolling radii rL - rR = -2 l r0 kappa would balance. Sensors on the axlebox feel y'' + a, psi'' + (V kappa)',
+of rolling radii rL - rR = -2 l r0 kappa would balance. Sensors on the axlebox measure y'' + a, psi'' + (V kappa)',
 phi'' + theta'' and ym'' + a.
 """
 
@@ -61,7 +61,7 @@ class PathMotion:
     """What the path does to a wheelset that follows it."""
 
     forced: FloatArray  # (n, 3) added to y'', psi'', ym''
-    felt: FloatArray  # (4, n) what sensors feel beside the motion, in the order of ACCELERATIONS
+    accelerations: FloatArray  # (4, n) what sensors measure beside the motion, in the order of ACCELERATIONS
 
 
 def laid_out(curves: Sequence[Curve], s: FloatArray) -> Curves:
@@ -92,5 +92,5 @@ def path_motion(
     yaw = -turning - (creep * curvature + gyroscopic) / p.yaw_inertia
     return PathMotion(
         forced=np.ascontiguousarray(np.column_stack([-uncompensated - spin, yaw, -uncompensated])),
-        felt=np.stack([uncompensated, turning, np.gradient(tilt_rate, step), uncompensated]),
+        accelerations=np.stack([uncompensated, turning, np.gradient(tilt_rate, step), uncompensated]),
     )

@@ -16,10 +16,10 @@ from ingest.simulator.fleet import simulate_campaign
 from ingest.simulator.scenario import Scenario
 
 PAUSE_S = 5.0
-"""Silence between two campaigns: longer than a receiver carries the vehicle's clock over."""
+"""Pause between two campaigns: longer than a receiver extrapolates the vehicle's clock."""
 
 
-def speak(
+def transmit(
     scenario: Scenario,
     bus: can.BusABC,
     vehicle: str,
@@ -31,8 +31,8 @@ def speak(
     """Send every campaign of ``vehicle`` on ``bus``; return the frames sent.
 
     The kilometres between campaigns are not waited for: the vehicle's clock and odometer jump. With ``speed_up`` the
-    frames come faster than the vehicle's clock says, which a bus survives but a receiver refuses: its SYNC rate is
-    part of the signal catalogue.
+    frames come faster than by the vehicle's clock. A receiver refuses that, because its signal catalogue contains the
+    rate of SYNC.
 
     Parameters
     ----------
@@ -65,13 +65,13 @@ def speak(
         if progress is not None:
             progress(campaign + 1, sent)
         batch, _ = simulate_campaign(scenario, track, plan, campaign)
-        sent += send(bus, _hurried(batch, speed_up), stop=ended)
+        sent += send(bus, _scaled_time(batch, speed_up), stop=ended)
         if ended.is_set():
             break
     return sent
 
 
-def _hurried(batch: FrameBatch, speed_up: float) -> FrameBatch:
+def _scaled_time(batch: FrameBatch, speed_up: float) -> FrameBatch:
     if speed_up == 1.0 or len(batch) == 0:
         return batch
     first = batch.t_ns[0]

@@ -57,7 +57,7 @@ class WheelsetMotion:
     """The true motion of a wheelset and its suspended mass, every ``STEP`` s; all arrays (n,), SI.
 
     ``outside`` counts samples whose lateral displacement left the contact table: there the motion means nothing.
-    Displacements and yaw are relative to the path as built; ``felt_of_path`` is what sensors feel of its curves.
+    Displacements and yaw are relative to the path as built; ``path_accelerations`` is what sensors feel of its curves.
     """
 
     t: FloatArray  # s, from 0
@@ -82,15 +82,15 @@ class WheelsetMotion:
     contact_angle_left: FloatArray  # rad
     contact_angle_right: FloatArray  # rad
     outside: int
-    felt_of_path: FloatArray | None = None  # (4, n) in the order of ACCELERATIONS; None on straight track
+    path_accelerations: FloatArray | None = None  # (4, n) in the order of ACCELERATIONS; None on straight track
 
     def __post_init__(self) -> None:
         n = len(self.t)
         for name in ("t", "distance", "speed", "roll_acceleration", *OUTPUTS):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        if self.felt_of_path is not None:
-            felt = frozen_array(self.felt_of_path, (len(ACCELERATIONS), n), name="felt_of_path")
-            object.__setattr__(self, "felt_of_path", felt)
+        if self.path_accelerations is not None:
+            accelerations = frozen_array(self.path_accelerations, (len(ACCELERATIONS), n), name="path_accelerations")
+            object.__setattr__(self, "path_accelerations", accelerations)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -196,7 +196,7 @@ def simulate_wheelset(
         speed=speed,
         roll_acceleration=roll_acceleration,
         outside=int(outside),
-        felt_of_path=path.felt if path is not None else None,
+        path_accelerations=path.accelerations if path is not None else None,
         **named,
     )
 

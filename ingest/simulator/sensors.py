@@ -19,7 +19,7 @@ from ingest.simulator.motion import STEP, WheelsetMotion
 
 FULL_RATE_HZ = round(1.0 / STEP)
 _PASS = 0.36  # end of the flat band, as a share of the output rate
-_STOP = 0.64  # what lies above folds back onto the flat band's outside only
+_STOP = 0.64  # what is above folds back onto the flat band's outside only
 _RIPPLE_DB = 70.0
 
 
@@ -91,8 +91,8 @@ def measure(motion: WheelsetMotion, node: SensorNode, rng: np.random.Generator, 
     taps = _low_pass(stride) if node.anti_alias and stride > 1 else None
     for place, (name, channel) in enumerate(zip(ACCELERATIONS, node.channels, strict=True)):
         true = np.asarray(getattr(motion, name))
-        if motion.felt_of_path is not None:
-            true = true + motion.felt_of_path[place]
+        if motion.path_accelerations is not None:
+            true = true + motion.path_accelerations[place]
         raw = _transduce(true, channel, float(offsets[place]), rng)
         if np.isfinite(channel.limit):
             over = np.abs(raw) > channel.limit

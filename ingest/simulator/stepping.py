@@ -75,7 +75,7 @@ class Grid(NamedTuple):
 
 @_compiled
 def look_up(table: FloatArray, grid: Grid, x: float, e: float, out: FloatArray) -> bool:
-    """Interpolate ``table`` (n, g, 7) at (x, e) into ``out`` (7,); return whether x lies inside the grid.
+    """Interpolate ``table`` (n, g, 7) at (x, e) into ``out`` (7,); return whether x is inside the grid.
 
     Outside, the edge cell is continued linearly in x; e is held at the edge.
     """
@@ -127,7 +127,7 @@ def derivatives(
 ) -> bool:
     """Write the time derivative of ``state`` (6,) into ``rates`` (6,); ``contact`` (8,) and ``track`` (4,) are filled.
 
-    ``forced`` (3,) is added to the accelerations; ``contact[7]`` is the roll rate. Return whether y - d lies inside
+    ``forced`` (3,) is added to the accelerations; ``contact[7]`` is the roll rate. Return whether y - d is inside
     the contact table.
     """
     track_at(coefficients, grid, s, track)

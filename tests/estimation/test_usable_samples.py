@@ -90,7 +90,7 @@ def test_a_simulated_curve_spoils_the_motion_unless_it_is_on_file() -> None:
     bent = make_track(TrackRecipe(length=2000.0, curves=(curve,)), np.random.SeedSequence(4))
     m = simulate_wheelset(VehicleParameters(), SmoothTable(), bent, np.full(60_000, 20.0), 300.0)
     window = mems_windows(m, seed=0, density=0.0)[0]
-    felt = m.felt_of_path
+    felt = m.path_accelerations
     assert felt is not None
     window = replace(
         window,

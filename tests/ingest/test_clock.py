@@ -118,7 +118,7 @@ def test_gaps_are_gaps() -> None:
     assert np.array_equal(result.messages[ACCELERATION_1].tick, np.delete(run.ticks, slice(300, 310)))
     found = node_samples(VEHICLE, 1, CATALOGUE, result.messages)
     assert found is not None
-    assert found[1].samples_lost == 10, "the node's sample counter tells"
+    assert found[1].samples_lost == 10, "the node's sample counter shows it"
 
 
 def test_two_lost_time_frames_are_bridged_and_many_are_not() -> None:

@@ -23,7 +23,7 @@ from ingest.frames import FrameBatch
 from ingest.logs import read_log
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_motion, wheelset_record
 from ingest.simulator.fleet import FleetReport, prepare, run_fleet, simulate_campaign
-from ingest.simulator.live import speak
+from ingest.simulator.live import transmit
 from ingest.simulator.scenario import PositionErrors, Scenario
 from ingest.simulator.scenario_file import read_scenario
 from ingest.simulator.sensors import Channel
@@ -197,7 +197,7 @@ def test_a_vehicle_speaks_its_frames_on_a_live_bus(scenario: Scenario) -> None:
     short = replace(scenario, sessions=replace(scenario.sessions, campaigns=1, duration=2.0))
     batch, _ = frames_of(short)
     with can.Bus("speak", interface="virtual") as bus, can.Bus("speak", interface="virtual") as listener:
-        sent = speak(short, bus, "V-1", speed_up=20.0)
+        sent = transmit(short, bus, "V-1", speed_up=20.0)
         heard = [listener.recv(0.5) for _ in range(sent)]
     assert sent == len(batch)
     for message, identifier, data, length in zip(heard, batch.arbitration_id, batch.data, batch.dlc, strict=True):
