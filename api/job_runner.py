@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from estimation.errors import ConflictError
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.values.runs import JobRun
+from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 from fleet_db.storage import SqlStorage
 
 
@@ -36,7 +36,7 @@ class JobRunner:
         with self._starting:
             self._refuse_second(job)
             begun: Future[JobRun] = Future()
-            self._running = self._executor.submit(run_job, job, self._context, "api", started=begun.set_result)
+            self._running = self._executor.submit(run_job, job, self._context, JobTrigger.API, started=begun.set_result)
             wait([begun, self._running], return_when=FIRST_COMPLETED)
             return begun.result() if begun.done() else self._running.result()
 
@@ -46,7 +46,7 @@ class JobRunner:
         with self._storage.read() as unit:
             latest = unit.jobs.page(job.name, None, 1)
         for run in latest:
-            if run.outcome == "running":
+            if run.outcome is JobOutcome.RUNNING:
                 raise ConflictError(
                     f"job {job.name} is running (run {run.run_id})", kind="job-run", key=str(run.run_id)
                 )

@@ -10,6 +10,8 @@ from pydantic.json_schema import models_json_schema
 
 from api.problems import Problem
 from api.schemas.common import Uncertain
+from estimation.values.alerts import CloseReason
+from estimation.values.reasons import ReasonCode
 
 DESCRIPTION = """
 Fleet health monitoring of wheel-rail wear: contact geometry, equivalent conicity, trends and alerts per wheelset.
@@ -37,6 +39,8 @@ def document(app: FastAPI) -> dict[str, Any]:
     schemas = found.setdefault("components", {}).setdefault("schemas", {})
     schemas.update(definitions["$defs"])
     schemas["Uncertain"]["examples"] = Uncertain.model_json_schema()["examples"]  # FastAPI drops the nulls in them
+    for name, codes in (("ReasonCode", ReasonCode), ("CloseReason", CloseReason)):
+        schemas[name]["description"] = _described(codes)
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
     found["components"]["schemas"] = dict(sorted(schemas.items()))
@@ -44,6 +48,13 @@ def document(app: FastAPI) -> dict[str, Any]:
         for operation in path.values():
             _describe_unchanged(operation)
     return found
+
+
+def _described(codes: type[ReasonCode | CloseReason]) -> str:
+    """Return what every code of an enumeration means, one line each."""
+    meant = (code.meaning if isinstance(code, ReasonCode) else code.sentence for code in codes)
+    lines = (f"- `{code.value}`: {meaning}" for code, meaning in zip(codes, meant, strict=True))
+    return "\n".join(("Stable codes; their sentences may be reworded.", "", *lines))
 
 
 def _describe_unchanged(operation: dict[str, Any]) -> None:

@@ -13,9 +13,10 @@ from bench.signal_cases import Wheelset, on_track, wheelsets
 from bench.signals import score
 from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.settings import EstimationSettings
-from estimation.motion.parameters import Refusal, SignalParameters
+from estimation.motion.parameters import SignalParameters
 from estimation.motion.track_relative import motion
 from estimation.tables import bin_table
+from estimation.values.reasons import Reason
 from ingest.simulator.curves import Curve
 
 RADII_KM = (np.inf, 20.0, 10.0, 5.0, 3.0)
@@ -50,7 +51,7 @@ def _one(task: tuple[int, float]) -> tuple[float, float, tuple[bool, ...]]:
     run = on_track(wheelset, "mixed", SEED, curves)
     settings = EstimationSettings(signals=replace(SignalParameters(), max_cant_deficiency_change=np.inf))
     moved = (motion(window, run.track, settings.signals) for window in run.windows)
-    tables = [bin_table.tabulate(item, settings.bins) for item in moved if not isinstance(item, Refusal)]
+    tables = [bin_table.tabulate(item, settings.bins) for item in moved if not isinstance(item, Reason)]
     found = estimate_geometry(bin_table.merge_all(tables, settings.bins), settings.bins, settings.geometry)
     error, _, covered = score(found, run.conicity)
     straight = 0.0 if np.isinf(radius_km) else -float(run.motion.relative_displacement.mean())

@@ -15,13 +15,14 @@ from api.factory import SystemClock, open_store, raw_store
 from api.settings import Settings
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.jobs.settings import EstimationSettings
-from estimation.motion.parameters import Refusal, SignalParameters
+from estimation.motion.parameters import SignalParameters
 from estimation.motion.track_relative import motion
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import COMBINATIONS, BinTable, WheelsetGeometry
 from estimation.values.motion import Motion
+from estimation.values.reasons import Reason
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
 from fleet_db.migrate import upgrade
@@ -90,7 +91,7 @@ def received(report: FleetReport, window_s: float, folder: Path) -> Iterator[Cas
 def moved(case: Case, signals: SignalParameters) -> list[Motion]:
     """Return the motion of every window that is not refused."""
     found = [motion(window, case.track, signals) for window in case.windows]
-    return [m for m in found if not isinstance(m, Refusal)]
+    return [m for m in found if not isinstance(m, Reason)]
 
 
 def merged(motions: Sequence[Motion], parameters: BinParameters) -> BinTable:

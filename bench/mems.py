@@ -15,6 +15,7 @@ from api.factory import SystemClock, job_context, open_store, raw_store
 from api.settings import Settings
 from estimation.jobs.catalogue import run_all
 from estimation.values.geometry import WheelsetGeometry
+from estimation.values.runs import JobTrigger
 from fleet_db.migrate import upgrade
 from ingest.catalogue import default_catalogue
 from ingest.receiver import Receiver
@@ -53,7 +54,7 @@ def _one(seed: int) -> list[ConicityError]:
             )
             for recording in report.recordings:
                 receiver.receive_file(recording.path, recording.vehicle)
-            run_all(job_context(settings, storage), "bench")
+            run_all(job_context(settings, storage), JobTrigger.CLI)
             truths = json.loads(report.truth.read_text(encoding="utf-8"))["wheelsets"]
             with storage.read() as unit:
                 found = [(truth, unit.geometries.current(truth["serial"])) for truth in truths]

@@ -29,7 +29,6 @@ from bench.section_alignment import AlignmentScore, alignment_score
 from estimation.estimators.tracks import TrackKnowledge, fleet_knowledge, section_passes
 from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.settings import EstimationSettings
-from estimation.motion.parameters import Refusal
 from estimation.tables import bin_table
 from estimation.tables.window import tabulate_window
 from estimation.track.settings import AlignmentSettings
@@ -37,6 +36,7 @@ from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.intervals import NORMAL_95
 from estimation.values.quantities import Estimate
+from estimation.values.reasons import Reason
 from ingest.simulator.section_run import SECTION, SectionRun, WheelsetTruth
 
 SEARCHED = 0.6e-3  # m
@@ -135,7 +135,7 @@ def _geometry(
         if correction is None:
             continue
         table = tabulate_window(window, knowledge.track, settings.windows, correction)
-        if not isinstance(table, Refusal):
+        if not isinstance(table, Reason):
             tables.append(table)
     assumed = settings.geometry.uncertainty
     assumed = assumed if run.scenario.errors_drawn else replace(assumed, ratio=0.0)

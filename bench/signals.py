@@ -17,13 +17,14 @@ from estimation.filters.wander_removal import remove_wander
 from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.integration import integrate
-from estimation.motion.parameters import Refusal, SignalParameters
+from estimation.motion.parameters import SignalParameters
 from estimation.motion.track_relative import motion
 from estimation.motion.usable_samples import usable_samples
 from estimation.tables import bin_table
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.motion import Motion
+from estimation.values.reasons import Reason
 from estimation.vehicle.regressors import regression
 
 SEEDS = (1, 2)
@@ -126,7 +127,7 @@ def _outcome(run: Run, course: str, design: str, parameters: SignalParameters) -
     tables, squares, used = [], [], 0
     for number in range(len(run.windows)):
         moved = motion(run.windows[number], run.track, parameters, run.layout)
-        if isinstance(moved, Refusal):
+        if isinstance(moved, Reason):
             continue
         tables.append(bin_table.tabulate(moved, settings.bins))
         squares.append(np.square(_measured(moved, settings) - _true(run, number, parameters))[:, moved.valid])

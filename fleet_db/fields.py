@@ -20,6 +20,8 @@ import numpy as np
 
 from estimation.errors import StorageError
 from estimation.values.json_value import JsonValue
+from estimation.values.reasons import Reason
+from fleet_db.former_reasons import former_reason
 from fleet_db.packing import Array
 
 V = TypeVar("V")
@@ -124,7 +126,9 @@ def from_json(stored: Any, hint: Any) -> Any:  # noqa: ANN401 - the type is what
         return _collection(stored, hint)
     if isinstance(hint, type) and issubclass(hint, Enum):
         return hint(stored)
-    if isinstance(hint, type) and is_dataclass(hint):
+    if hint is Reason and isinstance(stored, str):  # stored before reasons had codes
+        stored = former_reason(stored)
+    elif isinstance(hint, type) and is_dataclass(hint):
         return hint(*(from_json(one, of) for one, of in zip(stored, _hints(hint).values(), strict=False)))
     return stored
 

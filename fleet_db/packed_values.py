@@ -25,6 +25,11 @@ TREND, GEOMETRY, LAYOUT, BIN_TABLE = "wear_trend", "wheelset_geometry", "track_l
 WHEEL_PAIR, ALIGNMENT = "wheel_pair", "track_alignment"
 SURVEYED, ESTIMATED = 1, 2  # versions of a packed alignment: the first has no source, cut-off, scale and gauge
 SURVEY = (RECORDED, np.inf, 0, True)  # these four of a surveyed alignment
+FORMER_STATUSES = {  # of a bin, as they were stored before they were codes
+    "too few samples": "too_few_samples",
+    "a contact jump crosses the bin": "contact_jump",
+    "the data cannot say": "unobservable",
+}
 PROFILE_ARRAYS = ("y", "z", "slope")
 
 
@@ -73,7 +78,7 @@ def unpack_geometry(blob: bytes, *, where: str) -> WheelsetGeometry:
     packed = unpack(blob, GEOMETRY, where=where)
     statuses, arrays = packed.scalars["combinations"], packed.arrays
     combinations = {
-        name: BinValues(value, std, from_json(listed, tuple[BinStatus, ...]))
+        name: BinValues(value, std, from_json([FORMER_STATUSES.get(one, one) for one in listed], tuple[BinStatus, ...]))
         for (name, listed), value, std in zip(statuses.items(), arrays["values"], arrays["stds"], strict=True)
     }
     scalars = _renamed(packed.scalars, "headline_amplitude", "reported_amplitude")

@@ -4,6 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
+
+from estimation.values.reasons import Reason
+
+
+class ChunkState(StrEnum):
+    """Where a recording stands on its way to windows."""
+
+    STORED = "stored"  # its bytes are safe
+    DECODED = "decoded"
+    REJECTED = "rejected"
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,8 +25,8 @@ class ChunkRecord:
     vehicle: str
     suffix: str  # ".blf", ".asc", ".log", ".mf4"
     size_bytes: int
-    state: str  # "stored", "decoded", "rejected"
-    reason: str
+    state: ChunkState
+    reason: Reason | None
     first_ns: int | None  # vehicle clock, once decoded
     last_ns: int | None
     frames: int

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 from estimation.values.registry import VehicleRecord
-from fleet_db.receipts import ChunkRecord
+from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.clock import AlignedFrames, merge_aligned
 from ingest.align.windows import (
@@ -21,7 +21,6 @@ from ingest.align.windows import (
 )
 from ingest.catalogue import Catalogue
 from ingest.chunks import (
-    DECODED,
     RECORDER_FIRST,
     RECORDER_LAST,
     WAITING,
@@ -83,7 +82,7 @@ class Assembler:
         loaded = {source.digest: self.recordings.load_neighbour(source) for source in sources[1:]}
         loaded[record.digest] = recording
         aligned = stretches(loaded.values(), self.catalogue)
-        coming = [(source, loaded[source.digest]) for source in sources if source.state != DECODED]
+        coming = [(source, loaded[source.digest]) for source in sources if source.state is not ChunkState.DECODED]
         spans = [_span(each, aligned) for _, each in coming]
         receipts = [_receipt_after(*each, span) for each, span in zip(coming, spans, strict=True)]
         known = [span for span in spans if span is not None]
@@ -139,7 +138,7 @@ def _receipt_after(record: ChunkRecord, recording: Recording, span: Span | None)
     if span is None and len(recording.batch):
         return replace(record, reason=WAITING)
     first_ns, last_ns = span or (None, None)
-    return replace(record, state=DECODED, reason="", first_ns=first_ns, last_ns=last_ns)
+    return replace(record, state=ChunkState.DECODED, reason=None, first_ns=first_ns, last_ns=last_ns)
 
 
 def _with_counts(record: ChunkRecord, more: Mapping[str, int]) -> ChunkRecord:

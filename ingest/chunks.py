@@ -10,17 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from estimation.errors import LogFileError, StorageError
+from estimation.values.reasons import Reason, ReasonCode, code_of
 from fleet_db.raw import RawStore
-from fleet_db.receipts import ChunkRecord
+from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.clock import CONTEXT_NS, TIME_REACH_NS, AlignedFrames, align_to_clock, check_sync_rate
 from ingest.catalogue import Catalogue
 from ingest.frames import FrameBatch, between, merge
 from ingest.logs import read_log
 
-STORED, DECODED, REJECTED = "stored", "decoded", "rejected"
-
-WAITING = "no TIME frame in it or beside it: waits for the recording next to it"
+WAITING = Reason(ReasonCode.WAITS_FOR_TIME, "no TIME frame in it or beside it: it waits for the recording next to it")
 
 RECORDER_FIRST, RECORDER_LAST = "recorder_first_ns", "recorder_last_ns"
 """Keys among the counts of a receipt: the recorder's own stamps, by which neighbours of a recording are found."""
@@ -110,8 +109,12 @@ class Recordings:
 
 def waiting_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> Sequence[ChunkRecord]:
     """Return the receipts of a vehicle's recordings without TIME whose recorder stamps touch this recording."""
-    stored = unit.chunks.with_state(STORED, limit=10_000)
-    return [r for r in stored if r.vehicle == vehicle and r.reason == WAITING and _beside(r, recording)]
+    stored = unit.chunks.with_state(ChunkState.STORED, limit=10_000)
+    return [
+        r
+        for r in stored
+        if r.vehicle == vehicle and code_of(r.reason) is ReasonCode.WAITS_FOR_TIME and _beside(r, recording)
+    ]
 
 
 def decoded_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> Sequence[ChunkRecord]:

@@ -14,12 +14,13 @@ from pathlib import Path
 
 from estimation.errors import ConflictError, LogFileError, NotFoundError, StorageError, TreadwatchError
 from estimation.storage import Clock
+from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.raw import RawStore
-from fleet_db.receipts import ChunkRecord
+from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import Assembler, Assembly
 from ingest.catalogue import Catalogue
-from ingest.chunks import DECODED, REJECTED, STORED, Recording, Recordings
+from ingest.chunks import Recording, Recordings
 from ingest.logs.formats import format_of
 
 SECOND_NS = 1_000_000_000
@@ -109,9 +110,9 @@ class Receiver:
     def accept(self, arrival: Arrival) -> ChunkReceipt:
         """Commit the receipt of a file that has arrived, then decode it; raises as :meth:`receive_file`."""
         record, known = self._receipt(arrival)
-        if record.state == REJECTED:
-            raise LogFileError(record.reason, file=arrival.path)
-        if record.state == DECODED:
+        if record.state is ChunkState.REJECTED:
+            raise LogFileError(str(record.reason), file=arrival.path)
+        if record.state is ChunkState.DECODED:
             return ChunkReceipt(record, known=True, windows_changed=0)
         if isinstance(arrival.recording, LogFileError):
             self._reject(record, arrival.recording)
@@ -126,7 +127,7 @@ class Receiver:
         Yields the new receipt of each, or why it still cannot be decoded.
         """
         with self._storage.read() as unit:
-            stored = unit.chunks.with_state(STORED, limit=1_000_000)
+            stored = unit.chunks.with_state(ChunkState.STORED, limit=1_000_000)
         for record in stored:
             try:
                 decoded, changed = self._decode(record)
@@ -154,8 +155,8 @@ class Receiver:
             vehicle=arrival.vehicle,
             suffix=suffix,
             size_bytes=self._raw.path(arrival.digest, suffix).stat().st_size,
-            state=STORED,
-            reason="",
+            state=ChunkState.STORED,
+            reason=None,
             first_ns=None,
             last_ns=None,
             frames=0,
@@ -177,9 +178,9 @@ class Receiver:
         return found, True
 
     def _reject(self, record: ChunkRecord, error: LogFileError) -> None:
-        reason = error.reason if error.line is None else f"line {error.line}: {error.reason}"
+        text = error.reason if error.line is None else f"line {error.line}: {error.reason}"
         with self._storage.write() as unit:
-            unit.chunks.update(replace(record, state=REJECTED, reason=reason))
+            unit.chunks.update(replace(record, state=ChunkState.REJECTED, reason=Reason(ReasonCode.LOG_DAMAGED, text)))
 
     def _decode(self, record: ChunkRecord) -> tuple[ChunkRecord, int]:
         """Assemble the windows that a stored recording touches; return its new receipt and how many changed."""
@@ -190,7 +191,7 @@ class Receiver:
                     assembly = self._assembler.assemble(unit, record, recording)
             except NotFoundError as error:
                 with self._storage.write() as unit:
-                    unit.chunks.update(replace(record, reason=str(error)))
+                    unit.chunks.update(replace(record, reason=Reason(ReasonCode.VEHICLE_UNKNOWN, str(error))))
                 raise
             with self._storage.write() as unit:
                 again = self._assembler.sources(unit, record, recording)

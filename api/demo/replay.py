@@ -21,6 +21,7 @@ from api.factory import job_context, open_store, raw_store, scheduled_jobs
 from api.settings import Settings
 from estimation.errors import StorageError
 from estimation.jobs.job import Job, JobContext, run_job
+from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
 from ingest.receiver import Receiver
@@ -110,8 +111,8 @@ class _Tally:
 
     def run(self, job: Job, context: JobContext) -> None:
         began = time.monotonic()
-        run = run_job(job, context, "schedule")
-        if run.outcome != "succeeded":
+        run = run_job(job, context, JobTrigger.SCHEDULE)
+        if run.outcome is not JobOutcome.SUCCEEDED:
             raise StorageError(f"job {job.name} {run.outcome}: {run.error}")
         self.add(job.name, {"runs": 1, **run.counts}, time.monotonic() - began)
 

@@ -12,7 +12,7 @@ from api.schemas.registry import segment
 from api.times import Moment, Timestamp, to_rfc3339
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.values.alerts import Alert as AlertValue
-from estimation.values.alerts import AlertEvent, AlertEventKind, AlertScope, Condition, Severity
+from estimation.values.alerts import AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
 
 _WORDS = r"^[^\x00]*$"
 LIMIT_UNITS = {rule.kind: rule.limit_unit for rule in ALERT_RULES}
@@ -58,6 +58,7 @@ class Alert(Representation):
     cleared_at: Timestamp | None
     closed_at: Timestamp | None
     close_reason: str | None
+    close_reason_code: CloseReason | None
     occurrence_count: int
     probability_1: float | None
     raise_limit: float | None = Field(description="As it was when the alert fired, in the unit of `limit_unit`.")
@@ -167,7 +168,8 @@ def alert(record: AlertValue, now_ns: int) -> Alert:
         last_seen_at=to_rfc3339(record.last_seen_ns),
         cleared_at=_time(record.cleared_ns),
         closed_at=_time(record.closed_ns),
-        close_reason=record.close_reason,
+        close_reason=None if record.close_reason is None else record.close_reason.sentence,
+        close_reason_code=record.close_reason,
         occurrence_count=record.occurrence_count,
         probability_1=finite(record.probability),
         raise_limit=finite(record.raise_limit),

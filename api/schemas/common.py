@@ -9,7 +9,9 @@ from typing import Annotated, Generic, TypeVar
 from pydantic import BaseModel, ConfigDict, Field
 
 from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 
+NOT_FINITE = Reason(ReasonCode.NOT_FINITE, "the calculation gave no finite number")
 ItemT = TypeVar("ItemT")
 Href = Annotated[str, Field(examples=["/v1/wheelsets/WS-0001"])]
 Links = Annotated[dict[str, Href], Field(description="Paths of related resources, by relation.")]
@@ -36,7 +38,7 @@ class Page(Representation, Generic[ItemT]):
 
 
 class Uncertain(Representation):
-    """A number with its uncertainty; null means unknown, and `reason` explains why."""
+    """A number with its uncertainty; null means unknown, and `reason` and `reason_code` explain why."""
 
     value: float | None
     std: float | None
@@ -44,6 +46,7 @@ class Uncertain(Representation):
     n_windows: float = Field(description="Effective number of windows behind the value.")
     status: Status
     reason: str | None
+    reason_code: ReasonCode | None
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -55,6 +58,7 @@ class Uncertain(Representation):
                     "n_windows": 12.0,
                     "status": "estimated",
                     "reason": None,
+                    "reason_code": None,
                 }
             ]
         }
@@ -81,8 +85,16 @@ def uncertain(estimate: Estimate, scale: float = 1.0) -> Uncertain:
     count = finite(estimate.count) or 0.0
     if value is None or std is None or low is None or high is None:
         status = Status.INVALID if estimate.status is Status.ESTIMATED else estimate.status
-        reason = estimate.reason or "no finite number"
-        return Uncertain(value=None, std=None, interval_95=None, n_windows=count, status=status, reason=reason)
+        reason = estimate.reason or NOT_FINITE
+        return Uncertain(
+            value=None,
+            std=None,
+            interval_95=None,
+            n_windows=count,
+            status=status,
+            reason=reason.text,
+            reason_code=reason.code,
+        )
     interval = (min(low, high), max(low, high))
     return Uncertain(
         value=value,
@@ -90,5 +102,6 @@ def uncertain(estimate: Estimate, scale: float = 1.0) -> Uncertain:
         interval_95=interval,
         n_windows=count,
         status=estimate.status,
-        reason=estimate.reason or None,
+        reason=text_of(estimate.reason),
+        reason_code=code_of(estimate.reason),
     )

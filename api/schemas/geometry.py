@@ -11,6 +11,7 @@ from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinValues, GeometryRecord
 from estimation.values.quantities import Status
+from estimation.values.reasons import ReasonCode, code_of, text_of
 
 MM = 1000.0
 
@@ -60,6 +61,7 @@ class Geometry(Representation):
     wheelset: str = Field(examples=["WS-0001"])
     status: Status
     reason: str | None
+    reason_code: ReasonCode | None
     estimator: str = Field(description="Name of the estimator that found it.", examples=["bins"])
     baseline: int = Field(description="Number of reprofilings before it.")
     mileage_km: float | None = Field(description="Weighted mean mileage of its windows since the wheelset was new.")
@@ -93,7 +95,8 @@ def geometry(record: GeometryRecord) -> Geometry:
     return Geometry(
         wheelset=record.wheelset,
         status=found.status,
-        reason=found.reason or None,
+        reason=text_of(found.reason),
+        reason_code=code_of(found.reason),
         estimator=record.estimator,
         baseline=record.baseline,
         mileage_km=finite(record.mileage_km),

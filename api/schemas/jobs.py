@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from pydantic import Field
 
 from api.schemas.common import Links, Representation
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
+from estimation.values.runs import JobOutcome, JobTrigger
 from estimation.values.runs import JobRun as JobRunValue
 
 
@@ -17,11 +16,11 @@ class JobRun(Representation):
 
     id: int = Field(examples=[42])
     job: str = Field(examples=["estimate_windows"])
-    trigger: Literal["schedule", "api", "cli"]
+    trigger: JobTrigger
     started_at: Timestamp
     finished_at: Timestamp | None
     duration_s: float | None
-    outcome: Literal["running", "succeeded", "failed", "abandoned"]
+    outcome: JobOutcome
     counts: dict[str, int]
     error: str | None
     links: Links
@@ -44,11 +43,11 @@ def run(record: JobRunValue) -> JobRun:
     return JobRun(
         id=record.run_id,
         job=record.job,
-        trigger=record.trigger,  # type: ignore[arg-type]  # pydantic checks the word
+        trigger=record.trigger,
         started_at=to_rfc3339(record.started_ns),
         finished_at=None if finished is None else to_rfc3339(finished),
         duration_s=None if finished is None else max(0, finished - record.started_ns) / 1e9,
-        outcome=record.outcome,  # type: ignore[arg-type]  # pydantic checks the word
+        outcome=record.outcome,
         counts=dict(record.counts),
         error=record.error,
         links={"self": f"/v1/job-runs/{record.run_id}", "job_runs": f"/v1/jobs/{segment(record.job)}/runs"},

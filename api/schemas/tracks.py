@@ -11,6 +11,7 @@ from api.schemas.common import Links, Representation, finite, finite_list
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
 from estimation.values.quantities import Status
+from estimation.values.reasons import ReasonCode, code_of, text_of
 from estimation.values.track import AlignmentRecord, TrackAlignment, TrackReport, TrackSectionRecord
 
 MM = 1000.0
@@ -44,6 +45,7 @@ class Journey(Representation):
     residual_rms_mm: float | None
     used: bool
     reason: str | None
+    reason_code: ReasonCode | None
 
 
 class AlignmentReport(Representation):
@@ -54,6 +56,7 @@ class AlignmentReport(Representation):
     made_version: bool = Field(description="Whether that run made the version.")
     status: Status
     reason: str | None = Field(description="Why nothing is estimated, or why an estimate has not converged.")
+    reason_code: ReasonCode | None
     recorded_at: Timestamp
     n_windows: int
     passes: int
@@ -68,7 +71,8 @@ class AlignmentReport(Representation):
     alignment_std_mm: float | None = Field(description="Median along the section.")
     evidence: list[str] = Field(description="What was known besides the passes.")
     recording: str | None = Field(description="Check of the surveyed alignment against the fleet.")
-    refused_windows: dict[str, int] = Field(description="Windows without a pass, by reason.")
+    refused_windows: dict[str, int] = Field(description="Windows without a pass, by the sentence of the reason.")
+    refused_windows_by_code: dict[ReasonCode, int] = Field(description="Windows without a pass, by reason.")
     parameters: dict[str, JsonValue] = Field(description="Settings that shaped it; empty where none were kept.")
     journeys: list[Journey]
     code_version: str
@@ -160,7 +164,8 @@ def report(record: TrackReport) -> AlignmentReport:
         version=record.version,
         made_version=record.made,
         status=record.status,
-        reason=record.reason or None,
+        reason=text_of(record.reason),
+        reason_code=code_of(record.reason),
         recorded_at=to_rfc3339(record.recorded_ns),
         n_windows=record.windows,
         residual_rms_mm=_scaled(report.get("residual_rms_m"), MM),
@@ -185,6 +190,7 @@ _AS_STORED: dict[str, Any] = {
     "recording": None,
     "refused_windows": {},
     "parameters": {},
+    "refused_windows_by_code": {},
 }
 
 
@@ -203,6 +209,7 @@ def _journey(report: dict[str, Any]) -> Journey:
         residual_rms_mm=_scaled(report["residual_rms_m"], MM),
         used=report["used"],
         reason=report["reason"] or None,
+        reason_code=report.get("reason_code"),
     )
 
 

@@ -10,9 +10,11 @@ from api.schemas.common import Links, Representation, Uncertain, finite, finite_
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
 from estimation.values.quantities import Forecast, Status
+from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.trend import TrendRecord
 
-_BEYOND = "not reached within the forecast horizon"
+_BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
+_NO_TREND = Reason(ReasonCode.TOO_FEW_POINTS, "the trend is not estimated")
 
 
 class TrendPoints(Representation):
@@ -31,6 +33,7 @@ class DistanceForecast(Representation):
     p50: float | None
     p90: float | None
     reason: str | None
+    reason_code: ReasonCode | None
 
 
 class DateForecast(Representation):
@@ -40,6 +43,7 @@ class DateForecast(Representation):
     p50: Timestamp | None
     p90: Timestamp | None
     reason: str | None
+    reason_code: ReasonCode | None
 
 
 class TrendProvenance(Representation):
@@ -57,6 +61,7 @@ class Trend(Representation):
     quantity: str = Field(examples=["equivalent_conicity"])
     status: Status
     reason: str | None
+    reason_code: ReasonCode | None
     baseline: int
     recorded_at: Timestamp
     points: TrendPoints
@@ -71,10 +76,10 @@ class Trend(Representation):
     links: Links
 
 
-def _distance(forecast: Forecast, unknown: str | None) -> DistanceForecast:
+def _distance(forecast: Forecast, unknown: Reason | None) -> DistanceForecast:
     p10, p50, p90 = finite(forecast.p10), finite(forecast.p50), finite(forecast.p90)
     reason = (unknown or _BEYOND) if None in (p10, p50, p90) else None
-    return DistanceForecast(p10=p10, p50=p50, p90=p90, reason=reason)
+    return DistanceForecast(p10=p10, p50=p50, p90=p90, reason=text_of(reason), reason_code=code_of(reason))
 
 
 def _moment(t_ns: float | None) -> str | None:
@@ -82,22 +87,23 @@ def _moment(t_ns: float | None) -> str | None:
     return None if value is None or abs(value) >= 2.0**63 else to_rfc3339(int(value))
 
 
-def _date(forecast: Forecast, unknown: str | None) -> DateForecast:
+def _date(forecast: Forecast, unknown: Reason | None) -> DateForecast:
     p10, p50, p90 = _moment(forecast.p10), _moment(forecast.p50), _moment(forecast.p90)
     reason = (unknown or _BEYOND) if None in (p10, p50, p90) else None
-    return DateForecast(p10=p10, p50=p50, p90=p90, reason=reason)
+    return DateForecast(p10=p10, p50=p50, p90=p90, reason=text_of(reason), reason_code=code_of(reason))
 
 
 def trend(record: TrendRecord) -> Trend:
     """Return the representation of a trend."""
     found = record.trend
     own = f"/v1/wheelsets/{segment(record.wheelset)}"
-    unknown = None if found.status is Status.ESTIMATED else found.reason or "the trend is not estimated"
+    unknown = None if found.status is Status.ESTIMATED else found.reason or _NO_TREND
     return Trend(
         wheelset=record.wheelset,
         quantity=found.quantity,
         status=found.status,
-        reason=found.reason or None,
+        reason=text_of(found.reason),
+        reason_code=code_of(found.reason),
         baseline=record.baseline,
         recorded_at=to_rfc3339(record.recorded_ns),
         points=TrendPoints(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from api.schemas.common import Representation, finite
 from api.times import Timestamp, to_rfc3339
+from estimation.values.reasons import ReasonCode, code_of, text_of
 from estimation.values.windows import WindowRecord, WindowState
 
 
@@ -33,6 +34,7 @@ class Window(Representation):
     mileage_km: float | None
     state: WindowState
     reason: str | None
+    reason_code: ReasonCode | None
     quality: WindowQuality
     content_digest: str
     recorded_at: Timestamp
@@ -50,7 +52,8 @@ def window(record: WindowRecord) -> Window:
         track_section=record.track_section,
         mileage_km=finite(record.mileage_km),
         state=record.state,
-        reason=record.reason or None,
+        reason=text_of(record.reason),
+        reason_code=code_of(record.reason),
         quality=WindowQuality(
             coverage_1=finite(quality.coverage),
             longest_gap_s=finite(quality.longest_gap_s),

@@ -16,7 +16,7 @@ from api.settings import Settings, load_settings
 from estimation.errors import ParameterError
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.jobs.scheduler import stop_on_signals
-from estimation.values.runs import JobRun
+from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 
 
 def run_jobs_once(name: str | None) -> bool:
@@ -38,7 +38,7 @@ def run_jobs_once(name: str | None) -> bool:
         context = replace(job_context(settings, storage), stopping=stopping.is_set)
         runs = run_in_order(jobs, context, console)
     Console().print(summary(runs))
-    return all(run.outcome == "succeeded" for run in runs)
+    return all(run.outcome is JobOutcome.SUCCEEDED for run in runs)
 
 
 def _chosen(settings: Settings, name: str | None) -> Sequence[Job]:
@@ -50,7 +50,9 @@ def _chosen(settings: Settings, name: str | None) -> Sequence[Job]:
     return chosen
 
 
-def run_in_order(jobs: Sequence[Job], context: JobContext, console: Console, trigger: str = "cli") -> list[JobRun]:
+def run_in_order(
+    jobs: Sequence[Job], context: JobContext, console: Console, trigger: JobTrigger = JobTrigger.CLI
+) -> list[JobRun]:
     """Run the jobs one after the other, with a line of progress each; return their records."""
     runs = []
     columns = (
@@ -70,7 +72,7 @@ def run_in_order(jobs: Sequence[Job], context: JobContext, console: Console, tri
             run = run_job(job, replace(context, progress=show), trigger)
             runs.append(run)
             progress.update(task, total=1, completed=1)
-            if run.outcome == "abandoned":
+            if run.outcome is JobOutcome.ABANDONED:
                 break
     return runs
 

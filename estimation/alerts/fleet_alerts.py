@@ -13,7 +13,7 @@ from dataclasses import replace
 from estimation.alerts.life_cycle import DELAYS, SEVERITY_RANK, updated, without_stale_acknowledgement
 from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
 from estimation.errors import InputError
-from estimation.values.alerts import Alert, AlertEventKind, Condition, Transition
+from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Transition
 from estimation.values.json_value import JsonValue
 
 HOUR_NS = 3_600_000_000_000
@@ -114,7 +114,7 @@ def refreshed(alert: Alert, members: Sequence[Alert], now_ns: int) -> Transition
 
 def _closed(alert: Alert, members: Sequence[Alert]) -> Transition:
     closed_ns = max(member.closed_ns or member.last_seen_ns for member in members)
-    after = replace(alert, closed_ns=closed_ns, close_reason="all members closed")
+    after = replace(alert, closed_ns=closed_ns, close_reason=CloseReason.MEMBERS_CLOSED)
     if any(member.condition is not Condition.CLEARED for member in members):
         return Transition(after, (AlertEventKind.CLOSED,))
     after = replace(

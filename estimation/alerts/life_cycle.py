@@ -18,7 +18,7 @@ from dataclasses import replace
 
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
-from estimation.values.alerts import Alert, AlertEventKind, Condition, Finding, Severity, Transition
+from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
 from estimation.values.json_value import JsonValue
 
 DELAYS = "delays"
@@ -111,7 +111,7 @@ def _pending(alert: Alert, finding: Finding) -> Transition | None:
             condition=Condition.CLEARED,
             cleared_ns=finding.measured_ns,
             closed_ns=finding.measured_ns,
-            close_reason="not confirmed within the on-delay",
+            close_reason=CloseReason.NOT_CONFIRMED,
         )
         return _changed(alert, gone, ())
     seen = _seen_again(alert, finding)
@@ -135,7 +135,8 @@ def _raised(alert: Alert, stored: Alert, finding: Finding) -> Transition | None:
 
 def _unknown(alert: Alert, finding: Finding) -> Alert:
     """Keep the numbers that raised it, and say why they are no longer known."""
-    evidence = {**alert.evidence, "unknown_because": finding.evidence.get("unknown_because")}
+    why = {name: finding.evidence.get(name) for name in ("unknown_because", "unknown_because_code")}
+    evidence = {**alert.evidence, **why}
     return replace(alert, condition=Condition.UNKNOWN, evidence=evidence)
 
 
@@ -150,7 +151,7 @@ def _clearing(alert: Alert, stored: Alert, finding: Finding) -> Transition | Non
         condition=Condition.CLEARED,
         cleared_ns=finding.measured_ns,
         closed_ns=finding.measured_ns,
-        close_reason="cleared",
+        close_reason=CloseReason.CLEARED,
         acknowledged_by=None,
         acknowledged_ns=None,
     )
@@ -232,8 +233,8 @@ def _number(value: JsonValue, default: float) -> float:
     return float(value) if isinstance(value, (int, float)) else default
 
 
-def close(alert: Alert, reason: str, at_ns: int) -> Transition:
-    """Close an alert for a reason outside the data: reprofiled, exchanged, closed by somebody.
+def close(alert: Alert, reason: CloseReason, at_ns: int) -> Transition:
+    """Close an alert for a reason outside the data, such as a reprofiling or an exchange.
 
     The condition stays as it was: what was true then is on record. A pending alert goes without an event.
 
@@ -243,9 +244,7 @@ def close(alert: Alert, reason: str, at_ns: int) -> Transition:
         It is closed already.
     """
     _must_be_open(alert)
-    if not reason.strip():
-        raise InputError("closing an alert needs a reason", field="reason")
-    after = replace(alert, closed_ns=at_ns, close_reason=reason.strip())
+    after = replace(alert, closed_ns=at_ns, close_reason=reason)
     return Transition(after, () if alert.condition is Condition.PENDING else (AlertEventKind.CLOSED,))
 
 
@@ -312,7 +311,9 @@ def link(alert: Alert, ref: str) -> Transition | None:
 
 def _must_be_open(alert: Alert) -> None:
     if alert.closed_ns is not None:
-        raise _conflict(alert, f"the alert is closed ({alert.close_reason or 'no reason given'})")
+        raise _conflict(
+            alert, f"the alert is closed ({alert.close_reason.sentence if alert.close_reason else 'no reason given'})"
+        )
 
 
 def _must_be_raised(alert: Alert) -> None:

@@ -15,6 +15,7 @@ from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.motion import Motion
 from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 
@@ -43,7 +44,7 @@ class CurveEstimate:
     samples: int
     stretches: int  # of motion seen
     status: Status
-    reason: str = ""
+    reason: Reason | None = None
 
     def __post_init__(self) -> None:
         n, k = len(self.displacement), len(self.conicity)

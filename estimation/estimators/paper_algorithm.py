@@ -20,6 +20,7 @@ from estimation.estimators.paper_equations import REGRESSORS, yaw_output
 from estimation.estimators.replicates import Replicates, curve_estimate, nothing
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.motion import Motion
+from estimation.values.reasons import Reason, ReasonCode
 
 SCALE = (1e-3, 1e-3, 1.0)  # usual size of psi, phi' and the constant
 FEWEST_BINS = 5
@@ -120,8 +121,8 @@ class PaperAlgorithm:
         run = self._run(np.isfinite(state.theta[:, 2]) & (state.count > self.threshold + REGRESSORS))
         samples = int(state.count.sum())
         if run.stop - run.start < FEWEST_BINS:
-            reason = f"fewer than {FEWEST_BINS} bins around the centre have reached the threshold"
-            return nothing(reason, state.parameters, samples, state.stretches)
+            text = f"fewer than {FEWEST_BINS} bins around the centre have reached the threshold"
+            return nothing(Reason(ReasonCode.TOO_FEW_BINS, text), state.parameters, samples, state.stretches)
         R = per_unit * state.theta[run, 2] / SCALE[2]
         variance = state.squares[run] / (state.count[run] - REGRESSORS)
         std = abs(per_unit) * np.sqrt(variance * state.covariance[run, 2, 2]) / SCALE[2]

@@ -8,9 +8,11 @@ import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.geometry.conicity import NO_AMPLITUDE, NO_OFFSET, NO_ZERO, not_covered, too_few_blocks
 from estimation.values.arrays import FloatArray
 from estimation.values.intervals import jackknife_std, with_interval
 from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason
 
 FEWEST_GROUPS = 4
 
@@ -30,7 +32,7 @@ class Replicates:
     stretches: int
 
 
-def nothing(reason: str, parameters: EstimatorParameters, samples: int, stretches: int) -> CurveEstimate:
+def nothing(reason: Reason, parameters: EstimatorParameters, samples: int, stretches: int) -> CurveEstimate:
     """Return the estimate that says: nothing, for this reason."""
     amplitude = np.array(parameters.curve.amplitudes)
     unknown = Estimate.unknown(reason, float(stretches))
@@ -54,25 +56,21 @@ def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveE
     """Return curve, conicity, NP and zero crossing, intervals from the spread of the replicates."""
     g = len(curve.left_out)
     if 0 < g < FEWEST_GROUPS:
-        return nothing(f"{g} blocks of data", parameters, curve.samples, curve.stretches)
+        return nothing(too_few_blocks(g), parameters, curve.samples, curve.stretches)
     x = curve.displacement
     rows = np.concatenate([curve.all_data[None], curve.left_out, curve.shifted])
     amplitude = np.array(parameters.curve.amplitudes)
     values = np.stack([equivalent_conicity(x, row, amplitude) for row in rows])
     count = float(curve.stretches)
-    conicity = tuple(
-        estimate_of(values[:, k], g, count, f"amplitude {1e3 * a:g} mm is not covered") for k, a in enumerate(amplitude)
-    )
+    conicity = tuple(estimate_of(values[:, k], g, count, not_covered(a)) for k, a in enumerate(amplitude))
     ends = (parameters.curve.nonlinearity_low, parameters.curve.nonlinearity_high)
     low, high = (values[:, int(np.argmin(np.abs(amplitude - end)))] for end in ends)
-    nonlinearity = estimate_of(
-        (high - low) / (1e3 * (ends[1] - ends[0])), g, count, f"amplitude {1e3 * ends[1]:g} mm is not covered"
-    )
+    nonlinearity = estimate_of((high - low) / (1e3 * (ends[1] - ends[0])), g, count, not_covered(ends[1]))
     if parameters.band_limited:
-        crossing = Estimate.unknown("band-limited signals carry no offset", count)
+        crossing = Estimate.unknown(NO_OFFSET, count)
     else:
         zeros = np.array([zero_crossing(x, row) for row in rows])
-        crossing = estimate_of(zeros, g, count, "rL - rR has no zero in the range covered")
+        crossing = estimate_of(zeros, g, count, NO_ZERO)
     known = any(item.value is not None for item in conicity)
     return CurveEstimate(
         displacement=x,
@@ -85,11 +83,11 @@ def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveE
         samples=curve.samples,
         stretches=curve.stretches,
         status=Status.ESTIMATED if known else Status.UNESTIMATED,
-        reason="" if known else "no amplitude is covered",
+        reason=None if known else NO_AMPLITUDE,
     )
 
 
-def estimate_of(values: FloatArray, groups: int, count: float, reason: str) -> Estimate:
+def estimate_of(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
     """Return one number from its rows: all data, each group left out, then one row an uncertain parameter."""
     if not np.isfinite(values).all():
         return Estimate.unknown(reason, count)

@@ -17,6 +17,7 @@ from estimation.estimators.replicates import Replicates, curve_estimate, nothing
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.motion import Motion
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 
 GROUPS = 16
@@ -93,7 +94,12 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
     """Return the curve of the series; ``ridge`` holds functions without data at zero, relative to the mean."""
     span = covered_range(state.counts)
     if span is None:
-        return nothing("too few samples around the centre", state.parameters, state.samples, state.stretches)
+        return nothing(
+            Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre"),
+            state.parameters,
+            state.samples,
+            state.stretches,
+        )
     low, high = span
     x = np.linspace(low, high, round((high - low) / SPACING) + 1)
     present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)

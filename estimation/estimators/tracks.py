@@ -13,7 +13,6 @@ import numpy as np
 from estimation.motion.gates import WindowParameters
 from estimation.motion.gauge_shift import gauge_shift
 from estimation.motion.joined_windows import whole_runs
-from estimation.motion.parameters import Refusal
 from estimation.motion.track_relative import motion
 from estimation.track.epochs import resampled
 from estimation.track.panel.measured_curves import MeasuredCurve
@@ -22,6 +21,7 @@ from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.settings import AlignmentSettings
 from estimation.values.motion import Motion
 from estimation.values.quantities import Status
+from estimation.values.reasons import Reason
 from estimation.values.track import Correction, TrackAlignment
 from estimation.values.windows import Window
 
@@ -100,7 +100,7 @@ def fleet_knowledge(
     parameters = replace(settings.section, panel=panel)
     estimate = estimate_section(section, found, evidence, parameters, measured)
     if estimate.alignment is None:
-        return estimate.report.reason
+        return str(estimate.report.reason)
     return TrackKnowledge(estimate.alignment, estimate)
 
 
@@ -112,5 +112,5 @@ def motions(windows: Iterable[Window], knowledge: TrackKnowledge, parameters: Wi
             continue
         shift = gauge_shift(placed, knowledge.track, parameters.vehicle, parameters.signals)
         moved = motion(placed, knowledge.track, parameters.signals, gauge_shift=shift)
-        if not isinstance(moved, Refusal):
+        if not isinstance(moved, Reason):
             yield moved

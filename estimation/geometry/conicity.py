@@ -11,10 +11,14 @@ from estimation.geometry.displacement_error import DisplacementError
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.intervals import jackknife_std, with_interval
 from estimation.values.quantities import Estimate
+from estimation.values.reasons import Reason, ReasonCode
 
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
 REACH = 0.25e-3  # m of amplitude
+NO_AMPLITUDE = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "no amplitude is covered")
+NO_OFFSET = Reason(ReasonCode.OFFSET_NOT_OBSERVABLE, "band-limited signals carry no offset")
+NO_ZERO = Reason(ReasonCode.NO_ZERO_CROSSING, "rL - rR has no zero in the range covered")
 INDEPENDENT = 0.8  # share of what is systematic at one end of NP that is not at the other
 
 
@@ -70,8 +74,7 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     run = _run_around_zero(curve)
     groups = len(curve.difference) - 1
     if run is None or groups < FEWEST_GROUPS:
-        reason = f"{groups} blocks of data" if groups < FEWEST_GROUPS else "too few bins around the centre"
-        unknown = Estimate.unknown(reason, curve.count)
+        unknown = Estimate.unknown(_too_little(groups), curve.count)
         return CurveEstimates(
             amplitude, (unknown,) * len(amplitude), parameters.reference_amplitude, unknown, unknown, unknown
         )
@@ -79,14 +82,39 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     values = np.stack([equivalent_conicity(x, difference, amplitude) for x, difference in rows])
     rounded = values[:1] + _rounding(rows[0], amplitude, curve.error.resolution(float(np.diff(curve.edges[:2])[0])))
     values = np.concatenate([values, rounded])
-    conicity = tuple(
-        _estimate(values[:, k], groups, curve.count, f"amplitude {1e3 * a:g} mm is not covered")
-        for k, a in enumerate(amplitude)
-    )
+    conicity = tuple(_estimate(values[:, k], groups, curve.count, not_covered(a)) for k, a in enumerate(amplitude))
     at_reference, reported_amplitude = at_reference_amplitude(amplitude, conicity, parameters)
     nonlinearity = _nonlinearity(amplitude, values, groups, curve.count, parameters)
     crossing = _zero_crossing(rows, curve, groups)
     return CurveEstimates(amplitude, conicity, reported_amplitude, at_reference, nonlinearity, crossing)
+
+
+def not_covered(amplitude: float) -> Reason:
+    """Return that the bins do not reach an amplitude.
+
+    Parameters
+    ----------
+    amplitude
+        In m.
+    """
+    return Reason(ReasonCode.AMPLITUDE_NOT_COVERED, f"amplitude {1e3 * amplitude:g} mm is not covered")
+
+
+def too_few_blocks(groups: int) -> Reason:
+    """Return that there are too few blocks of running time for an interval.
+
+    Parameters
+    ----------
+    groups
+        How many there are.
+    """
+    return Reason(ReasonCode.TOO_FEW_BLOCKS, f"{groups} blocks of data, {FEWEST_GROUPS} are needed")
+
+
+def _too_little(groups: int) -> Reason:
+    if groups < FEWEST_GROUPS:
+        return too_few_blocks(groups)
+    return Reason(ReasonCode.TOO_FEW_BINS, "too few bins around the centre have samples")
 
 
 def _nonlinearity(
@@ -102,7 +130,7 @@ def _nonlinearity(
     far = slice(groups + 1, None)
     systematic = INDEPENDENT * np.concatenate([high[far] - high[0], low[far] - low[0]])
     both = np.concatenate([(high - low)[: groups + 1], high[0] - low[0] + systematic])
-    return _estimate(per_mm * both, groups, count, f"amplitude {1e3 * ends[1]:g} mm is not covered")
+    return _estimate(per_mm * both, groups, count, not_covered(ends[1]))
 
 
 def _rounding(row: _Row, amplitude: FloatArray, resolution: float) -> FloatArray:
@@ -162,7 +190,7 @@ def _evaluate(shape: FloatArray) -> FloatArray:
     return np.append(np.column_stack([edge, value]).ravel(), at_high[-1])
 
 
-def _estimate(values: FloatArray, groups: int, count: float, reason: str) -> Estimate:
+def _estimate(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
     """One number from its rows: all data, then each group left out, then one row a systematic uncertainty."""
     if not np.isfinite(values).all():
         return Estimate.unknown(reason, count)
@@ -188,11 +216,11 @@ def at_reference_amplitude(
     for a, value in sorted(zip(amplitude, conicity, strict=True), key=lambda pair: -pair[0]):
         if a <= parameters.reference_amplitude + 1e-9 and value.value is not None:
             return value, float(a)
-    return Estimate.unknown("no amplitude is covered", conicity[0].count), parameters.reference_amplitude
+    return Estimate.unknown(NO_AMPLITUDE, conicity[0].count), parameters.reference_amplitude
 
 
 def _zero_crossing(rows: list[_Row], curve: CurveReplicates, groups: int) -> Estimate:
     if curve.band_limited:
-        return Estimate.unknown("band-limited signals carry no offset", curve.count)
+        return Estimate.unknown(NO_OFFSET, curve.count)
     values = np.array([zero_crossing(x, difference) for x, difference in rows])
-    return _estimate(values, groups, curve.count, "rL - rR has no zero in the bins covered")
+    return _estimate(values, groups, curve.count, NO_ZERO)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from estimation.errors import NotFoundError
 from estimation.jobs import estimate_windows, evaluate_alerts, refresh_alignment, refresh_geometry, refresh_trends
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.values.runs import JobRun
+from estimation.values.runs import JobRun, JobTrigger
 
 ALL_JOBS: tuple[Job, ...] = (
     refresh_alignment.JOB,
@@ -32,7 +32,7 @@ def job_named(name: str) -> Job:
     raise NotFoundError("job", name)
 
 
-def run_all(context: JobContext, trigger: str, jobs: Sequence[Job] = ALL_JOBS) -> list[JobRun]:
+def run_all(context: JobContext, trigger: JobTrigger, jobs: Sequence[Job] = ALL_JOBS) -> list[JobRun]:
     """Run the jobs one after the other and return their records.
 
     A failed job does not keep the later ones from their work: each works on what is stored.

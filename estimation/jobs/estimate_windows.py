@@ -14,12 +14,12 @@ from functools import lru_cache
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
-from estimation.motion.parameters import Refusal
 from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import UnitOfWork
 from estimation.tables.window import tabulate_window
 from estimation.values.geometry import BinTable
 from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import FLEET, AlignmentRecord, Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import WindowPosition, WindowRecord, WindowState
 
@@ -67,13 +67,13 @@ def _requeue(unit: UnitOfWork, settings: EstimationSettings, in_force: Mapping[s
     lies = {code: one.same_since for code, one in in_force.items() if one.status is Status.ESTIMATED}
     outdated = unit.tables.outdated(settings.bins.key, lies)
     for wheelset, start_ns in outdated:
-        unit.windows.mark(wheelset, start_ns, WindowState.PENDING, "")
-    return len(outdated) + sum(unit.windows.requeue(code, NO_ALIGNMENT) for code in lies)
+        unit.windows.mark(wheelset, start_ns, WindowState.PENDING)
+    return len(outdated) + sum(unit.windows.requeue(code, NO_ALIGNMENT.code) for code in lies)
 
 
 def _compute(
     context: JobContext, settings: EstimationSettings, waiting: Sequence[str]
-) -> list[tuple[_Work, BinTable | Refusal]]:
+) -> list[tuple[_Work, BinTable | Reason]]:
     with context.storage.read() as unit:
 
         @lru_cache
@@ -95,11 +95,11 @@ def _compute(
         return found
 
 
-def _outcome(unit: UnitOfWork, work: _Work, settings: EstimationSettings) -> BinTable | Refusal:
+def _outcome(unit: UnitOfWork, work: _Work, settings: EstimationSettings) -> BinTable | Reason:
     try:
         window = unit.windows.load(work.record.wheelset, work.record.start_ns)
     except DamagedError as error:
-        return Refusal(str(error))  # names the file; the other windows go on
+        return Reason(ReasonCode.FILE_DAMAGED, str(error))  # names the file; the other windows go on
     position = work.position
     if position is None or position.content_digest != work.record.content_digest:
         return tabulate_window(
@@ -117,7 +117,7 @@ def _outcome(unit: UnitOfWork, work: _Work, settings: EstimationSettings) -> Bin
     )
 
 
-def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Refusal) -> str:
+def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Reason) -> str:
     record = work.record
     now = unit.windows.get(record.wheelset, record.start_ns)
     if now is None or now.content_digest != record.content_digest:
@@ -126,12 +126,12 @@ def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Refusal) -> str:
         return "changed_meanwhile"
     if _layout_version(unit, record.track_section) != (work.layout.version if work.layout is not None else None):
         return "changed_meanwhile"
-    if isinstance(outcome, Refusal):
-        unit.windows.mark(record.wheelset, record.start_ns, WindowState.REFUSED, outcome.reason)
+    if isinstance(outcome, Reason):
+        unit.windows.mark(record.wheelset, record.start_ns, WindowState.REFUSED, outcome)
         return "refused"
     version = work.track.version if work.track is not None else None
     unit.tables.put(record.wheelset, record.start_ns, outcome, version, record.content_digest)
-    unit.windows.mark(record.wheelset, record.start_ns, WindowState.ESTIMATED, "")
+    unit.windows.mark(record.wheelset, record.start_ns, WindowState.ESTIMATED)
     return "estimated"
 
 

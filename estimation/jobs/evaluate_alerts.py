@@ -65,7 +65,7 @@ def _evaluate(
     to_raise: list[Transition] = []
     ended = superseded(facts, book)
     for alert, reason, at_ns in ended:
-        events += _save(unit, close(alert, reason, at_ns), now_ns, reason)
+        events += _save(unit, close(alert, reason, at_ns), now_ns, reason.sentence)
     gone = {alert.alert_id for alert, _, _ in ended}
     still_open = {alert.kind: alert for alert in facts.open_alerts if alert.alert_id not in gone}
     for finding in findings(facts, book, now_ns):

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from estimation.errors import ConflictError, StoppedError, TreadwatchError
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Clock, Storage
-from estimation.values.runs import JobRun
+from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 
 _log = logging.getLogger(__name__)
 
@@ -68,7 +68,9 @@ class Job:
     run: Callable[[JobContext], Mapping[str, int]]
 
 
-def run_job(job: Job, context: JobContext, trigger: str, *, started: Callable[[JobRun], None] | None = None) -> JobRun:
+def run_job(
+    job: Job, context: JobContext, trigger: JobTrigger, *, started: Callable[[JobRun], None] | None = None
+) -> JobRun:
     """Run a job once and record it: start, finish, outcome, counts and, where it failed, the message.
 
     The record is written in transactions of its own, before and after the work, so that a killed run stays visible as
@@ -81,7 +83,7 @@ def run_job(job: Job, context: JobContext, trigger: str, *, started: Callable[[J
     context
         What it may touch.
     trigger
-        Who asked: "schedule", "api" or "cli".
+        Who asked.
     started
         Told the record as soon as it is committed, before the work begins.
 
@@ -120,14 +122,14 @@ def _remember(
     return tell
 
 
-def _attempt(job: Job, context: JobContext) -> tuple[str, Mapping[str, int], str | None]:
+def _attempt(job: Job, context: JobContext) -> tuple[JobOutcome, Mapping[str, int], str | None]:
     try:
-        return "succeeded", dict(job.run(context)), None
+        return JobOutcome.SUCCEEDED, dict(job.run(context)), None
     except StoppedError as error:
-        return "abandoned", {}, str(error)
+        return JobOutcome.ABANDONED, {}, str(error)
     except TreadwatchError as error:
         _log.warning("job %s failed: %s", job.name, error)
-        return "failed", {}, str(error)
+        return JobOutcome.FAILED, {}, str(error)
     except Exception as error:  # noqa: BLE001 - whatever fails in a job is a fact of its run, never the end of the scheduler
         _log.exception("job %s failed", job.name)
-        return "failed", {}, f"{type(error).__name__}: {error}".splitlines()[0]
+        return JobOutcome.FAILED, {}, f"{type(error).__name__}: {error}".splitlines()[0]

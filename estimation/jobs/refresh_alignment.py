@@ -21,12 +21,12 @@ from estimation.jobs.steps.store_alignment import Epoch, EpochPasses, WindowKey,
 from estimation.motion.curves import straight_part
 from estimation.motion.gates import gate
 from estimation.motion.joined_windows import following, joined
-from estimation.motion.parameters import Refusal
 from estimation.storage import UnitOfWork
 from estimation.track.epochs import epoch_digest, life, limit_batch, resampled
 from estimation.track.examination import examine
 from estimation.track.passes import Pass
 from estimation.track.update import find
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment, TrackSectionRecord
 from estimation.values.windows import Window, WindowRecord
 
@@ -137,14 +137,14 @@ def _passes(context: JobContext, waiting: _Waiting) -> EpochPasses:
     settings, step = context.settings.estimation, context.settings.alignment.pass_step
     found: list[Pass] = []
     members: dict[WindowKey, tuple[WindowKey, ...]] = {}
-    refused: dict[WindowKey, str] = {}
+    refused: dict[WindowKey, Reason] = {}
     clean = []
     for record, name in zip(waiting.records, waiting.lives, strict=True):
         gated = gate(record.quality, record.track_section, settings.gates)
         if gated is None:
             clean.append((record, name))
         else:
-            refused[record.wheelset, record.start_ns] = gated.reason
+            refused[record.wheelset, record.start_ns] = gated
     keys = [((r.vehicle, r.axle, name), r.start_ns, r.start_ns + r.length_ns) for r, name in clean]
     done = len(refused)
     for group in following(clean, keys):
@@ -153,17 +153,17 @@ def _passes(context: JobContext, waiting: _Waiting) -> EpochPasses:
         for serials, made, reason in _examined(context, [record for record, _ in group], settings):
             found += [resampled(item, group[0][1], step) for item in made]
             members[serials[0]] = serials
-            if not made:
+            if not made and reason is not None:
                 refused |= dict.fromkeys(serials, reason)
     return EpochPasses(found, members, refused)
 
 
 def _examined(
     context: JobContext, records: Sequence[WindowRecord], settings: EstimationSettings
-) -> list[tuple[tuple[WindowKey, ...], Sequence[Pass], str]]:
+) -> list[tuple[tuple[WindowKey, ...], Sequence[Pass], Reason | None]]:
     """Return windows that follow each other, their passes, and why there is none."""
     windows: list[Window] = []
-    found: list[tuple[tuple[WindowKey, ...], Sequence[Pass], str]] = []
+    found: list[tuple[tuple[WindowKey, ...], Sequence[Pass], Reason | None]] = []
     with context.storage.read() as unit:
         mounting = unit.registry.mounting_at(records[0].vehicle, records[0].axle, records[0].start_ns)
         section = records[0].track_section
@@ -172,9 +172,9 @@ def _examined(
             try:
                 window = straight_part(unit.windows.load(record.wheelset, record.start_ns), layout, settings.signals)
             except DamagedError as error:  # names the file; the other windows go on
-                window = Refusal(str(error))
-            if isinstance(window, Refusal):
-                found.append((((record.wheelset, record.start_ns),), (), window.reason))
+                window = Reason(ReasonCode.FILE_DAMAGED, str(error))
+            if isinstance(window, Reason):
+                found.append((((record.wheelset, record.start_ns),), (), window))
             else:
                 windows.append(window)
     turned = mounting is not None and mounting.reversed

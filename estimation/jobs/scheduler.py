@@ -26,6 +26,7 @@ from apscheduler.jobstores.memory import MemoryJobStore
 from apscheduler.schedulers.background import BackgroundScheduler
 
 from estimation.jobs.job import Job, JobContext, run_job
+from estimation.values.runs import JobTrigger
 
 _log = logging.getLogger(__name__)
 
@@ -113,7 +114,7 @@ def _default_interval(job: Job) -> float:
 
 def _scheduled(job: Job, context: JobContext) -> None:
     if context.stopping is None or not context.stopping():
-        run_job(job, context, "schedule")
+        run_job(job, context, JobTrigger.SCHEDULE)
 
 
 def _report(event: JobEvent) -> None:

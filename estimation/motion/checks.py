@@ -13,6 +13,7 @@ from estimation.motion.alignment_lookup import TRACKS
 from estimation.motion.integration import IntegratedWindow, bridged, mirrored
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import FloatArray
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
 
@@ -32,8 +33,8 @@ class Jump:
     metres: float
 
 
-def check_moving(window: Window, signals: SignalParameters) -> str:
-    """Return that the vehicle stands, crawls, or that its position is not known; empty where it runs.
+def check_moving(window: Window, signals: SignalParameters) -> Reason | None:
+    """Return that the vehicle stands, runs too slowly, or has no position; None where it runs.
 
     Parameters
     ----------
@@ -44,13 +45,17 @@ def check_moving(window: Window, signals: SignalParameters) -> str:
     """
     known = window.valid & np.isfinite(window.distance)
     if not known.any():
-        return "no sample with a position on the section"
+        return Reason(ReasonCode.POSITION_UNKNOWN, "no sample has a position on the section")
     with np.errstate(invalid="ignore"):
         running = known & (window.speed >= signals.least_speed_m_s)
     if not running.any():
         fastest = float(np.nanmax(np.where(known, window.speed, np.nan), initial=0.0))
-        return f"the vehicle stands or crawls: at most {fastest:.1f} m/s, {signals.least_speed_m_s:g} m/s are needed"
-    return ""
+        return Reason(
+            ReasonCode.NOT_MOVING,
+            f"the vehicle stands or runs too slowly: at most {fastest:.1f} m/s,"
+            f" {signals.least_speed_m_s:g} m/s are needed",
+        )
+    return None
 
 
 def position_jumps(integrated: IntegratedWindow) -> tuple[Jump, ...]:
@@ -111,8 +116,8 @@ def without_jumps(window: Window, jumps: Sequence[Jump]) -> Window:
     return replace(window, valid=valid)
 
 
-def describe_jumps(jumps: Sequence[Jump]) -> list[str]:
-    """Return a phrase for a reason: how often and how far the position jumps; none without jumps.
+def jumps_reason(jumps: Sequence[Jump]) -> Reason | None:
+    """Return how often and how far the position jumps; None without jumps.
 
     Parameters
     ----------
@@ -120,14 +125,17 @@ def describe_jumps(jumps: Sequence[Jump]) -> list[str]:
         From :func:`position_jumps`.
     """
     if not jumps:
-        return []
+        return None
     largest = max(jumps, key=lambda jump: abs(jump.metres))
     times = "once" if len(jumps) == 1 else f"{len(jumps)} times"
-    return [f"the position jumps {times} against the speed, by {abs(largest.metres):.1f} m at most"]
+    return Reason(
+        ReasonCode.POSITION_JUMP,
+        f"the position jumps {times} against the speed, by {abs(largest.metres):.1f} m at most",
+    )
 
 
-def check_axis_signs(integrated: IntegratedWindow) -> str:
-    """Return that the axes point against the direction of running; empty where they do not.
+def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
+    """Return that the axes contradict the direction of running; None where they do not.
 
     An axle that rolls forward with a yaw to the left moves to the left: y' = V psi up to small creep. Backwards, or
     with one of the two sensors the wrong way round, the sign is the other.
@@ -144,13 +152,14 @@ def check_axis_signs(integrated: IntegratedWindow) -> str:
         b = _high_pass_running_mean(segment.speed * segment.displacements[1], seconds)
         products, lateral, yaw = products + float(a @ b), lateral + float(a @ a), yaw + float(b @ b)
     if lateral * yaw <= 0.0:
-        return ""
+        return None
     correlation = products / np.sqrt(lateral * yaw)
     if correlation >= BACKWARDS:
-        return ""
-    return (
-        f"the axes point against the direction of running: lateral velocity and yaw go against each other"
-        f" (correlation {correlation:.2f})"
+        return None
+    return Reason(
+        ReasonCode.AXES_REVERSED,
+        f"the axes point against the direction of running: lateral velocity and yaw have opposite signs"
+        f" (correlation {correlation:.2f}); check the mounting record",
     )
 
 

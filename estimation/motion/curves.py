@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.motion.parameters import CurveLimits, Refusal, SignalParameters
+from estimation.motion.parameters import CurveLimits, SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackLayout
 from estimation.values.windows import Window
 
@@ -49,8 +50,10 @@ MEAN_S = 5.0  # over which the motion of the wheelset averages out
 LEAST_SHARE = 0.5  # of the samples that a mean needs
 
 
-def detect_uncompensated_acceleration(window: Window, usable: BoolArray, max_cant_deficiency_change: float) -> str:
-    """Return that the window shows a curve; empty where it does not.
+def detect_uncompensated_acceleration(
+    window: Window, usable: BoolArray, max_cant_deficiency_change: float
+) -> Reason | None:
+    """Return that the window shows a curve; None where it does not.
 
     Parameters
     ----------
@@ -63,10 +66,11 @@ def detect_uncompensated_acceleration(window: Window, usable: BoolArray, max_can
     """
     spread = cant_deficiency_acceleration_range(window, usable)
     if spread <= max_cant_deficiency_change:
-        return ""
-    return (
-        f"a curve is felt and no layout is on file: the slow lateral acceleration changes by {spread:.2f} m/s2,"
-        f" at most {max_cant_deficiency_change:g} may be drift"
+        return None
+    return Reason(
+        ReasonCode.CURVE_DETECTED,
+        f"a curve is detected and no layout is stored: the slow lateral acceleration changes by {spread:.2f} m/s2,"
+        f" at most {max_cant_deficiency_change:g} may be drift; register the layout of the section",
     )
 
 
@@ -91,7 +95,7 @@ def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> flo
     return float(np.ptp(means))
 
 
-def straight_part(window: Window, layout: TrackLayout | None, parameters: SignalParameters) -> Window | Refusal:
+def straight_part(window: Window, layout: TrackLayout | None, parameters: SignalParameters) -> Window | Reason:
     """Return the window with the samples in curves not valid, or why nothing is left.
 
     Parameters
@@ -106,9 +110,8 @@ def straight_part(window: Window, layout: TrackLayout | None, parameters: Signal
     if layout is None:
         with np.errstate(invalid="ignore"):
             running = np.asarray(window.valid & (window.speed >= parameters.least_speed_m_s))
-        felt = detect_uncompensated_acceleration(window, running, parameters.max_cant_deficiency_change)
-        return Refusal(felt) if felt else window
+        return detect_uncompensated_acceleration(window, running, parameters.max_cant_deficiency_change) or window
     left = window.valid & straight(window.distance, layout, parameters.curve_limits)
     if not left.any() and window.valid.any():
-        return Refusal("the window lies in curves")
+        return Reason(ReasonCode.IN_CURVES, "all of the window is in curves")
     return replace(window, valid=left)

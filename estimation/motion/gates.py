@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from estimation.motion.parameters import Refusal, SignalParameters
+from estimation.motion.parameters import SignalParameters
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowQuality
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
@@ -27,7 +28,7 @@ class WindowParameters:
     gates: Gates = field(default_factory=Gates)
 
 
-def gate(quality: WindowQuality, track_section: str | None, gates: Gates) -> Refusal | None:
+def gate(quality: WindowQuality, track_section: str | None, gates: Gates) -> Reason | None:
     """Return why a window of this quality is not looked at; None where it is.
 
     Parameters
@@ -40,13 +41,19 @@ def gate(quality: WindowQuality, track_section: str | None, gates: Gates) -> Ref
         Limits of the quality.
     """
     if quality.sensor_fault:
-        return Refusal("the sensor reports a fault")
+        return Reason(ReasonCode.SENSOR_FAULT, "the sensor reports a fault")
     if quality.coverage < gates.least_coverage:
-        return Refusal(f"{quality.coverage:.0%} of the samples, {gates.least_coverage:.0%} are needed")
+        return Reason(
+            ReasonCode.TOO_FEW_SAMPLES,
+            f"{quality.coverage:.0%} of the samples are there, {gates.least_coverage:.0%} are needed",
+        )
     if quality.clipped > gates.most_clipped:
-        return Refusal(f"{quality.clipped:.1%} of the samples are clipped, at most {gates.most_clipped:.0%} may be")
+        return Reason(
+            ReasonCode.CLIPPED,
+            f"{quality.clipped:.1%} of the samples are clipped, at most {gates.most_clipped:.0%} may be",
+        )
     if track_section is None:
-        return Refusal("the track section is not known")
+        return Reason(ReasonCode.SECTION_UNKNOWN, "the track section is not known")
     if quality.position_quality < gates.least_position_quality:
-        return Refusal("the position is not known well enough")
+        return Reason(ReasonCode.POSITION_UNKNOWN, "the position is not known well enough")
     return None

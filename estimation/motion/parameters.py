@@ -1,4 +1,4 @@
-"""Parameters of the motion, and why a window is refused."""
+"""Parameters of the motion."""
 
 from __future__ import annotations
 
@@ -53,10 +53,3 @@ class SignalParameters:
     def curve_limits(self) -> CurveLimits:
         """What counts as straight."""
         return CurveLimits(self.sharpest_curvature, self.highest_cant, self.curve_margin)
-
-
-@dataclass(frozen=True, slots=True)
-class Refusal:
-    """Why a window was not turned into motion."""
-
-    reason: str

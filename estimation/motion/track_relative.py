@@ -16,10 +16,11 @@ from estimation.filters.wander_removal import modelled_gaps, remove_wander
 from estimation.motion.alignment_lookup import alignment_at
 from estimation.motion.curves import detect_uncompensated_acceleration
 from estimation.motion.integration import IntegratedSegment, IntegratedWindow, bridged, integrate
-from estimation.motion.parameters import Refusal, SignalParameters
+from estimation.motion.parameters import SignalParameters
 from estimation.motion.usable_samples import Usable, usable_samples
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.motion import NOT_SIGNALS, Motion
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment, TrackLayout
 from estimation.values.windows import Window
 
@@ -33,7 +34,7 @@ def motion(
     layout: TrackLayout | None = None,
     gauge_shift: FloatArray | None = None,
     earlier: IntegratedWindow | None = None,
-) -> Motion | Refusal:
+) -> Motion | Reason:
     """Return the band-limited motion of ``window`` relative to ``track``, or why it cannot be had.
 
     Parameters
@@ -76,15 +77,14 @@ def motion(
 
 def _unusable(
     window: Window, usable: Usable, layout: TrackLayout | None, parameters: SignalParameters
-) -> Refusal | None:
+) -> Reason | None:
     if not usable.samples.any():
-        return Refusal(f"no sample can be used: {usable.causes}")
-    felt = (
+        return Reason(ReasonCode.NO_USABLE_SAMPLE, f"no sample can be used: {usable.causes}")
+    return (
         detect_uncompensated_acceleration(window, usable.samples, parameters.max_cant_deficiency_change)
         if layout is None
-        else ""
+        else None
     )
-    return Refusal(felt) if felt else None
 
 
 def _filtered(
@@ -128,12 +128,15 @@ _FILTERED = (
 
 def _too_little(
     valid: BoolArray, integrated: IntegratedWindow, usable: Usable, parameters: SignalParameters
-) -> Refusal | None:
+) -> Reason | None:
     lost = f"; lost: {usable.causes}" if usable.causes else ""
     if not integrated.segments:
-        return Refusal(f"no uninterrupted stretch of {parameters.shortest_segment_s:g} s{lost}")
+        return Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of {parameters.shortest_segment_s:g} s{lost}")
     if valid.mean() < parameters.least_used:
-        return Refusal(f"{valid.mean():.0%} of the samples can be used, {parameters.least_used:.0%} are needed{lost}")
+        return Reason(
+            ReasonCode.TOO_FEW_USABLE,
+            f"{valid.mean():.0%} of the samples can be used, {parameters.least_used:.0%} are needed{lost}",
+        )
     return None
 
 

@@ -9,22 +9,22 @@ import numpy as np
 from estimation.motion.checks import (
     check_axis_signs,
     check_moving,
-    describe_jumps,
     direction,
+    jumps_reason,
     position_jumps,
     to_wheelset_axes,
 )
 from estimation.motion.gates import WindowParameters, gate
 from estimation.motion.gauge_shift import gauge_shift
 from estimation.motion.integration import IntegratedWindow, integrate
-from estimation.motion.parameters import Refusal
 from estimation.motion.track_relative import motion
 from estimation.motion.usable_samples import moving_samples
 from estimation.values.motion import Motion
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window
 
-NO_ALIGNMENT = "the alignment of the track section is not known"
+NO_ALIGNMENT = Reason(ReasonCode.ALIGNMENT_UNKNOWN, "the alignment of the track section is not known yet")
 
 
 def window_motion(
@@ -32,11 +32,11 @@ def window_motion(
     track: TrackAlignment | None,
     parameters: WindowParameters,
     correction: Correction | None = None,
-    misplaced: str = "",
+    misplaced: Reason | None = None,
     *,
     mounted_reversed: bool = False,
     layout: TrackLayout | None = None,
-) -> Motion | Refusal:
+) -> Motion | Reason:
     """Return the motion of ``window`` relative to ``track``, or why the window is refused.
 
     Parameters
@@ -50,7 +50,7 @@ def window_motion(
     correction
         From the measured positions to the true ones; None where the measured ones are used.
     misplaced
-        Why the position is not certain; empty where it is.
+        Why the position is not certain; None where it is.
     mounted_reversed
         The wheelset's left wheel is on the vehicle's right-hand side.
     layout
@@ -64,11 +64,11 @@ def window_motion(
     if refused is not None:
         return refused
     if track is None or not np.isfinite(track.alignment).any():
-        return Refusal(NO_ALIGNMENT)
-    if misplaced:
-        return Refusal(misplaced)
+        return NO_ALIGNMENT
+    if misplaced is not None:
+        return misplaced
     integrated = _checked(window, parameters)
-    if isinstance(integrated, Refusal):
+    if isinstance(integrated, Reason):
         return integrated
     integrated, track = to_wheelset_axes(integrated, track, direction(window), mounted_reversed=mounted_reversed)
     window = integrated.window
@@ -78,13 +78,12 @@ def window_motion(
     return motion(window, track, parameters.signals, layout, shift, integrated)
 
 
-def _checked(window: Window, parameters: WindowParameters) -> IntegratedWindow | Refusal:
+def _checked(window: Window, parameters: WindowParameters) -> IntegratedWindow | Reason:
     """Return the window integrated, or what of it contradicts the rest."""
     reason = check_moving(window, parameters.signals)
-    if not reason and direction(window) == 0:
-        reason = "the vehicle runs both ways along the section"
-    if reason:
-        return Refusal(reason)
+    if reason is None and direction(window) == 0:
+        reason = Reason(ReasonCode.BOTH_DIRECTIONS, "the vehicle runs both ways along the section")
+    if reason is not None:
+        return reason
     integrated = integrate(window, moving_samples(window, parameters.signals), parameters.signals)
-    reason = "; ".join(describe_jumps(position_jumps(integrated))) or check_axis_signs(integrated)
-    return Refusal(reason) if reason else integrated
+    return jumps_reason(position_jumps(integrated)) or check_axis_signs(integrated) or integrated

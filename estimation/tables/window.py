@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from estimation.motion.gates import WindowParameters
-from estimation.motion.parameters import Refusal
 from estimation.motion.window_motion import window_motion
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters
 from estimation.values.geometry import BinTable
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window
 
@@ -17,11 +17,11 @@ def tabulate_window(
     track: TrackAlignment | None,
     parameters: WindowParameters,
     correction: Correction | None = None,
-    misplaced: str = "",
+    misplaced: Reason | None = None,
     *,
     mounted_reversed: bool = False,
     layout: TrackLayout | None = None,
-) -> BinTable | Refusal:
+) -> BinTable | Reason:
     """Return the bin table of ``window`` on ``track``, or why the window is refused.
 
     Parameters
@@ -32,10 +32,10 @@ def tabulate_window(
     moved = window_motion(
         window, track, parameters, correction, misplaced, mounted_reversed=mounted_reversed, layout=layout
     )
-    if isinstance(moved, Refusal):
+    if isinstance(moved, Reason):
         return moved
     table = bin_table.tabulate(moved, bin_parameters(parameters))
-    return table if table.samples else Refusal("no sample inside the bins")
+    return table if table.samples else Reason(ReasonCode.OUTSIDE_BINS, "no sample is inside the bins")
 
 
 def bin_parameters(parameters: WindowParameters) -> BinParameters:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from estimation.motion.checks import check_axis_signs, check_moving, describe_jumps, position_jumps, without_jumps
+from estimation.motion.checks import check_axis_signs, check_moving, jumps_reason, position_jumps, without_jumps
 from estimation.motion.gates import WindowParameters, gate
 from estimation.motion.integration import integrate
 from estimation.motion.usable_samples import moving_samples
 from estimation.track.passes import Pass, passes
 from estimation.track.screening.screen import PassOutcome, PassStatus
+from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.windows import Window
 
 
@@ -37,9 +38,8 @@ def examine(window: Window, parameters: WindowParameters, *, mounted_reversed: b
     mounted_reversed
         The wheelset's left wheel is on the vehicle's right-hand side.
     """
-    gated = gate(window.quality, window.track_section, parameters.gates)
-    refusal = gated.reason if gated is not None else check_moving(window, parameters.signals)
-    if refusal:
+    refusal = gate(window.quality, window.track_section, parameters.gates) or check_moving(window, parameters.signals)
+    if refusal is not None:
         return _examined(window, (), refusal)
     integrated = integrate(window, moving_samples(window, parameters.signals), parameters.signals)
     jumps = position_jumps(integrated)
@@ -50,14 +50,14 @@ def examine(window: Window, parameters: WindowParameters, *, mounted_reversed: b
         window, parameters.vehicle, parameters.signals, mounted_reversed=mounted_reversed, integrated=integrated
     )
     if not found:
-        least = f"no uninterrupted stretch of {parameters.signals.shortest_segment_s:g} s along one direction"
-        return _examined(window, (), "; ".join([*describe_jumps(jumps), least]))
+        least = f"no uninterrupted run of {parameters.signals.shortest_segment_s:g} s in one direction"
+        return _examined(window, (), combined([jumps_reason(jumps), Reason(ReasonCode.INTERRUPTED, least)]))
     refusal = check_axis_signs(integrated)
-    if refusal:
+    if refusal is not None:
         return _examined(window, (), refusal)
-    return _examined(window, tuple(found), "; ".join(describe_jumps(jumps)))
+    return _examined(window, tuple(found), jumps_reason(jumps))
 
 
-def _examined(window: Window, found: tuple[Pass, ...], reason: str) -> Examined:
+def _examined(window: Window, found: tuple[Pass, ...], reason: Reason | None) -> Examined:
     status = PassStatus.USED if found else PassStatus.REFUSED
     return Examined(found, PassOutcome(window.wheelset, window.vehicle, window.start_ns, status, reason))

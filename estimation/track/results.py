@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from estimation.track.iteration import IterationResult
 from estimation.values.arrays import FloatArray
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
+from estimation.values.reasons import Reason
 from estimation.values.track import GaugeShift, TrackFindings
 
 LIFE = "#"  # after a wheelset's serial, then the number of its profile and that of its mileage interval
@@ -73,7 +75,7 @@ class JourneyReport:
     middle_m: float
     residual_rms_m: float
     used: bool
-    reason: str = ""
+    reason: Reason | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,7 @@ class AlignmentReport:
     """
 
     status: Status
-    reason: str
+    reason: Reason | None
     converged: bool  # positions and stiffness ratios; where not, ``reason`` says so, also of an estimate
     convergence: tuple[Convergence, ...]  # of each quantity that is iterated
     rounds: int
@@ -101,18 +103,24 @@ class AlignmentReport:
 
     def as_json(self) -> Mapping[str, JsonValue]:
         """Return all of it as JSON; a number that is none is null."""
-        fields: dict[str, JsonValue] = {}
-        for name, value in asdict(self).items():
-            fields[name] = _json(value)
+        fields = _json(asdict(self))
+        assert isinstance(fields, dict)
         return fields
 
 
 def _json(value: object) -> JsonValue:
     if isinstance(value, dict):
-        return {str(name): _json(item) for name, item in value.items()}
+        whole = {str(name): _json(item) for name, item in value.items()}
+        if "reason" in whole:  # as the database has it: the sentence, and the code beside it
+            reason = value["reason"]
+            whole |= {
+                "reason": reason["text"] if reason else "",
+                "reason_code": str(reason["code"]) if reason else None,
+            }
+        return whole
     if isinstance(value, tuple | list):
         return [_json(item) for item in value]
-    if isinstance(value, Status):
+    if isinstance(value, StrEnum):
         return str(value)
     if isinstance(value, bool | int | str) or value is None:
         return value
@@ -120,7 +128,7 @@ def _json(value: object) -> JsonValue:
     return value if math.isfinite(value) else None
 
 
-def nothing(reason: str, evidence: tuple[str, ...] = ()) -> AlignmentReport:
+def nothing(reason: Reason, evidence: tuple[str, ...] = ()) -> AlignmentReport:
     """Return the report of passes that say nothing, for this reason."""
     return AlignmentReport(
         status=Status.UNESTIMATED,

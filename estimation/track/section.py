@@ -19,12 +19,19 @@ from estimation.track.journeys import Journey, journeys
 from estimation.track.panel.basis import KnownBeforehand, Panel
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
-from estimation.track.panel.solution import LEAST_WHEELSETS, PanelSolution, between_pass_std_ratio
+from estimation.track.panel.solution import (
+    LEAST_WHEELSETS,
+    SINGLE_WHEELSET,
+    PanelSolution,
+    between_pass_std_ratio,
+    too_few_passes,
+)
 from estimation.track.passes import Pass
 from estimation.track.residuals import residuals
 from estimation.track.results import LIFE, AlignmentReport, JourneyReport, nothing
 from estimation.track.section_parameters import SectionParameters
 from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import Correction, TrackAlignment
 
 
@@ -43,7 +50,7 @@ class _Accepted:
     """Where the iteration ended without outliers, and how far every journey was off."""
 
     iterated: IterationResult
-    outliers: Mapping[Journey, str]  # with the reason
+    outliers: Mapping[Journey, Reason]  # with the reason
     rms: Mapping[Journey, float]  # m, of all journeys
 
 
@@ -73,10 +80,10 @@ def estimate_section(
     grouped: Grouped = journeys(passes, parameters.positions)
     panel = Panel.of(parameters.panel, KnownBeforehand(measured=measured or {}))
     if not grouped:
-        return SectionEstimate(None, nothing("no pass", named), {}, None)
+        return SectionEstimate(None, nothing(Reason(ReasonCode.NO_PASS, "no pass"), named), {}, None)
     known = None if prior is None else prior_on_grid(prior, panel.grid, parameters.panel.cutoff_wavelength)
-    reason = _too_few_passes(grouped, panel) if known is None or not known.has_alignment else ""
-    if reason:
+    reason = _too_few_passes(grouped, panel) if known is None or not known.has_alignment else None
+    if reason is not None:
         return SectionEstimate(None, nothing(reason, named), {}, None)
     accepted = _reject_outliers(grouped, known, panel, parameters)
     iterated = accepted.iterated
@@ -95,8 +102,8 @@ def estimate_section(
     return SectionEstimate(alignment, report, iterated.corrections, iterated.solution)
 
 
-def _too_few_passes(grouped: Grouped, panel: Panel) -> str:
-    """Return why the passes alone cannot be enough, before anything is solved; empty where they may."""
+def _too_few_passes(grouped: Grouped, panel: Panel) -> Reason | None:
+    """Return why the passes alone cannot be enough, before anything is solved; None where they may."""
     grid, least = panel.grid, panel.parameters.least_passes
     passed = np.zeros(grid.points, dtype=np.int64)
     lives = set()
@@ -105,8 +112,8 @@ def _too_few_passes(grouped: Grouped, panel: Panel) -> str:
         passed[first:last] += 1
         lives.add(item.wheelset)
     if len(lives) < LEAST_WHEELSETS and not lives & panel.known.measured.keys():
-        return "one wheelset alone cannot tell the track from its own geometry"
-    return "" if (passed >= least).any() else f"no place with {least} passes"
+        return SINGLE_WHEELSET
+    return None if (passed >= least).any() else too_few_passes(least)
 
 
 def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Panel, p: SectionParameters) -> _Accepted:
@@ -115,7 +122,7 @@ def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Pane
     Wheelsets that are further off than others have less weight from then on.
     """
     kept = dict(grouped)
-    outliers: dict[Journey, str] = {}
+    outliers: dict[Journey, Reason] = {}
     rms: dict[Journey, float] = {}
     while True:
         iterated = iterate(kept, known, panel, p.positions, p.iteration)
@@ -136,7 +143,7 @@ def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Pane
 
 def _find_outliers(
     residuals: Mapping[Journey, float], corrections: Mapping[Journey, Correction], p: SectionParameters
-) -> dict[Journey, str]:
+) -> dict[Journey, Reason]:
     """Return the journeys that are not where they say, or not on this section, with the reason."""
     found = {}
     for journey, value in residuals.items():
@@ -144,11 +151,13 @@ def _find_outliers(
         limit = max(p.outlier_factor * float(np.median(others)), p.least_outlier_m) if others else np.inf
         offset = abs(corrections[journey].offset)
         if not np.isfinite(value):
-            found[journey] = "too short, or where too few have passed"
+            found[journey] = Reason(ReasonCode.JOURNEY_INDETERMINATE, "too short, or where too few have passed")
         elif value > limit:
-            found[journey] = f"agrees with no other: {1e3 * value:.2f} mm apart, {1e3 * limit:.2f} mm are expected"
+            text = f"agrees with no other: {1e3 * value:.2f} mm apart, {1e3 * limit:.2f} mm are expected"
+            found[journey] = Reason(ReasonCode.JOURNEY_DISAGREES, text)
         elif offset > p.positions.largest_offset:
-            found[journey] = f"{offset:.0f} m off, {p.positions.largest_offset:.0f} m are searched"
+            text = f"{offset:.0f} m off, {p.positions.largest_offset:.0f} m are searched"
+            found[journey] = Reason(ReasonCode.OFFSET_TOO_LARGE, text)
     return found
 
 
@@ -167,8 +176,8 @@ def _report(
     certain = np.isfinite(solution.alignment_std)
     return AlignmentReport(
         status=status,
-        reason=reason or "; ".join(filter(None, (not_converged, _low_weight_reason(iterated)))),
-        converged=not not_converged,
+        reason=reason or combined([not_converged, _low_weight_reason(iterated)]),
+        converged=not_converged is None,
         convergence=iterated.convergence(p.iteration),
         rounds=iterated.rounds,
         residual_rms_m=iterated.noise,
@@ -183,28 +192,30 @@ def _report(
     )
 
 
-def _state_of(accepted: _Accepted, grouped: Grouped, known: PriorAlignment | None) -> tuple[Status, str]:
+def _state_of(accepted: _Accepted, grouped: Grouped, known: PriorAlignment | None) -> tuple[Status, Reason | None]:
     """Return whether an alignment is estimated, and why not."""
     of_panel = accepted.iterated.solution.report
     status, reason = of_panel.status, of_panel.reason
     if known is not None and known.has_alignment:
-        status, reason = Status.ESTIMATED, ""
+        status, reason = Status.ESTIMATED, None
     if status is Status.ESTIMATED and len(accepted.outliers) == len(grouped):
         first = next(iter(accepted.outliers.values()))
-        return Status.UNESTIMATED, f"no journey agrees with another: {first}"
+        return Status.UNESTIMATED, Reason(ReasonCode.NO_JOURNEY_AGREES, f"no journey agrees with another: {first}")
     return status, reason
 
 
-def _low_weight_reason(iterated: IterationResult) -> str:
-    """Return which wheelsets count for little, being further off than the others; empty where none is."""
+def _low_weight_reason(iterated: IterationResult) -> Reason | None:
+    """Return which wheelsets count for little, being further off than the others; None where none is."""
     weights = iterated.panel.known.weights
     used = sorted(weights.keys() & set(iterated.solution.wheelsets))
     listed = [f"{name.split(LIFE)[0]} ({weights[name]:.2f} of a pass)" for name in used]
-    return f"low weight: poor fit of a single curve: {', '.join(listed)}" if listed else ""
+    if not listed:
+        return None
+    return Reason(ReasonCode.LOW_WEIGHT, f"low weight: poor fit of a single curve: {', '.join(listed)}")
 
 
-def _not_converged_reason(iterated: IterationResult, p: SectionParameters) -> str:
-    """Return what has not converged; empty where all has."""
+def _not_converged_reason(iterated: IterationResult, p: SectionParameters) -> Reason | None:
+    """Return what has not converged; None where all has."""
     tolerance = {
         Iterated.POSITIONS: f"{p.iteration.position_tolerance:g} m",
         Iterated.STIFFNESS_RATIOS: f"{p.iteration.ratio_tolerance:g}",
@@ -220,7 +231,9 @@ def _not_converged_reason(iterated: IterationResult, p: SectionParameters) -> st
         for one in iterated.convergence(p.iteration)
         if not one.converged and one.of in changed
     ]
-    return f"not converged after {iterated.rounds} rounds: {' and '.join(moving)}" if moving else ""
+    if not moving:
+        return None
+    return Reason(ReasonCode.NOT_CONVERGED, f"not converged after {iterated.rounds} rounds: {' and '.join(moving)}")
 
 
 def _journey(journey: Journey, members: Sequence[Pass], correction: Correction, accepted: _Accepted) -> JourneyReport:
@@ -234,5 +247,5 @@ def _journey(journey: Journey, members: Sequence[Pass], correction: Correction, 
         middle_m=correction.middle,
         residual_rms_m=accepted.rms[journey],
         used=journey not in accepted.outliers,
-        reason=accepted.outliers.get(journey, ""),
+        reason=accepted.outliers.get(journey),
     )

@@ -10,6 +10,7 @@ import numpy as np
 from estimation.trend.trend import TrendPoint
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode, combined
 
 PREFERRED_AMPLITUDE = 3e-3  # m, EN 15302's headline
 WANTED_SHARE = 0.75  # of the latest intervals that must cover an amplitude
@@ -25,7 +26,7 @@ class TrendPoints:
     quantity: str
     amplitude: float  # m
     points: tuple[TrendPoint, ...]
-    note: str
+    note: Reason | None
 
 
 def conicity_points(records: Sequence[GeometryRecord]) -> TrendPoints:
@@ -48,10 +49,12 @@ def conicity_points(records: Sequence[GeometryRecord]) -> TrendPoints:
     quantity = "equivalent_conicity" if chosen == _PREFERRED else f"equivalent_conicity_{chosen / 1000:g}_mm"
     notes = []
     if chosen != _PREFERRED:
-        notes.append(f"at {chosen / 1000:g} mm, the largest amplitude that most intervals cover")
+        text = f"at {chosen / 1000:g} mm, the largest amplitude that most intervals cover"
+        notes.append(Reason(ReasonCode.OTHER_AMPLITUDE, text))
     if len(points) < len(records):
-        notes.append(f"{len(records) - len(points)} of {len(records)} intervals do not cover it")
-    return TrendPoints(quantity, chosen * SAME_AMPLITUDE, points, "; ".join(notes))
+        text = f"{len(records) - len(points)} of {len(records)} intervals do not cover it"
+        notes.append(Reason(ReasonCode.INTERVALS_LEFT_OUT, text))
+    return TrendPoints(quantity, chosen * SAME_AMPLITUDE, points, combined(notes))
 
 
 def _amplitude(covered: Sequence[Mapping[int, Estimate]]) -> int:
@@ -90,8 +93,9 @@ def _point(record: GeometryRecord, estimate: Estimate) -> TrendPoint:
     return TrendPoint(record.mileage_km, (record.from_ns + record.to_ns) // 2, estimate.value, estimate.std)
 
 
-def _why_none(records: Sequence[GeometryRecord]) -> str:
+def _why_none(records: Sequence[GeometryRecord]) -> Reason:
     if not records:
-        return "no geometry since the last reprofiling"
-    reasons = sorted({r.geometry.equivalent_conicity.reason or r.geometry.reason for r in records} - {""})
-    return f"no interval has an equivalent conicity: {', '.join(reasons[:3])}"
+        return Reason(ReasonCode.NO_GEOMETRY_SINCE_REPROFILING, "no geometry since the last reprofiling")
+    reasons = {r.geometry.equivalent_conicity.reason or r.geometry.reason for r in records} - {None}
+    given = ", ".join(sorted(map(str, reasons))[:3])
+    return Reason(ReasonCode.NO_CONICITY, f"no interval has an equivalent conicity: {given}")

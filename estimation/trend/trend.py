@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
@@ -12,9 +12,11 @@ from estimation.trend.wear_curve import WearCurve, fit_wear_curve
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.intervals import with_interval
 from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import WearTrend
 
 YEAR_NS = 365.25 * 86_400e9
+ONE_DATE = Reason(ReasonCode.SINGLE_DATE, "all points have one date")
 NO_FORECAST = Forecast(None, None, None)
 
 
@@ -45,7 +47,7 @@ def refresh(
     params: TrendParameters | None = None,
     *,
     quantity: str = "equivalent_conicity",
-    note: str = "",
+    note: Reason | None = None,
 ) -> WearTrend:
     """Return the trend of the points, in whatever order they come.
 
@@ -60,7 +62,7 @@ def refresh(
     quantity
         Name of the indicator.
     note
-        Remark on the points, put in front of the reason.
+        Remark on the points, part of the reason.
 
     Returns
     -------
@@ -80,8 +82,10 @@ def refresh(
         np.array([max(p.std, params.smallest_std) for p in usable], dtype=np.float64),
     )
     lacking = _lacking(columns, params)
-    if lacking:
-        return _unestimated(columns, limit, quantity, "; ".join(filter(None, (note, lacking))))
+    if lacking is not None:
+        why = replace(lacking, text="; ".join(str(one) for one in (note, lacking) if one is not None))
+        code = lacking.code if note is None or usable else note.code
+        return _unestimated(columns, limit, quantity, replace(why, code=code))
     return _estimated(columns, limit, params, quantity, note)
 
 
@@ -93,18 +97,19 @@ class _Columns:
     std: FloatArray
 
 
-def _lacking(points: _Columns, params: TrendParameters) -> str:
+def _lacking(points: _Columns, params: TrendParameters) -> Reason | None:
     k = len(points.value)
     wanted = max(2, params.minimum_points)
     if k < wanted:
-        return f"{k} points since the last reprofiling, {wanted} needed"
+        return Reason(ReasonCode.TOO_FEW_POINTS, f"{k} points since the last reprofiling, {wanted} needed")
     span = float(points.mileage_km[-1] - points.mileage_km[0])
     if span < params.minimum_span_km:
-        return f"the points span {span:.3g} km, {params.minimum_span_km:.3g} km needed"
-    return ""
+        text = f"the points span {span:.3g} km, {params.minimum_span_km:.3g} km needed"
+        return Reason(ReasonCode.SPAN_TOO_SHORT, text)
+    return None
 
 
-def _unestimated(points: _Columns, limit: float, quantity: str, reason: str) -> WearTrend:
+def _unestimated(points: _Columns, limit: float, quantity: str, reason: Reason) -> WearTrend:
     unknown = Estimate.unknown(reason, len(points.value))
     current, probability = unknown, None
     if len(points.value):
@@ -128,11 +133,13 @@ def _unestimated(points: _Columns, limit: float, quantity: str, reason: str) -> 
     )
 
 
-def _estimated(points: _Columns, limit: float, params: TrendParameters, quantity: str, note: str) -> WearTrend:
+def _estimated(
+    points: _Columns, limit: float, params: TrendParameters, quantity: str, note: Reason | None
+) -> WearTrend:
     by_distance = fit_wear_curve(points.mileage_km, points.value, points.std)
     count = float(by_distance.share.sum())
     by_date = _fit_by_date(points)
-    slope_per_year, date = Estimate.unknown("all points have one date", count), NO_FORECAST
+    slope_per_year, date = Estimate.unknown(ONE_DATE, count), NO_FORECAST
     if by_date is not None:
         slope_per_year = by_date.slope_now().estimate(count)
         years = _forecast(by_date, limit, params.horizon_years)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Self
 
 from estimation.values.json_value import JsonValue
 
@@ -35,6 +36,29 @@ class Condition(StrEnum):
     ACTIVE = "active"
     CLEARED = "cleared"
     UNKNOWN = "unknown"  # the data no longer say; never to be read as healthy
+
+
+class CloseReason(StrEnum):
+    """Why an alert was closed; ``sentence`` is what people read."""
+
+    sentence: str
+
+    def __new__(cls, code: str, sentence: str = "") -> Self:
+        """Return the member of a code with its sentence."""
+        member = str.__new__(cls, code)
+        member._value_ = code
+        member.sentence = sentence
+        return member
+
+    CLEARED = "cleared", "cleared"
+    NOT_CONFIRMED = "not_confirmed", "not confirmed within the on-delay"
+    MEMBERS_CLOSED = "members_closed", "all members closed"
+    REPROFILED = "reprofiled", "reprofiled"
+    OUT_OF_SERVICE = "out_of_service", "taken out of service"
+    WHEELSET_EXCHANGED = "wheelset_exchanged", "wheelset exchanged"
+    MOUNTING_CORRECTED = "mounting_corrected", "mounting corrected"
+    RULE_DISABLED = "rule_disabled", "rule switched off"
+    OTHER = "other", "closed for a reason that an earlier version stored"
 
 
 class AlertEventKind(StrEnum):
@@ -89,7 +113,7 @@ class Alert:
     clear_limit: float | None
     cleared_ns: int | None = None
     closed_ns: int | None = None
-    close_reason: str | None = None
+    close_reason: CloseReason | None = None
     acknowledged_by: str | None = None
     acknowledged_ns: int | None = None
     shelved_until_ns: int | None = None

@@ -9,6 +9,7 @@ from enum import StrEnum
 from estimation.values.arrays import FloatArray, bin_centres, frozen_array
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +47,9 @@ class BinStatus(StrEnum):
     """Why a bin's number is published or not."""
 
     ESTIMATED = "estimated"
-    TOO_FEW = "too few samples"
-    CONTACT_JUMP = "a contact jump crosses the bin"
-    UNOBSERVABLE = "the data cannot say"
+    TOO_FEW = "too_few_samples"
+    CONTACT_JUMP = "contact_jump"  # one crosses the bin
+    UNOBSERVABLE = "unobservable"  # from the data
 
 
 COMBINATIONS = (
@@ -92,7 +93,7 @@ class WheelsetGeometry:
     windows: int
     parameter_key: str
     status: Status
-    reason: str = ""
+    reason: Reason | None = None
 
     def __post_init__(self) -> None:
         b = len(self.samples)

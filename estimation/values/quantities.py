@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from estimation.values.reasons import Reason
+
 
 class Status(StrEnum):
     """What a published number is worth."""
@@ -28,10 +30,10 @@ class Estimate:
     high: float | None
     count: float
     status: Status
-    reason: str = ""
+    reason: Reason | None = None
 
     @staticmethod
-    def unknown(reason: str, count: float = 0.0, status: Status = Status.UNESTIMATED) -> Estimate:
+    def unknown(reason: Reason, count: float = 0.0, status: Status = Status.UNESTIMATED) -> Estimate:
         """Return the estimate that says: not known, for this reason."""
         return Estimate(None, None, None, None, count, status, reason)
 

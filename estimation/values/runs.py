@@ -4,6 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
+
+
+class JobTrigger(StrEnum):
+    """Who asked for a run."""
+
+    SCHEDULE = "schedule"
+    API = "api"
+    CLI = "cli"
+
+
+class JobOutcome(StrEnum):
+    """How a run stands or ended."""
+
+    RUNNING = "running"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    ABANDONED = "abandoned"  # a stop was asked for, or the process ended
 
 
 @dataclass(frozen=True, slots=True)
@@ -12,9 +30,9 @@ class JobRun:
 
     run_id: int
     job: str
-    trigger: str  # "schedule", "api", "cli"
+    trigger: JobTrigger
     started_ns: int
     finished_ns: int | None
-    outcome: str  # "running", "succeeded", "failed", "abandoned"
+    outcome: JobOutcome
     counts: Mapping[str, int]
     error: str | None = None

@@ -10,6 +10,7 @@ import numpy as np
 from estimation.values.arrays import FloatArray, IntArray, frozen_array
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
+from estimation.values.reasons import Reason
 
 RECORDED = "recorded"
 
@@ -156,7 +157,7 @@ class TrackReport:
     version: int | None
     made: bool  # whether that run made the version
     status: Status
-    reason: str
+    reason: Reason | None
     windows: int
     input_digest: str  # over keys and digests of windows, and the version before
     code_version: str

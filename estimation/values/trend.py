@@ -10,6 +10,7 @@ import numpy as np
 from estimation.values.arrays import FloatArray, IntArray, frozen_array
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.reasons import Reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +30,7 @@ class WearTrend:
     date_of_limit_ns: Forecast
     probability_over_limit: float | None  # now
     status: Status
-    reason: str = ""
+    reason: Reason | None = None
 
     def __post_init__(self) -> None:
         k = len(self.value)

@@ -8,6 +8,7 @@ from enum import StrEnum
 import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.reasons import Reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +76,7 @@ class WindowState(StrEnum):
 class WindowPosition:
     """Where a window was along its section: true position = measured + offset + scale (measured - middle).
 
-    ``reason`` says why that is not known. ``content_digest`` is of the samples that were looked at.
+    ``reason`` says why that is not known, None where it is. ``content_digest`` is of the samples that were looked at.
     """
 
     wheelset: str
@@ -85,7 +86,7 @@ class WindowPosition:
     offset_m: float = 0.0
     scale: float = 0.0
     middle_m: float = 0.0
-    reason: str = ""
+    reason: Reason | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +102,6 @@ class WindowRecord:
     mileage_km: float  # of the wheelset since new, at the start
     quality: WindowQuality
     state: WindowState
-    reason: str
+    reason: Reason | None
     content_digest: str  # sha256 of the samples; the same content again changes nothing
     recorded_ns: int

@@ -6,7 +6,7 @@ from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.alerts import AlertEventKind, Condition, Severity
-from fleet_db.models.base import Base, Count, Json, Name, Nanoseconds, Real, Serial, one_of
+from fleet_db.models.base import Base, Count, Json, Name, Nanoseconds, Real, ReasonCodeColumn, Serial, one_of
 
 OPEN = text("closed_ns IS NULL")
 OPEN_OF_FLEET = text("wheelset IS NULL AND closed_ns IS NULL")
@@ -65,6 +65,7 @@ class AlertRow(Base):
     cleared_ns: Mapped[Nanoseconds | None]
     closed_ns: Mapped[Nanoseconds | None]
     close_reason: Mapped[Name | None]
+    close_code: Mapped[ReasonCodeColumn | None]
     acknowledged_by: Mapped[Name | None]
     acknowledged_ns: Mapped[Nanoseconds | None]
     shelved_until_ns: Mapped[Nanoseconds | None]

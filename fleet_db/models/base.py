@@ -20,6 +20,7 @@ NAMING = {
 Serial = Annotated[int, mapped_column(BigInteger().with_variant(Integer(), "sqlite"), primary_key=True)]
 Code = Annotated[str, mapped_column(String(64))]
 Name = Annotated[str, mapped_column(Text)]
+ReasonCodeColumn = Annotated[str, mapped_column(String(64))]
 Digest = Annotated[str, mapped_column(String(64))]
 Count = Annotated[int, mapped_column(BigInteger)]
 Nanoseconds = Annotated[int, mapped_column(BigInteger)]

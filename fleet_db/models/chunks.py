@@ -5,9 +5,8 @@ from __future__ import annotations
 from sqlalchemy import CheckConstraint, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
-from fleet_db.models.base import Base, Count, Json, Name, Nanoseconds, one_of
-
-CHUNK_STATES = ("stored", "decoded", "rejected")
+from fleet_db.models.base import Base, Count, Json, Name, Nanoseconds, ReasonCodeColumn, one_of
+from fleet_db.receipts import ChunkState
 
 
 class ChunkRow(Base):
@@ -15,7 +14,7 @@ class ChunkRow(Base):
 
     __tablename__ = "chunks"
     __table_args__ = (
-        one_of("state", CHUNK_STATES),
+        one_of("state", ChunkState),
         CheckConstraint("(first_ns IS NULL) = (last_ns IS NULL)", name="both_ends_or_none"),
         CheckConstraint("last_ns >= first_ns", name="ends_after_start"),
         CheckConstraint("size_bytes >= 0", name="size_counted"),
@@ -29,6 +28,7 @@ class ChunkRow(Base):
     size_bytes: Mapped[Count]
     state: Mapped[str] = mapped_column(String(16))
     reason: Mapped[Name]
+    reason_code: Mapped[ReasonCodeColumn | None]
     first_ns: Mapped[Nanoseconds | None]
     last_ns: Mapped[Nanoseconds | None]
     frames: Mapped[Count]

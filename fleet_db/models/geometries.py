@@ -6,7 +6,19 @@ from sqlalchemy import CheckConstraint, ForeignKey, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.quantities import Status
-from fleet_db.models.base import Base, Count, Digest, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
+from fleet_db.models.base import (
+    Base,
+    Count,
+    Digest,
+    Json,
+    Name,
+    Nanoseconds,
+    Packed,
+    Real,
+    ReasonCodeColumn,
+    Serial,
+    one_of,
+)
 
 
 class GeometryRow(Base):
@@ -37,6 +49,7 @@ class GeometryRow(Base):
     recorded_ns: Mapped[Nanoseconds]
     status: Mapped[str] = mapped_column(String(16))
     reason: Mapped[Name]
+    reason_code: Mapped[ReasonCodeColumn | None]
     windows: Mapped[Count]
     parameter_key: Mapped[str] = mapped_column(String(128))
     headline_amplitude_m: Mapped[Real | None]

@@ -5,9 +5,8 @@ from __future__ import annotations
 from sqlalchemy import CheckConstraint, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
+from estimation.values.runs import JobOutcome
 from fleet_db.models.base import Base, Json, Name, Nanoseconds, Serial, one_of
-
-OUTCOMES = ("running", "succeeded", "failed", "abandoned")
 
 
 class JobRunRow(Base):
@@ -15,7 +14,7 @@ class JobRunRow(Base):
 
     __tablename__ = "job_runs"
     __table_args__ = (
-        one_of("outcome", OUTCOMES),
+        one_of("outcome", JobOutcome),
         CheckConstraint("(outcome = 'running') = (finished_ns IS NULL)", name="running_until_finished"),
         Index(None, "job", "run_id"),
         {"sqlite_autoincrement": True},

@@ -7,7 +7,19 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.quantities import Status
 from estimation.values.track import FLEET, RECORDED
-from fleet_db.models.base import Base, Count, Digest, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
+from fleet_db.models.base import (
+    Base,
+    Count,
+    Digest,
+    Json,
+    Name,
+    Nanoseconds,
+    Packed,
+    Real,
+    ReasonCodeColumn,
+    Serial,
+    one_of,
+)
 
 
 class TrackSectionRow(Base):
@@ -76,6 +88,7 @@ class TrackReportRow(Base):
     made: Mapped[bool]
     status: Mapped[str] = mapped_column(String(16))
     reason: Mapped[Name]
+    reason_code: Mapped[ReasonCodeColumn | None]
     windows: Mapped[Count]
     input_digest: Mapped[Digest]
     code_version: Mapped[Name]
@@ -102,6 +115,7 @@ class WindowPositionRow(Base):
     scale: Mapped[Real]
     middle_m: Mapped[Real]
     reason: Mapped[Name]
+    reason_code: Mapped[ReasonCodeColumn | None]
 
 
 class TrackLayoutRow(Base):

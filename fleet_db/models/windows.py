@@ -6,7 +6,7 @@ from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.windows import WindowState
-from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Real, one_of
+from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Real, ReasonCodeColumn, one_of
 
 PENDING = text("state = 'pending'")
 
@@ -39,6 +39,7 @@ class WindowRow(Base):
     sensor_fault: Mapped[bool]
     state: Mapped[str] = mapped_column(String(16))
     reason: Mapped[Name]
+    reason_code: Mapped[ReasonCodeColumn | None]
     content_digest: Mapped[Digest]
     sample_bytes: Mapped[Count]
     recorded_ns: Mapped[Nanoseconds]

@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import Connection, Select, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, Condition, Severity
+from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
 from estimation.values.identity import IDENTITY
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
@@ -210,13 +210,19 @@ def _subject(alert: Alert) -> str:
 
 def _fields(alert: Alert) -> dict[str, Any]:
     enumerations = {name: getattr(alert, name).value for name in ("severity", "condition")}
-    return asdict(alert) | enumerations | {"external_refs": list(alert.external_refs)}
+    closed: dict[str, str | None] = {"close_reason": None, "close_code": None}
+    if alert.close_reason is not None:
+        closed = {"close_reason": alert.close_reason.sentence, "close_code": alert.close_reason.value}
+    return asdict(alert) | enumerations | closed | {"external_refs": list(alert.external_refs)}
 
 
 def _alert(fields: Any) -> Alert:  # noqa: ANN401 - a row or the JSON of an event, both with the fields of an alert
+    values = dict(fields)
+    closed = values.pop("close_code", None)
     return Alert(
         **{
-            **fields,
+            **values,
+            "close_reason": None if closed is None else CloseReason(closed),
             "severity": Severity(fields["severity"]),
             "condition": Condition(fields["condition"]),
             "external_refs": tuple(fields["external_refs"]),

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 from sqlalchemy import Connection, Row, select, update
 
 from estimation.errors import NotFoundError
 from fleet_db.models import ChunkRow
-from fleet_db.receipts import ChunkRecord
+from fleet_db.reason_columns import reason_columns, stored_reason
+from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.rows import insert_new, table_of
 
 CHUNKS = table_of(ChunkRow)
@@ -49,22 +51,28 @@ class ChunkStore:
         statement = (
             select(CHUNKS)
             .where(CHUNKS.c.vehicle == vehicle, CHUNKS.c.first_ns < to_ns, CHUNKS.c.last_ns >= from_ns)
-            .where(CHUNKS.c.state == "decoded")
+            .where(CHUNKS.c.state == ChunkState.DECODED.value)
             .order_by(CHUNKS.c.first_ns, CHUNKS.c.digest)
         )
         return [_record(row) for row in self.connection.execute(statement)]
 
-    def with_state(self, state: str, limit: int = 100) -> Sequence[ChunkRecord]:
+    def with_state(self, state: ChunkState, limit: int = 100) -> Sequence[ChunkRecord]:
         """Return receipts in ``state``, oldest first."""
         statement = (
-            select(CHUNKS).where(CHUNKS.c.state == state).order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest).limit(limit)
+            select(CHUNKS)
+            .where(CHUNKS.c.state == state.value)
+            .order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
+            .limit(limit)
         )
         return [_record(row) for row in self.connection.execute(statement)]
 
 
 def _values(record: ChunkRecord) -> dict[str, object]:
-    return asdict(record) | {"counts": dict(record.counts)}
+    plain = {"counts": dict(record.counts), "state": record.state.value}
+    return asdict(record) | plain | reason_columns(record.reason)
 
 
-def _record(row: Row[tuple[object, ...]]) -> ChunkRecord:
-    return ChunkRecord(**row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
+def _record(row: Row[Any]) -> ChunkRecord:
+    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
+    del fields["reason_code"]
+    return ChunkRecord(**{**fields, "state": ChunkState(row.state), "reason": stored_reason(row)})

@@ -14,6 +14,7 @@ from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import GeometryRow, WheelsetBinRow, WindowBinTableRow
 from fleet_db.packed_values import pack_geometry, unpack_geometry
+from fleet_db.reason_columns import reason_columns
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.session import to_json
 
@@ -172,7 +173,7 @@ def _values(record: GeometryRecord) -> dict[str, Any]:
         "code_version": record.code_version,
         "recorded_ns": record.recorded_ns,
         "status": str(geometry.status),
-        "reason": geometry.reason,
+        **reason_columns(geometry.reason),
         "windows": geometry.windows,
         "parameter_key": geometry.parameter_key,
         "headline_amplitude_m": null_if_nan(geometry.reported_amplitude),

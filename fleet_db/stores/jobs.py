@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.values.runs import JobRun
+from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 from fleet_db.models import JobRunRow
 from fleet_db.rows import table_of
 
@@ -22,16 +22,22 @@ class JobRunStore:
 
     connection: Connection
 
-    def start(self, job: str, trigger: str, started_ns: int) -> JobRun:
+    def start(self, job: str, trigger: JobTrigger, started_ns: int) -> JobRun:
         """Record that a run has begun."""
         statement = insert(RUNS).values(
-            job=job, trigger=trigger, started_ns=started_ns, finished_ns=None, outcome="running", counts={}, error=None
+            job=job,
+            trigger=trigger.value,
+            started_ns=started_ns,
+            finished_ns=None,
+            outcome=JobOutcome.RUNNING.value,
+            counts={},
+            error=None,
         )
         run_id = self.connection.execute(statement.returning(RUNS.c.run_id)).scalar_one()
-        return JobRun(run_id, job, trigger, started_ns, None, "running", {})
+        return JobRun(run_id, job, trigger, started_ns, None, JobOutcome.RUNNING, {})
 
     def finish(
-        self, run_id: int, outcome: str, counts: Mapping[str, int], finished_ns: int, error: str | None = None
+        self, run_id: int, outcome: JobOutcome, counts: Mapping[str, int], finished_ns: int, error: str | None = None
     ) -> None:
         """Record how a run ended.
 
@@ -44,8 +50,8 @@ class JobRunStore:
         """
         result = self.connection.execute(
             update(RUNS)
-            .where(RUNS.c.run_id == run_id, RUNS.c.outcome == "running")
-            .values(outcome=outcome, counts=dict(counts), finished_ns=finished_ns, error=error)
+            .where(RUNS.c.run_id == run_id, RUNS.c.outcome == JobOutcome.RUNNING.value)
+            .values(outcome=outcome.value, counts=dict(counts), finished_ns=finished_ns, error=error)
         )
         if result.rowcount == 0:
             ended = self.get(run_id)
@@ -57,8 +63,10 @@ class JobRunStore:
         """Mark every run that never ended as abandoned; return how many."""
         result = self.connection.execute(
             update(RUNS)
-            .where(RUNS.c.outcome == "running")
-            .values(outcome="abandoned", finished_ns=finished_ns, error="the process ended during the run")
+            .where(RUNS.c.outcome == JobOutcome.RUNNING.value)
+            .values(
+                outcome=JobOutcome.ABANDONED.value, finished_ns=finished_ns, error="the process ended during the run"
+            )
         )
         return result.rowcount
 
@@ -87,4 +95,5 @@ class JobRunStore:
 
 
 def _run(row: Row[Any]) -> JobRun:
-    return JobRun(**row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
+    enumerations = {"trigger": JobTrigger(row.trigger), "outcome": JobOutcome(row.outcome)}
+    return JobRun(**{**row._mapping, **enumerations})  # noqa: SLF001 - SQLAlchemy's public accessor

@@ -24,6 +24,7 @@ from fleet_db.models import (
     WindowRow,
 )
 from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
+from fleet_db.reason_columns import reason_columns
 from fleet_db.rows import table_of, upsert
 
 MOUNTINGS = table_of(MountingRow)
@@ -204,7 +205,7 @@ class RegistryStore:
         within = [WINDOWS.c.wheelset == record.wheelset, WINDOWS.c.start_ns >= record.from_ns]
         if record.to_ns is not None:
             within.append(WINDOWS.c.start_ns < record.to_ns)
-        pending = {"state": WindowState.PENDING.value, "reason": ""}
+        pending = {"state": WindowState.PENDING.value, **reason_columns(None)}
         estimated = WINDOWS.c.state == WindowState.ESTIMATED.value
         self.connection.execute(update(WINDOWS).where(*within, estimated).values(**pending))
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, select
+from sqlalchemy import Connection, Row, Select, and_, delete, exists, func, insert, select
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.quantities import Status
@@ -32,6 +32,7 @@ from fleet_db.models import (
     WindowRow,
 )
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
+from fleet_db.reason_columns import reason_columns, stored_reason
 from fleet_db.rows import null_if_nan, table_of, upsert
 
 LAYOUTS = table_of(TrackLayoutRow)
@@ -178,12 +179,14 @@ class TrackStore:
         if row is None:
             return None
         fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
-        return TrackReport(**(fields | {"status": Status(row.status)}))
+        del fields["reason_code"]
+        return TrackReport(**(fields | {"status": Status(row.status), "reason": stored_reason(row)}))
 
     def add_report(self, report: TrackReport) -> int:
         """Append what a run found of a section; return its number."""
         serialise(self.connection, Subject.TRACKS)
         values = asdict(report) | {"status": str(report.status), "report": dict(report.report)}
+        values |= reason_columns(report.reason)
         values.pop("report_id")
         return int(
             self.connection.execute(insert(REPORTS).values(**values).returning(REPORTS.c.report_id)).scalar_one()
@@ -193,11 +196,11 @@ class TrackStore:
         """Return where a window was, if that has been looked at."""
         key = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
         row = self.connection.execute(select(POSITIONS).where(*key)).first()
-        return None if row is None else WindowPosition(*row)
+        return None if row is None else _position(row)
 
     def put_position(self, position: WindowPosition) -> bool:
         """Store where a window was, in the place of what was known; return whether that has changed."""
-        return upsert(self.connection, POSITIONS, asdict(position))
+        return upsert(self.connection, POSITIONS, asdict(position) | reason_columns(position.reason))
 
     def forget_positions(self, section: str) -> int:
         """Forget where the windows of a section were, so that they are looked at again; return of how many."""
@@ -232,6 +235,12 @@ class TrackStore:
 
     def _sections(self, statement: Select[Any]) -> Sequence[TrackSectionRecord]:
         return [TrackSectionRecord(*row) for row in self.connection.execute(statement)]
+
+
+def _position(row: Row[Any]) -> WindowPosition:
+    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
+    del fields["reason_code"]
+    return WindowPosition(**(fields | {"reason": stored_reason(row)}))
 
 
 def _version_values(alignment: TrackAlignment, same_since: int, recorded_ns: int) -> dict[str, Any]:

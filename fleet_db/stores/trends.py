@@ -11,6 +11,7 @@ from estimation.values.trend import TrendRecord
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import TrendRow
 from fleet_db.packed_values import pack_trend, unpack_trend
+from fleet_db.reason_columns import reason_columns
 from fleet_db.rows import null_if_nan, table_of
 
 TRENDS = table_of(TrendRow)
@@ -72,7 +73,7 @@ def _values(record: TrendRecord) -> dict[str, Any]:
         "code_version": record.code_version,
         "recorded_ns": record.recorded_ns,
         "status": str(trend.status),
-        "reason": trend.reason,
+        **reason_columns(trend.reason),
         "points": len(trend.value),
         "current": null_if_nan(trend.current.value),
         "current_std": null_if_nan(trend.current.std),

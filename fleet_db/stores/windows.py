@@ -10,9 +10,11 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, and_, bindparam, delete, exists, func, or_, select
 
 from estimation.errors import NotFoundError
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window, WindowQuality, WindowRecord, WindowState
 from fleet_db.changes import Changes
 from fleet_db.models import WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
+from fleet_db.reason_columns import reason_columns, stored_reason
 from fleet_db.rows import insert_new, key_given, key_of, nan_if_null, null_if_nan, replace, table_of
 from fleet_db.telemetry import WindowFiles, window_digest
 
@@ -29,7 +31,7 @@ STORED = (
     .select_from(WHEELSETS.outerjoin(WINDOWS, SAME))
     .where(WHEELSETS.c.serial == bindparam("wheelset"))
 )
-STANDING = select(WINDOWS.c.state, WINDOWS.c.reason).where(key_given(WINDOWS))
+STANDING = select(WINDOWS.c.state, WINDOWS.c.reason, WINDOWS.c.reason_code).where(key_given(WINDOWS))
 DIGEST = select(WINDOWS.c.content_digest).where(key_given(WINDOWS))
 REALS = (
     "coverage",
@@ -103,12 +105,12 @@ class WindowStore:
         found = self._records(select(WINDOWS).where(*key))
         return found[0] if found else None
 
-    def requeue(self, track_section: str, reason: str) -> int:
-        """Let the windows of a section that were refused for this reason wait again; return how many."""
-        refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason == reason)
+    def requeue(self, track_section: str, code: ReasonCode) -> int:
+        """Let the windows of a section that were refused for a reason of this code wait again; return how many."""
+        refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code == code.value)
         found = self._records(select(WINDOWS).where(WINDOWS.c.track_section == track_section, *refused))
         for record in found:
-            self.mark(record.wheelset, record.start_ns, WindowState.PENDING, "")
+            self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
         return len(found)
 
     def requeue_section(self, track_section: str) -> int:
@@ -116,7 +118,7 @@ class WindowStore:
         not_pending = (WINDOWS.c.track_section == track_section, WINDOWS.c.state != WindowState.PENDING.value)
         found = self._records(select(WINDOWS).where(*not_pending))
         for record in found:
-            self.mark(record.wheelset, record.start_ns, WindowState.PENDING, "")
+            self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
         return len(found)
 
     def load(self, wheelset: str, start_ns: int) -> Window:
@@ -131,7 +133,7 @@ class WindowStore:
         """
         return self.files.load(content_digest(self.connection, wheelset, start_ns))
 
-    def mark(self, wheelset: str, start_ns: int, state: WindowState, reason: str) -> None:
+    def mark(self, wheelset: str, start_ns: int, state: WindowState, reason: Reason | None = None) -> None:
         """Set the state of a window; one that is refused loses its bin table.
 
         Raises
@@ -143,9 +145,10 @@ class WindowStore:
         before = self.connection.execute(STANDING, key_of(WINDOWS, key)).first()
         if before is None:
             raise NotFoundError("window", f"{wheelset}@{start_ns}")
-        if before == (state.value, reason):
+        after = {"state": state.value, **reason_columns(reason)}
+        if before._asdict() == after:
             return
-        replace(self.connection, WINDOWS, {**key, "state": state.value, "reason": reason})
+        replace(self.connection, WINDOWS, {**key, **after})
         if before.state != state.value:
             self.changes.note(wheelset)
         if state is WindowState.REFUSED:
@@ -194,7 +197,7 @@ class WindowStore:
             delete(POSITIONS).where(POSITIONS.c.wheelset == window.wheelset, POSITIONS.c.start_ns == window.start_ns)
         )
         if standing is not None and standing.state == WindowState.REFUSED.value:
-            self.mark(window.wheelset, window.start_ns, WindowState.PENDING, "")
+            self.mark(window.wheelset, window.start_ns, WindowState.PENDING)
 
     def _set_mileage(self, window: Window, before_km: float, mileage_km: float) -> bool:
         if before_km == mileage_km:
@@ -251,7 +254,7 @@ def to_window_record(row: Row[Any]) -> WindowRecord:
             sensor_fault=row.sensor_fault,
         ),
         state=WindowState(row.state),
-        reason=row.reason,
+        reason=stored_reason(row),
         content_digest=row.content_digest,
         recorded_ns=row.recorded_ns,
     )
@@ -270,5 +273,5 @@ def _values(window: Window, mileage_km: float) -> dict[str, object]:
         "gaps": window.quality.gaps,
         "sensor_fault": window.quality.sensor_fault,
         "state": WindowState.PENDING.value,
-        "reason": "",
+        **reason_columns(None),
     }

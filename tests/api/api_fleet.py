@@ -8,10 +8,12 @@ import numpy as np
 
 from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.storage import Storage
-from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
+from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.runs import JobOutcome, JobTrigger
 from estimation.values.track import FLEET, TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.trend import TrendRecord, WearTrend
 from estimation.values.windows import Window, WindowQuality
@@ -20,6 +22,12 @@ SECOND = 1_000_000_000
 DAY = 86_400 * SECOND
 START = 1_750_000_000 * SECOND
 RECORDED = START + 40 * DAY + 123_456_789
+
+
+def not_covered(text: str) -> Reason:
+    return Reason(ReasonCode.AMPLITUDE_NOT_COVERED, text)
+
+
 WHEELSETS = [f"WS-{number:03d}" for number in range(25)]
 WINDOWS = 30
 LENGTH = 30 * SECOND
@@ -90,10 +98,10 @@ def geometry(conicity: float = 0.1875) -> WheelsetGeometry:
         contact_angle_sum=values(0.05),
         contact_angle_difference=values(0.01),
         amplitude=np.array([1.0, 2.0, 3.0]) * 1e-3,
-        conicity=(estimate(0.125), estimate(conicity), Estimate.unknown("not covered", 2.0)),
+        conicity=(estimate(0.125), estimate(conicity), Estimate.unknown(not_covered("not covered"), 2.0)),
         reported_amplitude=2e-3,
         equivalent_conicity=estimate(conicity),
-        nonlinearity=Estimate.unknown("4 mm is not covered"),
+        nonlinearity=Estimate.unknown(not_covered("4 mm is not covered")),
         zero_crossing=estimate(-0.25e-3),
         windows=30,
         parameter_key="p" * 16,
@@ -129,7 +137,7 @@ def trend_record(recorded_ns: int, last: float) -> TrendRecord:
         value=values,
         std=np.array([0.01, 0.011, np.nan]),
         slope_per_1000_km=estimate(0.02),
-        slope_per_year=Estimate.unknown("dates too close"),
+        slope_per_year=Estimate.unknown(Reason(ReasonCode.SINGLE_DATE, "dates too close")),
         current=estimate(last),
         limit=0.4,
         distance_to_limit_km=Forecast(8000.0, 11000.0, None),
@@ -165,7 +173,7 @@ def raised(storage: Storage, serial: str, kind: str = "conicity_limit", fleet: s
     with storage.write() as unit:
         open_one = next((one for one in unit.alerts.all_open(serial) if one.kind == kind), None)
         if open_one is not None:
-            closed = replace(open_one, closed_ns=RECORDED, close_reason="test")
+            closed = replace(open_one, closed_ns=RECORDED, close_reason=CloseReason.REPROFILED)
             unit.alerts.save(closed, [AlertEventKind.CLOSED], RECORDED)
         return unit.alerts.save(alert(serial, kind, fleet), [AlertEventKind.RAISED], RECORDED)
 
@@ -184,7 +192,8 @@ def track_report(section: str, version: int | None, status: Status) -> TrackRepo
         "used": True,
         "reason": "",
     }
-    stranger = journey | {"vehicle": "V-2", "residual_rms_m": None, "used": False, "reason": "agrees with no other"}
+    stranger = journey | {"vehicle": "V-2", "residual_rms_m": None, "used": False}
+    stranger |= {"reason": "agrees with no other", "reason_code": "journey_disagrees"}
     told = {
         "passes": 4,
         "wheelsets": 4,
@@ -199,9 +208,10 @@ def track_report(section: str, version: int | None, status: Status) -> TrackRepo
         "evidence": ["fleet version 2"] if version else [],
         "recording": None,
         "refused_windows": {"the sensor reports a fault": 2},
+        "refused_windows_by_code": {"sensor_fault": 2},
         "journeys": [journey, stranger],
     }
-    reason = "" if version else "the passes are too alike"
+    reason = None if version else Reason(ReasonCode.PASSES_ALIKE, "the passes are too alike")
     made = version is not None
     return TrackReport(section, version, made, status, reason, 10, "d" * 64, "0.1.0+test", told, RECORDED + 9)
 
@@ -244,5 +254,5 @@ def populate(storage: Storage) -> None:
     raised(storage, WHEELSETS[0], "no_data")
     for number in range(7):
         with storage.write() as unit:
-            run = unit.jobs.start("estimate_windows", "schedule", RECORDED + number)
-            unit.jobs.finish(run.run_id, "succeeded", {"estimated": number}, RECORDED + number + SECOND // 2)
+            run = unit.jobs.start("estimate_windows", JobTrigger.SCHEDULE, RECORDED + number)
+            unit.jobs.finish(run.run_id, JobOutcome.SUCCEEDED, {"estimated": number}, RECORDED + number + SECOND // 2)

@@ -21,6 +21,7 @@ from estimation.errors import ConflictError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import JobSettings
+from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.storage import SqlStorage
 
 
@@ -73,12 +74,12 @@ def test_a_run_that_another_process_has_under_way_is_409(
 ) -> None:
     storage = open_store(Settings(database_url=storage_url, data_dir=tmp_path, _env_file=None))
     with storage.write() as unit:
-        run = unit.jobs.start("refresh_trends", "schedule", 1)
+        run = unit.jobs.start("refresh_trends", JobTrigger.SCHEDULE, 1)
     refused = client.post("/v1/jobs/refresh_trends/runs")
     assert refused.status_code == 409
     assert f"run {run.run_id}" in refused.json()["detail"]
     with storage.write() as unit:
-        unit.jobs.finish(run.run_id, "abandoned", {}, 2)
+        unit.jobs.finish(run.run_id, JobOutcome.ABANDONED, {}, 2)
     storage.close()
     assert client.post("/v1/jobs/refresh_trends/runs").status_code == 202
 

@@ -68,7 +68,7 @@ def test_a_bin_table_has_all_four_combinations_and_no_number_that_was_not_estima
     assert bins["lower_mm"] == [-4.0, -2.0, 0.0, 2.0]
     assert bins["upper_mm"] == [-2.0, 0.0, 2.0, 4.0]
     assert bins["samples_1"] == [3.0, 5000.5, 4000.0, 6000.0]
-    status = ["too few samples", "estimated", "a contact jump crosses the bin", "estimated"]
+    status = ["too_few_samples", "estimated", "contact_jump", "estimated"]
     expected = {
         "rolling_radius_sum_mm": [None, -800.0, None, 1800.0],
         "rolling_radius_difference_mm": [None, -2.0, None, 4.5],
@@ -90,6 +90,7 @@ def test_numbers_come_with_their_uncertainty_and_unknown_ones_with_their_reason(
         "n_windows": 7.5,
         "status": "estimated",
         "reason": None,
+        "reason_code": None,
     }
     assert geometry["equivalent_conicity_amplitude_mm"] == 2.0
     assert geometry["nonlinearity_parameter_per_mm"] == {
@@ -99,6 +100,7 @@ def test_numbers_come_with_their_uncertainty_and_unknown_ones_with_their_reason(
         "n_windows": 0.0,
         "status": "unestimated",
         "reason": "4 mm is not covered",
+        "reason_code": "amplitude_not_covered",
     }
     assert geometry["zero_crossing_mm"]["value"] == -0.25
     assert geometry["zero_crossing_mm"]["interval_95"] == pytest.approx([-20.25, 24.75])

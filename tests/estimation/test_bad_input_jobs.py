@@ -16,6 +16,7 @@ from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.values.geometry import GeometryRecord
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.runs import JobTrigger
 from estimation.values.track import FLEET, TrackAlignment, TrackSectionRecord
 from estimation.values.windows import Window, WindowRecord, WindowState
 
@@ -67,7 +68,7 @@ def deployed(storage: Storage, found: dict[str, Sequence[Window]], recorded: Tra
 
 
 def run_jobs(storage: Storage) -> None:
-    runs = run_all(JobContext(storage, Clock(), "test", JobSettings()), "cli")
+    runs = run_all(JobContext(storage, Clock(), "test", JobSettings()), JobTrigger.CLI)
     assert [run.outcome for run in runs] == ["succeeded"] * len(runs), runs
 
 
@@ -153,7 +154,7 @@ def test_bad_passes_are_refused_with_their_reason_and_the_others_stay_as_they_we
         records = states(sqlite_storage, name)
         assert len(records) == len(items)
         assert {record.state for record in records} == {WindowState.REFUSED}, (name, records)
-        assert all(said in record.reason for record in records), (name, [r.reason for r in records])
+        assert all(said in str(record.reason) for record in records), (name, [r.reason for r in records])
     assert len(without) == len(RUNS)
     same(geometries(sqlite_storage), without)
 
@@ -166,7 +167,7 @@ def test_of_a_window_whose_position_jumps_what_fits_helps_the_track_and_nothing_
     deployed(sqlite_storage, honest() | {"B": (jumping,)})
     (record,) = states(sqlite_storage, "B")
     assert record.state is WindowState.REFUSED
-    assert "the position jumps once against the speed, by 15.0 m" in record.reason
+    assert "the position jumps once against the speed, by 15.0 m" in str(record.reason)
     before, after = without, geometries(sqlite_storage)
     for name, one in before.items():
         ours, theirs = one.geometry.rolling_radius_difference, after[name].geometry.rolling_radius_difference

@@ -9,6 +9,7 @@ from test_refresh_alignment import DAY_NS, counts, in_force, put, register, repo
 
 from estimation.contact.profiles import MeasuredProfiles, Profile, wheel_profile
 from estimation.values.quantities import Status
+from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.registry import Reprofiling
 from estimation.values.track import TrackSectionRecord
 from fleet_db.models import MeasuredProfilesRow
@@ -33,7 +34,7 @@ def measure(storage: SqlStorage, *, mileage_km: float = 10.0, at_ns: int = 0, wh
 def test_a_wheelset_that_has_been_measured_can_be_read_alone(storage: SqlStorage) -> None:
     one_wheelset_three_times(storage)
     counts(storage, "refresh_alignment")
-    assert "one wheelset alone" in report(storage).reason
+    assert code_of(report(storage).reason) is ReasonCode.SINGLE_WHEELSET
     measure(storage)
     counts(storage, "refresh_alignment")  # the same windows, but more is known
     told = report(storage)
@@ -56,7 +57,7 @@ def test_profiles_that_the_wheelset_has_no_longer_say_nothing(storage: SqlStorag
             unit.registry.add_reprofiling(Reprofiling("W0", DAY_NS // 2, 10.2))
     counts(storage, "refresh_alignment")
     told = report(storage)
-    assert "one wheelset alone" in told.reason
+    assert code_of(told.reason) is ReasonCode.SINGLE_WHEELSET
     assert told.report["evidence"] == []
 
 
@@ -78,6 +79,6 @@ def test_a_damaged_measurement_is_told_and_the_section_goes_on(storage: SqlStora
         connection.execute(update(table_of(MeasuredProfilesRow)).values(packed=b"damaged"))
     counts(storage, "refresh_alignment")
     told = report(storage)
-    assert "one wheelset alone" in told.reason
+    assert code_of(told.reason) is ReasonCode.SINGLE_WHEELSET
     (note,) = told.report["evidence"]  # type: ignore[misc]
     assert "W0" in str(note)

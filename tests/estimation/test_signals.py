@@ -10,9 +10,10 @@ from smooth_wheelset import alignment, mems_windows, run, track
 
 from estimation.errors import ParameterError
 from estimation.filters.wander_removal import remove_wander
-from estimation.motion.parameters import Refusal, SignalParameters
+from estimation.motion.parameters import SignalParameters
 from estimation.motion.track_relative import motion
 from estimation.values.motion import Motion
+from estimation.values.reasons import Reason
 
 PARAMETERS = SignalParameters()
 
@@ -78,14 +79,14 @@ def test_short_gaps_are_bridged_but_not_used_and_long_ones_split() -> None:
     [
         ({"speed": np.full(15_000, 2.0)}, "100% slower than 8 m/s"),
         ({"distance": np.full(15_000, -50.0)}, "100% off the known part of the section"),
-        ({"valid": np.arange(15_000) % 2000 > 300}, "no uninterrupted stretch"),
+        ({"valid": np.arange(15_000) % 2000 > 300}, "no uninterrupted run"),
     ],
 )
 def test_what_cannot_be_used_is_refused_with_its_reason(change: dict[str, np.ndarray], reason: str) -> None:
     (window,) = mems_windows(run(60), seed=0)
     found = motion(replace(window, **change), alignment(track(1)), PARAMETERS)
-    assert isinstance(found, Refusal)
-    assert reason in found.reason
+    assert isinstance(found, Reason)
+    assert reason in found.text
 
 
 def test_impossible_parameters_are_refused() -> None:

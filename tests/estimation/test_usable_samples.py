@@ -13,9 +13,10 @@ from smooth_wheelset import SmoothTable, alignment, mems_windows, run, track
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.alignment_lookup import deconvolved
 from estimation.motion.curves import straight, straight_part
-from estimation.motion.parameters import CurveLimits, Refusal, SignalParameters
+from estimation.motion.parameters import CurveLimits, SignalParameters
 from estimation.motion.track_relative import motion
 from estimation.values.motion import Motion
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import FLEET, TrackAlignment, TrackLayout
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -101,8 +102,8 @@ def test_a_simulated_curve_spoils_the_motion_unless_it_is_on_file() -> None:
     assert bent.curves is not None
     laid = TrackLayout("S1", 1, bent.s, bent.curves.curvature, bent.curves.cant)
     refused = motion(window, alignment(bent), PARAMETERS)
-    assert isinstance(refused, Refusal)
-    assert "a curve is felt and no layout is on file" in refused.reason
+    assert isinstance(refused, Reason)
+    assert "a curve is detected and no layout is stored" in refused.text
     errors = []
     for known in (None, laid):
         found = motion(window, alignment(bent), replace(PARAMETERS, max_cant_deficiency_change=1.0), known)
@@ -124,8 +125,8 @@ def test_passes_keep_to_the_straight_too() -> None:
     assert isinstance(kept, Window)
     assert kept.valid.mean() == pytest.approx(0.5, abs=0.04)
     assert straight_part(window, None, PARAMETERS) is window
-    assert straight_part(window, layout((0.0, 1e-3, 0.0), (13_000.0, 1e-3, 0.0)), PARAMETERS) == Refusal(
-        "the window lies in curves"
+    assert straight_part(window, layout((0.0, 1e-3, 0.0), (13_000.0, 1e-3, 0.0)), PARAMETERS) == Reason(
+        ReasonCode.IN_CURVES, "all of the window is in curves"
     )
     leaning = replace(
         window,
@@ -133,8 +134,8 @@ def test_passes_keep_to_the_straight_too() -> None:
         mass_lateral_acceleration=window.mass_lateral_acceleration + np.where(window.distance > middle, 0.2, 0.0),
     )
     refused = straight_part(leaning, None, PARAMETERS)
-    assert isinstance(refused, Refusal)
-    assert "changes by 0.2" in refused.reason
+    assert isinstance(refused, Reason)
+    assert "changes by 0.2" in refused.text
 
 
 def test_stops_are_left_out_and_do_not_leak_into_the_running() -> None:
@@ -179,15 +180,15 @@ def test_a_gap_of_a_tenth_of_a_second_costs_a_second_and_not_the_stretch() -> No
 def test_a_window_that_loses_too_much_says_what_it_lost(change: dict[str, np.ndarray], words: list[str]) -> None:
     window = replace(mems_windows(run(60), seed=0)[0], **change)
     found = motion(window, alignment(track(1)), replace(PARAMETERS, least_used=0.2))
-    assert isinstance(found, Refusal)
+    assert isinstance(found, Reason)
     for word in words:
-        assert word in found.reason
+        assert word in found.text
 
 
 def test_a_window_in_a_curve_says_so() -> None:
     window = mems_windows(run(60), seed=0)[0]
     found = motion(window, alignment(track(1)), PARAMETERS, layout((0.0, 1e-3, 0.0), (13_000.0, 1e-3, 0.0)))
-    assert found == Refusal("no sample can be used: 100% in curves")
+    assert found == Reason(ReasonCode.NO_USABLE_SAMPLE, "no sample can be used: 100% in curves")
 
 
 def fleet_alignment(cutoff_wavelength: float) -> TrackAlignment:

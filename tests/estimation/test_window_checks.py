@@ -11,9 +11,9 @@ from smooth_wheelset import alignment, track
 
 from estimation.geometry.estimate import estimate_geometry
 from estimation.motion.checks import direction
-from estimation.motion.parameters import Refusal
 from estimation.tables import bin_table
 from estimation.tables.window import tabulate_window
+from estimation.values.reasons import Reason
 from estimation.values.windows import Window
 
 KNOWN = alignment(track(1))
@@ -21,8 +21,8 @@ KNOWN = alignment(track(1))
 
 def curve(found: tuple[Window, ...], *, mounted_reversed: bool = False) -> np.ndarray:
     tables = [tabulate_window(window, KNOWN, SETTINGS.windows, mounted_reversed=mounted_reversed) for window in found]
-    assert not any(isinstance(table, Refusal) for table in tables), tables
-    merged = bin_table.merge_all([table for table in tables if not isinstance(table, Refusal)], SETTINGS.bins)
+    assert not any(isinstance(table, Reason) for table in tables), tables
+    merged = bin_table.merge_all([table for table in tables if not isinstance(table, Reason)], SETTINGS.bins)
     return estimate_geometry(merged, SETTINGS.bins, SETTINGS.geometry).rolling_radius_difference.value
 
 
@@ -42,14 +42,14 @@ def test_a_wheelset_mounted_reversed_is_its_own_mirror_image() -> None:
 
 def reason(window: Window) -> str:
     told = tabulate_window(window, KNOWN, SETTINGS.windows)
-    assert isinstance(told, Refusal)
-    return told.reason
+    assert isinstance(told, Reason)
+    return told.text
 
 
 def test_what_speaks_against_itself_is_refused_with_its_reason() -> None:
     window = windows(1)[0]
     n = len(window.valid)
-    assert "stands or crawls" in reason(replace(window, speed=np.zeros(n)))
+    assert "stands or runs too slowly" in reason(replace(window, speed=np.zeros(n)))
     assert "axes point against the direction" in reason(mirror_mounted([window])[0])
     jumped = window.distance + 12.0 * (np.arange(n) > n // 2)
     assert "the position jumps once against the speed, by 12.0 m" in reason(replace(window, distance=jumped))

@@ -15,18 +15,20 @@ from estimation.storage import Storage
 from estimation.values.alerts import Alert, Condition, Severity
 from estimation.values.geometry import BinStatus, BinTable, BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
 from estimation.values.trend import TrendRecord, WearTrend
 from estimation.values.windows import Window, WindowQuality
-from fleet_db.receipts import ChunkRecord
+from fleet_db.receipts import ChunkRecord, ChunkState
 
 SECOND = 1_000_000_000
 LENGTH = 20 * SECOND
 START = 1_790_000_000 * SECOND
 MOUNTING = Mounting("WS-1", "V-1", 1, START, None, 1000.5, 2000.25)
 SECTION = TrackSectionRecord("S-7", 7, "by the river", "56E1", 0.05, 1.435, 12_345.5)
-CHUNK = ChunkRecord("c" * 64, "V-1", ".blf", 123, "stored", "", None, None, 0, {}, START, START + 1)
+NOT_COVERED, NO_CROSSING, SO = (Reason(ReasonCode.OTHER, text) for text in ("not covered", "no crossing", "so"))
+CHUNK = ChunkRecord("c" * 64, "V-1", ".blf", 123, ChunkState.STORED, None, None, None, 0, {}, START, START + 1)
 ALERT = Alert(
     0, "F-1", "WS-1", "conicity_limit", Severity.WARNING, Condition.ACTIVE, 10, 10, 1, 0.9,
     {"value": 0.31, "windows": [1, 2], "limit": None}, "reprofile", 0.3, 0.25,
@@ -156,8 +158,8 @@ def geometry(seed: int = 0, bins: int = 9) -> WheelsetGeometry:
     samples[0] = -0.0
     return WheelsetGeometry(
         np.linspace(-7e-3, 8e-3, bins + 1), samples, *combinations, np.array([1e-3, 2e-3, 3e-3]),
-        (estimate(seed), Estimate.unknown("not covered"), estimate(seed + 1)), 3e-3, estimate(seed + 2),
-        estimate(seed + 3), Estimate.unknown("no crossing", 3.0, Status.INVALID), 12, "parameters", Status.ESTIMATED,
+        (estimate(seed), Estimate.unknown(NOT_COVERED), estimate(seed + 1)), 3e-3, estimate(seed + 2),
+        estimate(seed + 3), Estimate.unknown(NO_CROSSING, 3.0, Status.INVALID), 12, "parameters", Status.ESTIMATED,
     )  # fmt: skip
 
 
@@ -176,7 +178,7 @@ def trend(seed: int = 0, points: int = 6) -> WearTrend:
     return WearTrend(
         "equivalent_conicity", np.cumsum(random.random(points)), START + np.arange(points), random.random(points),
         random.random(points), estimate(seed), estimate(seed + 1), estimate(seed + 2), 0.3,
-        Forecast(0.0, 1234.5, None), Forecast(START + 1, START + 3.5, None), 0.25, Status.ESTIMATED, "so",
+        Forecast(0.0, 1234.5, None), Forecast(START + 1, START + 3.5, None), 0.25, Status.ESTIMATED, SO,
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from estimation.errors import StorageError
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable
 from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import FLEET, GaugeShift, TrackFindings
 from estimation.values.trend import WearTrend
 from fleet_db.fields import fields_of, from_json, to_json, value_of
@@ -61,7 +62,10 @@ def test_any_number_comes_back_exactly(number: float | None) -> None:
     assert make.same(found, number)
 
 
-@given(*[st.one_of(st.none(), ANY_FLOAT)] * 4, ANY_FLOAT, st.sampled_from(Status), st.text())
+REASONS = st.one_of(st.none(), st.builds(Reason, st.sampled_from(ReasonCode), st.text()))
+
+
+@given(*[st.one_of(st.none(), ANY_FLOAT)] * 4, ANY_FLOAT, st.sampled_from(Status), REASONS)
 def test_any_estimate_comes_back_exactly(
     value: float | None,
     std: float | None,
@@ -69,7 +73,7 @@ def test_any_estimate_comes_back_exactly(
     high: float | None,
     count: float,
     status: Status,
-    reason: str,
+    reason: Reason | None,
 ) -> None:
     estimate = Estimate(value, std, low, high, count, status, reason)
     assert make.same(from_json(to_json(estimate), Estimate), estimate)
@@ -179,7 +183,7 @@ def test_a_field_that_was_not_stored_has_its_default() -> None:
     del scalars["reason"]
     scalars["current"] = scalars["current"][:-1]  # an estimate without its last field
     found = value_of(WearTrend, scalars, arrays)
-    assert (found.reason, found.current.reason) == ("", "")
+    assert (found.reason, found.current.reason) == (None, None)
     assert found.current.value == make.trend(1).current.value
 
 

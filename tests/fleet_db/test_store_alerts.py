@@ -14,7 +14,7 @@ from sqlalchemy.exc import IntegrityError
 
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.errors import ConflictError, NotFoundError, ParameterError
-from estimation.values.alerts import Alert, AlertEventKind, AlertScope, Condition, Severity
+from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Severity
 from fleet_db.models import AlertRow
 from fleet_db.storage import SqlStorage
 
@@ -84,7 +84,7 @@ def test_one_open_alert_of_a_kind(fleet: SqlStorage) -> None:
         save(fleet, make.ALERT, RAISED)
     save(fleet, replace(make.ALERT, kind="no_data"), RAISED)
     save(fleet, replace(make.ALERT, wheelset="WS-2"), RAISED)
-    save(fleet, replace(first, closed_ns=60, close_reason="reprofiled"), CLOSED)
+    save(fleet, replace(first, closed_ns=60, close_reason=CloseReason.REPROFILED), CLOSED)
     again = save(fleet, make.ALERT, RAISED)
     with pytest.raises(ConflictError, match="already open"):
         save(fleet, replace(first, version=2), UPDATED)  # reopening it would make two

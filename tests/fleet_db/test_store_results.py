@@ -11,7 +11,9 @@ from sqlalchemy import update
 
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.geometry import COMBINATIONS, BinStatus, GeometryRecord
+from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.models import GeometryRow
+from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 
@@ -145,13 +147,13 @@ def test_trends_are_appended_and_reproducible(fleet: SqlStorage) -> None:
 
 def test_receipts(fleet: SqlStorage) -> None:
     decoded = replace(
-        make.CHUNK, state="decoded", first_ns=1000, last_ns=2000, frames=7, counts={"unknown identifier": 3}
+        make.CHUNK, state=ChunkState.DECODED, first_ns=1000, last_ns=2000, frames=7, counts={"unknown identifier": 3}
     )
     with fleet.write() as unit:
         assert unit.chunks.put(make.CHUNK)
         assert not unit.chunks.put(decoded)
         assert unit.chunks.get(make.CHUNK.digest) == make.CHUNK
-        assert unit.chunks.with_state("stored") == [make.CHUNK]
+        assert unit.chunks.with_state(ChunkState.STORED) == [make.CHUNK]
         unit.chunks.update(decoded)
     with fleet.read() as unit:
         chunks = unit.chunks
@@ -159,24 +161,22 @@ def test_receipts(fleet: SqlStorage) -> None:
         assert chunks.get("d" * 64) is None
         assert chunks.overlapping("V-1", 2000, 2001) == [decoded]
         assert chunks.overlapping("V-1", 2001, 3000) == chunks.overlapping("V-1", 0, 1000) == []
-        assert chunks.overlapping("V-2", 0, 9999) == chunks.with_state("stored") == []
+        assert chunks.overlapping("V-2", 0, 9999) == chunks.with_state(ChunkState.STORED) == []
     with pytest.raises(NotFoundError), fleet.write() as unit:
         unit.chunks.update(replace(decoded, digest="d" * 64))
 
 
-def test_the_database_knows_the_states_of_a_receipt(fleet: SqlStorage) -> None:
-    with pytest.raises(ConflictError), fleet.write() as unit:
-        unit.chunks.put(replace(make.CHUNK, state="lost"))
+def test_the_database_wants_both_ends_of_a_receipt(fleet: SqlStorage) -> None:
     with pytest.raises(ConflictError), fleet.write() as unit:
         unit.chunks.put(replace(make.CHUNK, first_ns=5))
 
 
 def test_runs(fleet: SqlStorage) -> None:
     with fleet.write() as unit:
-        first = unit.jobs.start("estimate", "schedule", 10)
-        second = unit.jobs.start("trends", "api", 11)
-        third = unit.jobs.start("estimate", "cli", 12)
-        unit.jobs.finish(first.run_id, "succeeded", {"windows": 5}, 20)
+        first = unit.jobs.start("estimate", JobTrigger.SCHEDULE, 10)
+        second = unit.jobs.start("trends", JobTrigger.API, 11)
+        third = unit.jobs.start("estimate", JobTrigger.CLI, 12)
+        unit.jobs.finish(first.run_id, JobOutcome.SUCCEEDED, {"windows": 5}, 20)
         assert unit.jobs.abandon_running(30) == 2
     with fleet.read() as unit:
         jobs = unit.jobs
@@ -186,11 +186,11 @@ def test_runs(fleet: SqlStorage) -> None:
         assert [run.run_id for run in jobs.page(None, None, 2)] == [third.run_id, second.run_id]
         assert jobs.page("estimate", third.run_id, 9) == [done]
     with pytest.raises(ConflictError, match="has ended: abandoned"), fleet.write() as unit:
-        unit.jobs.finish(third.run_id, "succeeded", {}, 40)
+        unit.jobs.finish(third.run_id, JobOutcome.SUCCEEDED, {}, 40)
     with pytest.raises(NotFoundError), fleet.write() as unit:
-        unit.jobs.finish(999, "succeeded", {}, 40)
-    with pytest.raises(ConflictError), fleet.write() as unit:
-        unit.jobs.finish(unit.jobs.start("estimate", "cli", 50).run_id, "fine", {}, 51)
+        unit.jobs.finish(999, JobOutcome.SUCCEEDED, {}, 40)
+    with pytest.raises(ConflictError, match="has ended"), fleet.write() as unit:
+        unit.jobs.finish(first.run_id, JobOutcome.FAILED, {}, 51)
 
 
 def test_answers_by_key(fleet: SqlStorage) -> None:

@@ -10,6 +10,7 @@ import stored_values as make
 
 from estimation.errors import ConflictError
 from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import (
     FLEET,
     RECORDED,
@@ -38,8 +39,9 @@ def of_fleet(seed: int) -> TrackAlignment:
     )
 
 
+ALIKE = Reason(ReasonCode.PASSES_ALIKE, "too alike")
 REPORT = TrackReport(
-    "S-7", None, made=False, status=Status.UNESTIMATED, reason="too alike", windows=3, input_digest="d" * 64,
+    "S-7", None, made=False, status=Status.UNESTIMATED, reason=ALIKE, windows=3, input_digest="d" * 64,
     code_version="1+x", report={"rounds": 4, "journeys": [{"vehicle": "V-1", "residual_rms_m": None}]}, recorded_ns=7,
 )  # fmt: skip
 
@@ -120,7 +122,7 @@ def test_a_recording_registered_again_does_not_come_before_itself_with_what_the_
 
 
 def test_reports_are_kept_and_the_one_that_made_a_version_is_found(fleet: SqlStorage) -> None:
-    made = replace(REPORT, version=1, made=True, status=Status.ESTIMATED, reason="")
+    made = replace(REPORT, version=1, made=True, status=Status.ESTIMATED, reason=None)
     kept = replace(REPORT, version=1)
     with fleet.write() as unit:
         assert unit.tracks.report("S-7") is None
@@ -143,7 +145,7 @@ def test_windows_wait_until_it_has_been_looked_at_where_they_were(fleet: SqlStor
         assert len(unit.windows.ready(10, [])) == len(unit.windows.ready(10, ["S-8"])) == 4
         assert [one.start_ns for one in unit.windows.ready(10, ["S-7"])] == [elsewhere.start_ns]
         digest = records[windows[0].start_ns].content_digest
-        position = WindowPosition("WS-1", windows[0].start_ns, digest, None, 12.5, -1e-3, 6000.0, "")
+        position = WindowPosition("WS-1", windows[0].start_ns, digest, None, 12.5, -1e-3, 6000.0)
         assert unit.tracks.position("WS-1", windows[0].start_ns) is None
         assert unit.tracks.put_position(position)
         assert not unit.tracks.put_position(position)
@@ -177,7 +179,7 @@ def test_tables_of_versions_that_are_as_good_as_the_one_in_force_are_not_outdate
         for number, version in enumerate((1, 2, 3)):
             window = make.window(number)
             unit.windows.put(window, 1.0, 1)
-            unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED, "")
+            unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED)
             record = unit.windows.get("WS-1", window.start_ns)
             assert record is not None
             unit.tables.put("WS-1", window.start_ns, make.bin_table(), version, record.content_digest)

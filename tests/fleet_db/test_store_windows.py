@@ -10,10 +10,13 @@ import stored_values as make
 from same_values import same_values
 
 from estimation.errors import ConflictError, NotFoundError, StorageError
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Reprofiling
 from estimation.values.windows import WindowState
 from fleet_db.storage import SqlStorage
 from fleet_db.telemetry import WindowFiles, window_digest
+
+SLOW = Reason(ReasonCode.NOT_MOVING, "too slow")
 
 
 def put(storage: SqlStorage, *indices: int) -> None:
@@ -27,7 +30,7 @@ def estimate(storage: SqlStorage, index: int, seed: int = 0) -> None:
     with storage.write() as unit:
         digest = window_digest(window)
         unit.tables.put("WS-1", window.start_ns, make.bin_table(seed), 3, digest)
-        unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED, "")
+        unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED)
 
 
 def settle(storage: SqlStorage) -> None:
@@ -49,7 +52,7 @@ def test_a_window_comes_back_with_its_record(fleet: SqlStorage) -> None:
         assert same_values(unit.windows.load("WS-1", window.start_ns), window)
         (record,) = unit.windows.list("WS-1")
         assert record.quality == window.quality
-        assert (record.state, record.reason, record.mileage_km) == (WindowState.PENDING, "", 10.0)
+        assert (record.state, record.reason, record.mileage_km) == (WindowState.PENDING, None, 10.0)
         assert record.content_digest == window_digest(window)
         assert record.recorded_ns == 50
         assert unit.windows.latest("WS-1") == record
@@ -131,10 +134,10 @@ def test_lists_and_pages_in_the_order_of_time(fleet: SqlStorage) -> None:
         assert [one.start_ns for one in windows.ready(2, [])] == starts[:2]
         assert windows.counts() == {"pending": 4, "estimated": 0, "refused": 0}
     with fleet.write() as unit:
-        unit.windows.mark("WS-1", starts[0], WindowState.REFUSED, "too slow")
+        unit.windows.mark("WS-1", starts[0], WindowState.REFUSED, SLOW)
     with fleet.read() as unit:
         assert unit.windows.counts() == {"pending": 3, "estimated": 0, "refused": 1}
-        assert unit.windows.list("WS-1")[0].reason == "too slow"
+        assert unit.windows.list("WS-1")[0].reason == SLOW
         assert [one.start_ns for one in unit.windows.ready(9, [])] == starts[1:]
 
 
@@ -162,7 +165,7 @@ def test_a_refused_window_loses_its_bin_table(fleet: SqlStorage) -> None:
     estimate(fleet, 0)
     settle(fleet)
     with fleet.write() as unit:
-        unit.windows.mark("WS-1", make.START, WindowState.REFUSED, "sensor fault")
+        unit.windows.mark("WS-1", make.START, WindowState.REFUSED, SLOW)
         assert list(unit.tables.stream("WS-1", 0, None)) == []
     assert stale(fleet) == ["WS-1"]
 
@@ -216,7 +219,7 @@ def test_the_unknown_is_named(fleet: SqlStorage) -> None:
     with fleet.read() as unit, pytest.raises(NotFoundError, match="no window 'WS-1@5'"):
         unit.windows.load("WS-1", 5)
     with pytest.raises(NotFoundError, match="no window 'WS-1@5'"), fleet.write() as unit:
-        unit.windows.mark("WS-1", 5, WindowState.REFUSED, "")
+        unit.windows.mark("WS-1", 5, WindowState.REFUSED, SLOW)
     with pytest.raises(NotFoundError, match="no window 'WS-1@5'"), fleet.write() as unit:
         unit.tables.put("WS-1", 5, make.bin_table(), None, "")
     with fleet.read() as unit:
@@ -228,7 +231,7 @@ def test_every_window_of_a_section_can_wait_again(fleet: SqlStorage) -> None:
     estimate(fleet, 0)
     first, second = (make.window(index) for index in range(2))
     with fleet.write() as unit:
-        unit.windows.mark("WS-1", second.start_ns, WindowState.REFUSED, "in a curve")
+        unit.windows.mark("WS-1", second.start_ns, WindowState.REFUSED, SLOW)
         section = first.track_section
         assert section is not None
         assert unit.windows.requeue_section("S-other") == 0
@@ -237,4 +240,4 @@ def test_every_window_of_a_section_can_wait_again(fleet: SqlStorage) -> None:
         assert unit.windows.requeue_section(section) == 0
         found = unit.windows.get("WS-1", first.start_ns)
         assert found is not None
-        assert (found.state, found.reason) == (WindowState.PENDING, "")
+        assert (found.state, found.reason) == (WindowState.PENDING, None)

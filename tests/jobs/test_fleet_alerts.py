@@ -19,8 +19,8 @@ from estimation.jobs import evaluate_alerts
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
-from estimation.values.alerts import Alert, AlertEventKind, AlertScope, Condition, Severity
-from estimation.values.runs import JobRun
+from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Severity
+from estimation.values.runs import JobRun, JobTrigger
 
 RAISED, UPDATED, ACKNOWLEDGED, CLEARED, CLOSED = (
     AlertEventKind.RAISED,
@@ -128,7 +128,7 @@ def test_it_closes_with_its_last_member(
     every = refreshed(some.alert, [first, member(2, condition=last, closed_ns=500)], 0)
     assert every is not None
     assert (every.events, every.alert.condition, every.alert.closed_ns) == (events, condition, 500)
-    assert every.alert.close_reason == "all members closed"
+    assert every.alert.close_reason is CloseReason.MEMBERS_CLOSED
 
 
 def fleet_of(storage: Storage, last_day: dict[str, float]) -> None:
@@ -142,7 +142,7 @@ def fleet_of(storage: Storage, last_day: dict[str, float]) -> None:
 def evaluate(storage: Storage, day: float, rules: RuleBook | None = None) -> JobRun:
     clock = SetClock(START_NS + round(day * DAY_NS))
     settings = JobSettings(rules=rules or RuleBook())
-    run = run_job(evaluate_alerts.JOB, JobContext(storage, clock, "test", settings), "cli")
+    run = run_job(evaluate_alerts.JOB, JobContext(storage, clock, "test", settings), JobTrigger.CLI)
     assert run.outcome == "succeeded", run
     return run
 
@@ -259,7 +259,7 @@ def test_a_run_that_is_stopped_tells_what_it_found_and_the_next_one_the_rest(sto
     looks = iter([False] * 2 + [True] * 100)
     clock = SetClock(START_NS + round(8.5 * DAY_NS))
     context = JobContext(storage, clock, "test", JobSettings(), stopping=lambda: next(looks))
-    assert run_job(evaluate_alerts.JOB, context, "cli").outcome == "abandoned"
+    assert run_job(evaluate_alerts.JOB, context, JobTrigger.CLI).outcome == "abandoned"
     before = told(storage)
     assert before == [(RAISED, "W1"), (RAISED, "W2")]
     evaluate(storage, 8.6)

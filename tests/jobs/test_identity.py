@@ -13,7 +13,7 @@ from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, regist
 from estimation.alerts.identity import Mistake, Observation, identity_events
 from estimation.jobs.steps.identities import identity_change
 from estimation.storage import Storage
-from estimation.values.alerts import AlertEventKind, Condition
+from estimation.values.alerts import AlertEventKind, CloseReason, Condition
 from estimation.values.geometry import BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.registry import Mounting
 
@@ -180,7 +180,7 @@ def test_the_alert_stands_until_the_mounting_is_corrected(storage: Storage, how:
     run_jobs(storage, 20.2)
     closed = [e.alert for e in feed(storage) if e.kind is AlertEventKind.CLOSED and e.alert.kind == "identity"]
     assert {(alert.wheelset, alert.close_reason) for alert in closed} == {
-        ("W1", "mounting corrected" if how == "mounting" else "wheelset exchanged")
+        ("W1", CloseReason.MOUNTING_CORRECTED if how == "mounting" else CloseReason.WHEELSET_EXCHANGED)
     }
     with storage.read() as unit:
         assert next((one for one in unit.alerts.all_open("W1") if one.kind == "identity"), None) is None

@@ -17,6 +17,9 @@ from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule, asymmetr
 from estimation.trend.trend import TrendPoint, refresh
 from estimation.values.alerts import Severity
 from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.reasons import Reason, ReasonCode
+
+WHY = Reason(ReasonCode.NO_RECENT_DATA, "silent")
 
 
 @pytest.mark.parametrize(
@@ -51,9 +54,9 @@ def test_conicity_is_judged_by_probability(value: float, std: float) -> None:
 
 @pytest.mark.parametrize(
     ("conicity", "windows", "reason"),
-    [(Estimate.unknown("not covered"), 10, ""), (known(0.6, 0.01), 2, ""), (known(0.6, 0.01), 10, "sensor is faulty")],
+    [(Estimate.unknown(WHY), 10, None), (known(0.6, 0.01), 2, None), (known(0.6, 0.01), 10, WHY)],
 )
-def test_conicity_that_cannot_be_said_is_unknown(conicity: Estimate, windows: int, reason: str) -> None:
+def test_conicity_that_cannot_be_said_is_unknown(conicity: Estimate, windows: int, reason: Reason | None) -> None:
     found = conicity_limit_finding(ConicityLimitRule(), "W", conicity, windows, 0.4, 5, not_assessable_reason=reason)
     assert (found.breached, found.cleared, found.probability) == (None, None, None)
     assert found.evidence["unknown_because"]
@@ -70,7 +73,7 @@ def test_a_limit_that_comes_near_is_forecast() -> None:
     assert (far.breached, far.cleared) == (False, True)
     between = limit_forecast_finding(LimitForecastRule(within_km=3_000.0, clear_within_km=60_000.0), "W", trend, 5)
     assert (between.breached, between.cleared) == (False, False)
-    assert limit_forecast_finding(rule, "W", trend, 5, not_assessable_reason="silent").breached is None
+    assert limit_forecast_finding(rule, "W", trend, 5, not_assessable_reason=WHY).breached is None
     assert limit_forecast_finding(rule, "W", refresh(points[:2], 0.4), 5).breached is None
     assert limit_forecast_finding(rule, "W", refresh([], 0.4), 5).breached is None
     never = replace(trend, distance_to_limit_km=Forecast(None, None, None), probability_over_limit=0.01)
@@ -116,7 +119,7 @@ def test_an_alert_raised_by_the_offset_does_not_clear_while_the_offset_is_unseen
 def test_bins_on_one_side_only_say_nothing_of_the_shape() -> None:
     one_sided = asymmetry_of(geometry_of(conicity=0.2, known_from=-1e-3))
     assert one_sided.shape.status is Status.UNESTIMATED
-    assert "0.75 mm" in one_sided.shape.reason
+    assert "0.75 mm" in str(one_sided.shape.reason)
 
 
 def test_silence_counts_from_the_last_usable_data_or_from_mounting() -> None:

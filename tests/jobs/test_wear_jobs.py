@@ -14,10 +14,10 @@ from estimation.jobs import evaluate_alerts, refresh_trends
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
-from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, Condition
+from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, CloseReason, Condition
 from estimation.values.quantities import Status
 from estimation.values.registry import Mounting, Reprofiling
-from estimation.values.runs import JobRun
+from estimation.values.runs import JobRun, JobTrigger
 
 RAISED, UPDATED, CLEARED, CLOSED = (
     AlertEventKind.RAISED,
@@ -33,7 +33,7 @@ def at_day(storage: Storage, day: float, rules: RuleBook | None = None) -> JobCo
 
 def run_jobs(storage: Storage, day: float, rules: RuleBook | None = None) -> tuple[JobRun, JobRun]:
     context = at_day(storage, day, rules)
-    runs = run_job(refresh_trends.JOB, context, "cli"), run_job(evaluate_alerts.JOB, context, "cli")
+    runs = run_job(refresh_trends.JOB, context, JobTrigger.CLI), run_job(evaluate_alerts.JOB, context, JobTrigger.CLI)
     assert [run.outcome for run in runs] == ["succeeded", "succeeded"], runs
     return runs
 
@@ -148,7 +148,7 @@ def test_reprofiling_closes_wear_alerts_and_begins_again(storage: Storage) -> No
         unit.registry.add_reprofiling(Reprofiling("W1", START_NS + 101 * DAY_NS, 101_000.0))
     run_jobs(storage, 101.5)
     closed = [event.alert for event in feed(storage) if event.kind is CLOSED]
-    assert {alert.close_reason for alert in closed} == {"reprofiled"}
+    assert {alert.close_reason for alert in closed} == {CloseReason.REPROFILED}
     assert {alert.closed_ns for alert in closed} == {START_NS + 101 * DAY_NS}
     with storage.read() as unit:
         assert unit.alerts.all_open("W1") == []
@@ -175,7 +175,7 @@ def test_an_exchange_closes_and_the_wheelset_is_judged_anew_where_it_runs(storag
         unit.registry.add_mounting(Mounting("W1", "V1", 1, START_NS, left, 0.0, 0.0))
     run_jobs(storage, 102.0)
     closed = [event.alert for event in feed(storage) if event.kind is CLOSED]
-    assert {alert.close_reason for alert in closed} == {"taken out of service"}
+    assert {alert.close_reason for alert in closed} == {CloseReason.OUT_OF_SERVICE}
     with storage.write() as unit:
         unit.registry.add_mounting(Mounting("W1", "V1", 2, back, None, 101_000.0, 101_000.0))
     run_jobs(storage, 103.5)

@@ -9,12 +9,14 @@ import numpy as np
 from estimation.storage import Storage
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.windows import Window, WindowQuality, WindowRecord, WindowState
 
 DAY_NS = 86_400_000_000_000
 WINDOW_NS = 30_000_000_000
 START_NS = 19_000 * DAY_NS
+SENSOR = Reason(ReasonCode.SENSOR_FAULT, "sensor fault")
 
 
 @dataclass(slots=True)
@@ -46,7 +48,7 @@ def window_record(
         mileage_km=float(number),
         quality=quality(sensor_fault=sensor_fault, clipped=clipped, invalid=invalid),
         state=WindowState.ESTIMATED,
-        reason="",
+        reason=None,
         content_digest=f"{number}",
         recorded_ns=1,
     )
@@ -82,7 +84,9 @@ def geometry_of(
         reported_amplitude=3e-3,
         equivalent_conicity=headline,
         nonlinearity=known(0.0, 0.01),
-        zero_crossing=Estimate.unknown("band-passed sensors do not see an offset"),
+        zero_crossing=Estimate.unknown(
+            Reason(ReasonCode.OFFSET_NOT_OBSERVABLE, "band-passed sensors do not see an offset")
+        ),
         windows=windows,
         parameter_key="k",
         status=Status.ESTIMATED,
@@ -160,4 +164,4 @@ def run_windows(storage: Storage, wheelset: str, day: float, count: int, *, faul
             )
             unit.windows.put(window, 1000.0 * day, 1)
             state = WindowState.REFUSED if faulty else WindowState.ESTIMATED
-            unit.windows.mark(wheelset, window.start_ns, state, "sensor fault" if faulty else "")
+            unit.windows.mark(wheelset, window.start_ns, state, SENSOR if faulty else None)

@@ -88,7 +88,7 @@ WRONG: Mapping[str, tuple[Change, str]] = {
     "X-ELSE": (message(kinds.POSITION, kinds.VEHICLE_NODE, elsewhere), "not of this section"),
     "X-BACK": (_turned, "the axes point against the direction of running"),
     "X-CRAWL": (message(kinds.MOTION, kinds.VEHICLE_NODE, crawling), "the vehicle stands or crawls: at most 2.0 m/s"),
-    "X-SHORT": (first_seconds, "no uninterrupted stretch of 10 s"),
+    "X-SHORT": (first_seconds, "no uninterrupted run of 10 s"),
 }
 STANDING = ("X-STOP", _stood)
 JUMPING = ("X-JUMP", message(kinds.POSITION, kinds.VEHICLE_NODE, jumping))

@@ -16,6 +16,7 @@ from pathlib import Path
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import EstimationSettings, JobSettings
+from estimation.values.runs import JobTrigger
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
@@ -42,4 +43,4 @@ if __name__ == "__main__":
     address, directory, name = sys.argv[1:]
     storage = Hesitant(database_engine(address), Path(directory))
     settings = JobSettings(estimation=EstimationSettings(batch=1))
-    run_job(job_named(name), JobContext(storage, SystemClock(), "test", settings), "cli")
+    run_job(job_named(name), JobContext(storage, SystemClock(), "test", settings), JobTrigger.CLI)

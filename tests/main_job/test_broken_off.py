@@ -17,7 +17,7 @@ from tiny_fleet import DEAD, WORN, Deployment, results
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import EstimationSettings, JobSettings
-from estimation.values.runs import JobRun
+from estimation.values.runs import JobRun, JobTrigger
 from estimation.values.windows import WindowState
 from fleet_db.models import WindowBinTableRow
 from fleet_db.session import database_engine
@@ -30,7 +30,7 @@ ONE_BY_ONE = EstimationSettings(batch=1)
 
 def run(fleet: Deployment, job: str, storage: SqlStorage | None = None) -> JobRun:
     context = JobContext(storage or fleet.storage, fleet.clock, "test", JobSettings(estimation=ONE_BY_ONE))
-    return run_job(job_named(job), context, "cli")
+    return run_job(job_named(job), context, JobTrigger.CLI)
 
 
 def succeeded(fleet: Deployment, *jobs: str) -> None:
@@ -165,7 +165,7 @@ def test_the_shape_of_a_batch_changes_no_result(
     for deployed, settings in ((fleet, ONE_BY_ONE), (second_fleet, replace(ONE_BY_ONE, batch=64))):
         deployed.receive(report.recordings[:1])
         context = JobContext(deployed.storage, deployed.clock, "test", JobSettings(estimation=settings))
-        assert run_job(job_named("estimate_windows"), context, "cli").outcome == "succeeded"
+        assert run_job(job_named("estimate_windows"), context, JobTrigger.CLI).outcome == "succeeded"
     assert results(fleet.storage) == results(second_fleet.storage)
 
 
@@ -187,5 +187,5 @@ def test_windows_are_estimated_again_on_a_new_alignment_and_with_other_parameter
     settings = EstimationSettings()
     other = replace(settings, signals=replace(settings.signals, cutoff_wavelength=50.0))
     context = JobContext(fleet.storage, fleet.clock, "test", JobSettings(estimation=other))
-    changed = run_job(job_named("estimate_windows"), context, "cli").counts
+    changed = run_job(job_named("estimate_windows"), context, JobTrigger.CLI).counts
     assert (changed["requeued"], changed["estimated"]) == (6, 6)

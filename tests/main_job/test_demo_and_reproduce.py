@@ -117,4 +117,4 @@ def _check_constant_gauge(six: dict[str, object]) -> None:
         crossed = (samples >= 2000) & (jump > 0)
         assert crossed.sum() >= 2
         assert np.isnan(found[crossed]).all()
-        assert {column["status"][b] for b in np.flatnonzero(crossed)} == {"a contact jump crosses the bin"}
+        assert {column["status"][b] for b in np.flatnonzero(crossed)} == {"contact_jump"}

@@ -7,7 +7,10 @@ from tiny_fleet import DEAD, WORN, Deployment, results, rows, whole_history
 
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
 from ingest.simulator.fleet import FleetReport
+
+WRONG = Reason(ReasonCode.OTHER, "found to be wrong")
 
 
 def test_another_order_and_twice_gives_the_same_results(
@@ -62,7 +65,7 @@ def test_geometries_follow_windows_that_are_refused_later(second_fleet: Deployme
     (one, *_), (other, *_) = ([r for r in versions(fleet, WORN) if r.baseline == b] for b in (1, 0))
     with fleet.storage.write() as unit:
         for window in unit.windows.list(WORN, one.from_ns, one.to_ns):
-            unit.windows.mark(WORN, window.start_ns, type(window.state).REFUSED, "found to be wrong")
+            unit.windows.mark(WORN, window.start_ns, type(window.state).REFUSED, WRONG)
     fleet.run_jobs()
     found = {(r.baseline, r.interval): r for r in versions(fleet, WORN)}
     gone = found[one.baseline, one.interval]
@@ -77,7 +80,7 @@ def test_geometries_follow_windows_that_are_refused_later(second_fleet: Deployme
     assert current.from_ns > one.to_ns
     with fleet.storage.write() as unit:
         for window in unit.windows.list(WORN):
-            unit.windows.mark(WORN, window.start_ns, type(window.state).REFUSED, "found to be wrong")
+            unit.windows.mark(WORN, window.start_ns, type(window.state).REFUSED, WRONG)
     fleet.run_jobs()
     with fleet.storage.read() as unit:
         current = unit.geometries.current(WORN)

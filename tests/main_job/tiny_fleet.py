@@ -15,7 +15,7 @@ from api.factory import job_context, raw_store
 from api.settings import Settings
 from estimation.jobs.catalogue import run_all
 from estimation.values.geometry import GeometryRecord
-from estimation.values.runs import JobRun
+from estimation.values.runs import JobRun, JobTrigger
 from fleet_db.models import Base
 from fleet_db.packed_values import pack_geometry
 from fleet_db.receipts import ChunkRecord
@@ -112,7 +112,7 @@ class Deployment:
 
     def run_jobs(self) -> list[JobRun]:
         context = job_context(self.settings, self.storage)
-        runs = run_all(replace(context, clock=self.clock), "cli")
+        runs = run_all(replace(context, clock=self.clock), JobTrigger.CLI)
         assert [run.outcome for run in runs] == ["succeeded"] * 5, runs
         return runs
 

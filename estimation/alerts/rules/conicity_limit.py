@@ -13,6 +13,7 @@ from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, 
 from estimation.trend.trend import probability_above
 from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason
 from estimation.values.registry import VehicleRecord
 
 ANY_CLASS = "*"
@@ -114,7 +115,7 @@ def conicity_limit_finding(
     measured_ns: int,
     *,
     quantity: str = "equivalent_conicity",
-    not_assessable_reason: str = "",
+    not_assessable_reason: Reason | None = None,
 ) -> Finding:
     """Return what the conicity says of the limit.
 
@@ -135,11 +136,9 @@ def conicity_limit_finding(
     quantity
         What the conicity is, with its amplitude where it is not 3 mm.
     not_assessable_reason
-        Why the data do not say how the wheelset is now (silent, sensor fault, reprofiled since); empty where they do.
+        Why the data do not say how the wheelset is now (silent, sensor fault, reprofiled since); None where they do.
     """
-    reason = not_assessable_reason or conicity.reason
-    if not reason and windows < rule.minimum_windows:
-        reason = f"{windows} windows, {rule.minimum_windows} needed"
+    reason = not_assessable_reason or conicity.reason or evidence.too_few_windows(windows, rule.minimum_windows)
     over = None if reason else probability_above(conicity, limit)
     clear_limit = limit - rule.clear_margin
     above_clear = probability_above(conicity, clear_limit)
@@ -158,7 +157,7 @@ def conicity_limit_finding(
             "conicity": evidence.estimate(conicity),
             "windows": windows,
             "limit": evidence.number(limit),
-            "unknown_because": reason or None,
+            **evidence.unknown(reason),
         },
         action="reprofile" if severity is Severity.CRITICAL else "plan_reprofiling",
         raise_limit=limit,

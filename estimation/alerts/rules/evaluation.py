@@ -7,10 +7,11 @@ from dataclasses import replace
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.identity import mounting_corrected
 from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
-from estimation.values.alerts import Alert, Finding
+from estimation.values.alerts import Alert, CloseReason, Finding
+from estimation.values.reasons import Reason, ReasonCode
 
 
-def superseded(facts: WheelsetFacts, book: RuleBook) -> list[tuple[Alert, str, int]]:
+def superseded(facts: WheelsetFacts, book: RuleBook) -> list[tuple[Alert, CloseReason, int]]:
     """Return open alerts that a dated record or the configuration has ended, each with the reason and the time.
 
     Parameters
@@ -24,19 +25,19 @@ def superseded(facts: WheelsetFacts, book: RuleBook) -> list[tuple[Alert, str, i
     return [(alert, *ending) for alert, ending in ended if ending is not None]
 
 
-def _ending(alert: Alert, facts: WheelsetFacts, book: RuleBook) -> tuple[str, int] | None:
+def _ending(alert: Alert, facts: WheelsetFacts, book: RuleBook) -> tuple[CloseReason, int] | None:
     mounting = facts.wheelset.mounting
     reprofiled = [r.at_ns for r in facts.wheelset.reprofilings if r.at_ns > alert.opened_ns]
     if reprofiled and any(rule.of_wear for rule in book.rules if rule.kind == alert.kind):
-        return "reprofiled", reprofiled[0]
+        return CloseReason.REPROFILED, reprofiled[0]
     if mounting is None:
-        return "taken out of service", alert.last_seen_ns
+        return CloseReason.OUT_OF_SERVICE, alert.last_seen_ns
     if mounting.from_ns > alert.opened_ns:
-        return "wheelset exchanged", mounting.from_ns
+        return CloseReason.WHEELSET_EXCHANGED, mounting.from_ns
     if mounting_corrected(alert, mounting):
-        return "mounting corrected", alert.last_seen_ns
+        return CloseReason.MOUNTING_CORRECTED, alert.last_seen_ns
     if not book.enabled(alert.kind):
-        return "rule switched off", alert.last_seen_ns
+        return CloseReason.RULE_DISABLED, alert.last_seen_ns
     return None
 
 
@@ -63,13 +64,15 @@ def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]
     return [finding for rule, finding in found if finding is not None and rule.enabled]
 
 
-def _not_assessable_reason(facts: WheelsetFacts, found: list[tuple[AlertRule, Finding | None]]) -> str:
-    """Return why the data do not show the present profile; empty where they do."""
+def _not_assessable_reason(facts: WheelsetFacts, found: list[tuple[AlertRule, Finding | None]]) -> Reason | None:
+    """Return why the data do not show the present profile; None where they do."""
     baseline = len(facts.wheelset.reprofilings)
     mounting, geometry = facts.wheelset.mounting, facts.geometry
     if geometry is None or geometry.baseline < baseline:
-        return "no geometry since the last reprofiling" if baseline else "no geometry yet"
+        if baseline:
+            return Reason(ReasonCode.NO_GEOMETRY_SINCE_REPROFILING, "no geometry since the last reprofiling")
+        return Reason(ReasonCode.NO_GEOMETRY, "no geometry yet")
     if mounting is not None and geometry.to_ns <= mounting.from_ns:
-        return "no data since it was mounted"
+        return Reason(ReasonCode.NO_DATA_SINCE_MOUNTING, "no data since it was mounted")
     hidden = (rule.hides_wear for rule, finding in found if finding is not None and finding.breached)
-    return next(filter(None, hidden), "")
+    return next(filter(None, hidden), None)

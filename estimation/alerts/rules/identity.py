@@ -11,6 +11,7 @@ from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
 from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.identity import AFTER, BEFORE, IDENTITY
 from estimation.values.json_value import JsonValue
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
 
 MOUNTED = "mounted"
@@ -26,7 +27,9 @@ class IdentityRule(AlertRule):
 
     kind: ClassVar[str] = IDENTITY
     limit_unit: ClassVar[str] = "1"
-    hides_wear: ClassVar[str] = "the wheelset is not the one on file, or not the way round"
+    hides_wear: ClassVar[Reason | None] = Reason(
+        ReasonCode.IDENTITY_DOUBTFUL, "the wheelset is not the recorded one, or is mounted the other way round"
+    )
 
     parameters: IdentityParameters = field(default_factory=IdentityParameters)
 

@@ -13,6 +13,7 @@ from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts
 from estimation.trend.trend import probability_within
 from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import WearTrend
 
 
@@ -45,7 +46,12 @@ class LimitForecastRule(AlertRule):
 
 
 def limit_forecast_finding(
-    rule: LimitForecastRule, wheelset: str, trend: WearTrend, measured_ns: int, *, not_assessable_reason: str = ""
+    rule: LimitForecastRule,
+    wheelset: str,
+    trend: WearTrend,
+    measured_ns: int,
+    *,
+    not_assessable_reason: Reason | None = None,
 ) -> Finding:
     """Return what the trend says of the distance to its limit.
 
@@ -60,12 +66,12 @@ def limit_forecast_finding(
     measured_ns
         Time of the newest data behind the trend.
     not_assessable_reason
-        Why the data do not say how the wheelset is now; empty where they do.
+        Why the data do not say how the wheelset is now; None where they do.
     """
     points = len(trend.value)
-    reason = not_assessable_reason or (trend.reason if trend.status is not Status.ESTIMATED else "")
-    if not reason and points < rule.minimum_points:
-        reason = f"{points} points, {rule.minimum_points} needed"
+    reason = not_assessable_reason or (trend.reason if trend.status is not Status.ESTIMATED else None)
+    if reason is None and points < rule.minimum_points:
+        reason = Reason(ReasonCode.TOO_FEW_POINTS, f"{points} points, {rule.minimum_points} needed")
     within = None if reason else probability_within(trend, rule.within_km)
     within_clear = None if reason else probability_within(trend, rule.clear_within_km)
     return Finding(
@@ -84,7 +90,7 @@ def limit_forecast_finding(
             "within_km": rule.within_km,
             "limit": evidence.number(trend.limit),
             "points": points,
-            "unknown_because": reason or None,
+            **evidence.unknown(reason),
         },
         action="plan_reprofiling",
         raise_limit=rule.within_km,

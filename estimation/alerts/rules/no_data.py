@@ -8,6 +8,7 @@ from typing import ClassVar
 
 from estimation.alerts.rules.rule import AlertDelays, AlertRule, Days, WheelsetFacts
 from estimation.values.alerts import Finding, Severity
+from estimation.values.reasons import Reason, ReasonCode
 
 DAY_NS = 86_400_000_000_000
 
@@ -18,7 +19,7 @@ class NoDataRule(AlertRule):
 
     kind: ClassVar[str] = "no_data"
     limit_unit: ClassVar[str] = "days"
-    hides_wear: ClassVar[str] = "no usable data for too long"
+    hides_wear: ClassVar[Reason | None] = Reason(ReasonCode.NO_RECENT_DATA, "no usable data for too long")
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (("critical_days", ">=", "days"),)
 
     delays: AlertDelays = field(default_factory=lambda: AlertDelays(off_evaluations=1))

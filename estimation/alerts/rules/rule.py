@@ -12,6 +12,7 @@ from annotated_types import Interval
 from estimation.alerts.identity import IdentityEvent
 from estimation.values.alerts import Alert, Finding
 from estimation.values.geometry import GeometryRecord
+from estimation.values.reasons import Reason
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord
 from estimation.values.windows import WindowRecord, WindowState
@@ -48,7 +49,7 @@ class WheelsetFacts:
     windows: Sequence[WindowRecord]  # the latest of the mounting in service
     open_alerts: Sequence[Alert] = ()
     identity: IdentityEvent | None = None  # since the last identity change
-    not_assessable_reason: str = ""  # why the data do not show how the wheelset is now; empty where they do
+    not_assessable_reason: Reason | None = None  # why the data do not show how the wheelset is now
 
     @property
     def last_usable_ns(self) -> int | None:
@@ -89,7 +90,7 @@ class AlertRule(ABC):
     kind: ClassVar[str]
     limit_unit: ClassVar[str]
     of_wear: ClassVar[bool] = False
-    hides_wear: ClassVar[str] = ""
+    hides_wear: ClassVar[Reason | None] = None
     relations: ClassVar[Sequence[tuple[str, str, str]]] = ()
 
     enabled: bool = True

@@ -12,6 +12,7 @@ from scipy.special import betainc
 from estimation.alerts.rules import evidence
 from estimation.alerts.rules.rule import AlertRule, Probability, Share, WheelsetFacts, WindowCount
 from estimation.values.alerts import Finding, Severity
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowRecord
 
 
@@ -21,7 +22,7 @@ class SensorFaultRule(AlertRule):
 
     kind: ClassVar[str] = "sensor_fault"
     limit_unit: ClassVar[str] = "1"
-    hides_wear: ClassVar[str] = "the sensor is faulty"
+    hides_wear: ClassVar[Reason | None] = Reason(ReasonCode.SENSOR_FAULTY, "the sensor is faulty")
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (("clear_share", "<=", "raise_share"),)
 
     latest_windows: Annotated[int, Interval(ge=1, le=1000)] = 20
@@ -89,7 +90,7 @@ def sensor_fault_finding(
             "faulty_windows": k,
             "windows": n,
             "reasons": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
-            "unknown_because": None if enough else f"{n} windows, {rule.minimum_windows} needed",
+            **evidence.unknown(evidence.too_few_windows(n, rule.minimum_windows)),
         },
         action="replace_sensor",
         raise_limit=rule.raise_share,

@@ -23,6 +23,7 @@ from estimation.values.geometry import WheelsetGeometry
 from estimation.values.intervals import with_interval
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate
+from estimation.values.reasons import Reason, ReasonCode
 
 INSIDE = 1.0e-3  # m: the reference
 OUTSIDE = (2.0e-3, 3.5e-3)  # m: what is compared with it
@@ -88,7 +89,7 @@ def _shape(geometry: WheelsetGeometry) -> Estimate:
     centre = geometry.bin_centres
     known = np.isfinite(geometry.rolling_radius_difference.value) & np.isfinite(geometry.rolling_radius_difference.std)
     if np.count_nonzero(known) < 2:  # noqa: PLR2004 - nothing to interpolate between
-        return Estimate.unknown("no bins of the rolling radius difference")
+        return Estimate.unknown(Reason(ReasonCode.TOO_FEW_BINS, "no bins of the rolling radius difference"))
     at, value, std = (
         x[known] for x in (centre, geometry.rolling_radius_difference.value, geometry.rolling_radius_difference.std)
     )
@@ -99,7 +100,9 @@ def _shape(geometry: WheelsetGeometry) -> Estimate:
     inner = _mean(even, even_std, distance <= INSIDE)
     outer = _mean(even, even_std, (distance >= OUTSIDE[0]) & (distance <= OUTSIDE[1]))
     if inner is None or outer is None:
-        return Estimate.unknown(f"bins on both sides reach {max(0.0, float(reach)) * 1e3:.2g} mm")
+        return Estimate.unknown(
+            Reason(ReasonCode.TOO_FEW_BINS, f"bins on both sides reach {max(0.0, float(reach)) * 1e3:.2g} mm")
+        )
     difference, spread = outer[0] - inner[0], float(np.hypot(outer[1], inner[1]))
     return with_interval(difference, spread, count=float(geometry.windows))
 
@@ -119,15 +122,14 @@ def wheel_asymmetry_finding(
     measured_ns: int,
     *,
     raised_by: Sequence[str] = (),
-    not_assessable_reason: str = "",
+    not_assessable_reason: Reason | None = None,
 ) -> Finding:
     """Return what the indicators say.
 
     Breached when one of them is; it takes both to say that none is. Cleared when every indicator that raised the open
     alert (``raised_by``, from its evidence) is known and below its clear limit and no known one is above its own.
     """
-    too_few = "" if windows >= rule.minimum_windows else f"{windows} windows, {rule.minimum_windows} needed"
-    reason = not_assessable_reason or too_few
+    reason = not_assessable_reason or evidence.too_few_windows(windows, rule.minimum_windows)
     limits = {
         "offset": (asymmetry.offset, rule.offset_limit_mm, rule.offset_clear_mm),
         "shape": (asymmetry.shape, rule.shape_limit_mm, rule.shape_clear_mm),
@@ -143,7 +145,7 @@ def wheel_asymmetry_finding(
         "shape_mm": evidence.estimate(_in_mm(asymmetry.shape)),
         "raised_by": [*blamed],
         "windows": windows,
-        "unknown_because": reason or None,
+        **evidence.unknown(reason),
     }
     return Finding(
         wheelset=wheelset,

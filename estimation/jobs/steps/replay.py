@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from estimation.motion.gates import WindowParameters
-from estimation.motion.parameters import Refusal
 from estimation.motion.window_motion import window_motion
 from estimation.storage import UnitOfWork
 from estimation.values.motion import Motion
+from estimation.values.reasons import Reason
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import WindowPosition, WindowRecord
 
@@ -63,11 +63,11 @@ def replayed(
             alignment(section, item.track_version) if section is not None else None,
             parameters,
             Correction(position.offset_m, position.scale, position.middle_m) if position is not None else None,
-            position.reason if position is not None else "",
+            position.reason if position is not None else None,
             mounted_reversed=mounting is not None and mounting.reversed,
             layout=layout(section) if section is not None else None,
         )
-        if not isinstance(moved, Refusal):
+        if not isinstance(moved, Reason):
             yield record, moved
 
 

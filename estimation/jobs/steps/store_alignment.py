@@ -16,6 +16,7 @@ from estimation.track.settings import AlignmentSettings
 from estimation.track.update import Finding
 from estimation.track.versions import requires_reestimation
 from estimation.values.json_value import JsonValue
+from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.track import Correction, TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.windows import WindowPosition, WindowRecord, WindowState
 
@@ -28,7 +29,7 @@ class EpochPasses:
 
     found: Sequence[Pass]
     members: Mapping[WindowKey, Sequence[WindowKey]]
-    refused: Mapping[WindowKey, str]
+    refused: Mapping[WindowKey, Reason]
 
     def windows(self, item: Pass) -> Sequence[WindowKey]:
         """Return the windows of a pass, which bears the name of a life of its wheelset."""
@@ -84,7 +85,8 @@ def _report(unit: UnitOfWork, epoch: Epoch, finding: Finding, version: int | Non
     extra: dict[str, JsonValue] = {
         "evidence": [*told.evidence, *epoch.notes],
         "recording": finding.recording,
-        "refused_windows": _counted(epoch.passes.refused),
+        "refused_windows": _counted([reason.text for reason in epoch.passes.refused.values()]),
+        "refused_windows_by_code": _counted([reason.code for reason in epoch.passes.refused.values()]),
         "parameters": context.settings.alignment_parameters(),
     }
     unit.tracks.add_report(
@@ -103,9 +105,8 @@ def _report(unit: UnitOfWork, epoch: Epoch, finding: Finding, version: int | Non
     )
 
 
-def _counted(refused: Mapping[tuple[str, int], str]) -> JsonValue:
-    """Return how many windows were refused for each reason."""
-    reasons = list(refused.values())
+def _counted(reasons: Sequence[str]) -> JsonValue:
+    """Return how often each reason occurs."""
     return {reason: reasons.count(reason) for reason in sorted(set(reasons))}
 
 
@@ -121,10 +122,10 @@ def _positions(
         for item in members
         for key in epoch.passes.windows(item)
     }
-    told = [(key, outcome) for item, outcome in judged for key in epoch.passes.windows(item) if outcome.reason]
+    told = [(key, outcome) for item, outcome in judged for key in epoch.passes.windows(item)]
     against = {key: outcome for key, outcome in told if key not in journey_of}
     spoken = {key for key, outcome in against.items() if outcome.status is PassStatus.REFUSED}
-    reasons = {**epoch.passes.refused, **{key: outcome.reason for key, outcome in against.items()}}
+    reasons = {**epoch.passes.refused, **{key: outcome.reason for key, outcome in against.items() if outcome.reason}}
     outliers = {(one.vehicle, one.from_ns): one.reason for one in finding.estimate.report.journeys if not one.used}
     found = []
     for record in epoch.records:
@@ -143,7 +144,7 @@ def _corrected(
     plain: WindowPosition,
     journey: Journey,
     finding: Finding,
-    outliers: Mapping[Journey, str],
+    outliers: Mapping[Journey, Reason | None],
     settings: AlignmentSettings,
 ) -> WindowPosition:
     correction = finding.estimate.corrections.get(journey)
@@ -151,10 +152,14 @@ def _corrected(
         far = correction is not None and _largest(correction) > settings.trusted_offset
         return plain if correction is None or not far else _moved(plain, correction)
     if journey in outliers:
-        return replace(plain, reason=f"its position along the section is not certain: {outliers[journey]}")
+        return replace(plain, reason=_uncertain(f": {outliers[journey]}"))
     if correction is None:
-        return replace(plain, reason="its position along the section is not certain")
+        return replace(plain, reason=_uncertain())
     return _moved(plain, correction)
+
+
+def _uncertain(why: str = "") -> Reason:
+    return Reason(ReasonCode.POSITION_UNCERTAIN, f"its position along the section is not certain{why}")
 
 
 def _moved(plain: WindowPosition, correction: Correction) -> WindowPosition:
@@ -172,8 +177,8 @@ def _place(unit: UnitOfWork, position: WindowPosition) -> None:
     before = unit.tracks.position(position.wheelset, position.start_ns)
     if not unit.tracks.put_position(position):
         return
-    told = (position.offset_m, position.scale, position.reason)
-    was = (before.offset_m, before.scale, before.reason) if before is not None else (0.0, 0.0, "")
+    told = (position.offset_m, position.scale, code_of(position.reason))
+    was = (before.offset_m, before.scale, code_of(before.reason)) if before is not None else (0.0, 0.0, None)
     window = unit.windows.get(position.wheelset, position.start_ns)
     if told != was and window is not None and window.state is not WindowState.PENDING:
-        unit.windows.mark(position.wheelset, position.start_ns, WindowState.PENDING, "")
+        unit.windows.mark(position.wheelset, position.start_ns, WindowState.PENDING)

@@ -13,9 +13,13 @@ from estimation.track.panel.normal_equations import PanelState, groups_of
 from estimation.values.arrays import FloatArray
 from estimation.values.intervals import jackknife_std
 from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
 
 LEAST_DIVERSITY = 0.15
 LEAST_WHEELSETS = 2
+SINGLE_WHEELSET = Reason(
+    ReasonCode.SINGLE_WHEELSET, "one wheelset alone cannot separate the track from its own geometry"
+)
 GAUGE_RIDGE = 1e-4  # of h1 and h2 per knot, relative to the data of a knot of h0
 STIFFNESS_TERM_PRIOR = 2e-7  # m2: variance of a pass over that of the coefficient of the stiffness term
 PASS_STD = 0.12e-3  # m of y - d - h(R) of a pass, as measured profiles are weighed against it
@@ -32,7 +36,7 @@ class PanelReport:
     """
 
     status: Status
-    reason: str
+    reason: Reason | None
     curves_fixed: bool
 
 
@@ -74,15 +78,15 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
         normal[g] = linalg.block_diag(*state.gram[g]) - root @ root.T
         right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[mine]).astype(np.float32)
     reason = _too_little(state)
-    curves_fixed = bool(reason) and not state.has_alignment and bool(enough.any()) and bool(_measured(state))
+    curves_fixed = reason is not None and not state.has_alignment and bool(enough.any()) and bool(_measured(state))
     curves = _curves(normal, right, state, curves_fixed=curves_fixed, std=std)
     alignments = (state.displacement - _by_curves(curves, state)) * share
     residual = _residual_rms(state, curves[0], normal, right)
     common = jackknife_std(alignments)
     certainty = np.hypot(common, residual * np.sqrt(share))
-    told = curves_fixed or not reason
+    told = curves_fixed or reason is None
     return PanelSolution(
-        report=PanelReport(Status.ESTIMATED if told else Status.UNESTIMATED, "" if told else reason, curves_fixed),
+        report=PanelReport(Status.ESTIMATED if told else Status.UNESTIMATED, None if told else reason, curves_fixed),
         wheelsets=state.wheelsets,
         knots=p.knots,
         curves=curves,
@@ -220,14 +224,26 @@ def between_pass_std_ratio(state: PanelState) -> float:
     return float(np.sqrt(max(within, 0.0) / total)) if total > 0 else 0.0
 
 
-def _too_little(state: PanelState) -> str:
-    """Return why the passes alone cannot tell the track from the wheelsets; empty where they can."""
+def too_few_passes(least: int) -> Reason:
+    """Return that no place has enough passes.
+
+    Parameters
+    ----------
+    least
+        How many a place needs.
+    """
+    return Reason(ReasonCode.TOO_FEW_PASSES, f"no place with {least} passes")
+
+
+def _too_little(state: PanelState) -> Reason | None:
+    """Return why the passes alone cannot separate the track from the wheelsets; None where they can."""
     least = state.panel.parameters.least_passes
     if not (state.passes >= least).any():
-        return f"no place with {least} passes"
+        return too_few_passes(least)
     if len(state.wheelsets) < LEAST_WHEELSETS:
-        return "one wheelset alone cannot tell the track from its own geometry"
+        return SINGLE_WHEELSET
     found = between_pass_std_ratio(state)
     if found < LEAST_DIVERSITY:
-        return f"the passes are too alike: diversity {found:.2f}, {LEAST_DIVERSITY} is needed"
-    return ""
+        text = f"the passes are too alike: diversity {found:.2f}, {LEAST_DIVERSITY} is needed"
+        return Reason(ReasonCode.PASSES_ALIKE, text)
+    return None

@@ -10,11 +10,12 @@ import numpy as np
 from estimation.track.screening.agreement import Felt
 from estimation.track.screening.position_jumps import Link
 from estimation.values.arrays import IntArray
+from estimation.values.reasons import Reason
 
 ALIKE = 20  # grid points: overlaps that differ less are alike
 LEADING_ON = 200  # grid points that one which leads on must share
 ONWARD = 2  # of them
-Compare = Callable[[Felt, Felt], tuple[str, Link | None] | None]
+Compare = Callable[[Felt, Felt], tuple[Reason | None, Link | None] | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,13 +24,13 @@ class Comparison:
 
     first: int
     second: int
-    reason: str
+    reason: Reason | None
     link: Link
 
     @property
     def agrees(self) -> bool:
         """Whether both may be of one place."""
-        return not self.reason
+        return self.reason is None
 
 
 def compared(heard: Mapping[int, Felt], journey_of: IntArray, peers: int, compare: Compare) -> list[Comparison]:
@@ -79,7 +80,7 @@ def _peers(i: int, heard: Mapping[int, Felt], journey_of: IntArray, wanted: int)
 
 def contradicted(
     comparisons: Sequence[Comparison], journey_of: IntArray, believed: frozenset[int] = frozenset()
-) -> dict[int, str]:
+) -> dict[int, Reason]:
     """Return the passes that are contradicted by at least as many journeys as stand with them, with the reason.
 
     Parameters
@@ -97,16 +98,18 @@ def contradicted(
         for i in (c.first, c.second):
             members.setdefault(int(camp[i]), set()).add(int(journey_of[i]))
     known = {int(camp[i]) for i in believed}
-    found: dict[int, str] = {}
+    found: dict[int, Reason] = {}
     for c in comparisons:
-        if c.agrees or camp[c.first] == camp[c.second]:
+        if c.reason is None or camp[c.first] == camp[c.second]:
             continue
         for i, j in ((c.first, c.second), (c.second, c.first)):
             mine, theirs = int(camp[i]), int(camp[j])
             weaker = len(members[mine]) <= len(members[theirs]) if mine not in known else False
             if (weaker or theirs in known) and i not in believed:
                 both = len(members[mine] | members[theirs])
-                found[i] = f"{c.reason}; {len(members[mine])} of {both} journeys of the place stand with it"
+                found[i] = replace(
+                    c.reason, text=f"{c.reason}; {len(members[mine])} of {both} journeys of the place agree with it"
+                )
     return found
 
 

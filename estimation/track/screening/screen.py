@@ -21,6 +21,7 @@ from estimation.track.screening.pairwise import compared, contradicted
 from estimation.track.screening.position_jumps import Link, misplaced
 from estimation.values.arrays import IntArray
 from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment
 
 
@@ -29,7 +30,7 @@ class PassStatus(StrEnum):
 
     USED = "used"
     REFUSED = "refused"
-    TOO_SHORT = "too short"  # for the filter: of no use here, and nothing is said against it
+    TOO_SHORT = "too_short"  # for the filter: of no use here, and nothing is said against it
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class PassOutcome:
     vehicle: str
     start_ns: int
     status: PassStatus
-    reason: str = ""
+    reason: Reason | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +87,10 @@ def screen(
     p = parameters or ScreeningParameters()
     signals = [felt(item, p.cutoff_wavelength, p.step) for item in passes]
     refused = {
-        i: f"{item.at[-1] - item.at[0]:.0f} m long, too short for wavelengths up to {p.cutoff_wavelength:g} m"
+        i: Reason(
+            ReasonCode.PASS_TOO_SHORT,
+            f"{item.at[-1] - item.at[0]:.0f} m long, too short for wavelengths up to {p.cutoff_wavelength:g} m",
+        )
         for i, (item, one) in enumerate(zip(passes, signals, strict=True))
         if one is None
     }
@@ -103,15 +107,17 @@ def screen(
     links = [c.link for c in comparisons if c.agrees and not {c.first, c.second} & refused.keys()]
     middle = np.array([0.5 * (item.at[0] + item.at[-1]) for item in passes])
     for i, apart in misplaced(links, journey_of, middle, p.misplaced).items():
-        refused[i] = f"its position is {abs(apart):.0f} m away from the rest of its journey"
+        refused[i] = Reason(
+            ReasonCode.APART_FROM_JOURNEY, f"its position is {abs(apart):.0f} m away from the rest of its journey"
+        )
     return Screened(
         tuple(item for i, item in enumerate(passes) if i not in refused),
-        tuple(_outcome(item, refused.get(i, ""), short=i not in heard) for i, item in enumerate(passes)),
+        tuple(_outcome(item, refused.get(i), short=i not in heard) for i, item in enumerate(passes)),
         contradicted_known,
     )
 
 
-def _outcome(item: Pass, refusal: str, *, short: bool) -> PassOutcome:
+def _outcome(item: Pass, refusal: Reason | None, *, short: bool) -> PassOutcome:
     status = PassStatus.TOO_SHORT if short else PassStatus.REFUSED if refusal else PassStatus.USED
     return PassOutcome(item.wheelset, item.vehicle, item.start_ns, status, refusal)
 
@@ -119,7 +125,7 @@ def _outcome(item: Pass, refusal: str, *, short: bool) -> PassOutcome:
 @dataclass(frozen=True, slots=True)
 class _AgainstKnown:
     agreed: Mapping[int, Agreement]
-    refused: Mapping[int, str]
+    refused: Mapping[int, Reason]
 
 
 def _by_known(heard: Mapping[int, Felt], known: TrackAlignment | None, p: ScreeningParameters) -> _AgainstKnown:
@@ -136,23 +142,27 @@ def _by_known(heard: Mapping[int, Felt], known: TrackAlignment | None, p: Screen
     usual = float(np.median([one.factor for one in told.values()])) if told else 1.0
     verdicts = {i: _verdict(one, usual or 1.0, p, "the section's alignment") for i, one in told.items()}
     return _AgainstKnown(
-        {i: one for i, one in told.items() if not verdicts[i]}, {i: reason for i, reason in verdicts.items() if reason}
+        {i: one for i, one in told.items() if verdicts[i] is None},
+        {i: reason for i, reason in verdicts.items() if reason is not None},
     )
 
 
-def _verdict(found: Agreement, usual: float, p: ScreeningParameters, other: str) -> str:
-    """Return why two do not agree; empty where they do."""
+def _verdict(found: Agreement, usual: float, p: ScreeningParameters, other: str) -> Reason | None:
+    """Return why two do not agree; None where they do."""
     if found.log10_chance > p.log10_chance:
-        return (
+        return Reason(
+            ReasonCode.OTHER_SECTION,
             f"not of this section: agrees with {other} no more than by chance"
-            f" (correlation {found.correlation:.2f} over {found.samples:.0f} independent samples)"
+            f" (correlation {found.correlation:.2f} over {found.samples:.0f} independent samples)",
         )
     factor = found.factor / usual
     if factor < 0.0:
-        return f"the mirror image of {other}: the axes of its sensors, or its direction, are reversed"
+        return Reason(
+            ReasonCode.MIRRORED, f"the mirror image of {other}: the axes of its sensors, or its direction, are reversed"
+        )
     if not p.least_factor <= factor <= 1.0 / p.least_factor:
-        return f"its lateral displacement is {factor:.2g} times that of {other}"
-    return ""
+        return Reason(ReasonCode.SCALE_DIFFERS, f"its lateral displacement is {factor:.2g} times that of {other}")
+    return None
 
 
 def _journeys(passes: Sequence[Pass], p: ScreeningParameters) -> IntArray:
@@ -162,12 +172,12 @@ def _journeys(passes: Sequence[Pass], p: ScreeningParameters) -> IntArray:
     return np.array([numbers[id(item)] for item in passes], dtype=np.int64)
 
 
-def _compare(first: Felt, second: Felt, p: ScreeningParameters) -> tuple[str, Link | None] | None:
+def _compare(first: Felt, second: Felt, p: ScreeningParameters) -> tuple[Reason | None, Link | None] | None:
     """Return why two passes contradict each other, or where they agree; None where they share too little."""
     found = agreement(first, second, p.positions.largest_offset, p.cutoff_wavelength)
     if found.samples < p.least_samples and found.log10_chance > p.log10_chance:
         return None
     reason = _verdict(found, 1.0, p, "other passes of the place")
-    if reason:
+    if reason is not None:
         return reason, None
-    return "", Link(0, 0, found.shift)
+    return None, Link(0, 0, found.shift)

@@ -10,6 +10,7 @@ import pytest
 from estimation.trend.points import conicity_points
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode, code_of
 
 
 def known(value: float) -> Estimate:
@@ -20,9 +21,7 @@ def interval(number: int, covered_mm: Sequence[float]) -> GeometryRecord:
     """Return a geometry whose conicity at an amplitude a (in mm) is 0.1 a + number."""
     nothing = BinValues(np.full(2, np.nan), np.full(2, np.nan), (BinStatus.TOO_FEW,) * 2)
     grid = (1.0, 2.0, 3.0, 4.0)
-    conicity = tuple(
-        known(0.1 * a + number) if a in covered_mm else Estimate.unknown("amplitude not covered") for a in grid
-    )
+    conicity = tuple(known(0.1 * a + number) if a in covered_mm else Estimate.unknown(WHY) for a in grid)
     reference = max((a for a in covered_mm if a <= 3.0), default=3.0)
     geometry = WheelsetGeometry(
         bin_edges=np.array([-1e-3, 0.0, 1e-3]),
@@ -35,8 +34,8 @@ def interval(number: int, covered_mm: Sequence[float]) -> GeometryRecord:
         conicity=conicity,
         reported_amplitude=reference / 1000.0,
         equivalent_conicity=conicity[grid.index(reference)],
-        nonlinearity=Estimate.unknown("-"),
-        zero_crossing=Estimate.unknown("-"),
+        nonlinearity=Estimate.unknown(WHY),
+        zero_crossing=Estimate.unknown(WHY),
         windows=4,
         parameter_key="k",
         status=Status.ESTIMATED,
@@ -46,6 +45,7 @@ def interval(number: int, covered_mm: Sequence[float]) -> GeometryRecord:
     )
 
 
+WHY = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "amplitude not covered")
 ALL, TO_2, TO_1 = (1.0, 2.0, 3.0, 4.0), (1.0, 2.0), (1.0,)
 
 
@@ -53,7 +53,7 @@ def test_three_millimetres_where_most_intervals_cover_it() -> None:
     chosen = conicity_points([interval(0, ALL), interval(1, TO_2), interval(2, ALL), interval(3, ALL)])
     assert chosen.quantity == "equivalent_conicity"
     assert [p.value for p in chosen.points] == pytest.approx([0.3, 2.3, 3.3])
-    assert "1 of 4" in chosen.note
+    assert "1 of 4" in str(chosen.note)
     assert (chosen.points[1].mileage_km, chosen.points[1].measured_ns) == (2000.0, 24)
 
 
@@ -62,7 +62,7 @@ def test_the_largest_amplitude_that_most_cover_and_never_a_mixture() -> None:
     assert chosen.quantity == "equivalent_conicity_2_mm"
     assert chosen.amplitude == pytest.approx(2e-3)
     assert [p.value for p in chosen.points] == pytest.approx([0.2, 1.2, 2.2])
-    assert "2 mm" in chosen.note
+    assert "2 mm" in str(chosen.note)
 
 
 def test_the_one_most_cover_where_none_is_covered_by_most() -> None:
@@ -72,10 +72,10 @@ def test_the_one_most_cover_where_none_is_covered_by_most() -> None:
 
 
 def test_nothing_to_go_by_says_why() -> None:
-    assert conicity_points([]).note == "no geometry since the last reprofiling"
+    assert code_of(conicity_points([]).note) is ReasonCode.NO_GEOMETRY_SINCE_REPROFILING
     none = conicity_points([interval(0, ())])
     assert none.points == ()
-    assert "amplitude not covered" in none.note
+    assert "amplitude not covered" in str(none.note)
 
 
 def test_what_a_young_wheelset_did_not_reach_long_ago_does_not_keep_its_trend_from_three_millimetres() -> None:
@@ -83,5 +83,5 @@ def test_what_a_young_wheelset_did_not_reach_long_ago_does_not_keep_its_trend_fr
     chosen = conicity_points(histories)
     assert chosen.quantity == "equivalent_conicity"
     assert len(chosen.points) == 7
-    assert "5 of 12 intervals do not cover it" in chosen.note
+    assert "5 of 12 intervals do not cover it" in str(chosen.note)
     assert conicity_points(histories[:7]).quantity != "equivalent_conicity"

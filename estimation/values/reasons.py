@@ -1,0 +1,143 @@
+"""Why something is refused, unknown or ended: a stable code that programs compare, and a sentence that people read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Self
+
+
+class ReasonCode(StrEnum):
+    """Why a value is missing, restricted or no longer valid; stored and served beside its sentence.
+
+    A code never changes its meaning. ``meaning`` says what the code stands for, and what to do where that is known.
+    """
+
+    meaning: str
+
+    def __new__(cls, code: str, meaning: str = "") -> Self:
+        """Return the member of a code with its meaning."""
+        member = str.__new__(cls, code)
+        member._value_ = code
+        member.meaning = meaning
+        return member
+
+    # window
+    SENSOR_FAULT = "sensor_fault", "The sensor reports a failed self-test or an emergency. Check or replace the sensor."
+    TOO_FEW_SAMPLES = "too_few_samples", "Too many samples are missing. Check the bus and the recorder."
+    CLIPPED = "clipped", "Too many samples are at the limit of the sensor's range. Check its mounting and range."
+    SECTION_UNKNOWN = "section_unknown", "The vehicle is on no section of the registry. Register the section."
+    POSITION_UNKNOWN = "position_unknown", "No sample, or too few, has a position on the section."
+    FILE_DAMAGED = "file_damaged", "The file of the samples is missing or damaged. Receive the recording again."
+    ALIGNMENT_UNKNOWN = "alignment_unknown", "The alignment of the section is not known yet. The window waits for it."
+    NOT_MOVING = "not_moving", "The vehicle stands, or runs too slowly."
+    BOTH_DIRECTIONS = "both_directions", "The vehicle runs both ways along the section within the window."
+    POSITION_JUMP = "position_jump", "The position changes by another distance than the speed makes of it."
+    AXES_REVERSED = "axes_reversed", "The sensor axes contradict the direction of running. Check the mounting record."
+    NO_USABLE_SAMPLE = "no_usable_sample", "No sample is valid, on known track, fast enough and outside curves."
+    CURVE_DETECTED = "curve_detected", "A curve is detected and no layout is stored. Register the section's layout."
+    IN_CURVES = "in_curves", "All of the window is in curves."
+    INTERRUPTED = "interrupted", "No uninterrupted run of samples is long enough for the filters."
+    TOO_FEW_USABLE = "too_few_usable", "Too few samples are left after filtering."
+    OUTSIDE_BINS = "outside_bins", "No lateral displacement is within the range of the bins."
+    # position and pass
+    POSITION_UNCERTAIN = "position_uncertain", "The position along the section could not be confirmed."
+    PASS_TOO_SHORT = "pass_too_short", "The pass is shorter than the filters need."
+    OTHER_SECTION = "other_section", "The pass does not match the section. Check what the vehicle reports as section."
+    MIRRORED = "mirrored", "Left and right are exchanged. Check the mounting record and the signs."
+    SCALE_DIFFERS = "scale_differs", "The lateral displacement has another scale. Check the sensor's unit and range."
+    APART_FROM_JOURNEY = "apart_from_journey", "The position of the pass does not fit the rest of its journey."
+    # section
+    NO_PASS = "no_pass", "No pass of the section can be used."
+    TOO_FEW_PASSES = "too_few_passes", "No place of the section has enough passes yet."
+    SINGLE_WHEELSET = "single_wheelset", "One wheelset alone cannot separate the track from its own geometry."
+    PASSES_ALIKE = "passes_alike", "The passes differ too little to separate track and wheelsets."
+    JOURNEY_INDETERMINATE = "journey_indeterminate", "The journey is too short, or too few others passed there."
+    JOURNEY_DISAGREES = "journey_disagrees", "The journey agrees with no other."
+    OFFSET_TOO_LARGE = (
+        "offset_too_large",
+        "The position error is larger than what is searched. Check the position source.",
+    )
+    NO_JOURNEY_AGREES = "no_journey_agrees", "No journey agrees with another."
+    NOT_CONVERGED = "not_converged", "The iteration ended before it converged. The result is less certain."
+    LOW_WEIGHT = "low_weight", "Some wheelsets fit no single curve and have a low weight."
+    # survey
+    SURVEY_CONFIRMED = "survey_confirmed", "The survey agrees with what the fleet measures."
+    SURVEY_NOT_ASSESSABLE = (
+        "survey_not_assessable",
+        "The fleet does not know enough of the section to check the survey.",
+    )
+    SURVEY_UNRELATED = "survey_unrelated", "The survey has nothing in common with the section. Check which it is of."
+    SURVEY_UNIT = "survey_unit", "The survey has another unit. Register it again in the right unit."
+    SURVEY_MIRRORED = "survey_mirrored", "The survey has left and right exchanged. Register it with the other sign."
+    SURVEY_DISPLACED = "survey_displaced", "The survey is displaced along the section. Check its zero point."
+    SURVEY_DIFFERS = "survey_differs", "The survey differs by more than its standard deviation allows."
+    # geometry
+    TOO_FEW_BLOCKS = "too_few_blocks", "Too few blocks of running time for an interval."
+    TOO_FEW_BINS = "too_few_bins", "Too few bins around the centre have samples."
+    AMPLITUDE_NOT_COVERED = "amplitude_not_covered", "The wheelset has not moved as far as this amplitude."
+    OFFSET_NOT_OBSERVABLE = "offset_not_observable", "Band-limited signals carry no constant offset."
+    NO_ZERO_CROSSING = "no_zero_crossing", "rL - rR has no zero in the range covered."
+    NOT_FINITE = "not_finite", "The calculation gave no finite number."
+    # trend
+    NO_GEOMETRY = "no_geometry", "There is no geometry yet."
+    NO_GEOMETRY_SINCE_REPROFILING = "no_geometry_since_reprofiling", "There is no geometry since the last reprofiling."
+    NO_CONICITY = "no_conicity", "No mileage interval has an equivalent conicity."
+    TOO_FEW_POINTS = "too_few_points", "The trend has too few points since the last reprofiling."
+    SPAN_TOO_SHORT = "span_too_short", "The points of the trend span too little mileage."
+    SINGLE_DATE = "single_date", "All points of the trend have one date."
+    OTHER_AMPLITUDE = "other_amplitude", "The trend is at another amplitude than 3 mm, which too few intervals cover."
+    INTERVALS_LEFT_OUT = "intervals_left_out", "Some mileage intervals do not cover the trend's amplitude."
+    BEYOND_HORIZON = "beyond_horizon", "The limit is not reached within the forecast horizon."
+    # alert
+    TOO_FEW_WINDOWS = "too_few_windows", "Fewer windows than the rule needs."
+    NO_DATA_SINCE_MOUNTING = "no_data_since_mounting", "There are no data since the wheelset was mounted."
+    NO_RECENT_DATA = "no_recent_data", "There have been no usable data for too long."
+    SENSOR_FAULTY = "sensor_faulty", "The sensor is faulty according to the sensor fault rule."
+    IDENTITY_DOUBTFUL = "identity_doubtful", "The wheelset is not the recorded one, or is mounted the other way round."
+    # recording
+    LOG_DAMAGED = "log_damaged", "The recording is truncated, damaged or no log. Send it again."
+    VEHICLE_UNKNOWN = "vehicle_unknown", "The registry does not contain the vehicle. Register it; then decode again."
+    WAITS_FOR_TIME = "waits_for_time", "The recording has no TIME frame and waits for the recording next to it."
+    # stored by earlier versions
+    OTHER = "other", "A reason that an earlier version stored; see its sentence."
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """A code and its sentence with the facts. The code decides; the sentence is for people and may be reworded."""
+
+    code: ReasonCode
+    text: str
+
+    def __str__(self) -> str:
+        """Return the sentence."""
+        return self.text
+
+
+def combined(reasons: Sequence[Reason | None]) -> Reason | None:
+    """Return several reasons as one: the code of the first and all sentences; None where there is none.
+
+    Parameters
+    ----------
+    reasons
+        The most important one first.
+    """
+    given = [reason for reason in reasons if reason is not None]
+    return replace(given[0], text="; ".join(reason.text for reason in given)) if given else None
+
+
+def prefixed(text: str, reason: Reason) -> Reason:
+    """Return ``reason`` with ``text`` in front of its sentence."""
+    return replace(reason, text=f"{text}{reason.text}")
+
+
+def text_of(reason: Reason | None) -> str | None:
+    """Return the sentence; None where there is no reason."""
+    return None if reason is None else reason.text
+
+
+def code_of(reason: Reason | None) -> ReasonCode | None:
+    """Return the code; None where there is no reason."""
+    return None if reason is None else reason.code
