@@ -44,6 +44,15 @@ _Row = tuple[int, int, int, bytes]
 def open_bus(interface: str, channel: str, **options: Any) -> can.BusABC:  # noqa: ANN401 - python-can's own options
     """Open a bus; use it as a context manager.
 
+    Parameters
+    ----------
+    interface
+        One of ``INTERFACES``.
+    channel
+        Channel of the interface, such as can0.
+    options
+        Options of python-can.
+
     Raises
     ------
     ParameterError
@@ -124,6 +133,21 @@ def record(
     Files are called ``<name>__<first stamp in ns>.blf``. A bus without frames gives no files; the frames received when
     ``stop`` is set become the last one.
 
+    Parameters
+    ----------
+    bus
+        An open bus.
+    directory
+        Folder of the files.
+    name
+        First part of their names.
+    chunk_seconds
+        Length of a file, s.
+    stop
+        Ends the recording when set.
+    limit
+        Frames that may wait to be written.
+
     Raises
     ------
     ConflictError
@@ -169,6 +193,17 @@ def send(
     """Send frames at the pace of their time stamps, the first at once; return how many were sent.
 
     The frames of a cycle go out right behind their SYNC: a pause between them could grow beyond the cycle.
+
+    Parameters
+    ----------
+    bus
+        An open bus.
+    batch
+        Frames in the order of time.
+    stop
+        Ends the sending when set, within a frame.
+    clock_s
+        A clock that runs in seconds.
 
     Raises
     ------

@@ -91,7 +91,15 @@ class Decoded:
 
 
 def raw_limits(plan: MessagePlan, *, with_clipped: bool) -> tuple[IntArray, IntArray]:
-    """Return the lowest and highest raw values (m,) that are values, with or without those that stand for clipping."""
+    """Return the lowest and highest raw values (m,) that are values, with or without those that stand for clipping.
+
+    Parameters
+    ----------
+    plan
+        The message.
+    with_clipped
+        Whether a value that stands for clipping is inside.
+    """
     low = [s.raw_minimum + (s.clips and s.signed and not with_clipped) for s in plan.signals]
     high = [s.raw_maximum - (s.clips and not with_clipped) for s in plan.signals]
     return np.array(low, dtype=np.int64), np.array(high, dtype=np.int64)
@@ -102,6 +110,13 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
 
     Frames that are no data frames with an 11-bit identifier of the catalogue and the length it gives are counted by
     reason and left out.
+
+    Parameters
+    ----------
+    catalogue
+        The messages of the bus.
+    batch
+        Frames in any order.
     """
     lengths = np.full(STANDARD_IDENTIFIERS, -1, dtype=np.int16)
     for arbitration_id, plan in catalogue.messages.items():
@@ -157,7 +172,15 @@ def _count_values(messages: Mapping[int, MessageValues]) -> tuple[int, int]:
 
 
 def unpack(plan: MessagePlan, words: npt.NDArray[np.uint64]) -> RawArray:
-    """Return the raw values (n, m) in payloads given as little-endian 64-bit words (n,)."""
+    """Return the raw values (n, m) in payloads given as little-endian 64-bit words (n,).
+
+    Parameters
+    ----------
+    plan
+        The message.
+    words
+        (n,) payloads as little-endian 64-bit words.
+    """
     if plan.four_int16:
         return words.view("<i2").reshape(-1, 4)
     raw = np.empty((len(words), len(plan.signals)), dtype=np.int64)
@@ -175,6 +198,17 @@ def encode(
 
     NaN becomes "not available"; a value beyond a limit is clipped to it; signals that are not given are "not
     available" where the catalogue has a code for that, else 0.
+
+    Parameters
+    ----------
+    plan
+        The message.
+    t_ns
+        (n,) time of each frame.
+    values
+        (n,) or one value per signal, in the units of the catalogue.
+    channel
+        Name of the bus.
 
     Raises
     ------
@@ -198,7 +232,15 @@ def encode(
 
 
 def raw_of(signal: SignalPlan, values: FloatArray) -> IntArray:
-    """Return the raw values (n,) of a signal: rounded to the nearest count, clipped, NaN as "not available"."""
+    """Return the raw values (n,) of a signal: rounded to the nearest count, clipped, NaN as "not available".
+
+    Parameters
+    ----------
+    signal
+        The signal.
+    values
+        (n,) in the units of the catalogue.
+    """
     counts = np.rint((values - signal.offset) / signal.scale)
     missing = np.isnan(counts)
     raw = np.clip(np.where(missing, 0.0, counts), signal.raw_minimum, signal.raw_maximum).astype(np.int64)

@@ -104,7 +104,15 @@ def from_owned_arrays(
 
 
 def take(batch: FrameBatch, index: IntArray | BoolArray | slice) -> FrameBatch:
-    """Return the frames that ``index`` (positions, a mask or a slice) picks, in its order."""
+    """Return the frames that ``index`` (positions, a mask or a slice) picks, in its order.
+
+    Parameters
+    ----------
+    batch
+        The frames.
+    index
+        (k,) positions, (n,) a mask, or a slice.
+    """
     return from_owned_arrays(
         batch.channel, batch.t_ns[index], batch.arbitration_id[index], batch.dlc[index], batch.data[index]
     )
@@ -146,6 +154,13 @@ def merge(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBat
     The order is by time, then identifier (as arbitration on the bus would have it: SYNC before what it causes), then
     length and payload. A frame that occurs twice with the same time, identifier and payload is the same frame, and
     is kept once.
+
+    Parameters
+    ----------
+    batches
+        Batches in any order.
+    channel
+        Name of the bus; by default that of the first batch.
     """
     joined = concatenate(batches, channel)
     if np.all(joined.t_ns[1:] > joined.t_ns[:-1]):
@@ -170,6 +185,14 @@ def merge(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBat
 
 
 def between(batch: FrameBatch, from_ns: int, to_ns: int) -> FrameBatch:
-    """Return the frames of a time-ordered batch with ``from_ns <= t < to_ns``."""
+    """Return the frames of a time-ordered batch with ``from_ns <= t < to_ns``.
+
+    Parameters
+    ----------
+    batch
+        Frames in the order of time.
+    from_ns, to_ns
+        Span of the recorder's clock, ns.
+    """
     first, last = np.searchsorted(batch.t_ns, [from_ns, to_ns])
     return take(batch, slice(int(first), int(last)))

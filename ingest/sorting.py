@@ -62,6 +62,17 @@ def gather_by_identifier(
     """Return positions and payload words of the good frames, by identifier, each in the order of the batch.
 
     ``starts`` is the cumulative sum of what :func:`count_by_identifier` returns.
+
+    Parameters
+    ----------
+    arbitration_id, dlc
+        (n,) as in a batch.
+    lengths
+        (2048,) bytes that a frame must have, -1 for unknown identifiers.
+    words
+        (n,) payloads.
+    starts
+        (2049,) cumulative sum of what :func:`count_by_identifier` returns.
     """
     place = starts.copy()
     index = np.empty(starts[-1], np.int64)
@@ -80,7 +91,17 @@ def gather_by_identifier(
 def scaled(
     raw: npt.NDArray[np.signedinteger[Any]], low: IntArray, high: IntArray, scale: FloatArray, offset: FloatArray
 ) -> FloatArray:
-    """Return ``raw * scale + offset`` (n, m), NaN where ``raw`` is outside ``low..high`` (each (m,))."""
+    """Return ``raw * scale + offset`` (n, m), NaN where ``raw`` is outside ``low..high`` (each (m,)).
+
+    Parameters
+    ----------
+    raw
+        (n, m) raw values.
+    low, high
+        (m,) limits of each signal.
+    scale, offset
+        (m,) conversion of each signal.
+    """
     n, m = raw.shape
     values = np.empty((n, m))
     for i in range(n):
@@ -92,7 +113,15 @@ def scaled(
 
 @numba.njit(cache=True, nogil=True)
 def count_within(raw: npt.NDArray[np.signedinteger[Any]], low: IntArray, high: IntArray) -> int:
-    """Count the raw values (n, m) inside ``low..high`` (each (m,))."""
+    """Count the raw values (n, m) inside ``low..high`` (each (m,)).
+
+    Parameters
+    ----------
+    raw
+        (n, m) raw values.
+    low, high
+        (m,) limits of each signal.
+    """
     n, m = raw.shape
     count = 0
     for i in range(n):

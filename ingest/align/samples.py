@@ -59,7 +59,19 @@ class NodeSamples:
 def node_samples(
     vehicle: str, node: int, catalogue: Catalogue, messages: Mapping[int, TickedValues]
 ) -> tuple[NodeSamples, AlignCounts] | None:
-    """Return the samples of a wheelset node; None when it sent none."""
+    """Return the samples of a wheelset node; None when it sent none.
+
+    Parameters
+    ----------
+    vehicle
+        Code of the vehicle.
+    node
+        Node number of the wheelset, its axle.
+    catalogue
+        The messages of the bus.
+    messages
+        Frames on the vehicle's clock, by arbitration id.
+    """
     ticked = _of_node(messages, ACCELERATION, node)
     if ticked is None:
         return None
@@ -148,7 +160,17 @@ def _spans(tick: IntArray, after: IntArray, until: IntArray) -> BoolArray:
 
 
 def widened(flags: BoolArray, slot: IntArray, reach: int) -> BoolArray:
-    """Return which samples (n,) at ``slot`` (n,), ascending, lie within ``reach`` slots of one that is flagged."""
+    """Return which samples (n,) are near to a flagged one.
+
+    Parameters
+    ----------
+    flags
+        (n,) which samples are flagged.
+    slot
+        (n,) sampling instant of each, ascending.
+    reach
+        Slots on each side.
+    """
     counted = np.concatenate([[0], np.cumsum(flags)])
     first = np.searchsorted(slot, slot - reach, side="left")
     last = np.searchsorted(slot, slot + reach, side="right")

@@ -248,7 +248,13 @@ def _quality(
 
 
 def add_counts(first: WindowCounts, second: WindowCounts) -> WindowCounts:
-    """Return the sums."""
+    """Return the sums.
+
+    Parameters
+    ----------
+    first, second
+        Counts of different windows.
+    """
     return replace(
         first,
         **{name: getattr(first, name) + getattr(second, name) for name in WindowCounts.__slots__},
