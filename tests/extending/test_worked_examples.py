@@ -1,0 +1,59 @@
+"""The examples of ``docs/extending.md`` do what the page says, in the files that it names."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "extending.md"
+USES = Path(__file__).parent
+BLOCK = re.compile(r"^```(python|diff)\n# (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def change(text: str, diff: str) -> str:
+    """Return a text with a diff block applied, whose old lines must be there once."""
+    lines = diff.splitlines()
+    old = "\n".join(line[1:] for line in lines if line[0] in " -")
+    new = "\n".join(line[1:] for line in lines if line[0] in " +")
+    assert text.count(old + "\n") == 1, old
+    return text.replace(old + "\n", new + "\n")
+
+
+@pytest.fixture(scope="module")
+def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a copy of the packages with every example of the page in it."""
+    copy = tmp_path_factory.mktemp("extended")
+    for package in ("api", "estimation", "fleet_db", "ingest"):
+        shutil.copytree(ROOT / package, copy / package, ignore=shutil.ignore_patterns("__pycache__"))
+    for language, name, body in BLOCK.findall(PAGE.read_text(encoding="utf-8")):
+        file = copy / name
+        if language == "python":
+            assert not file.exists()
+            file.write_text(body, encoding="utf-8")
+        else:
+            file.write_text(change(file.read_text(encoding="utf-8"), body), encoding="utf-8")
+    return copy
+
+
+@pytest.mark.parametrize("example", ["alert_rule", "estimator", "log_format", "profile_format"])
+def test_the_example_works(extended: Path, tmp_path: Path, example: str) -> None:
+    tests = (ROOT / "tests" / "jobs", ROOT / "tests" / "estimation")
+    path = os.pathsep.join(str(folder) for folder in (extended, *tests))
+    command = [sys.executable, str(USES / f"use_{example}.py"), str(tmp_path)]
+    done = subprocess.run(
+        command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(str(extended))
+
+
+def test_the_page_names_two_files_an_example_and_three_for_a_rule() -> None:
+    table = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| a")]
+    assert [line.count(",") + 1 for line in table] == [3, 2, 2, 2, 4]
