@@ -1,7 +1,7 @@
 """The accuracy table of unknown track: ``python -m bench section [--seeds 0-19] [--rows known,unknown] ...``.
 
-Every row is a section scenario file; every seed of a row goes from windows to published numbers by the
-product's numerics (``section_case``).
+Every row is a built-in scenario; every seed of a row is simulated, ingested and estimated by the scheduled jobs
+(``section_case``).
 Two processes share the seeds. Results are written as JSON after every seed, so that nothing is lost on the way.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import tempfile
 import time
 import traceback
@@ -21,10 +22,11 @@ from typing import Any
 
 from rich.console import Console
 
+from api.comparison.trial import recording_key
 from bench.section_table import LIMITS, scaling_table, summaries, summary_table
-from ingest.simulator.section_file import builtin_section_scenarios, load_section_scenario
-from ingest.simulator.section_run import simulate_section
-from ingest.simulator.section_simulation import simulation_key
+from ingest.simulator.drawn_fleet import with_seed
+from ingest.simulator.scenario import Scenario, VehicleErrors
+from ingest.simulator.scenario_file import builtin_scenarios, load_scenario
 
 NO_INFORMATION = "no_information"
 WORKERS = 2
@@ -60,7 +62,7 @@ def main(arguments: Sequence[str]) -> int:
                 f"seed {futures[future]} done, {done} of {len(futures)} tasks, {passed / 60:.1f} min", highlight=False
             )
             for case in cases:
-                console.print("  " + spoken(case), highlight=False)
+                console.print("  " + summary_line(case), highlight=False)
             for failure in failures:
                 console.print(f"  FAILED {failure['row']} seed {failure['seed']}: {failure['error']}", highlight=False)
     if options.scaling and not results["scaling"]:
@@ -87,14 +89,20 @@ def seed_cases(
     cases, failures = [], []
     with tempfile.TemporaryDirectory(prefix="treadwatch-section-") as folder:
         for row in rows:
-            scenario = replace(load_section_scenario(row), errors_drawn=drawn)
+            data = Path(folder) / row
             try:
-                run = simulate_section(scenario, seed, keep or Path(folder), workers=1)
-                cases.append(score(run).as_json())
+                cases.append(score(row_scenario(row, seed, drawn), keep or Path(folder) / "recordings", data).as_json())
             except Exception as error:  # noqa: BLE001 - one row that fails must not cost the hour before it
-                told = "".join(traceback.format_exception(error)[-2:])
-                failures.append({"row": row, "seed": seed, "drawn": drawn, "error": repr(error), "trace": told})
+                trace = "".join(traceback.format_exception(error)[-2:])
+                failures.append({"row": row, "seed": seed, "drawn": drawn, "error": repr(error), "trace": trace})
+            shutil.rmtree(data, ignore_errors=True)
     return cases, failures
+
+
+def row_scenario(row: str, seed: int, drawn: bool) -> Scenario:  # noqa: FBT001 - part of a task
+    """Return the scenario of a row for one seed, with or without errors of the vehicle parameters."""
+    scenario = with_seed(load_scenario(row), seed)
+    return replace(scenario, vehicle_errors=VehicleErrors()) if drawn else scenario
 
 
 def _missing(rows: Sequence[str], seed: int, drawn: bool, have: set[tuple[str, int, bool]]) -> list[str]:  # noqa: FBT001 - as above
@@ -106,7 +114,7 @@ def _sharing(rows: Sequence[str], seed: int) -> list[list[str]]:
     """Return the rows in groups that share one simulation."""
     groups: dict[str, list[str]] = {}
     for row in rows:
-        groups.setdefault(simulation_key(load_section_scenario(row), seed), []).append(row)
+        groups.setdefault(recording_key(row_scenario(row, seed, drawn=False)), []).append(row)
     return list(groups.values())
 
 
@@ -124,7 +132,7 @@ def _show(console: Console, results: dict[str, Any]) -> None:
         console.print(scaling_table(results["scaling"]))
 
 
-def spoken(case: dict[str, Any]) -> str:
+def summary_line(case: dict[str, Any]) -> str:
     """Return one case in a line."""
     errors = [item["error"] for item in case["wheelsets"] if item["error"] is not None]
     published = sum(item["conicity"]["published"] for item in case["wheelsets"])
@@ -162,7 +170,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--resume", action="store_true", help="keep what --out holds, and do what it lacks")
     parser.add_argument("--print-only", action="store_true", help="print the table of what --out holds")
     parser.add_argument("--workers", type=int, default=WORKERS, help="processes")
-    parser.add_argument("--keep", type=Path, default=None, help="folder that keeps simulations (60 MB each)")
+    parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings (150 MB each)")
     parser.add_argument("--out", type=Path, default=Path("bench-results/section.json"), help="JSON file to write")
     return parser.parse_args(arguments)
 
@@ -176,7 +184,7 @@ def _seeds(text: str) -> list[int]:
 
 
 def _rows(text: str) -> list[str]:
-    rows, known = text.split(","), builtin_section_scenarios()
+    rows, known = text.split(","), builtin_scenarios()
     for row in rows:
         if row not in known:
             raise argparse.ArgumentTypeError(f"{row!r} is none of {', '.join(known)}")

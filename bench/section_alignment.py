@@ -13,7 +13,9 @@ from estimation.motion.alignment_lookup import deconvolved
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.intervals import NORMAL_95
 from estimation.values.track import TrackAlignment
-from ingest.simulator.section_run import SectionRun
+from ingest.simulator.campaign import scenario_track, vehicle_run
+from ingest.simulator.scenario import Scenario
+from ingest.simulator.track import TrackTruth
 
 BAND = (3.0, 60.0)  # m of wavelength
 ENDS = 300.0  # m of the section that are left out at each end
@@ -36,20 +38,29 @@ class AlignmentScore:
     gauge_covered: int = 0
 
 
-def alignment_score(run: SectionRun, found: TrackAlignment) -> AlignmentScore:
-    """Return the error of ``found``, its place and stretch as a whole fitted: nobody can tell these."""
+def alignment_score(scenario: Scenario, found: TrackAlignment) -> AlignmentScore:
+    """Return the error of an alignment, its offset and scale along the track fitted: no data can tell these.
+
+    Parameters
+    ----------
+    scenario
+        The fleet that has found it.
+    found
+        On a grid of the section.
+    """
+    true_track = scenario_track(scenario)
     grid, step = found.s, float(found.s[1] - found.s[0])
     inner = (grid > ENDS) & (grid < grid[-1] - ENDS) & np.isfinite(found.alignment)
     own = np.isfinite(found.cutoff_wavelength)
     weights = local_cubic_kernel(found.cutoff_wavelength, step) if own else None
 
     def truth(s: FloatArray) -> FloatArray:
-        return np.interp(s, run.track.s, run.track.alignment)
+        return np.interp(s, true_track.s, true_track.alignment)
 
     def filtered(values: FloatArray) -> FloatArray:
         return values if weights is None else high_pass(values, weights)
 
-    place = _fitted(run, found, inner, lambda s: filtered(truth(s)))
+    place = _fitted(scenario, found, inner, lambda s: filtered(truth(s)))
     error = (found.alignment - filtered(truth(place)))[inner]
     true_band = in_band(truth(place), step)
     fullest = found.alignment if found.cutoff_wavelength >= 2.0 * BAND[1] else deconvolved(found)
@@ -63,15 +74,15 @@ def alignment_score(run: SectionRun, found: TrackAlignment) -> AlignmentScore:
         published=int(inner.sum()),
         covered=int(inside.sum()),
         known=float(np.isfinite(found.alignment).mean()),
-        **_gauge_score(run, found, place, inner),
+        **_gauge_score(true_track, found, place, inner),
     )
 
 
-def _gauge_score(run: SectionRun, found: TrackAlignment, place: FloatArray, inner: BoolArray) -> dict[str, Any]:
+def _gauge_score(true_track: TrackTruth, found: TrackAlignment, place: FloatArray, inner: BoolArray) -> dict[str, Any]:
     """Return the error of an estimated gauge deviation, m SD, and how many of its intervals cover; its mean is lost."""
     if found.gauge_known or not found.gauge_deviation.any():
         return {}
-    true = np.interp(place, run.track.s, run.track.gauge_deviation)[inner]
+    true = np.interp(place, true_track.s, true_track.gauge_deviation)[inner]
     error = found.gauge_deviation[inner] - true
     error -= error.mean()
     covered = np.abs(error) <= NORMAL_95 * found.gauge_deviation_std[inner]
@@ -79,15 +90,14 @@ def _gauge_score(run: SectionRun, found: TrackAlignment, place: FloatArray, inne
 
 
 def _fitted(
-    run: SectionRun, found: TrackAlignment, inner: BoolArray, truth: Callable[[FloatArray], FloatArray]
+    scenario: Scenario, found: TrackAlignment, inner: BoolArray, truth: Callable[[FloatArray], FloatArray]
 ) -> FloatArray:
     """Return the true place (n,), m, of every grid point: that of the mean journey, then by least squares."""
-    scenario, grid = run.scenario, found.s
-    centre = 0.5 * scenario.length
-    errors = [run.position_error(v, j) for v in range(scenario.vehicles) for j in range(scenario.passes)]
-    offset, scale = (float(np.mean([getattr(error, name) for error in errors])) for name in ("offset", "scale"))
-    if not (scenario.position_offset or scenario.position_scale):
+    grid = found.s
+    if not (scenario.position.offset or scenario.position.scale):
         return grid
+    centre = 0.5 * float(grid[0] + grid[-1])
+    offset, scale = _mean_position_error(scenario, centre)
     for _ in range(STEPS):
         place = grid - offset - scale * (grid - centre)
         d = truth(place)
@@ -96,6 +106,19 @@ def _fitted(
         moved, stretched = np.linalg.lstsq(design, (d - found.alignment)[inner], rcond=None)[0]
         offset, scale = offset + float(moved), scale + float(stretched)
     return np.asarray(grid - offset - scale * (grid - centre))
+
+
+def _mean_position_error(scenario: Scenario, centre: float) -> tuple[float, float]:
+    """Return offset at ``centre``, m, and scale of the reported positions, mean of all runs."""
+    track, errors = scenario_track(scenario), []
+    for vehicle in scenario.vehicles:
+        for campaign in range(scenario.sessions.campaigns):
+            run = vehicle_run(scenario, track, vehicle, campaign)
+            error = run.reported - run.distance
+            scale = (error[-1] - error[0]) / (run.distance[-1] - run.distance[0])
+            errors.append((float(np.interp(centre, run.distance, error)), float(scale)))
+    offset, mean_scale = np.mean(errors, axis=0)
+    return float(offset), float(mean_scale)
 
 
 def in_band(values: FloatArray, step: float) -> FloatArray:

@@ -1,15 +1,7 @@
-"""One row of the accuracy table for one seed: the product's numerics, held against the truth.
+"""One row of the accuracy table for one seed: simulate, ingest, jobs, stored geometries against truth.
 
-Windows become passes, passes an alignment with positions, windows and alignment bin tables, these a geometry, by the
-functions that the jobs call. What the jobs do besides is left out:
-
-- Windows are not examined or screened against each other before they become passes; these are all honest.
-- Windows that follow each other become one pass however many they are; the job joins four.
-- All passes are one epoch, so no alignment is evidence for the next one. All windows of a wheelset are merged alike.
-- No layout is on file, and nothing goes through the bus, a store or the REST API.
-
-Where no parameter errors are drawn, the ratio of yaw stiffness to creep is taken as known unless the fleet has told it:
-of the uncertainty as shipped masses and spin creep are left. Where they are drawn it is as shipped.
+Nothing is left out and nothing is set: recordings go through the receiver, windows are examined and screened, passes
+become epochs, and the uncertainty of the vehicle parameters is as shipped.
 
 Band-limited signals carry no offset. Bins are therefore held against the true curve seen from the place on it that
 fits them best, within 0.6 mm of the true zero crossing, and less its mean over the samples (R and D): where on the true
@@ -21,23 +13,22 @@ Everything that is counted or measured is returned as plain numbers.
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 
+from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, run_jobs
+from api.comparison.truth import TrueWheelset, conicity_errors, read_truth
 from bench.section_alignment import AlignmentScore, alignment_score
-from estimation.estimators.tracks import TrackKnowledge, fleet_knowledge, section_passes
-from estimation.geometry.estimate import estimate_geometry
-from estimation.jobs.settings import EstimationSettings
-from estimation.tables import bin_table
-from estimation.tables.window import tabulate_window
-from estimation.track.settings import AlignmentSettings
+from estimation.storage import Storage
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.intervals import NORMAL_95
 from estimation.values.quantities import Estimate
-from estimation.values.reasons import Reason
-from ingest.simulator.section_run import SECTION, SectionRun, WheelsetTruth
+from estimation.values.track import FLEET
+from ingest.simulator.scenario import Scenario
 
 SEARCHED = 0.6e-3  # m
 
@@ -62,7 +53,6 @@ class WheelsetScore:
     error: float | None  # mean absolute error of the conicity over the amplitudes estimated; None without any
     signed: float | None  # mean error
     amplitudes: tuple[float | None, ...]  # error at each amplitude asked for
-    stds: tuple[float | None, ...]
     conicity: Count
     difference: Count  # R per bin
     other_bins: Count  # S, A and D per bin; by the criterion of the geometry S and A are not published
@@ -79,82 +69,100 @@ class CaseScore:
     seed: int
     drawn: bool
     wheelsets: tuple[WheelsetScore, ...]
-    alignment: AlignmentScore | None
-    status: str  # of the alignment; "recorded" where it was known
+    windows: Mapping[str, int]  # by state
+    reasons: Mapping[str, int]  # codes of the windows that were refused
+    alignment: AlignmentScore | None  # of the fleet's own
+    status: str  # of the alignment; "recorded" where a survey is in force
     reason: str
-    seconds: tuple[float, float, float]  # passes, alignment, forward: processor time
+    seconds: tuple[float, float, float]  # alignment job, windows job, geometry job: processor time
+    all_seconds: float  # ingest and jobs, wall clock
 
     def as_json(self) -> dict[str, object]:
         """Return everything as JSON values."""
         return asdict(self)
 
 
-def score(run: SectionRun) -> CaseScore:
-    """Run the product's numerics on ``run`` and compare."""
-    settings, alignment = EstimationSettings(), AlignmentSettings()
-    scenario = run.scenario
+def score(scenario: Scenario, cache: Path, folder: Path) -> CaseScore:
+    """Run a scenario through the product and compare what is stored with the truth.
+
+    Parameters
+    ----------
+    scenario
+        The row, with its seed.
+    cache
+        Folder that keeps recordings.
+    folder
+        Where the deployment keeps its data; empty.
+    """
+    recorded = record(scenario, cache, workers=1)
+    began = time.perf_counter()
+    settings = deploy(scenario, folder)
+    receive(recorded, settings)
     clock = [time.process_time()]
-    known = run.known_track()
-    moved = bool(scenario.position_offset or scenario.position_scale)
-    if known is not None and not moved:
-        knowledge: TrackKnowledge | str = TrackKnowledge(known)
-        clock += [clock[0], clock[0]]
-    else:
-        found = section_passes(run.all_windows(), settings.windows, alignment)
-        clock.append(time.process_time())
-        evidence = known if known is not None else run.known_gauge()
-        knowledge = fleet_knowledge(found, evidence, SECTION, scenario.length, alignment, run.measured())
-        clock.append(time.process_time())
-    if isinstance(knowledge, str):
-        geometries: dict[str, WheelsetGeometry] = {}
-    else:
-        geometries = {truth.serial: _geometry(run, truth, knowledge, settings) for truth in run.wheelsets}
-    clock.append(time.process_time())
-    told = None if isinstance(knowledge, str) or knowledge.found is None else knowledge.found
+    with opened(settings) as (storage, context):
+        for job in ESTIMATION:
+            run_jobs(context, [job])
+            clock.append(time.process_time())
+        found = _stored(storage, scenario, recorded.truth)
     return CaseScore(
         row=scenario.name,
-        pair=run.pair.name,
-        seed=run.seed,
-        drawn=scenario.errors_drawn,
-        wheelsets=tuple(
-            wheelset_score(geometries[truth.serial], truth) for truth in run.wheelsets if truth.serial in geometries
-        ),
-        alignment=alignment_score(run, told.alignment) if told is not None and told.alignment is not None else None,
-        status="unestimated" if isinstance(knowledge, str) else "recorded" if told is None else told.report.status,
-        reason=knowledge if isinstance(knowledge, str) else "",
+        pair=scenario.pair,
+        seed=scenario.seed,
+        drawn=scenario.vehicle_errors is not None,
+        wheelsets=found.wheelsets,
+        windows=found.windows,
+        reasons=found.reasons,
+        alignment=found.alignment,
+        status=found.status,
+        reason=found.reason,
         seconds=(clock[1] - clock[0], clock[2] - clock[1], clock[3] - clock[2]),
+        all_seconds=time.perf_counter() - began,
     )
 
 
-def _geometry(
-    run: SectionRun, truth: WheelsetTruth, knowledge: TrackKnowledge, settings: EstimationSettings
-) -> WheelsetGeometry:
-    tables = []
-    for window in run.windows(truth.serial):
-        correction = knowledge.correction_of(window)
-        if correction is None:
-            continue
-        table = tabulate_window(window, knowledge.track, settings.windows, correction)
-        if not isinstance(table, Reason):
-            tables.append(table)
-    assumed = settings.geometry.uncertainty
-    assumed = assumed if run.scenario.errors_drawn else replace(assumed, ratio=0.0)
-    shape = replace(settings.geometry, uncertainty=assumed.on([knowledge.track]))
-    return estimate_geometry(bin_table.merge_all(tables, settings.bins), settings.bins, shape)
+@dataclass(frozen=True, slots=True)
+class _Stored:
+    """What the store holds after the jobs."""
+
+    wheelsets: tuple[WheelsetScore, ...]
+    windows: Mapping[str, int]
+    reasons: Mapping[str, int]
+    alignment: AlignmentScore | None
+    status: str
+    reason: str
 
 
-def wheelset_score(found: WheelsetGeometry, truth: WheelsetTruth) -> WheelsetScore:
+def _stored(storage: Storage, scenario: Scenario, truth_file: Path) -> _Stored:
+    wheelsets, reasons = [], dict[str, int]()
+    with storage.read() as unit:
+        for truth in read_truth(truth_file):
+            for window in unit.windows.list(truth.serial):
+                if window.reason is not None:
+                    reasons[window.reason.code] = reasons.get(window.reason.code, 0) + 1
+            current = unit.geometries.current(truth.serial)
+            if current is not None and current.geometry.samples.sum() > 0:
+                wheelsets.append(wheelset_score(current.geometry, truth))
+        section = scenario.section.code
+        alignment, report = unit.tracks.alignment(section), unit.tracks.report(section)
+        windows = {str(state): count for state, count in unit.windows.counts().items()}
+    known = alignment is not None and bool(np.isfinite(alignment.alignment).any())
+    fleet = known and alignment is not None and alignment.source == FLEET
+    return _Stored(
+        wheelsets=tuple(wheelsets),
+        windows=windows,
+        reasons=reasons,
+        alignment=alignment_score(scenario, alignment) if fleet and alignment is not None else None,
+        status="estimated" if fleet else "recorded" if known else "unestimated",
+        reason="" if known else "no alignment" if report is None else str(report.report.get("reason", "")),
+    )
+
+
+def wheelset_score(found: WheelsetGeometry, truth: TrueWheelset) -> WheelsetScore:
     """Return how near ``found`` is to ``truth``."""
-    errors: list[float | None] = []
-    stds: list[float | None] = []
-    conicity = Count()
-    for amplitude, true in zip(truth.amplitude, truth.conicity, strict=True):
-        at = int(np.argmin(np.abs(found.amplitude - amplitude)))
-        estimate = found.conicity[at]
-        known = estimate.value is not None and bool(np.isclose(found.amplitude[at], amplitude, rtol=0, atol=1e-9))
-        errors.append(estimate.value - float(true) if known and estimate.value is not None else None)
-        stds.append(estimate.std if known else None)
-        conicity = _counted(conicity, estimate, float(true)) if known else conicity
+    compared = conicity_errors(found, truth)
+    errors = [None if item is None else item[0] for item in compared]
+    inside = [item[1] for item in compared if item is not None]
+    conicity = Count(len(inside), sum(inside))
     given = [error for error in errors if error is not None]
     centre = found.bin_centres
     shift, mean = origin(found, truth)
@@ -173,7 +181,6 @@ def wheelset_score(found: WheelsetGeometry, truth: WheelsetTruth) -> WheelsetSco
         error=float(np.mean(np.abs(given))) if given else None,
         signed=float(np.mean(given)) if given else None,
         amplitudes=tuple(errors),
-        stds=tuple(stds),
         conicity=conicity,
         difference=Count(
             *_bins(found.rolling_radius_difference, np.interp(x, truth.displacement, truth.difference) - mean)
@@ -184,7 +191,7 @@ def wheelset_score(found: WheelsetGeometry, truth: WheelsetTruth) -> WheelsetSco
     )
 
 
-def origin(found: WheelsetGeometry, truth: WheelsetTruth) -> tuple[float, float]:
+def origin(found: WheelsetGeometry, truth: TrueWheelset) -> tuple[float, float]:
     """Return (y - d, R) of the true curve, m, from which the estimated one is counted.
 
     Band-limited signals have lost their means, so the estimated curve has its origin at the mean of both: it may lie

@@ -169,7 +169,7 @@ def _reach(item: RowSummary) -> str:
 def scaling_table(sizes: Sequence[Mapping[str, Any]]) -> Table:
     """Return time and memory by number of passes."""
     table = Table(
-        "passes", "passes s", "alignment s", "forward s", "total s", "s per pass", "peak MiB", "of these to begin with",
+        "passes", "alignment s", "windows s", "geometry s", "total s", "s per pass", "peak MiB", "of these at start",
         title="12 km, one core: processor time and memory", title_justify="left",
     )  # fmt: skip
     for size in sizes:

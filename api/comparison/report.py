@@ -1,4 +1,4 @@
-"""The comparison as a table, as words computed from it, and as JSON."""
+"""The comparison as a table, as sentences computed from it, and as JSON."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from api.comparison.study import PairStudy, Score, Told
+from api.comparison.study import PairStudy, Score, TrackInformation
 from estimation.estimators.catalogue import SHIPPED, estimators
 from estimation.values.json_value import JsonValue
 
-TOLD = {
-    Told.KNOWN: "known",
-    Told.FLEET: "from the fleet",
-    Told.NOTHING: "not known (d = 0)",
+TRACKS = {
+    TrackInformation.KNOWN: "known",
+    TrackInformation.FLEET: "from the fleet",
+    TrackInformation.NONE: "not known (d = 0)",
 }
 LEAST_ESTIMATED = 0.5  # share of the amplitudes that an estimator must estimate to win anything
 OF_USE = 0.05  # error, 95th percentile, beyond which the nearest is not near
@@ -26,12 +26,12 @@ def titles() -> dict[str, str]:
 
 
 def table(studies: Sequence[PairStudy]) -> Table:
-    """Return who gets how near, for a terminal."""
+    """Return how near each estimator comes, for a terminal."""
     shown = Table(
         "pair", "track", "estimator", "median", "95th", "nearest", "cover", "given", "s",
         title="Equivalent conicity: mean absolute error over 1-3 mm per wheelset, median and 95th percentile; "
         "for how many wheelsets it is the nearest; "
-        "share of 95 % intervals that cover, of amplitudes that are given; seconds for all wheelsets",
+        "share of 95 % intervals that cover, of amplitudes that are given; seconds from the store to geometries",
         title_justify="left",
     )  # fmt: skip
     for study in studies:
@@ -39,11 +39,11 @@ def table(studies: Sequence[PairStudy]) -> Table:
         for score in study.scores:
             shown.add_row(
                 score.pair,
-                TOLD[score.told],
+                TRACKS[score.track],
                 score.estimator,
                 _figure(score.median),
                 _figure(score.p95),
-                str(won[score.told, score.estimator]),
+                str(won[score.track, score.estimator]),
                 _share(score.coverage),
                 _share(score.estimated / score.amplitudes if score.amplitudes else math.nan),
                 f"{score.seconds:.1f}",
@@ -65,36 +65,38 @@ def markdown(studies: Sequence[PairStudy]) -> str:
         for score in study.scores:
             estimated = score.estimated / score.amplitudes if score.amplitudes else math.nan
             cells = (
-                score.pair, TOLD[score.told], named[score.estimator], _figure(score.median), _figure(score.p95),
-                str(won[score.told, score.estimator]), _share(score.coverage), _share(estimated),
+                score.pair, TRACKS[score.track], named[score.estimator], _figure(score.median), _figure(score.p95),
+                str(won[score.track, score.estimator]), _share(score.coverage), _share(estimated),
                 f"{score.seconds:.1f}",
             )  # fmt: skip
             lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
-def nearest(study: PairStudy) -> dict[tuple[Told, str], int]:
-    """Return for how many wheelsets each estimator has the least error among those that were told the same."""
-    found = {(score.told, score.estimator): 0 for score in study.scores}
-    for told in Told:
-        scores = [score for score in study.scores if score.told is told]
+def nearest(study: PairStudy) -> dict[tuple[TrackInformation, str], int]:
+    """Return for how many wheelsets each estimator has the least error, by information on the track."""
+    found = {(score.track, score.estimator): 0 for score in study.scores}
+    for track in TrackInformation:
+        scores = [score for score in study.scores if score.track is track]
         for k in range(max((len(score.by_wheelset) for score in scores), default=0)):
             errors = {score.estimator: score.by_wheelset[k] for score in scores if math.isfinite(score.by_wheelset[k])}
             if errors:
-                found[told, min(errors, key=errors.__getitem__)] += 1
+                found[track, min(errors, key=errors.__getitem__)] += 1
     return found
 
 
-def words(studies: Sequence[PairStudy]) -> list[str]:
-    """Return one sentence for each pair and each thing told: who comes nearest, and by how much."""
-    said = []
+def sentences_of(studies: Sequence[PairStudy]) -> list[str]:
+    """Return one sentence for each pair and information on the track: which estimator comes nearest, by how much."""
+    sentences = []
     for study in studies:
-        for told in Told:
-            if told in study.untold:
-                said.append(f"{study.pair}, track {TOLD[told]}: nothing can be told: {study.untold[told]}.")
+        for track in TrackInformation:
+            if track in study.unestimated:
+                sentences.append(
+                    f"{study.pair}, track {TRACKS[track]}: nothing is estimated: {study.unestimated[track]}."
+                )
                 continue
-            said.append(_winner(study, told))
-    return said
+            sentences.append(_winner(study, track))
+    return sentences
 
 
 def as_json(studies: Sequence[PairStudy], scenario: str) -> dict[str, JsonValue]:
@@ -106,18 +108,18 @@ def as_json(studies: Sequence[PairStudy], scenario: str) -> dict[str, JsonValue]
                 "pair": study.pair,
                 "seed": study.seed,
                 "track_seconds": round(study.track_seconds, 3),
-                "untold": {told.value: reason for told, reason in study.untold.items()},
+                "unestimated": {track.value: reason for track, reason in study.unestimated.items()},
                 "scores": [_score(score) for score in study.scores],
             }
             for study in studies
         ],
-        "words": list(words(studies)),
+        "sentences": list(sentences_of(studies)),
     }
 
 
-def _winner(study: PairStudy, told: Told) -> str:
-    named, won, where = titles(), nearest(study), f"{study.pair}, track {TOLD[told]}"
-    scores = [score for score in study.scores if score.told is told]
+def _winner(study: PairStudy, track: TrackInformation) -> str:
+    named, won, where = titles(), nearest(study), f"{study.pair}, track {TRACKS[track]}"
+    scores = [score for score in study.scores if score.track is track]
     fit = [score for score in scores if score.errors and score.estimated >= LEAST_ESTIMATED * score.amplitudes]
     if not fit:
         return f"{where}: no estimator estimates half of the amplitudes."
@@ -125,8 +127,8 @@ def _winner(study: PairStudy, told: Told) -> str:
     best = order[0]
     figures = f"95th percentile {best.p95:.4f}, median {best.median:.4f}"
     if best.p95 > OF_USE:
-        return f"{where}: nobody comes near; the least wrong are {named[best.estimator]} ({figures})."
-    figures += f", nearest for {won[told, best.estimator]} of {best.wheelsets} wheelsets"
+        return f"{where}: none comes near; the nearest are {named[best.estimator]} ({figures})."
+    figures += f", nearest for {won[track, best.estimator]} of {best.wheelsets} wheelsets"
     product = next((score for score in fit if score.estimator == SHIPPED), None)
     if best is product:
         if len(order) == 1:
@@ -143,7 +145,7 @@ def _winner(study: PairStudy, told: Told) -> str:
 
 def _score(score: Score) -> dict[str, JsonValue]:
     return {
-        "track": score.told.value,
+        "track": score.track.value,
         "estimator": score.estimator,
         "median_error": _number(score.median),
         "p95_error": _number(score.p95),

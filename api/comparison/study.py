@@ -1,49 +1,60 @@
-"""Run every estimator on the windows of a section, with known track, with the fleet's alignment, and without."""
+"""Every estimator on the windows of one fleet, with its track known, found by the fleet, and unknown."""
 
 from __future__ import annotations
 
+import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 
+from api.comparison.trial import (
+    ESTIMATION,
+    Progress,
+    Recorded,
+    copied,
+    deploy,
+    no_progress,
+    opened,
+    receive,
+    record,
+    register,
+    run_jobs,
+)
+from api.comparison.truth import TrueWheelset, conicity_errors, read_truth
+from api.settings import Settings
 from estimation.estimators.catalogue import estimators
-from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
-from estimation.estimators.tracks import TrackKnowledge, fleet_knowledge, motions, section_passes, straight_track
-from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.jobs.settings import EstimationSettings
-from estimation.track.settings import AlignmentSettings
-from estimation.values.motion import Motion
-from estimation.values.track import TrackAlignment
-from ingest.simulator.section_run import SECTION, SectionRun, WheelsetTruth
-
-Progress = Callable[[str, int, int], None]  # what, done, of
+from estimation.jobs.job import JobContext
+from estimation.jobs.refresh_geometry import refreshed
+from estimation.storage import Storage
+from estimation.values.geometry import WheelsetGeometry
+from ingest.simulator.scenario import Scenario
 
 
-class Told(StrEnum):
-    """What the estimators are told of the track."""
+class TrackInformation(StrEnum):
+    """What is on file of the track."""
 
-    KNOWN = "known"  # its true alignment, and where that puts the passes
-    FLEET = "fleet"  # what the passes of the fleet say
-    NOTHING = "none"  # y is taken for y - d
+    KNOWN = "known"  # its true alignment and gauge
+    FLEET = "fleet"  # what the scenario says is on file; the alignment job finds the rest
+    NONE = "none"  # a straight track: y is taken for y - d
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How one estimator did on all wheelsets of a run, told one thing of the track."""
+    """How near one estimator came for all wheelsets of a run, with one information on the track."""
 
     pair: str
-    told: Told
+    track: TrackInformation
     estimator: str
     by_wheelset: tuple[float, ...]  # mean absolute error over the amplitudes estimated, NaN without any
     wheelsets: int
     amplitudes: int  # asked for, over all wheelsets
     estimated: int  # of these
     covered: int  # of the estimated: the interval holds the truth
-    seconds: float  # of init, update and result, all wheelsets
+    seconds: float  # from stored windows or tables to geometries, all wheelsets
 
     @property
     def errors(self) -> tuple[float, ...]:
@@ -68,10 +79,10 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class Example:
-    """One wheelset, shown in full: its truth, and the curves by what was told and by estimator."""
+    """One wheelset, shown in full: its truth, and its geometries by track information and estimator."""
 
-    truth: WheelsetTruth
-    curves: Mapping[tuple[Told, str], CurveEstimate]
+    truth: TrueWheelset
+    geometries: Mapping[tuple[TrackInformation, str], WheelsetGeometry]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,125 +92,160 @@ class PairStudy:
     pair: str
     seed: int
     scores: tuple[Score, ...]
-    untold: Mapping[Told, str]  # why the estimators could not be told
-    track_seconds: float  # of the fleet's alignment
+    unestimated: Mapping[TrackInformation, str]  # why there is no geometry at all
+    track_seconds: float  # of the alignment job, on the fleet's track
     example: Example
 
 
-def study(run: SectionRun, progress: Progress = lambda _what, _done, _of: None) -> PairStudy:
-    """Compare the estimators on one run of a section.
+@dataclass(slots=True)
+class _Collected:
+    """What the variants of the track have given so far."""
+
+    scores: list[Score] = field(default_factory=list)
+    unestimated: dict[TrackInformation, str] = field(default_factory=dict)
+    geometries: dict[tuple[TrackInformation, str], WheelsetGeometry] = field(default_factory=dict)
+    track_seconds: float = 0.0
+
+
+def study(scenario: Scenario, cache: Path, progress: Progress = no_progress, workers: int | None = None) -> PairStudy:
+    """Compare the estimators on one seed of a scenario.
+
+    The recordings are received once. Alignment, windows and geometries are those of the scheduled jobs; each estimator
+    of the catalogue gets the same stored windows and versions of the alignment.
 
     Parameters
     ----------
-    run
-        The simulated section; the estimators see its windows, the scores its truth.
+    scenario
+        The fleet, with its seed.
+    cache
+        Folder that keeps the recordings.
     progress
-        Told what is being done, and how far it is.
+        Called with what is being done, and how far it is.
+    workers
+        Processes of the simulation; None for as many as cores.
     """
-    settings, alignment = EstimationSettings(), AlignmentSettings()
-    progress(f"{run.pair.name}: passes", 0, 1)
-    began = time.perf_counter()
-    knowledge, untold = _told(run, settings, alignment, progress)
-    track_seconds = time.perf_counter() - began
-    parameters = {told: _parameters(run, known.track, settings) for told, known in knowledge.items()}
+    told: Progress = lambda what, done, of: progress(f"{scenario.pair}: {what}", done, of)  # noqa: E731 - a prefix
+    recorded = record(scenario, cache, workers=workers, progress=told)
+    truths = read_truth(recorded.truth)
+    shown = truths[3 * len(truths) // 4]
+    collected = _Collected()
+    with tempfile.TemporaryDirectory(prefix="treadwatch-compare-") as temporary:
+        received = _received(scenario, recorded, Path(temporary) / "received", told)
+        for track in TrackInformation:
+            folder = Path(temporary) / track.value
+            settings = copied(received, folder)
+            register(on_file(scenario, track), settings, folder)
+            with opened(settings) as (storage, context):
+                began = time.perf_counter()
+                jobs = ESTIMATION[1:] if track is TrackInformation.NONE else ESTIMATION
+                run_jobs(context, jobs[:1], told)
+                if track is TrackInformation.FLEET:
+                    collected.track_seconds = time.perf_counter() - began
+                run_jobs(context, jobs[1:], told)
+                _score_all(storage, context, scenario.pair, track, truths, shown, collected, told)
+    example = Example(shown, collected.geometries)
+    scores, seconds = tuple(collected.scores), collected.track_seconds
+    return PairStudy(scenario.pair, scenario.seed, scores, collected.unestimated, seconds, example)
+
+
+def on_file(scenario: Scenario, track: TrackInformation) -> Scenario:
+    """Return the scenario whose registry holds ``track``; its recordings are the same.
+
+    Parameters
+    ----------
+    scenario
+        As simulated.
+    track
+        What is to be on file.
+    """
+    section = scenario.section
+    if track is TrackInformation.FLEET:
+        return replace(scenario, section=replace(section, surveyed=False))
+    surveyed = replace(section, surveyed=True, gauge_surveyed=True)
+    if track is TrackInformation.NONE and section.recipe is not None:
+        straight = replace(section.recipe, alignment_std=0.0, gauge_std=0.0, gauge_offset=0.0)
+        surveyed = replace(surveyed, recipe=straight, survey_alignment_std=0.0, survey_gauge_std=0.0)
+    return replace(scenario, section=surveyed)
+
+
+def geometry_by(storage: Storage, context: JobContext, serial: str, estimator: str) -> WheelsetGeometry | None:
+    """Return the current geometry of a wheelset as the job makes it with ``estimator``; nothing is stored.
+
+    Parameters
+    ----------
+    storage, context
+        Store and settings of the deployment.
+    serial
+        Of the wheelset.
+    estimator
+        Name in the catalogue.
+    """
+    settings = replace(context.settings, estimation=replace(context.settings.estimation, estimator=estimator))
+    with storage.read() as unit:
+        records = refreshed(unit, serial, replace(context, settings=settings))
+    current = [record.geometry for record in records if record.interval is None]
+    return current[-1] if current else None
+
+
+def _received(scenario: Scenario, recorded: Recorded, folder: Path, progress: Progress) -> Settings:
+    settings = deploy(on_file(scenario, TrackInformation.FLEET), folder)
+    receive(recorded, settings, progress)
+    return settings
+
+
+def _score_all(
+    storage: Storage,
+    context: JobContext,
+    pair: str,
+    track: TrackInformation,
+    truths: Sequence[TrueWheelset],
+    shown: TrueWheelset,
+    collected: _Collected,
+    progress: Progress,
+) -> None:
     every = estimators()
-    tallies = {(told, item.name): _Tally() for told in knowledge for item in every}
-    shown = run.wheelsets[3 * len(run.wheelsets) // 4]
-    curves: dict[tuple[Told, str], CurveEstimate] = {}
-    for done, truth in enumerate(run.wheelsets):
-        progress(f"{run.pair.name}: estimate", done, len(run.wheelsets))
-        for told, known in knowledge.items():
-            moved = list(motions(run.windows(truth.serial), known, settings.windows))
-            for item in every:
-                found = tallies[told, item.name].add(item, parameters[told], moved, truth)
-                if truth is shown:
-                    curves[told, item.name] = found
-    scores = tuple(tally.score(run.pair.name, told, name) for (told, name), tally in tallies.items())
-    progress(f"{run.pair.name}: estimate", len(run.wheelsets), len(run.wheelsets))
-    return PairStudy(run.pair.name, run.seed, scores, untold, track_seconds, Example(shown, curves))
+    for done, item in enumerate(every):
+        progress(f"track {track}: {item.title}", done, len(every))
+        began = time.perf_counter()
+        found = {truth.serial: geometry_by(storage, context, truth.serial, item.name) for truth in truths}
+        seconds = time.perf_counter() - began
+        if not any(found.values()):
+            collected.unestimated[track] = _why(storage, truths)
+            return
+        example = found[shown.serial]
+        if example is not None:
+            collected.geometries[track, item.name] = example
+        collected.scores.append(_score(pair, track, item.name, seconds, [(found[t.serial], t) for t in truths]))
 
 
-def _parameters(run: SectionRun, track: TrackAlignment, settings: EstimationSettings) -> EstimatorParameters:
-    """Return what estimators assume: vehicles uncertain where the simulated ones are, and what the track taught."""
-    assumed = settings.geometry.uncertainty if run.scenario.errors_drawn else ParameterUncertainty(0.0, 0.0, 0.0)
-    return EstimatorParameters(
-        vehicle=settings.vehicle,
-        uncertainty=assumed.on([track]),
-        curve=settings.geometry.curve,
-        source=settings.signals.source,
-        band_limited=True,
+def _score(
+    pair: str,
+    track: TrackInformation,
+    estimator: str,
+    seconds: float,
+    found: Sequence[tuple[WheelsetGeometry | None, TrueWheelset]],
+) -> Score:
+    compared = [
+        [] if geometry is None else [item for item in conicity_errors(geometry, truth) if item is not None]
+        for geometry, truth in found
+    ]
+    return Score(
+        pair=pair,
+        track=track,
+        estimator=estimator,
+        by_wheelset=tuple(float(np.mean([abs(e) for e, _ in one])) if one else float("nan") for one in compared),
+        wheelsets=len(found),
+        amplitudes=sum(len(truth.amplitude) for _, truth in found),
+        estimated=sum(len(one) for one in compared),
+        covered=sum(inside for one in compared for _, inside in one),
+        seconds=seconds,
     )
 
 
-def _told(
-    run: SectionRun, settings: EstimationSettings, alignment: AlignmentSettings, progress: Progress
-) -> tuple[dict[Told, TrackKnowledge], dict[Told, str]]:
-    """Return what can be told of the track, and why what cannot."""
-    scenario, true = run.scenario, run.true_track()
-    found = section_passes(run.all_windows(), settings.windows, alignment)
-    progress(f"{run.pair.name}: alignment of the fleet", 0, 1)
-    gauge_only = run.known_gauge()
-    answers: dict[Told, TrackKnowledge | str] = {
-        Told.KNOWN: TrackKnowledge(true),
-        Told.FLEET: fleet_knowledge(found, gauge_only, SECTION, scenario.length, alignment, run.measured()),
-        Told.NOTHING: TrackKnowledge(straight_track(SECTION, scenario.length)),
-    }
-    if scenario.position_offset or scenario.position_scale:
-        progress(f"{run.pair.name}: passes on the known track", 0, 1)
-        placed = fleet_knowledge(found, true, SECTION, scenario.length, alignment)
-        answers[Told.KNOWN] = placed if isinstance(placed, str) else TrackKnowledge(true, placed.found)
-    knowledge = {told: answer for told, answer in answers.items() if not isinstance(answer, str)}
-    return knowledge, {told: answer for told, answer in answers.items() if isinstance(answer, str)}
-
-
-class _Tally:
-    """Collects the errors of one estimator, wheelset by wheelset."""
-
-    def __init__(self) -> None:
-        self._errors: list[float] = []
-        self._wheelsets = self._amplitudes = self._estimated = self._covered = 0
-        self._seconds = 0.0
-
-    def add(
-        self, estimator: Estimator[Any], parameters: EstimatorParameters, moved: Sequence[Motion], truth: WheelsetTruth
-    ) -> CurveEstimate:
-        """Run ``estimator`` on the motion of one wheelset, and hold its result against the truth."""
-        began = time.perf_counter()
-        state = estimator.init(parameters)
-        for motion in moved:
-            state = estimator.update(state, motion)
-        found = estimator.result(state)
-        self._seconds += time.perf_counter() - began
-        compared = against_truth(found, truth)
-        self._wheelsets += 1
-        self._amplitudes += len(truth.amplitude)
-        self._estimated += len(compared)
-        self._covered += sum(inside for _, inside in compared)
-        self._errors.append(float(np.mean([abs(error) for error, _ in compared])) if compared else float("nan"))
-        return found
-
-    def score(self, pair: str, told: Told, estimator: str) -> Score:
-        """Return what was collected."""
-        return Score(
-            pair=pair,
-            told=told,
-            estimator=estimator,
-            by_wheelset=tuple(self._errors),
-            wheelsets=self._wheelsets,
-            amplitudes=self._amplitudes,
-            estimated=self._estimated,
-            covered=self._covered,
-            seconds=self._seconds,
-        )
-
-
-def against_truth(found: CurveEstimate, truth: WheelsetTruth) -> list[tuple[float, bool]]:
-    """Return error and whether the interval holds the truth, for every amplitude of the truth that is estimated."""
-    compared = []
-    for amplitude, true in zip(truth.amplitude, truth.conicity, strict=True):
-        at = int(np.argmin(np.abs(found.amplitude - amplitude)))
-        estimate = found.conicity[at]
-        same = bool(np.isclose(found.amplitude[at], amplitude, rtol=0.0, atol=1e-9))
-        if same and estimate.value is not None and estimate.low is not None and estimate.high is not None:
-            compared.append((float(estimate.value - true), bool(estimate.low <= true <= estimate.high)))
-    return compared
+def _why(storage: Storage, truths: Sequence[TrueWheelset]) -> str:
+    """Return why the windows of the first wheelset are refused, or wait."""
+    with storage.read() as unit:
+        newest = unit.windows.latest(truths[0].serial)
+    if newest is None:
+        return "no window"
+    return f"windows are {newest.state}" if newest.reason is None else str(newest.reason)

@@ -1,4 +1,4 @@
-"""The comparison as a picture: a wheelset's conicity by every estimator, and everybody's errors."""
+"""The comparison as a picture: a wheelset's conicity by every estimator, and the errors of all wheelsets."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from api.comparison.report import TOLD, titles
-from api.comparison.study import PairStudy, Told
+from api.comparison.report import TRACKS, titles
+from api.comparison.study import PairStudy, TrackInformation
 from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import SHIPPED
-from estimation.estimators.interface import CurveEstimate
 from estimation.values.arrays import FloatArray
+from estimation.values.geometry import WheelsetGeometry
 
-COLOURS = {"bins": "#1f5fa8", "linear": "#c2571a", "paper": "#3a8a4d", "cubic": "#8a4fa3"}
-MARKERS = {"bins": "o", "linear": "s", "paper": "^", "cubic": "D"}
+_PALETTE = ("#1f5fa8", "#c2571a", "#3a8a4d", "#8a4fa3", "#b03060", "#6b6b00")  # in the order of the catalogue
+_SHAPES = ("o", "s", "^", "D", "v", "P")
 _MM = 1e3
 _AMPLITUDES = np.linspace(0.5e-3, 6e-3, 111)
 
@@ -43,29 +43,39 @@ def save_comparison(studies: Sequence[PairStudy], path: Path) -> None:
 
 def _conicity(axes: Axes, study: PairStudy) -> None:
     """Conicity by amplitude of the example, on the alignment of the fleet, or on known track without one."""
-    told = Told.FLEET if Told.FLEET not in study.untold else Told.KNOWN
+    track = TrackInformation.FLEET
+    if track in study.unestimated:
+        track = TrackInformation.KNOWN
     truth = study.example.truth
     true = equivalent_conicity(truth.displacement, truth.difference, _AMPLITUDES)
     axes.plot(_MM * _AMPLITUDES, true, color="black", linewidth=2.2, label="truth", zorder=5)
-    for name, title in titles().items():
-        found = study.example.curves[told, name]
+    for order, (name, title) in enumerate(titles().items()):
+        found = study.example.geometries.get((track, name))
+        if found is None:
+            continue
+        colour, marker = _style(order)
         value, low, high = _arrays(found)
         if name == SHIPPED:
             axes.fill_between(
-                _MM * found.amplitude, low, high, color=COLOURS[name], alpha=0.2, linewidth=0,
+                _MM * found.amplitude, low, high, color=colour, alpha=0.2, linewidth=0,
                 label=f"{title}: 95 % interval",
             )  # fmt: skip
         axes.plot(
-            _MM * found.amplitude, value, color=COLOURS[name], marker=MARKERS[name], markersize=4, linewidth=1.2,
+            _MM * found.amplitude, value, color=colour, marker=marker, markersize=4, linewidth=1.2,
             label=title,
         )  # fmt: skip
-    axes.set_title(f"{study.pair}: wheelset {truth.serial}, track {TOLD[told]}")
+    axes.set_title(f"{study.pair}: wheelset {truth.serial}, track {TRACKS[track]}")
     axes.set_xlabel("amplitude (mm)")
     axes.set_ylabel("equivalent conicity")
     axes.grid(alpha=0.3)
 
 
-def _arrays(found: CurveEstimate) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _style(order: int) -> tuple[str, str]:
+    """Return colour and marker of the estimator at a place of the catalogue."""
+    return _PALETTE[order % len(_PALETTE)], _SHAPES[order % len(_SHAPES)]
+
+
+def _arrays(found: WheelsetGeometry) -> tuple[FloatArray, FloatArray, FloatArray]:
     rows = [
         (np.nan, np.nan, np.nan) if item.value is None else (item.value, item.low, item.high) for item in found.conicity
     ]
@@ -74,19 +84,20 @@ def _arrays(found: CurveEstimate) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _errors(axes: Axes, study: PairStudy) -> None:
-    """Every wheelset's error as a dot, the median as a bar, by what was told of the track; on a scale of ratios."""
-    tolds = [told for told in Told if told not in study.untold]
+    """Every wheelset's error as a dot, the median as a bar, by information on the track; on a logarithmic scale."""
+    tracks = [track for track in TrackInformation if track not in study.unestimated]
     names = list(titles())
     rng = np.random.default_rng(0)
-    for place, told in enumerate(tolds):
+    for place, track in enumerate(tracks):
         for order, name in enumerate(names):
-            score = next(item for item in study.scores if item.told is told and item.estimator == name)
+            score = next(item for item in study.scores if item.track is track and item.estimator == name)
+            colour, marker = _style(order)
             x = place + 0.2 * (order - 0.5 * (len(names) - 1))
             beside = x + rng.uniform(-0.05, 0.05, len(score.errors))
-            axes.plot(beside, score.errors, MARKERS[name], color=COLOURS[name], markersize=3.5, alpha=0.55)
+            axes.plot(beside, score.errors, marker, color=colour, markersize=3.5, alpha=0.55)
             if score.errors:
-                axes.hlines(score.median, x - 0.09, x + 0.09, color=COLOURS[name], linewidth=2.5)
-    axes.set_xticks(range(len(tolds)), [f"track {TOLD[told]}" for told in tolds])
+                axes.hlines(score.median, x - 0.09, x + 0.09, color=colour, linewidth=2.5)
+    axes.set_xticks(range(len(tracks)), [f"track {TRACKS[track]}" for track in tracks])
     axes.set_yscale("log")
     ticks = [1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.2, 0.5]
     axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -13,6 +12,7 @@ from rich.table import Table
 from estimation.errors import ParameterError
 from estimation.jobs.scheduler import stop_on_signals
 from ingest.bus import open_bus
+from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.fleet import FleetReport, Recording, prepare, run_fleet
 from ingest.simulator.live import transmit
 from ingest.simulator.scenario import Scenario
@@ -28,7 +28,7 @@ def load(scenario: str, seed: int | None) -> Scenario:
         There is no such scenario, or the file is wrong; names the line and the field.
     """
     plan = load_scenario(scenario)
-    return plan if seed is None else replace(plan, seed=seed)
+    return plan if seed is None else with_seed(plan, seed)
 
 
 def list_scenarios() -> None:

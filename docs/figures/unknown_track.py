@@ -1,6 +1,6 @@
-"""Draw docs/img/unknown_track.png: what the passes of a fleet tell of a section. Run: python docs/figures/unknown_track.py [FOLDER].
+"""Draw docs/img/unknown_track.png: what a fleet finds of a section that nobody has surveyed. Run: python docs/figures/unknown_track.py [FOLDER].
 
-FOLDER keeps the simulation; the run takes some minutes on one core.
+FOLDER keeps the recordings; the run takes some minutes on one core.
 """  # noqa: INP001, E501 - a script, not a package; a command to copy
 
 from __future__ import annotations
@@ -15,14 +15,16 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from estimation.estimators.tracks import section_passes
+from api.comparison.trial import deploy, opened, receive, record, run_jobs
+from api.comparison.truth import TrueWheelset, read_truth
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.jobs.settings import EstimationSettings
-from estimation.track.results import LIFE
-from estimation.track.section import SectionEstimate, estimate_section
-from estimation.track.settings import AlignmentSettings
-from ingest.simulator.section_file import load_section_scenario
-from ingest.simulator.section_run import SECTION, SectionRun, simulate_section
+from estimation.values.geometry import WheelsetGeometry
+from estimation.values.track import TrackAlignment
+from ingest.simulator.campaign import scenario_track
+from ingest.simulator.drawn_fleet import with_seed
+from ingest.simulator.scenario import PositionErrors
+from ingest.simulator.scenario_file import load_scenario
+from ingest.simulator.track import TrackTruth
 
 SCENARIO, SEED = "gauge_2mm_unknown", 0
 SHOWN = (6000.0, 6250.0)  # m
@@ -30,26 +32,37 @@ TRUE, FOUND = "#222222", "#d1495b"
 
 
 def main(folder: Path) -> None:
-    """Simulate, estimate, draw."""
-    scenario = replace(load_section_scenario(SCENARIO), position_offset=0.0, position_scale=0.0)
-    run = simulate_section(scenario, SEED, folder)
-    settings = AlignmentSettings()
-    found = section_passes(run.all_windows(), EstimationSettings().windows, settings)
-    estimate = estimate_section(SECTION, found, None, settings.section)
+    """Simulate, ingest, run the jobs, draw what is stored."""
+    scenario = replace(with_seed(load_scenario(SCENARIO), SEED), position=PositionErrors(0.0, 0.0))
+    recorded = record(scenario, folder)
+    with tempfile.TemporaryDirectory() as data:
+        settings = deploy(scenario, Path(data))
+        receive(recorded, settings)
+        truths = read_truth(recorded.truth)[::5]
+        with opened(settings) as (storage, context):
+            run_jobs(context)
+            with storage.read() as unit:
+                found = unit.tracks.alignment(scenario.section.code)
+                records = [unit.geometries.current(truth.serial) for truth in truths]
+    assert found is not None
     figure = Figure(figsize=(9.0, 7.5), layout="constrained")
     FigureCanvasAgg(figure)
     places, gauges, curves = figure.subplots(3, 1)
-    _along(places, run, estimate, what="alignment")
-    _along(gauges, run, estimate, what="gauge_deviation")
-    _wheels(curves, run, estimate)
+    for axes, what in ((places, "alignment"), (gauges, "gauge_deviation")):
+        _along(axes, scenario_track(scenario), found, what=what)
+    for truth, current in zip(truths, records, strict=True):
+        if current is not None:
+            _wheelset(curves, truth, current.geometry)
+    curves.set_xlim(-5, 5)
+    curves.set_ylim(-4, 4)
+    curves.set_xlabel("lateral displacement y - d, mm")
+    curves.set_ylabel("rL - rR at nominal gauge, mm")
     figure.savefig("docs/img/unknown_track.png", dpi=110)
 
 
-def _along(axes: Axes, run: SectionRun, estimate: SectionEstimate, what: str) -> None:
-    track = estimate.alignment
-    assert track is not None
+def _along(axes: Axes, truth: TrackTruth, track: TrackAlignment, what: str) -> None:
     step = float(track.s[1] - track.s[0])
-    true = np.interp(track.s, run.track.s, getattr(run.track, what))
+    true = np.interp(track.s, truth.s, getattr(truth, what))
     if what == "alignment":
         true = high_pass(true, local_cubic_kernel(track.cutoff_wavelength, step))
     shown = (track.s >= SHOWN[0]) & (track.s <= SHOWN[1])
@@ -66,19 +79,13 @@ def _along(axes: Axes, run: SectionRun, estimate: SectionEstimate, what: str) ->
     axes.legend(loc="upper right")
 
 
-def _wheels(axes: Axes, run: SectionRun, estimate: SectionEstimate) -> None:
-    solution = estimate.solution
-    assert solution is not None
-    names = [name.split(LIFE)[0] for name in solution.wheelsets]
-    for truth in run.wheelsets[::5]:
-        offset = float(np.interp(0.0, truth.displacement, truth.difference))
-        axes.plot(1e3 * truth.displacement, 1e3 * (truth.difference - offset), color=TRUE, linewidth=1.0)
-        curve = solution.curves[0, names.index(truth.serial), : len(solution.knots)]
-        axes.plot(1e3 * curve, 1e3 * solution.knots, color=FOUND, linewidth=1.0)
-    axes.set_xlim(-5, 5)
-    axes.set_ylim(-4, 4)
-    axes.set_xlabel("lateral displacement y - d, mm")
-    axes.set_ylabel("rL - rR at nominal gauge, mm")
+def _wheelset(axes: Axes, truth: TrueWheelset, geometry: WheelsetGeometry) -> None:
+    offset = float(np.interp(0.0, truth.displacement, truth.difference))
+    centres = 0.5 * (geometry.bin_edges[:-1] + geometry.bin_edges[1:])
+    value = geometry.rolling_radius_difference.value
+    middle = float(np.interp(0.0, centres[np.isfinite(value)], value[np.isfinite(value)]))
+    axes.plot(1e3 * truth.displacement, 1e3 * (truth.difference - offset), color=TRUE, linewidth=1.0)
+    axes.plot(1e3 * centres, 1e3 * (value - middle), color=FOUND, linewidth=1.0)
 
 
 if __name__ == "__main__":

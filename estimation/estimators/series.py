@@ -13,7 +13,8 @@ import numpy as np
 
 from estimation.estimators.coverage import CELLS, counted, covered_range, usable
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
-from estimation.estimators.replicates import Replicates, curve_estimate, nothing
+from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
+from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.motion import Motion
@@ -94,15 +95,13 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
     """Return the curve of the series; ``ridge`` holds functions without data at zero, relative to the mean."""
     span = covered_range(state.counts)
     if span is None:
-        return nothing(
-            Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre"),
-            state.parameters,
-            state.samples,
-            state.stretches,
-        )
+        reason = Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
+        return nothing(reason, state.parameters, state.samples, state.stretches)
+    present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
+    if len(present) < FEWEST_GROUPS:  # what is left without one of them may not determine the functions
+        return nothing(too_few_blocks(len(present)), state.parameters, state.samples, state.stretches)
     low, high = span
     x = np.linspace(low, high, round((high - low) / SPACING) + 1)
-    present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
     gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
     small = ridge * np.trace(gram) / len(gram) * np.eye(len(gram))
     theta = np.linalg.solve(gram + small, cross)

@@ -18,7 +18,7 @@ from ingest.codec import encode
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.simulator.campaign import BUS, VehicleRun, failed, seed_of
 from ingest.simulator.motion import STEP
-from ingest.simulator.scenario import FaultKind, Scenario, SectionPlan
+from ingest.simulator.scenario import FaultKind, Scenario
 from ingest.simulator.sensors import SensorRecord
 
 SLOT_NS = 230_000
@@ -68,7 +68,7 @@ def vehicle_frames(
         )
     rng = np.random.default_rng(seed_of(scenario, BUS, scenario.vehicles.index(run.vehicle), run.campaign))
     ticks = _ticks(catalogue, scenario, run, rng)
-    batches = [*_master(catalogue, ticks), *_vehicle_node(catalogue, scenario.section, run, ticks)]
+    batches = [*_master(catalogue, ticks), *_vehicle_node(catalogue, scenario, run, ticks)]
     for axle, record in enumerate(records):
         batches += _wheelset_node(catalogue, run, axle, record, ticks)
     whole = sort_by_time(concatenate(batches, channel="can0"))
@@ -103,16 +103,20 @@ def _master(catalogue: Catalogue, ticks: _Ticks) -> Iterator[FrameBatch]:
     yield encode(time, ticks.stamps(time, at), {"milliseconds": milliseconds, "days": days})
 
 
-def _vehicle_node(catalogue: Catalogue, section: SectionPlan, run: VehicleRun, ticks: _Ticks) -> Iterator[FrameBatch]:
+def _vehicle_node(catalogue: Catalogue, scenario: Scenario, run: VehicleRun, ticks: _Ticks) -> Iterator[FrameBatch]:
+    section = scenario.section
     stride = round(1e-9 * ticks.interval_ns / STEP)
-    north = run.told / _METRES_PER_DEGREE * np.sqrt(0.5)
+    north = run.reported / _METRES_PER_DEGREE * np.sqrt(0.5)
     east = north / np.cos(np.deg2rad(section.latitude))
+    on_section = np.ones(len(run.reported), dtype=np.bool_)
+    if scenario.sessions.whole_section and section.recipe is not None:
+        on_section = (run.reported >= 0.0) & (run.reported <= section.recipe.length)
     signals: dict[str, dict[str, npt.NDArray[np.float64] | float]] = {
-        kinds.MOTION: {"speed": run.speed, "odometer": run.odometer + run.told - run.told[0]},
+        kinds.MOTION: {"speed": run.speed, "odometer": run.odometer + run.reported - run.reported[0]},
         kinds.PLACE: {"latitude": section.latitude + north, "longitude": section.longitude + east},
         kinds.POSITION: {
-            "track_section": float(section.number),
-            "distance": run.told,
+            "track_section": np.where(on_section, float(section.number), np.nan),
+            "distance": np.where(on_section, run.reported, np.nan),
             "position_quality": 1.0,
         },
         kinds.HEARTBEAT: {"state": float(OPERATIONAL)},

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.contact.table import ContactTable
 from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray, frozen_array
+from ingest.simulator.drawn_fleet import vehicle_parameters
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset, travelled
 from ingest.simulator.scenario import Scenario, SpeedRange, VehiclePlan, WheelsetPlan
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
 from ingest.simulator.track import TrackTruth, make_track, read_track
-from ingest.simulator.wear import gauge_grid, wear_at, worn_contact
+from ingest.simulator.wear import displacement_limit, gauge_grid, wear_at, worn_contact
 
+MARGIN = 200.0  # m of track beyond both ends of a section that runs cross as a whole
+LEAD_IN = 160.0  # m before such a section where a run begins
+RUN_OUT = 50.0  # m behind it where the last axle ends
 _TRACK, _SPEED, _SENSOR, _OFFSETS, BUS, SURVEY, _POSITION = range(7)
 """First word of the key of each random stream, so that no two share one."""
+
+
+class DerailmentError(ScenarioError):
+    """A wheelset leaves the range of its contact geometry."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +37,11 @@ class VehicleRun:
     odometer: float  # m, at the start
     speed: FloatArray  # (n,) m/s
     distance: FloatArray  # (n,) m along the section, of the reference
-    told: FloatArray  # (n,) m, what the vehicle says of it
+    reported: FloatArray  # (n,) m, the same as the vehicle reports it
 
     def __post_init__(self) -> None:
         n = len(self.speed)
-        for name in ("speed", "distance", "told"):
+        for name in ("speed", "distance", "reported"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
 
 
@@ -49,7 +57,11 @@ def scenario_track(scenario: Scenario) -> TrackTruth:
     if section.file is not None:
         return read_track(section.file)
     assert section.recipe is not None
-    return make_track(section.recipe, seed_of(scenario, _TRACK))
+    if not scenario.sessions.whole_section:
+        return make_track(section.recipe, seed_of(scenario, _TRACK))
+    longer = replace(section.recipe, length=section.recipe.length + 2.0 * MARGIN)
+    made = make_track(longer, seed_of(scenario, _TRACK))
+    return replace(made, s=made.s - MARGIN)
 
 
 def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, campaign: int) -> VehicleRun:
@@ -62,6 +74,9 @@ def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, cam
     """
     rng = np.random.default_rng(seed_of(scenario, _SPEED, scenario.vehicles.index(vehicle), campaign))
     speed = _speed(scenario, rng)
+    if scenario.sessions.whole_section:
+        speed, distance = _across(scenario, vehicle, speed)
+        return _run(scenario, vehicle, campaign, speed, distance)
     run = float(travelled(speed, 0.0)[-1])
     first = float(track.s[0]) + vehicle.axle_offsets[-1] + 1.0 + scenario.position.offset
     room = float(track.s[-1]) - 1.0 - first - run
@@ -71,6 +86,21 @@ def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, cam
             field="sessions.minutes_each",
         )
     distance = travelled(speed, first + min(room, scenario.sessions.start_within) * float(rng.uniform()))
+    return _run(scenario, vehicle, campaign, speed, distance)
+
+
+def _across(scenario: Scenario, vehicle: VehiclePlan, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return speed and distance (n,) from before the section until the last axle is behind it."""
+    assert scenario.section.recipe is not None
+    distance = travelled(speed, -LEAD_IN)
+    end = scenario.section.recipe.length + vehicle.axle_offsets[-1] + RUN_OUT
+    count = int(np.searchsorted(distance, end)) + 1
+    return speed[:count], distance[:count]
+
+
+def _run(
+    scenario: Scenario, vehicle: VehiclePlan, campaign: int, speed: FloatArray, distance: FloatArray
+) -> VehicleRun:
     return VehicleRun(
         vehicle=vehicle,
         campaign=campaign,
@@ -78,12 +108,12 @@ def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, cam
         odometer=scenario.odometer(campaign),
         speed=speed,
         distance=distance,
-        told=_told(scenario, vehicle, campaign, distance),
+        reported=_reported(scenario, vehicle, campaign, distance),
     )
 
 
-def _told(scenario: Scenario, vehicle: VehiclePlan, campaign: int, distance: FloatArray) -> FloatArray:
-    """Return the positions (n,) that a vehicle tells: off by an offset and a scale error of this run."""
+def _reported(scenario: Scenario, vehicle: VehiclePlan, campaign: int, distance: FloatArray) -> FloatArray:
+    """Return the positions (n,) that a vehicle reports: off by an offset and a scale error of this run."""
     rng = np.random.default_rng(seed_of(scenario, _POSITION, scenario.vehicles.index(vehicle), campaign))
     offset, scale = rng.uniform(-1.0, 1.0, 2) * (scenario.position.offset, scenario.position.scale)
     return np.asarray(distance + offset + scale * (distance - distance[0]))
@@ -98,21 +128,28 @@ def wheelset_motion(
 
     Raises
     ------
-    ScenarioError
+    DerailmentError
         The wheelset leaves the range of its contact geometry: the scenario lets it derail.
     """
     plan = run.vehicle.wheelsets[axle]
     if table is None:
-        table = worn_contact(plan, wear_at(plan, run.odometer), scenario.section, gauge_grid(track))
+        table = contact_of(scenario, track, plan, run.odometer)
     start = float(run.distance[0]) - run.vehicle.axle_offsets[axle]
-    motion = simulate_wheelset(scenario.parameters, table, track, run.speed, start)
+    parameters = vehicle_parameters(scenario, run.vehicle.code)
+    motion = simulate_wheelset(parameters, table, track, run.speed, start)
     if motion.outside:
-        raise ScenarioError(
+        raise DerailmentError(
             f"{plan.serial} derails in campaign {run.campaign + 1}: {motion.outside} samples lie beyond "
             f"{1e3 * table.lateral_displacement[-1]:.1f} mm",
             field=f"vehicles.{run.vehicle.code}",
         )
     return motion
+
+
+def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> ContactTable:
+    """Return the contact geometry of a wheelset when the odometer of its vehicle stands at ``odometer``, m."""
+    gauges, limit = gauge_grid(track), displacement_limit(scenario)
+    return worn_contact(plan, wear_at(plan, odometer), scenario.section, gauges, limit)
 
 
 def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> SensorRecord:
@@ -137,6 +174,8 @@ def _speed(scenario: Scenario, rng: np.random.Generator) -> FloatArray:
     """Return a speed (n,) that wanders within the scenario's range: three slow waves, squeezed smoothly into it."""
     plan, n = scenario.speed, round(scenario.sessions.duration / STEP) + 1
     t = STEP * np.arange(n, dtype=np.float64)
+    if plan.steady:
+        return _steady(plan, t, rng)
     wave = np.zeros(n)
     for order in (1.0, 1.7, 2.9):
         wave += (
@@ -144,6 +183,15 @@ def _speed(scenario: Scenario, rng: np.random.Generator) -> FloatArray:
         )
     middle, half = 0.5 * (plan.lowest + plan.highest), 0.5 * (plan.highest - plan.lowest)
     return np.minimum(middle + half * np.tanh(wave), _stopping(scenario.speed, np.asarray(t)))
+
+
+def _steady(plan: SpeedRange, t: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return a speed (n,) with a mean of its own and one slow wave of some per cent about it."""
+    width = plan.highest - plan.lowest
+    swing, period = rng.uniform(0.045, 0.18) * width, rng.uniform(60.0, 200.0)
+    mean = rng.uniform(plan.lowest + 0.1 * width, plan.highest - 0.18 * width)
+    wave = np.sin(2.0 * np.pi * t / period + rng.uniform(0.0, 2.0 * np.pi))
+    return np.clip(mean + swing * wave, plan.lowest, plan.highest)
 
 
 def _stopping(plan: SpeedRange, t: FloatArray) -> FloatArray:

@@ -16,6 +16,8 @@ from ingest.logs.blf_writer import write_blf
 from ingest.simulator.bus_frames import vehicle_frames
 from ingest.simulator.campaign import (
     SURVEY,
+    DerailmentError,
+    contact_of,
     failed,
     scenario_track,
     seed_of,
@@ -23,11 +25,12 @@ from ingest.simulator.campaign import (
     wheelset_motion,
     wheelset_record,
 )
+from ingest.simulator.drawn_fleet import WEAR_SHARES, no_wear_left, with_less_wear
 from ingest.simulator.scenario import Scenario, VehiclePlan
 from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, surveyed, wheelset_truth, write_registry, write_truth
 from ingest.simulator.track import TrackTruth
-from ingest.simulator.wear import gauge_grid, truth_of, wear_at, worn_contact
+from ingest.simulator.wear import truth_of
 
 STAMP = "%Y%m%dT%H%M%SZ"
 
@@ -100,13 +103,15 @@ def run_fleet(
     chosen = [scenario.vehicle(code) for code in vehicles] if vehicles is not None else list(scenario.vehicles)
     track = scenario_track(scenario)
     registry = prepare(scenario, out)
-    tasks = [(plan.code, campaign) for campaign in range(scenario.sessions.campaigns) for plan in chosen]
+    tasks = _tasks(scenario, chosen)
+    total = sum(len(campaigns) for _, campaigns in tasks)
     count = workers if workers is not None else min(os.cpu_count() or 1, len(tasks))
-    recordings = []
-    for recording in _recordings(scenario, out, track, tasks, count):
-        recordings.append(recording)
-        if progress is not None:
-            progress(len(recordings), len(tasks), recording)
+    recordings: list[Recording] = []
+    for written in _recordings(scenario, out, track, tasks, count):
+        for recording in written:
+            recordings.append(recording)
+            if progress is not None:
+                progress(len(recordings), total, recording)
     recordings.sort(key=lambda item: (item.campaign, item.vehicle))
     truth = write_truth(out, scenario, [truth for item in recordings for truth in item.truths])
     return FleetReport(tuple(recordings), registry, truth)
@@ -119,14 +124,105 @@ def prepare(scenario: Scenario, out: Path) -> Path:
     return write_registry(out, scenario, track, surveyed(scenario, track, seed_of(scenario, SURVEY)))
 
 
-def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: VehiclePlan, campaign: int) -> Recording:
-    """Simulate one campaign (from 0) of one vehicle and write its recording, whole or not at all."""
-    batch, truths = simulate_campaign(scenario, track, vehicle, campaign)
+Campaigns = tuple[int, ...]
+"""Campaigns (from 0) of one vehicle that are simulated together."""
+
+
+def _tasks(scenario: Scenario, vehicles: Sequence[VehiclePlan]) -> list[tuple[str, Campaigns]]:
+    """Return what is simulated together: all campaigns of a drawn vehicle, whose wear follows from all of them."""
+    every = tuple(range(scenario.sessions.campaigns))
+    if scenario.drawn is not None:
+        return [(plan.code, every) for plan in vehicles]
+    return [(plan.code, (campaign,)) for campaign in every for plan in vehicles]
+
+
+def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campaigns: Campaigns) -> list[Recording]:
+    """Simulate campaigns of one vehicle and write their recordings, each whole or not at all.
+
+    Parameters
+    ----------
+    scenario, track
+        What to simulate, and its true track.
+    out
+        Folder of the recordings.
+    vehicle
+        Code of the vehicle.
+    campaigns
+        From 0.
+    """
+    if scenario.drawn is None:
+        plan = scenario.vehicle(vehicle)
+        return [_write(scenario, out, plan, c, *simulate_campaign(scenario, track, plan, c)) for c in campaigns]
+    scenario, records = _on_the_rails(scenario, track, vehicle, campaigns)
+    plan = scenario.vehicle(vehicle)
+    written = []
+    for campaign, mine in zip(campaigns, records, strict=True):
+        run = vehicle_run(scenario, track, plan, campaign)
+        batch = vehicle_frames(default_catalogue(), scenario, run, mine)
+        truths = tuple(
+            wheelset_truth(
+                plan, axle, campaign, run.odometer, truth_of(contact_of(scenario, track, item, run.odometer))
+            )
+            for axle, item in enumerate(plan.wheelsets)
+        )
+        written.append(_write(scenario, out, plan, campaign, batch, truths))
+    return written
+
+
+def _on_the_rails(
+    scenario: Scenario, track: TrackTruth, vehicle: str, campaigns: Campaigns
+) -> tuple[Scenario, list[list[SensorRecord | None]]]:
+    """Return the scenario with as much wear as keeps a vehicle on the rails, and its records by campaign and axle.
+
+    In narrow places a worn wheelset may hunt until it leaves the rails, and a nearly new one too: no railway runs them.
+    """
+    records: list[list[SensorRecord | None]] = [[] for _ in campaigns]
+    for axle in range(len(scenario.vehicle(vehicle).wheelsets)):
+        for share in WEAR_SHARES:
+            tried = with_less_wear(scenario, vehicle, axle, share)
+            found = _axle_records(tried, track, vehicle, axle, campaigns)
+            if found is not None:
+                break
+        else:
+            raise no_wear_left(scenario, vehicle, axle)
+        scenario = tried
+        for mine, record_ in zip(records, found, strict=True):
+            mine.append(record_)
+    return scenario, records
+
+
+def _axle_records(
+    scenario: Scenario, track: TrackTruth, vehicle: str, axle: int, campaigns: Campaigns
+) -> list[SensorRecord] | None:
+    """Return what the node of one wheelset measures in every campaign; None where the wheelset derails."""
+    plan = scenario.vehicle(vehicle)
+    table = contact_of(scenario, track, plan.wheelsets[axle], scenario.odometer(campaigns[0]))
+    found = []
+    for campaign in campaigns:
+        run = vehicle_run(scenario, track, plan, campaign)
+        try:
+            motion = wheelset_motion(scenario, track, run, axle, table)
+        except DerailmentError:
+            return None
+        found.append(wheelset_record(scenario, run, axle, motion))
+    return found
+
+
+def _write(
+    scenario: Scenario,
+    out: Path,
+    vehicle: VehiclePlan,
+    campaign: int,
+    batch: FrameBatch,
+    truths: tuple[WheelsetTruth, ...],
+) -> Recording:
     start = datetime.fromtimestamp(scenario.start_ns(vehicle, campaign) // 1_000_000_000, tz=UTC).strftime(STAMP)
     path = out / vehicle.code / f"{vehicle.code}__{start}.blf"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_blf(path, batch)
-    seconds = scenario.sessions.duration * len(vehicle.wheelsets)
+    whole = scenario.sessions.whole_section
+    seconds = 1e-9 * float(batch.t_ns[-1] - batch.t_ns[0]) if whole else scenario.sessions.duration
+    seconds *= len(vehicle.wheelsets)
     return Recording(vehicle.code, campaign + 1, path, len(batch), seconds, truths)
 
 
@@ -138,7 +234,7 @@ def simulate_campaign(
     records: list[SensorRecord | None] = []
     truths: list[WheelsetTruth] = []
     for axle, plan in enumerate(vehicle.wheelsets):
-        table = worn_contact(plan, wear_at(plan, run.odometer), scenario.section, gauge_grid(track))
+        table = contact_of(scenario, track, plan, run.odometer)
         truths.append(wheelset_truth(vehicle, axle, campaign, run.odometer, truth_of(table)))
         if failed(plan, campaign):
             records.append(None)
@@ -148,17 +244,17 @@ def simulate_campaign(
 
 
 def _recordings(
-    scenario: Scenario, out: Path, track: TrackTruth, tasks: Sequence[tuple[str, int]], workers: int
-) -> Iterator[Recording]:
+    scenario: Scenario, out: Path, track: TrackTruth, tasks: Sequence[tuple[str, Campaigns]], workers: int
+) -> Iterator[list[Recording]]:
     """Yield recordings as they are done; the first failure cancels what has not begun."""
     if workers <= 1:
-        for code, campaign in tasks:
-            yield record(scenario, out, track, scenario.vehicle(code), campaign)
+        for code, campaigns in tasks:
+            yield record(scenario, out, track, code, campaigns)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        futures: list[Future[Recording]] = [
-            pool.submit(record, scenario, out, track, scenario.vehicle(code), campaign) for code, campaign in tasks
+        futures: list[Future[list[Recording]]] = [
+            pool.submit(record, scenario, out, track, code, campaigns) for code, campaigns in tasks
         ]
         try:
             for future in as_completed(futures):

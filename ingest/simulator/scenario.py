@@ -35,7 +35,8 @@ class WheelsetPlan:
     """A wheelset, how fast it wears, and when it goes to the lathe.
 
     Wear is the depth of the hollow in the tread, in metres, as ``estimation.contact.wear`` means it; ``rate_left``
-    and ``rate_right`` are per metre run, ``initial_wear`` is there when the vehicle's odometer stands at 0.
+    and ``rate_right`` are per metre run, ``initial_left`` and ``initial_right`` are there when the vehicle's odometer
+    stands at 0.
     """
 
     serial: str
@@ -46,7 +47,8 @@ class WheelsetPlan:
     wear_centre: float  # m, from the tread datum, positive to the field side
     wear_half_width: float  # m
     flange_share: float  # flange wear as a share of the tread's
-    initial_wear: float  # m
+    initial_left: float  # m
+    initial_right: float  # m
     initial_mileage: float  # m, since new, when the vehicle's odometer stands at 0
     reprofilings: tuple[float, ...]  # m, vehicle odometer
     diameter_difference: float  # m, left minus right, at the lathe
@@ -79,6 +81,7 @@ class SectionPlan:
     survey_alignment_std: float  # m: error of the alignment that is on file, as the registry tells it
     survey_gauge_std: float  # m
     surveyed: bool  # whether a survey is on file at all
+    gauge_surveyed: bool  # whether the gauge is on file; without a survey that is of the gauge alone
     latitude: float  # deg, of the section's start
     longitude: float
 
@@ -90,6 +93,7 @@ class SpeedRange:
     lowest: float
     highest: float
     period: float  # s, of the slowest wave
+    steady: bool = False  # every run has a mean of its own and swings a little about it
     stop_every: float = 0.0  # s between the middles of two stops; 0 for none
     stop: float = 30.0  # s of standing
     braking: float = 0.5  # m/s2, before and after a stop
@@ -106,6 +110,7 @@ class Sessions:
     first_odometer: float  # m
     distance_per_day: float  # m
     start_within: float  # m, of the begin of the section: where runs begin; inf for all of it
+    whole_section: bool = False  # runs begin before the section and end behind it; ``duration`` is the longest
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +133,39 @@ class BusPlan:
 
 
 @dataclass(frozen=True, slots=True)
+class ProfilePair:
+    """Wheel and rail of a drawn fleet, and how far its wheels are worn at most."""
+
+    name: str
+    wheel_profile: str
+    rail_profile: str
+    inclination: float  # tangent
+    deepest_wear: float  # m
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnFleet:
+    """A fleet whose wheelsets are drawn: wear from almost nothing to the deepest, in equal steps over all wheelsets."""
+
+    pairs: tuple[ProfilePair, ...]  # taken in turn by seed
+    vehicles: int
+    wheelsets: int  # of each vehicle
+    wear_alike: bool  # all wheelsets have half of the deepest wear, the same on both sides
+    profiles_measured: int  # the first of the fleet, with their profiles on file
+    vehicle_class: str
+    max_speed: float  # m/s
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleErrors:
+    """How far vehicles are from the parameters of the scenario: 95 % limits, relative, of normal errors."""
+
+    creep: float = 0.20  # one factor for the fleet: the state of the rails' surface
+    stiffness: float = 0.10  # lateral and yaw springs, per vehicle
+    mass: float = 0.05  # wheelset with its inertias; suspended mass with the load; per vehicle
+
+
+@dataclass(frozen=True, slots=True)
 class Scenario:
     """A simulated fleet, its track, its sensors, and its campaigns."""
 
@@ -144,6 +182,15 @@ class Scenario:
     bus: BusPlan
     position: PositionErrors
     vehicles: tuple[VehiclePlan, ...]
+    drawn: DrawnFleet | None = None  # where ``vehicles`` follow from, with the seed
+    vehicle_errors: VehicleErrors | None = None  # None: vehicles have ``parameters`` exactly
+
+    @property
+    def pair(self) -> str:
+        """Wheel and rail of the fleet, for people."""
+        if self.drawn is not None:
+            return self.drawn.pairs[self.seed % len(self.drawn.pairs)].name
+        return f"{self.vehicles[0].wheelsets[0].wheel_profile}/{self.section.rail_profile}"
 
     def vehicle(self, code: str) -> VehiclePlan:
         """Return a vehicle by its code.

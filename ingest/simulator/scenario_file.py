@@ -12,9 +12,12 @@ from pydantic import Field, model_validator
 from estimation.errors import ScenarioError
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.input_file import InputTable, Text, field_error, read_toml
+from ingest.simulator.campaign import MARGIN
+from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_schema import (
     BusTable,
+    DrawnFleetTable,
     DynamicsTable,
     FleetTable,
     PositionTable,
@@ -22,6 +25,7 @@ from ingest.simulator.scenario_schema import (
     SensorsTable,
     SessionsTable,
     SpeedTable,
+    VehicleErrorsTable,
     VehicleTable,
 )
 
@@ -42,7 +46,18 @@ class ScenarioTable(InputTable):
     position: PositionTable = Field(default_factory=PositionTable)
     bus: BusTable = Field(default_factory=BusTable)
     sessions: SessionsTable
-    vehicles: list[VehicleTable] = Field(min_length=1)
+    vehicles: list[VehicleTable] = Field(default_factory=list)
+    drawn_fleet: DrawnFleetTable | None = None
+    vehicle_errors: VehicleErrorsTable | None = None
+
+    @model_validator(mode="after")
+    def _check_fleet(self) -> Self:
+        listed = "vehicles" in self.model_fields_set
+        if self.drawn_fleet is None and not self.vehicles:
+            raise field_error("must have at least 1 entries" if listed else "is missing", "vehicles")
+        if self.drawn_fleet is not None and listed:
+            raise field_error("cannot be given beside 'drawn_fleet'", "vehicles")
+        return self
 
     @model_validator(mode="after")
     def _check_unique(self) -> Self:
@@ -66,7 +81,11 @@ class ScenarioTable(InputTable):
 
     @model_validator(mode="after")
     def _check_length(self) -> Self:
-        if self.section.length_m is None:
+        if self.sessions.whole_section and self.section.length_m is None:
+            raise field_error("needs a section with 'length_m'", "sessions", "whole_section")
+        if self.section.length_m is None or self.sessions.minutes_each is None:
+            return self
+        if self.drawn_fleet is not None:
             return self
         rear = max(vehicle.plan().axle_offsets[-1] for vehicle in self.vehicles)
         needed = 60.0 * self.speed.highest_m_s * self.sessions.minutes_each + rear
@@ -83,7 +102,8 @@ class ScenarioTable(InputTable):
         folder
             Folder of the scenario file: relative file names start here.
         """
-        return Scenario(
+        length = self.section.length_m or 0.0
+        scenario = Scenario(
             name=self.name,
             description=self.description,
             seed=self.seed,
@@ -93,11 +113,14 @@ class ScenarioTable(InputTable):
             section=self.section.plan(folder),
             sensors=self.sensors.plan(),
             speed=self.speed.plan(),
-            sessions=self.sessions.plan(),
+            sessions=self.sessions.plan((length + 2.0 * MARGIN) / self.speed.lowest_m_s),
             bus=self.bus.plan(),
             position=self.position.plan(),
             vehicles=tuple(vehicle.plan() for vehicle in self.vehicles),
+            drawn=None if self.drawn_fleet is None else self.drawn_fleet.plan(),
+            vehicle_errors=None if self.vehicle_errors is None else self.vehicle_errors.plan(),
         )
+        return with_seed(scenario, self.seed)
 
 
 def builtin_scenarios() -> tuple[str, ...]:

@@ -19,12 +19,15 @@ from ingest.simulator.curves import Curve
 from ingest.simulator.motion import MINIMUM_SPEED
 from ingest.simulator.scenario import (
     BusPlan,
+    DrawnFleet,
     Fault,
     FaultKind,
     PositionErrors,
+    ProfilePair,
     SectionPlan,
     Sessions,
     SpeedRange,
+    VehicleErrors,
     VehiclePlan,
     WheelsetPlan,
 )
@@ -146,6 +149,7 @@ class SectionTable(InputTable):
     survey_alignment_std_mm: NotNegative = 0.0
     survey_gauge_std_mm: NotNegative = 0.0
     surveyed: bool = True
+    gauge_surveyed: bool = False
     latitude_deg: float = Field(default=51.5, ge=-90.0, le=90.0)
     longitude_deg: float = Field(default=-0.2, ge=-180.0, le=180.0)
     file: Text | None = None
@@ -208,6 +212,7 @@ class SectionTable(InputTable):
             survey_alignment_std=MM * self.survey_alignment_std_mm,
             survey_gauge_std=MM * self.survey_gauge_std_mm,
             surveyed=self.surveyed,
+            gauge_surveyed=self.surveyed or self.gauge_surveyed,
             latitude=self.latitude_deg,
             longitude=self.longitude_deg,
         )
@@ -300,6 +305,7 @@ class SpeedTable(InputTable):
     stop_every_s: NotNegative = 0.0
     stop_s: NotNegative = 30.0
     braking_m_s2: float = Field(default=0.5, gt=0.0, le=2.0)
+    steady: bool = False
 
     @model_validator(mode="after")
     def _check_order(self) -> Self:
@@ -310,7 +316,13 @@ class SpeedTable(InputTable):
     def plan(self) -> SpeedRange:
         """Return the range of speeds, m/s."""
         return SpeedRange(
-            self.lowest_m_s, self.highest_m_s, self.period_s, self.stop_every_s, self.stop_s, self.braking_m_s2
+            lowest=self.lowest_m_s,
+            highest=self.highest_m_s,
+            period=self.period_s,
+            steady=self.steady,
+            stop_every=self.stop_every_s,
+            stop=self.stop_s,
+            braking=self.braking_m_s2,
         )
 
 
@@ -319,18 +331,35 @@ class SessionsTable(InputTable):
 
     start: Moment
     campaigns: int = Field(ge=1, le=10_000)
-    minutes_each: float = Field(gt=0.0, le=600.0)
+    minutes_each: float | None = Field(default=None, gt=0.0, le=600.0)
+    whole_section: bool = False
     km_between: Positive
     first_odometer_km: NotNegative = 0.0
     km_per_day: Positive = 400.0
     start_within_m: NotNegative | None = None
 
-    def plan(self) -> Sessions:
-        """Return the campaigns in SI units, times in ns of the vehicle clock."""
+    @model_validator(mode="after")
+    def _check_length_of_runs(self) -> Self:
+        if self.minutes_each is None and not self.whole_section:
+            raise field_error("is missing", "minutes_each")
+        for key in ("minutes_each", "start_within_m"):
+            if self.whole_section and key in self.model_fields_set:
+                raise field_error("cannot be given beside whole_section = true", key)
+        return self
+
+    def plan(self, longest_s: float) -> Sessions:
+        """Return the campaigns in SI units, times in ns of the vehicle clock.
+
+        Parameters
+        ----------
+        longest_s
+            How long a run over the whole section takes at most, s.
+        """
         return Sessions(
             start_ns=round(self.start.timestamp()) * 1_000_000_000,
             campaigns=self.campaigns,
-            duration=60.0 * self.minutes_each,
+            duration=longest_s if self.minutes_each is None else 60.0 * self.minutes_each,
+            whole_section=self.whole_section,
             distance_between=KM * self.km_between,
             first_odometer=KM * self.first_odometer_km,
             distance_per_day=KM * self.km_per_day,
@@ -393,6 +422,8 @@ class WheelsetTable(InputTable):
     wear_half_width_mm: float | None = Field(default=None, ge=5.0, le=100.0)
     flange_wear_share: float = Field(default=FLANGE_SHARE, ge=0.0, le=2.0)
     initial_wear_mm: float = Field(default=0.0, ge=0.0, le=5.0)
+    initial_wear_left_mm: float | None = Field(default=None, ge=0.0, le=5.0)
+    initial_wear_right_mm: float | None = Field(default=None, ge=0.0, le=5.0)
     initial_mileage_km: NotNegative = 0.0
     reprofiled_at_odometer_km: IncreasingNumbers = Field(default_factory=list)
     diameter_difference_mm: float = Field(default=0.0, ge=-5.0, le=5.0)
@@ -406,6 +437,10 @@ class WheelsetTable(InputTable):
             self.wear_mm_per_100000_km if rate is None else rate
             for rate in (self.wear_left_mm_per_100000_km, self.wear_right_mm_per_100000_km)
         )
+        initial_left, initial_right = (
+            self.initial_wear_mm if depth is None else depth
+            for depth in (self.initial_wear_left_mm, self.initial_wear_right_mm)
+        )
         centre, half_width = self.wear_centre_mm, self.wear_half_width_mm
         per_metre = MM / (1e5 * KM)
         return WheelsetPlan(
@@ -417,7 +452,8 @@ class WheelsetTable(InputTable):
             wear_centre=MM * (course.centre / MM if centre is None else centre),
             wear_half_width=MM * (course.half_width / MM if half_width is None else half_width),
             flange_share=self.flange_wear_share,
-            initial_wear=MM * self.initial_wear_mm,
+            initial_left=MM * initial_left,
+            initial_right=MM * initial_right,
             initial_mileage=KM * self.initial_mileage_km,
             reprofilings=tuple(KM * value for value in self.reprofiled_at_odometer_km),
             diameter_difference=MM * self.diameter_difference_mm,
@@ -451,3 +487,59 @@ class VehicleTable(InputTable):
             axle_offsets=tuple(default if self.axle_offsets_m is None else self.axle_offsets_m),
             wheelsets=tuple(wheelset.plan() for wheelset in self.wheelsets),
         )
+
+
+class PairTable(InputTable):
+    """``[[drawn_fleet.pairs]]``."""
+
+    name: Text
+    wheel_profile: WheelName
+    rail_profile: RailName
+    rail_inclination_1_in: float = Field(default=20.0, ge=5.0)
+    deepest_wear_mm: float = Field(ge=0.0, le=5.0)
+
+    def plan(self) -> ProfilePair:
+        """Return the pair in SI units."""
+        return ProfilePair(
+            name=self.name,
+            wheel_profile=self.wheel_profile,
+            rail_profile=self.rail_profile,
+            inclination=1.0 / self.rail_inclination_1_in,
+            deepest_wear=MM * self.deepest_wear_mm,
+        )
+
+
+class DrawnFleetTable(InputTable):
+    """``[drawn_fleet]``: stands in for ``[[vehicles]]``."""
+
+    vehicles: int = Field(default=4, ge=1, le=64)
+    wheelsets_each: int = Field(default=4, ge=1, le=MAX_AXLES)
+    wear_alike: bool = False
+    profiles_measured: int = Field(default=0, ge=0, le=512)
+    vehicle_class: Text = Field(default="multiple unit", alias="class")
+    max_speed_km_h: float = Field(default=120.0, gt=0.0, le=400.0)
+    pairs: list[PairTable] = Field(min_length=1)
+
+    def plan(self) -> DrawnFleet:
+        """Return the fleet in SI units."""
+        return DrawnFleet(
+            pairs=tuple(pair.plan() for pair in self.pairs),
+            vehicles=self.vehicles,
+            wheelsets=self.wheelsets_each,
+            wear_alike=self.wear_alike,
+            profiles_measured=self.profiles_measured,
+            vehicle_class=self.vehicle_class,
+            max_speed=KM_PER_HOUR * self.max_speed_km_h,
+        )
+
+
+class VehicleErrorsTable(InputTable):
+    """``[vehicle_errors]``."""
+
+    creep_percent: float = Field(default=20.0, ge=0.0, le=50.0)
+    stiffness_percent: float = Field(default=10.0, ge=0.0, le=50.0)
+    mass_percent: float = Field(default=5.0, ge=0.0, le=50.0)
+
+    def plan(self) -> VehicleErrors:
+        """Return the limits as shares."""
+        return VehicleErrors(self.creep_percent / 100.0, self.stiffness_percent / 100.0, self.mass_percent / 100.0)

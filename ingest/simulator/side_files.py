@@ -19,7 +19,7 @@ from estimation.values.json_value import JsonValue
 from ingest.simulator.campaign import failed
 from ingest.simulator.scenario import Scenario, SectionPlan, VehiclePlan, WheelsetPlan
 from ingest.simulator.track import TrackTruth, write_track
-from ingest.simulator.wear import GeometryTruth, WearState, wear_at
+from ingest.simulator.wear import GeometryTruth, WearState, wear_at, worn_profile
 
 REGISTRY_FILE = "registry.json"
 TRUTH_FILE = "truth.json"
@@ -48,8 +48,9 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
     """Write the registry and, if there is one, the surveyed track into ``folder``; return the registry's path."""
     section = scenario.section
     track_file = f"{section.code.lower()}.csv"
-    if section.surveyed:
-        write_track(folder / track_file, survey)
+    length = track.length if section.recipe is None else section.recipe.length
+    if section.gauge_surveyed:
+        write_track(folder / track_file, _on_section(survey, length), gauge_only=not section.surveyed)
     content: dict[str, JsonValue] = {
         "format": REGISTRY_FORMAT,
         "fleets": [{"code": scenario.fleet_code, "name": scenario.fleet_name}],
@@ -64,8 +65,10 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
             for item in plan.wheelsets
             for odometer in item.reprofilings
         ],
-        "track_sections": [_section(section, track.length, track_file)],
+        "track_sections": [_section(section, length, track_file)],
     }
+    if scenario.drawn is not None and scenario.drawn.profiles_measured:
+        content["measured_profiles"] = _measured_profiles(folder, scenario, scenario.drawn.profiles_measured)
     return write_json(folder / REGISTRY_FILE, content)
 
 
@@ -123,7 +126,7 @@ def _survey_error(n: int, std: float, interval: float, rng: np.random.Generator)
 
 
 def _section(section: SectionPlan, length: float, track_file: str) -> JsonValue:
-    told: dict[str, JsonValue] = {
+    entry: dict[str, JsonValue] = {
         "code": section.code,
         "number": section.number,
         "name": section.name,
@@ -132,13 +135,39 @@ def _section(section: SectionPlan, length: float, track_file: str) -> JsonValue:
         "nominal_gauge_mm": 1e3 * section.nominal_gauge,
         "length_m": length,
     }
-    if section.surveyed:
-        told["alignment"] = {
-            "file": track_file,
-            "alignment_std_mm": 1e3 * section.survey_alignment_std,
-            "gauge_deviation_std_mm": 1e3 * section.survey_gauge_std,
+    if section.gauge_surveyed:
+        known: dict[str, JsonValue] = {"file": track_file}
+        if section.surveyed:
+            known["alignment_std_mm"] = 1e3 * section.survey_alignment_std
+        entry["alignment"] = known | {"gauge_deviation_std_mm": 1e3 * section.survey_gauge_std}
+    return entry
+
+
+def _on_section(track: TrackTruth, length: float) -> TrackTruth:
+    """Return the part of a track on the section itself, 0 to ``length`` m."""
+    on = (track.s >= 0.0) & (track.s <= length)
+    if on.all() or track.curves is not None:
+        return track
+    return TrackTruth(track.s[on], track.alignment[on], track.gauge_deviation[on])
+
+
+def _measured_profiles(folder: Path, scenario: Scenario, count: int) -> list[JsonValue]:
+    """Write the profiles that have been measured, as two columns of text, and return their entries."""
+    wheelsets = sorted((item for plan in scenario.vehicles for item in plan.wheelsets), key=lambda item: item.serial)
+    entries: list[JsonValue] = []
+    for plan in wheelsets[:count]:
+        wear = wear_at(plan, scenario.odometer(0))
+        entry: dict[str, JsonValue] = {
+            "wheelset": plan.serial,
+            "at": iso_time(scenario.sessions.start_ns),
+            "mileage_km": 1e-3 * wear.mileage,
         }
-    return told
+        for side, depth in (("left", wear.depth_left), ("right", wear.depth_right)):
+            profile, name = worn_profile(plan, depth), f"{plan.serial.lower()}_{side}.txt"
+            np.savetxt(folder / name, 1e3 * np.column_stack([profile.y, profile.z]), fmt="%.6f")
+            entry[side] = {"file": name}
+        entries.append(entry)
+    return entries
 
 
 def _vehicle(scenario: Scenario, plan: VehiclePlan) -> JsonValue:

@@ -13,7 +13,14 @@ from estimation.errors import InputError, ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.curves import Curve, Curves, laid_out
 from ingest.simulator.spectra import synthesise
-from ingest.track_file import COLUMNS, FEWEST_POINTS, LAYOUT_COLUMNS, read_layout_columns, read_track_columns
+from ingest.track_file import (
+    COLUMNS,
+    FEWEST_POINTS,
+    GAUGE_COLUMNS,
+    LAYOUT_COLUMNS,
+    read_layout_columns,
+    read_track_columns,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,9 +127,21 @@ def read_track(path: Path, interval: float | None = None) -> TrackTruth:
     return TrackTruth(grid, values[:, 0], values[:, 1], curves)
 
 
-def write_track(path: Path, track: TrackTruth) -> None:
-    """Write a track as CSV, as ``read_track`` reads it (mm and 1/km with 6 decimals)."""
+def write_track(path: Path, track: TrackTruth, *, gauge_only: bool = False) -> None:
+    """Write a track as CSV, as ``read_track`` reads it (mm and 1/km with 6 decimals).
+
+    Parameters
+    ----------
+    path
+        The file.
+    track
+        What to write.
+    gauge_only
+        Leave the alignment out.
+    """
     columns, header = [track.s, 1e3 * track.alignment, 1e3 * track.gauge_deviation], list(COLUMNS)
+    if gauge_only:
+        columns, header = [track.s, 1e3 * track.gauge_deviation], list(GAUGE_COLUMNS)
     if track.curves is not None:
         columns += [1e3 * track.curves.curvature, 1e3 * track.curves.cant]
         header += LAYOUT_COLUMNS

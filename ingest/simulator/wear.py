@@ -12,13 +12,15 @@ from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.table import ContactTable
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray, frozen_array
-from ingest.simulator.scenario import SectionPlan, WheelsetPlan
+from ingest.simulator.scenario import Scenario, SectionPlan, WheelsetPlan
 from ingest.simulator.track import TrackTruth
 
 DISPLACEMENT_LIMIT = 8e-3  # m
+DRAWN_LIMIT = 12e-3  # m, the same of a drawn fleet, whose worn wheelsets swing further
+DRAWN_LIMIT_WIDE = 15e-3  # m, the same where gauge varies: flanges are further apart in wide gauge
 DISPLACEMENT_STEP = 0.05e-3  # m
 GAUGE_STEP = 0.5e-3  # m: contact jumps move over y - d by half the gauge deviation, and tables blend between steps
-AMPLITUDES = (0.5e-3, 1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3, 3.5e-3, 4e-3, 4.5e-3, 5e-3)  # m
+AMPLITUDES = tuple(float(a) for a in np.arange(2, 21) * 0.25e-3)  # m
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +36,10 @@ class WearState:
 def wear_at(plan: WheelsetPlan, odometer: float) -> WearState:
     """Return the wear when the vehicle's odometer stands at ``odometer``, m; the lathe takes all of it away."""
     done = [place for place in plan.reprofilings if place <= odometer]
-    since, before = (odometer - done[-1], 0.0) if done else (odometer, plan.initial_wear)
+    since = odometer - done[-1] if done else odometer
+    left, right = (0.0, 0.0) if done else (plan.initial_left, plan.initial_right)
     return WearState(
-        plan.initial_mileage + odometer, len(done), before + plan.rate_left * since, before + plan.rate_right * since
+        plan.initial_mileage + odometer, len(done), left + plan.rate_left * since, right + plan.rate_right * since
     )
 
 
@@ -49,21 +52,44 @@ def gauge_grid(track: TrackTruth) -> FloatArray:
     return np.asarray(GAUGE_STEP * np.arange(first, last + 1.0))
 
 
+def displacement_limit(scenario: Scenario) -> float:
+    """Return the lateral displacement, m, beyond which a wheelset of the scenario derails."""
+    if scenario.drawn is None:
+        return DISPLACEMENT_LIMIT
+    recipe = scenario.section.recipe
+    return DRAWN_LIMIT if recipe is not None and recipe.gauge_std == 0.0 else DRAWN_LIMIT_WIDE
+
+
 def worn_contact(
-    plan: WheelsetPlan, wear: WearState, section: SectionPlan, gauge_deviation: FloatArray
+    plan: WheelsetPlan,
+    wear: WearState,
+    section: SectionPlan,
+    gauge_deviation: FloatArray,
+    limit: float = DISPLACEMENT_LIMIT,
 ) -> ContactTable:
-    """Return the contact geometry of a worn wheelset on ``section``, rigid with roll, over +-8 mm.
+    """Return the contact geometry of a worn wheelset on ``section``, rigid with roll.
+
+    Parameters
+    ----------
+    plan, wear
+        The wheelset as new, and what it has lost.
+    section
+        Rail, inclination and nominal gauge.
+    gauge_deviation
+        (g,) m, for which gauges.
+    limit
+        m of lateral displacement to either side.
 
     Raises
     ------
     ContactError
         The profiles never touch.
     """
-    new, rail = wheel_profile(plan.wheel_profile), rail_profile(section.rail_profile)
-    half = round(DISPLACEMENT_LIMIT / DISPLACEMENT_STEP)
+    rail = rail_profile(section.rail_profile)
+    half = round(limit / DISPLACEMENT_STEP)
     wheelset = WheelsetOnTrack(
-        left_wheel=_worn(new, plan, wear.depth_left),
-        right_wheel=_worn(new, plan, wear.depth_right),
+        left_wheel=worn_profile(plan, wear.depth_left),
+        right_wheel=worn_profile(plan, wear.depth_right),
         left_rail=rail,
         right_rail=rail,
         inclination=section.inclination,
@@ -123,7 +149,9 @@ def truth_of(table: ContactTable) -> GeometryTruth:
     )
 
 
-def _worn(new: Profile, plan: WheelsetPlan, depth: float) -> Profile:
+def worn_profile(plan: WheelsetPlan, depth: float) -> Profile:
+    """Return the profile of a wheel of ``plan`` whose tread has lost ``depth``, m."""
+    new = wheel_profile(plan.wheel_profile)
     if depth == 0.0:
         return new
     return worn(new, TreadWear(depth, plan.wear_centre, plan.wear_half_width, plan.flange_share * depth))

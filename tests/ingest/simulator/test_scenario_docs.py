@@ -15,7 +15,6 @@ from ingest.registry_schema import RegistryObject
 from ingest.simulator.scenario_file import ScenarioTable
 
 DOCS = Path(__file__).parents[3] / "docs"
-INGEST = Path(__file__).parents[3] / "ingest"
 
 
 def keys_of(model: type[BaseModel]) -> set[str]:
@@ -43,18 +42,6 @@ def undocumented(keys: set[str], document: str) -> set[str]:
 @pytest.mark.parametrize(("schema", "document"), [(ScenarioTable, "scenarios.md"), (RegistryObject, "registry.md")])
 def test_every_key_of_a_schema_is_documented(schema: type[BaseModel], document: str) -> None:
     assert undocumented(keys_of(schema), document) == set()
-
-
-@pytest.mark.parametrize(
-    ("source", "document"),
-    [
-        ("simulator/section_file.py", "compare.md"),
-    ],
-)
-def test_every_key_is_documented(source: str, document: str) -> None:
-    asked = r"\.(?:text|integer|number|flag|numbers|moment_ns|optional_moment_ns|table|tables|objects|optional_object)"
-    keys = set(re.findall(asked + r'\(\s*"(\w+)"', (INGEST / source).read_text()))
-    assert undocumented(keys, document) == set()
 
 
 def test_parameters_of_the_dynamics_are_documented() -> None:

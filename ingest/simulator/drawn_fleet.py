@@ -1,0 +1,146 @@
+"""A fleet whose wheelsets are drawn instead of listed: wear by rank, wheel and rail by seed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimation.contact.wear import WearFamily, wear_course
+from estimation.errors import ScenarioError
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from ingest.simulator.scenario import DrawnFleet, Scenario, VehiclePlan, WheelsetPlan
+
+ASYMMETRY = 0.08  # std of the share by which left wear is above the mean
+AXLE_SPACING = 2.6  # m
+NOMINAL_RADIUS = 0.45  # m
+NORMAL_95 = 1.96  # a 95 % limit in standard deviations
+WEAR_SHARES = (1.0, 0.85, 0.7, 0.5, 1.5)  # tried in turn until a wheelset stays on the rails
+_WEAR, _CREEP, _VEHICLE = 20, 21, 22  # first words of the keys of random streams, beside those of ``campaign``
+
+
+def with_seed(scenario: Scenario, seed: int) -> Scenario:
+    """Return the scenario with another seed; wheel, rail and wear of a drawn fleet are those of the seed.
+
+    Parameters
+    ----------
+    scenario
+        A scenario of any seed.
+    seed
+        From 0.
+    """
+    if scenario.drawn is None:
+        return replace(scenario, seed=seed)
+    pair = scenario.drawn.pairs[seed % len(scenario.drawn.pairs)]
+    section = replace(scenario.section, rail_profile=pair.rail_profile, inclination=pair.inclination)
+    return replace(scenario, seed=seed, section=section, vehicles=_vehicles(scenario.drawn, seed))
+
+
+def with_less_wear(scenario: Scenario, vehicle: str, axle: int, share: float) -> Scenario:
+    """Return the scenario with ``share`` of the wear of one wheelset.
+
+    Parameters
+    ----------
+    scenario
+        The fleet as drawn.
+    vehicle
+        Code of the vehicle.
+    axle
+        From 0.
+    share
+        Of the wear at odometer 0.
+    """
+    plan = scenario.vehicle(vehicle)
+    worn = plan.wheelsets[axle]
+    less = replace(worn, initial_left=share * worn.initial_left, initial_right=share * worn.initial_right)
+    wheelsets = tuple(less if place == axle else item for place, item in enumerate(plan.wheelsets))
+    changed = replace(plan, wheelsets=wheelsets)
+    return replace(scenario, vehicles=tuple(changed if item is plan else item for item in scenario.vehicles))
+
+
+def vehicle_parameters(scenario: Scenario, vehicle: str) -> VehicleParameters:
+    """Return the true parameters of a vehicle: those of the scenario, or drawn around them.
+
+    Parameters
+    ----------
+    scenario
+        With or without errors of the vehicle parameters.
+    vehicle
+        Code of the vehicle.
+    """
+    assumed, limits = scenario.parameters, scenario.vehicle_errors
+    if limits is None:
+        return assumed
+    order = [plan.code for plan in scenario.vehicles].index(vehicle)
+    creep = 1.0 + limits.creep / NORMAL_95 * _stream(scenario.seed, _CREEP).standard_normal()
+    lateral, yaw, wheelset, body = _stream(scenario.seed, _VEHICLE, order).standard_normal(4) / NORMAL_95
+    stiff_lateral, stiff_yaw = 1.0 + limits.stiffness * lateral, 1.0 + limits.stiffness * yaw
+    heavy_wheelset, heavy_body = 1.0 + limits.mass * wheelset, 1.0 + limits.mass * body
+    return replace(
+        assumed,
+        longitudinal_creep_coefficient=creep * assumed.longitudinal_creep_coefficient,
+        lateral_creep_coefficient=creep * assumed.lateral_creep_coefficient,
+        lateral_spin_creep_coefficient=creep * assumed.lateral_spin_creep_coefficient,
+        lateral_stiffness=stiff_lateral * assumed.lateral_stiffness,
+        yaw_stiffness=stiff_yaw * assumed.yaw_stiffness,
+        wheelset_mass=heavy_wheelset * assumed.wheelset_mass,
+        yaw_inertia=heavy_wheelset * assumed.yaw_inertia,
+        pitch_inertia=heavy_wheelset * assumed.pitch_inertia,
+        suspended_mass=heavy_body * assumed.suspended_mass,
+        load=heavy_body * assumed.load,
+    )
+
+
+def no_wear_left(scenario: Scenario, vehicle: str, axle: int) -> ScenarioError:
+    """Return the error of a wheelset that derails with every share of its wear."""
+    serial = scenario.vehicle(vehicle).wheelsets[axle].serial
+    shares = ", ".join(f"{share:.0%}" for share in WEAR_SHARES)
+    return ScenarioError(
+        f"wheelset {serial} of seed {scenario.seed} derails with {shares} of its wear; less wear or a lower speed "
+        "keeps it from hunting",
+        field="drawn_fleet.pairs.deepest_wear_mm",
+    )
+
+
+def _vehicles(fleet: DrawnFleet, seed: int) -> tuple[VehiclePlan, ...]:
+    """Return the vehicles: wear rises from wheelset to wheelset, across the vehicles, in equal steps."""
+    return tuple(
+        VehiclePlan(
+            code=f"V{number}",
+            vehicle_class=fleet.vehicle_class,
+            max_speed=fleet.max_speed,
+            axle_offsets=tuple(AXLE_SPACING * axle for axle in range(fleet.wheelsets)),
+            wheelsets=tuple(_wheelset(fleet, seed, axle * fleet.vehicles + number) for axle in range(fleet.wheelsets)),
+        )
+        for number in range(fleet.vehicles)
+    )
+
+
+def _wheelset(fleet: DrawnFleet, seed: int, rank: int) -> WheelsetPlan:
+    pair = fleet.pairs[seed % len(fleet.pairs)]
+    rng = _stream(seed, _WEAR, rank)
+    share, apart = (rank + rng.uniform()) / (fleet.vehicles * fleet.wheelsets), rng.normal(0.0, ASYMMETRY)
+    if fleet.wear_alike:
+        share, apart = 0.5, 0.0
+    depth = pair.deepest_wear * share
+    course = wear_course(WearFamily.S1002_ON_60E1 if "1002" in pair.wheel_profile else WearFamily.P8_ON_56E1, 0.0)
+    return WheelsetPlan(
+        serial=f"W{rank:02d}",
+        wheel_profile=pair.wheel_profile,
+        nominal_radius=NOMINAL_RADIUS,
+        rate_left=0.0,
+        rate_right=0.0,
+        wear_centre=course.centre,
+        wear_half_width=course.half_width,
+        flange_share=1.0,  # the flange loses as much as the tread: ``estimation.contact.wear.wear_course``
+        initial_left=depth * (1.0 + apart),
+        initial_right=depth * (1.0 - apart),
+        initial_mileage=0.0,
+        reprofilings=(),
+        diameter_difference=0.0,
+        fault=None,
+    )
+
+
+def _stream(seed: int, *key: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
