@@ -14,6 +14,7 @@ from api.settings import Settings
 from estimation.errors import TreadwatchError
 from estimation.jobs import estimate_windows, refresh_alignment, refresh_geometry
 from estimation.jobs.job import Job, JobContext, run_job
+from estimation.values.runs import JobTrigger
 from fleet_db.migrate import upgrade
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
@@ -159,6 +160,6 @@ def run_jobs(context: JobContext, jobs: Sequence[Job] = ESTIMATION, progress: Pr
             progress(job.name.replace("_", " "), done, total)
 
         show(0, 1)
-        run = run_job(job, replace(context, progress=show), "cli")
+        run = run_job(job, replace(context, progress=show), JobTrigger.CLI)
         if run.error is not None:
             raise TreadwatchError(f"job {job.name} failed: {run.error}")
