@@ -22,6 +22,7 @@ from alembic.runtime.migration import MigrationContext
 from sqlalchemy import Engine
 
 from estimation.errors import MigrationError, ParameterError, StorageError
+from estimation.values.reasons import ReasonCode
 from estimation.values.track import RECORDED
 from fleet_db.migrate import SCRIPTS, check_head, head, upgrade
 from fleet_db.models import Base
@@ -195,3 +196,36 @@ def test_a_database_of_the_first_version_keeps_its_tracks(empty_url: str, engine
         assert (record.source, record.same_since, record.gauge_known) == (RECORDED, 1, True)
         assert unit.tracks.add_alignment(make.alignment(4)) == 1
         assert unit.tracks.report("S-7") is None
+
+
+def old_row(connection: sqlalchemy.Connection, table: str, **given: object) -> None:
+    """Insert a row as the schema of that time wants it: what is not given is one or an empty text."""
+    columns = sqlalchemy.Table(table, sqlalchemy.MetaData(), autoload_with=connection).columns
+    least = {int: 1, float: 1.0, str: "", bool: False, bytes: b"", dict: {}}
+    values = {column.name: least.get(column.type.python_type) for column in columns if not column.nullable}
+    connection.execute(sqlalchemy.insert(columns.values()[0].table).values(**(values | given)))
+
+
+def test_sentences_of_an_earlier_version_get_codes(empty_url: str, engine: Engine) -> None:
+    """A window that was refused for want of an alignment waits again once there is one, however its reason read."""
+    config = Config()
+    config.set_main_option("script_location", str(SCRIPTS))
+    clipped = "12.5% of the samples are clipped, at most 10% may be"
+    sentences = ["the alignment of the track section is not known", "somebody's own words", "", clipped]
+    with engine.begin() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0005")
+        old_row(connection, "fleets", code="F")
+        old_row(connection, "vehicles", code="V", fleet="F", axles=4)
+        old_row(connection, "wheelsets", serial="W", fleet="F")
+        old_row(connection, "track_sections", code="S", number=1, rail_profile="60E1")
+        for start, sentence in enumerate(sentences):
+            state = "refused" if sentence else "pending"
+            old_row(connection, "windows", wheelset="W", start_ns=start, vehicle="V", axle=1, track_section="S",
+                    length_ns=1, state=state, reason=sentence)  # fmt: skip
+    assert upgrade(empty_url) == head()
+    with SqlStorage(engine, Path("unused")).write() as unit:
+        found = [None if window.reason is None else window.reason.code for window in unit.windows.list("W")]
+        assert found == [ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.OTHER, None, ReasonCode.CLIPPED]
+        assert unit.windows.requeue("S", ReasonCode.ALIGNMENT_UNKNOWN) == 1
+        assert [window.start_ns for window in unit.windows.ready(10, [])] == [0, 2]
