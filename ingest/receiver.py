@@ -1,6 +1,6 @@
-"""The receiver: a recording comes in, its bytes are safe, and the windows that it touches are assembled anew.
+"""The receiver: a recording comes in, its bytes are stored, and the windows that it touches are assembled again.
 
-Order of events: bytes durable in the raw store, receipt committed, only then is anything said to be stored. Windows and
+Order of events: bytes durable in the raw store, receipt committed, only then is it reported as stored. Windows and
 the receipt's new state are committed together. Whatever happens in between, :meth:`Receiver.decode_stored` goes on
 from the receipts.
 """
@@ -18,19 +18,18 @@ from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from ingest.assembly import Assembler, Assembly
+from ingest.assembly import Assembler, Assembly, Recording, Recordings
 from ingest.catalogue import Catalogue
-from ingest.chunks import Recording, Recordings
 from ingest.logs.formats import format_of
 
 SECOND_NS = 1_000_000_000
-ATTEMPTS = 20
+MAX_ATTEMPTS = 20
 READ_AHEAD = 3
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkReceipt:
-    """What is told to whoever handed a recording in."""
+    """What the sender of a recording gets back."""
 
     record: ChunkRecord
     known: bool  # the same bytes had been received before
@@ -38,8 +37,8 @@ class ChunkReceipt:
 
 
 @dataclass(frozen=True, slots=True)
-class Arrival:
-    """A file on its way in: its bytes are durable, and read as far as they can be."""
+class ReceivedFile:
+    """A file whose bytes are durable, read if it can be read."""
 
     path: Path
     vehicle: str
@@ -85,7 +84,7 @@ class Receiver:
         ConflictError
             The same recording was received from another vehicle.
         """
-        return self.accept(self._arrive(path, vehicle))
+        return self.accept(self._store_and_read(path, vehicle))
 
     def receive_files(self, files: Iterable[tuple[Path, str]]) -> Iterator[tuple[Path, ChunkReceipt | Exception]]:
         """Take in many recordings ``(path, vehicle)``; the next are read while one is stored.
@@ -94,31 +93,31 @@ class Receiver:
         stop the others.
         """
         with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as reader:
-            coming: list[tuple[Path, Future[Arrival]]] = []
+            coming: list[tuple[Path, Future[ReceivedFile]]] = []
             remaining = iter(files)
             while True:
                 while len(coming) < READ_AHEAD and (following := next(remaining, None)) is not None:
-                    coming.append((following[0], reader.submit(self._arrive, *following)))
+                    coming.append((following[0], reader.submit(self._store_and_read, *following)))
                 if not coming:
                     return
-                path, arrival = coming.pop(0)
+                path, received = coming.pop(0)
                 try:
-                    yield path, self.accept(arrival.result())
+                    yield path, self.accept(received.result())
                 except TreadwatchError as error:
                     yield path, error
 
-    def accept(self, arrival: Arrival) -> ChunkReceipt:
-        """Commit the receipt of a file that has arrived, then decode it; raises as :meth:`receive_file`."""
-        record, known = self._receipt(arrival)
+    def accept(self, received: ReceivedFile) -> ChunkReceipt:
+        """Commit the receipt of a received file, then decode it; raises as :meth:`receive_file`."""
+        record, known = self._receipt(received)
         if record.state is ChunkState.REJECTED:
-            raise LogFileError(str(record.reason), file=arrival.path)
+            raise LogFileError(str(record.reason), file=received.path)
         if record.state is ChunkState.DECODED:
             return ChunkReceipt(record, known=True, windows_changed=0)
-        if isinstance(arrival.recording, LogFileError):
-            self._reject(record, arrival.recording)
-            raise LogFileError(arrival.recording.reason, file=arrival.path, line=arrival.recording.line)
-        self._recordings.keep(arrival.recording)
-        record, changed = self._decode(record)
+        if isinstance(received.recording, LogFileError):
+            self._reject(record, received.recording)
+            raise LogFileError(received.recording.reason, file=received.path, line=received.recording.line)
+        self._recordings.keep(received.recording)
+        record, changed = self._decode(record, received.recording)
         return ChunkReceipt(record, known=known, windows_changed=changed)
 
     def decode_stored(self) -> Iterator[ChunkReceipt | Exception]:
@@ -130,7 +129,7 @@ class Receiver:
             stored = unit.chunks.with_state(ChunkState.STORED, limit=1_000_000)
         for record in stored:
             try:
-                decoded, changed = self._decode(record)
+                decoded, changed = self._decode(record, self._recordings.load(record))
                 yield ChunkReceipt(decoded, known=False, windows_changed=changed)
             except LogFileError as error:
                 self._reject(record, error)
@@ -138,23 +137,23 @@ class Receiver:
             except TreadwatchError as error:
                 yield error
 
-    def _arrive(self, path: Path, vehicle: str) -> Arrival:
+    def _store_and_read(self, path: Path, vehicle: str) -> ReceivedFile:
         suffix = format_of(path).suffix
         digest = self._raw.put_file(path)
         try:
-            return Arrival(path, vehicle, digest, self._recordings.read(self._raw.path(digest, suffix), digest))
+            return ReceivedFile(path, vehicle, digest, self._recordings.read(self._raw.path(digest, suffix), digest))
         except LogFileError as error:
-            return Arrival(path, vehicle, digest, error)
+            return ReceivedFile(path, vehicle, digest, error)
 
-    def _receipt(self, arrival: Arrival) -> tuple[ChunkRecord, bool]:
+    def _receipt(self, received: ReceivedFile) -> tuple[ChunkRecord, bool]:
         """Return the committed receipt, and whether it had been there before."""
-        suffix = format_of(arrival.path).suffix
+        suffix = format_of(received.path).suffix
         now_ns = self._clock.now_ns()
         record = ChunkRecord(
-            digest=arrival.digest,
-            vehicle=arrival.vehicle,
+            digest=received.digest,
+            vehicle=received.vehicle,
             suffix=suffix,
-            size_bytes=self._raw.path(arrival.digest, suffix).stat().st_size,
+            size_bytes=self._raw.path(received.digest, suffix).stat().st_size,
             state=ChunkState.STORED,
             reason=None,
             first_ns=None,
@@ -167,13 +166,13 @@ class Receiver:
         with self._storage.write() as unit:
             if unit.chunks.put(record):
                 return record, False
-            found = unit.chunks.get(arrival.digest)
+            found = unit.chunks.get(received.digest)
         assert found is not None
-        if found.vehicle != arrival.vehicle:
+        if found.vehicle != received.vehicle:
             raise ConflictError(
-                f"{arrival.path}: the same recording was received from vehicle {found.vehicle}",
+                f"{received.path}: the same recording was received from vehicle {found.vehicle}",
                 kind="chunk",
-                key=arrival.digest,
+                key=received.digest,
             )
         return found, True
 
@@ -182,10 +181,9 @@ class Receiver:
         with self._storage.write() as unit:
             unit.chunks.update(replace(record, state=ChunkState.REJECTED, reason=Reason(ReasonCode.LOG_DAMAGED, text)))
 
-    def _decode(self, record: ChunkRecord) -> tuple[ChunkRecord, int]:
+    def _decode(self, record: ChunkRecord, recording: Recording) -> tuple[ChunkRecord, int]:
         """Assemble the windows that a stored recording touches; return its new receipt and how many changed."""
-        recording = self._recordings.load(record)
-        for _ in range(ATTEMPTS):
+        for _ in range(MAX_ATTEMPTS):
             try:
                 with self._storage.read() as unit:
                     assembly = self._assembler.assemble(unit, record, recording)
@@ -198,7 +196,9 @@ class Receiver:
                 if {source.digest for source in again} == assembly.sources:
                     return assembly.receipts[0], self._commit(unit, assembly)
             # another recording of the vehicle was committed meanwhile
-        raise StorageError(f"recording {record.digest}: its neighbours changed {ATTEMPTS} times while it was decoded")
+        raise StorageError(
+            f"recording {record.digest}: its neighbours changed {MAX_ATTEMPTS} times while it was decoded"
+        )
 
     def _commit(self, unit: SqlUnitOfWork, assembly: Assembly) -> int:
         changed = 0

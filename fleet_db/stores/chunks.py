@@ -9,6 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, select, update
 
 from estimation.errors import NotFoundError
+from estimation.values.reasons import ReasonCode
 from fleet_db.models import ChunkRow
 from fleet_db.reason_columns import reason_columns, stored_reason
 from fleet_db.receipts import ChunkRecord, ChunkState
@@ -53,6 +54,16 @@ class ChunkStore:
             .where(CHUNKS.c.vehicle == vehicle, CHUNKS.c.first_ns < to_ns, CHUNKS.c.last_ns >= from_ns)
             .where(CHUNKS.c.state == ChunkState.DECODED.value)
             .order_by(CHUNKS.c.first_ns, CHUNKS.c.digest)
+        )
+        return [_record(row) for row in self.connection.execute(statement)]
+
+    def waiting_for_time(self, vehicle: str) -> Sequence[ChunkRecord]:
+        """Return the receipts of a vehicle's recordings that wait for a TIME frame beside them, oldest first."""
+        statement = (
+            select(CHUNKS)
+            .where(CHUNKS.c.vehicle == vehicle, CHUNKS.c.state == ChunkState.STORED.value)
+            .where(CHUNKS.c.reason_code == ReasonCode.WAITS_FOR_TIME.value)
+            .order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
         )
         return [_record(row) for row in self.connection.execute(statement)]
 

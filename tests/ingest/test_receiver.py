@@ -20,9 +20,9 @@ from estimation.values.windows import WindowState
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
+from ingest.assembly import WAITING
 from ingest.canopen import SYNC_ID, TIME_ID
 from ingest.catalogue import default_catalogue
-from ingest.chunks import WAITING
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.logs import write_blf
 from ingest.receiver import ChunkReceipt, Receiver
