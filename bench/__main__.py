@@ -1,11 +1,14 @@
-"""Run the benchmarks and print one table: ``python -m bench [name ...]``; some have options of their own."""
+"""Run the benchmarks and print one table: ``python -m bench [name ...]``; some have options of their own.
+
+``--write-docs`` also writes ``docs/results/<name>.md`` for every bench that ran.
+"""
 
 from __future__ import annotations
 
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
@@ -14,31 +17,54 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.report import BenchRow
+from bench.results_page import markdown_table, write_page
 
-NAMES = ("contact", "estimation", "recursion", "decoding", "simulator")
+NAMES = ("contact", "estimation", "recursion", "decoding", "simulator", "trend")
 WITH_OPTIONS = ("section", "mutants", "house")
 LONG = ("signals", "curves", "window_files")  # of many minutes, run where they are named
+TITLES = {
+    "contact": "Contact geometry against EN 15302",
+    "estimation": "Accuracy on known track",
+    "recursion": "Merged sums against a recursive filter",
+    "decoding": "Decoding against cantools and python-can",
+    "simulator": "Speed of the simulator",
+    "trend": "Coverage of trend and forecast",
+    "signals": "Motion signals, by course and cutoff wavelength",
+    "curves": "Cost of curves that are not on file",
+    "window_files": "Formats of window files",
+}
+COLUMNS = ("what", "measured", "reach", "met")
 
 
 def main() -> int:
     """Run what was asked for, or all; return 1 when a row falls short."""
     if len(sys.argv) > 1 and sys.argv[1] in WITH_OPTIONS:
         return int(import_module(f"bench.{sys.argv[1]}").main(sys.argv[2:]))
-    wanted = _names() or NAMES
+    options = _options()
     console = Console()
-    table = Table("what", "measured", "reach", "met", title="treadwatch bench", title_justify="left", show_lines=True)
+    table = Table(*COLUMNS, title="treadwatch bench", title_justify="left", show_lines=True)
     short = 0
-    for name in wanted:
-        rows: Callable[[], Iterator[BenchRow]] = import_module(f"bench.{name}").rows
-        for row in rows():
+    for name in options.name or NAMES:
+        run: Callable[[], Iterator[BenchRow]] = import_module(f"bench.{name}").rows
+        rows = []
+        for row in run():
             console.print(f"{row.what}: {row.measured}", highlight=False, soft_wrap=True)
-            table.add_row(row.what, row.measured, row.reach, "yes" if row.met else "NO")
+            rows.append((row.what, row.measured, row.reach, "yes" if row.met else "NO"))
             short += not row.met
+        for cells in rows:
+            table.add_row(*cells)
+        if options.write_docs:
+            console.print(f"wrote {_write(name, rows)}", highlight=False, soft_wrap=True)
     console.print(table)
     return 1 if short else 0
 
 
-def _names() -> list[str]:
+def _write(name: str, rows: Sequence[Sequence[str]]) -> str:
+    command = f"python -m bench {name} --write-docs"
+    return str(write_page(name, TITLES[name], command, [markdown_table(COLUMNS, rows)]))
+
+
+def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser("python -m bench", description="Print accuracy and speed beside what is wanted.")
     parser.add_argument(
         "name",
@@ -48,8 +74,8 @@ def _names() -> list[str]:
         help=f"default: {', '.join(NAMES)}; of many minutes: {', '.join(LONG)};"
         f" with options of their own: {', '.join(WITH_OPTIONS)}",
     )
-    names: list[str] = parser.parse_args().name
-    return names
+    parser.add_argument("--write-docs", action="store_true", help="write docs/results/NAME.md for each of them too")
+    return parser.parse_args()
 
 
 def _name(text: str) -> str:

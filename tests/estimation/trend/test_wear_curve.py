@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
-from wear_histories import History, histories
 
+from bench.wear_histories import History, histories
 from estimation.trend import wear_curve
 from estimation.trend.wear_curve import NormalMixture, WearCurve, fit_wear_curve
 from estimation.values.quantities import Estimate

@@ -12,6 +12,8 @@ from estimation.values.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class History:
+    """Points of a wear history, x in km, with what is true at the last of them and ``ahead`` km later."""
+
     x: FloatArray
     value: FloatArray
     std: FloatArray
