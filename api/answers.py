@@ -64,7 +64,21 @@ def _unchanged(request: Request, tag: str) -> bool:
 def answer_bytes(
     request: Request, payload: bytes, *, media_type: str = JSON, status: int = 200, headers: Mapping[str, str] = {}
 ) -> Response:
-    """Return ``payload`` with its ETag, or 304 where the client holds it already."""
+    """Return ``payload`` with its ETag, or 304 where the client holds it already.
+
+    Parameters
+    ----------
+    request
+        The request; ``If-None-Match`` is read from it.
+    payload
+        The representation.
+    media_type
+        Of the payload.
+    status
+        HTTP status.
+    headers
+        Further headers.
+    """
     tag = entity_tag(payload)
     all_headers = {"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept", **headers}
     if status == HTTPStatus.OK and _unchanged(request, tag):
@@ -73,7 +87,19 @@ def answer_bytes(
 
 
 def answer(request: Request, body: BaseModel, *, status: int = 200, headers: Mapping[str, str] = {}) -> Response:
-    """Return a representation as JSON with its ETag."""
+    """Return a representation as JSON with its ETag.
+
+    Parameters
+    ----------
+    request
+        The request; ``If-None-Match`` is read from it.
+    body
+        The representation.
+    status
+        HTTP status.
+    headers
+        Further headers.
+    """
     return answer_bytes(request, payload_of(body), status=status, headers=headers)
 
 
@@ -98,14 +124,36 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
 def answer_table(
     request: Request, body: BaseModel, media_type: str, table: tuple[Sequence[str], Iterable[Sequence[object]]]
 ) -> Response:
-    """Return a representation as JSON, or its table as CSV, as the client asked."""
+    """Return a representation as JSON, or its table as CSV, as the client asked.
+
+    Parameters
+    ----------
+    request
+        The request; ``If-None-Match`` is read from it.
+    body
+        The representation as JSON.
+    media_type
+        What the client asked for.
+    table
+        Header and rows of the representation as CSV.
+    """
     if media_type == CSV:
         return answer_bytes(request, csv_text(*table), media_type=f"{CSV}; charset=utf-8; header=present")
     return answer(request, body)
 
 
 def next_path(request: Request, name: str, cursor: str) -> str:
-    """Return the path of the next page: this request with another cursor."""
+    """Return the path of the next page: this request with another cursor.
+
+    Parameters
+    ----------
+    request
+        The request of this page.
+    name
+        Query parameter of the cursor.
+    cursor
+        Of the next page.
+    """
     kept = [(key, value) for key, value in request.query_params.multi_items() if key != name]
     return f"{quote(request.scope['path'])}?{urlencode([*kept, (name, cursor)])}"
 
@@ -122,10 +170,18 @@ def answer_page(
 
     Parameters
     ----------
+    request
+        The request; the operation and the path of the next page come from it.
+    filters
+        Filters of the list by name; the cursor is bound to them.
+    limit
+        How many items at most.
     rows
         Up to ``limit + 1`` records behind the cursor; one more than shown means that there is a next page.
     key
         What orders the list, of a record.
+    represent
+        Representation of a record.
     """
     shown = rows[:limit]
     cursor = path = None

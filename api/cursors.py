@@ -24,7 +24,17 @@ def _digest(operation: str, filters: Mapping[str, object]) -> str:
 
 
 def encode(operation: str, filters: Mapping[str, object], key: Key) -> str:
-    """Return the cursor that stands behind ``key`` in this list under this filter."""
+    """Return the cursor that stands behind ``key`` in this list under this filter.
+
+    Parameters
+    ----------
+    operation
+        Name of the list's operation.
+    filters
+        Filters of the list by name; None is no filter.
+    key
+        Of the last record shown.
+    """
     raw = orjson.dumps([_digest(operation, filters), key])
     return base64.urlsafe_b64encode(raw).decode().rstrip("=")
 
@@ -45,6 +55,15 @@ def _unpack(cursor: str) -> tuple[str, object]:
 def decode_number(operation: str, filters: Mapping[str, object], cursor: str | None) -> int | None:
     """Return the key of a list that is ordered by a number; None at its beginning.
 
+    Parameters
+    ----------
+    operation
+        Name of the list's operation.
+    filters
+        Filters of the list by name; None is no filter.
+    cursor
+        As the client sent it.
+
     Raises
     ------
     ProblemError
@@ -58,6 +77,15 @@ def decode_number(operation: str, filters: Mapping[str, object], cursor: str | N
 
 def decode_text(operation: str, filters: Mapping[str, object], cursor: str | None) -> str | None:
     """Return the key of a list that is ordered by a text; None at its beginning.
+
+    Parameters
+    ----------
+    operation
+        Name of the list's operation.
+    filters
+        Filters of the list by name; None is no filter.
+    cursor
+        As the client sent it.
 
     Raises
     ------

@@ -73,6 +73,15 @@ def job_context(
 ) -> JobContext:
     """Return what the jobs of this deployment may touch.
 
+    Parameters
+    ----------
+    settings
+        Of the deployment; names the rules file.
+    storage
+        Where the jobs read and write.
+    progress
+        Called with (done, total) by jobs that count.
+
     Raises
     ------
     InputError

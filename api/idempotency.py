@@ -49,6 +49,16 @@ class IdempotentPost:
 
 
 def idempotent_post(request: Request, key: str | None, body: BaseModel | None = None) -> IdempotentPost:
-    """Return this POST's identity: its key, and a digest of what it asks for."""
+    """Return this POST's identity: its key, and a digest of what it asks for.
+
+    Parameters
+    ----------
+    request
+        The POST.
+    key
+        Its ``Idempotency-Key``.
+    body
+        Its validated body.
+    """
     asked = [request.method, request.scope["path"], None if body is None else body.model_dump(mode="json")]
     return IdempotentPost(key, hashlib.sha256(orjson.dumps(asked)).hexdigest())

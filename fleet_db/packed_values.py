@@ -93,6 +93,15 @@ def pack_layout(layout: TrackLayout) -> bytes:
 def unpack_layout(blob: bytes, version: int, *, where: str) -> TrackLayout:
     """Return the layout as ``version``, bit for bit.
 
+    Parameters
+    ----------
+    blob
+        From ``pack_layout``.
+    version
+        Of the layout.
+    where
+        Name of the place it was read from, for messages.
+
     Raises
     ------
     DamagedError
@@ -118,6 +127,15 @@ def pack_alignment(alignment: TrackAlignment) -> bytes:
 
 def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment:
     """Return the alignment as ``version``, bit for bit.
+
+    Parameters
+    ----------
+    blob
+        From ``pack_alignment``.
+    version
+        Of the alignment.
+    where
+        Name of the place it was read from, for messages.
 
     Raises
     ------

@@ -69,6 +69,15 @@ def pack(kind: str, version: int, scalars: Mapping[str, JsonValue], arrays: Mapp
 def unpack(blob: bytes, kind: str, *, where: str) -> Unpacked:
     """Return what ``pack`` put into ``blob``; arrays are read-only.
 
+    Parameters
+    ----------
+    blob
+        From ``pack``.
+    kind
+        What the blob must be.
+    where
+        Name of the place it was read from, for messages.
+
     Raises
     ------
     DamagedError

@@ -32,7 +32,17 @@ def key_of(table: Table, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def upsert(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:
-    """Make the row with the primary key of ``values`` hold ``values``; return whether anything changed."""
+    """Make the row with the primary key of ``values`` hold ``values``; return whether anything changed.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    table
+        Where.
+    values
+        By column, with the whole primary key.
+    """
     key = key_of(table, values)
     found = connection.execute(_by_key(table), key).mappings().first()
     if found is None and insert_new(connection, table, values):
@@ -46,12 +56,32 @@ def upsert(connection: Connection, table: Table, values: Mapping[str, Any]) -> b
 
 
 def replace(connection: Connection, table: Table, values: Mapping[str, Any]) -> None:
-    """Change the row with the primary key of ``values`` to hold ``values``."""
+    """Change the row with the primary key of ``values`` to hold ``values``.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    table
+        Where.
+    values
+        By column, with the whole primary key.
+    """
     connection.execute(_update(table, tuple(values)), {**values, **key_of(table, values)})
 
 
 def insert_new(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:
-    """Insert ``values`` unless the primary key is there already; return whether it was new."""
+    """Insert ``values`` unless the primary key is there already; return whether it was new.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    table
+        Where.
+    values
+        By column, with the whole primary key.
+    """
     return connection.execute(_insert_new(table, connection.dialect.name), values).rowcount > 0
 
 

@@ -44,11 +44,10 @@ def contact(
     out: Annotated[Path | None, typer.Option(help="File to write; needed for png, else standard output")] = None,
 ) -> None:
     """Print contact geometry and equivalent conicity of a wheelset on a track."""
-    from api.terminal.contact import parse_inclination, read_named_profile, save_picture, table_text
+    from api.terminal.contact import parse_inclination, read_named_profile, refusals, save_picture, table_text
     from estimation.contact.geometry import WheelsetOnTrack
-    from estimation.errors import InputError, ParameterError
 
-    try:
+    with refusals():
         wheelset = WheelsetOnTrack(
             left_wheel=read_named_profile(wheel_left or wheel, "wheel"),
             right_wheel=read_named_profile(wheel_right or wheel, "wheel"),
@@ -61,22 +60,10 @@ def contact(
             flange_back_distance=flange_back_mm * 1e-3,
         )
         if output_format is OutputFormat.PNG:
-            if out is None:
-                raise ParameterError("a picture needs --out FILE.png", field="--format")
-            title = (
-                f"{wheelset.left_wheel.name} on {wheelset.left_rail.name} {inclination}, "
-                f"{gauge_mm:g} mm, {method.value}"
-            )
-            save_picture(wheelset, method, title, out)
+            save_picture(wheelset, method, inclination, out)
             return
         text = table_text(wheelset, method, as_json=output_format is OutputFormat.JSON)
         if out is None:
             typer.echo(text, nl=False)
         else:
             out.write_text(text, encoding="utf-8")
-    except InputError as error:
-        typer.echo(f"treadwatch contact: {error}", err=True)
-        raise typer.Exit(2) from error
-    except OSError as error:
-        typer.echo(f"treadwatch contact: {error.filename}: {error.strerror}", err=True)
-        raise typer.Exit(2) from error

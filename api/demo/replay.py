@@ -55,6 +55,17 @@ def ending_now(scenario: Scenario, now_ns: int) -> Scenario:
 def replay(settings: Settings, scenario: Scenario, report: FleetReport, console: Console) -> Table:
     """Receive and estimate the whole history; return what was done, as a table.
 
+    Parameters
+    ----------
+    settings
+        Of the demo's deployment.
+    scenario
+        What was simulated.
+    report
+        Recordings, registry and truth of the simulation.
+    console
+        Where progress is shown.
+
     Raises
     ------
     TreadwatchError

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import orjson
+import typer
 
 from api.plots.contact import save_contact_figure
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile, ProfileKind, rail_profile, wheel_profile
 from estimation.contact.table import ContactMethod, ContactTable
-from estimation.errors import ParameterError
+from estimation.errors import InputError, ParameterError
 from estimation.values.arrays import FloatArray
 from ingest.profiles.files import read_profile
 
@@ -58,14 +61,58 @@ def parse_inclination(text: str) -> float:
         raise ParameterError(f"{text!r} is no inclination; give it as 1:20, or 0", field="--inclination") from None
 
 
-def save_picture(wheelset: WheelsetOnTrack, method: ContactMethod, title: str, out: Path) -> None:
-    """Write the contact geometry of ``wheelset``, found by ``method``, as PNG to ``out``, under ``title``."""
+def save_picture(wheelset: WheelsetOnTrack, method: ContactMethod, inclination: str, out: Path | None) -> None:
+    """Write the contact geometry of a wheelset as PNG.
+
+    Parameters
+    ----------
+    wheelset
+        Profiles, radii and gauge.
+    method
+        How contact points are found.
+    inclination
+        Of the rails, as it was written; for the title.
+    out
+        File to write.
+
+    Raises
+    ------
+    ParameterError
+        No file is given.
+    """
+    if out is None:
+        raise ParameterError("a picture needs --out FILE.png", field="--format")
     table = _table(wheelset, method)
+    profiles = f"{wheelset.left_wheel.name} on {wheelset.left_rail.name} {inclination}"
+    title = f"{profiles}, {wheelset.gauge * 1e3:g} mm, {method.value}"
     save_contact_figure(table, _AMPLITUDE_MM * 1e-3, _conicity(table), title, out)
 
 
+@contextmanager
+def refusals() -> Iterator[None]:
+    """Turn wrong input, and files that cannot be read or written, into one line and exit code 2."""
+    try:
+        yield
+    except InputError as error:
+        typer.echo(f"treadwatch contact: {error}", err=True)
+        raise typer.Exit(2) from error
+    except OSError as error:
+        typer.echo(f"treadwatch contact: {error.filename}: {error.strerror}", err=True)
+        raise typer.Exit(2) from error
+
+
 def table_text(wheelset: WheelsetOnTrack, method: ContactMethod, *, as_json: bool) -> str:
-    """Return the contact geometry of ``wheelset``, found by ``method``, as JSON, or as CSV without conicity."""
+    """Return the contact geometry of ``wheelset``, found by ``method``, as JSON, or as CSV without conicity.
+
+    Parameters
+    ----------
+    wheelset
+        Profiles, radii and gauge.
+    method
+        How contact points are found.
+    as_json
+        JSON with conicity, or else CSV without.
+    """
     table = _table(wheelset, method)
     return _json(table, _conicity(table)) if as_json else _csv(table)
 

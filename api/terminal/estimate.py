@@ -53,7 +53,19 @@ def _chosen(settings: Settings, name: str | None) -> Sequence[Job]:
 def run_in_order(
     jobs: Sequence[Job], context: JobContext, console: Console, trigger: JobTrigger = JobTrigger.CLI
 ) -> list[JobRun]:
-    """Run the jobs one after the other, with a line of progress each; return their records."""
+    """Run the jobs one after the other, with a line of progress each; return their records.
+
+    Parameters
+    ----------
+    jobs
+        In the order in which they run.
+    context
+        What the jobs may touch.
+    console
+        Where progress is shown.
+    trigger
+        Stored with each run.
+    """
     runs = []
     columns = (
         SpinnerColumn(),

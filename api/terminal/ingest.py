@@ -129,7 +129,17 @@ def vehicle_in_name(path: Path) -> str:
 def receive_with_progress(
     receiver: Receiver, recordings: Sequence[tuple[Path, str]], console: Console
 ) -> Iterator[Outcome]:
-    """Receive recordings under a progress bar; yield each with its receipt or its error."""
+    """Receive recordings under a progress bar; yield each with its receipt or its error.
+
+    Parameters
+    ----------
+    receiver
+        What stores and decodes them.
+    recordings
+        Files with their vehicles.
+    console
+        Where progress is shown.
+    """
     columns = (
         SpinnerColumn(),
         TextColumn("receiving recordings"),

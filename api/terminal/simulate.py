@@ -42,7 +42,19 @@ def write_registry(scenario: Scenario, out: Path) -> None:
 
 
 def write_recordings(scenario: Scenario, out: Path, vehicles: list[str] | None, workers: int | None) -> None:
-    """Simulate a scenario, or some of its ``vehicles``, into the folder ``out`` in ``workers`` processes."""
+    """Simulate a scenario, or some of its ``vehicles``, into the folder ``out`` in ``workers`` processes.
+
+    Parameters
+    ----------
+    scenario
+        What is simulated.
+    out
+        Folder of the recordings, the registry and the truth.
+    vehicles
+        Codes; None is all.
+    workers
+        Processes; None is as many as cores.
+    """
     console = Console(stderr=True)
     report = simulate_with_progress(scenario, out, console, vehicles=vehicles, workers=workers)
     console.print(
@@ -61,7 +73,21 @@ def simulate_with_progress(
     vehicles: list[str] | None = None,
     workers: int | None = None,
 ) -> FleetReport:
-    """Simulate a scenario into ``out`` under a progress bar; arguments and errors as ``run_fleet``."""
+    """Simulate a scenario into ``out`` under a progress bar; arguments and errors as ``run_fleet``.
+
+    Parameters
+    ----------
+    scenario
+        What is simulated.
+    out
+        Folder of the recordings, the registry and the truth.
+    console
+        Where progress is shown.
+    vehicles
+        Codes; None is all.
+    workers
+        Processes; None is as many as cores.
+    """
     columns = (
         SpinnerColumn(),
         TextColumn("simulating the fleet"),

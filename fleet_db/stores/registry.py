@@ -249,7 +249,19 @@ def _wheelset(row: Row[Any], mounting: Mounting | None, reprofilings: tuple[Repr
 
 
 def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
-    """Return the mounting at an axle that covers ``at_ns``."""
+    """Return the mounting at an axle that covers ``at_ns``.
+
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    vehicle
+        Code.
+    axle
+        From 1.
+    at_ns
+        ns UTC on the vehicle's clock.
+    """
     statement = select(MOUNTINGS).where(
         MOUNTINGS.c.vehicle == vehicle,
         MOUNTINGS.c.axle == axle,
@@ -286,6 +298,15 @@ def reversed_on_file(connection: Connection, record: Mounting) -> bool | None:
 
 def add_mounting(connection: Connection, record: Mounting, axles: int) -> bool:
     """Store a mounting on a vehicle of so many axles; return whether anything changed.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    record
+        The mounting.
+    axles
+        Number of axles of its vehicle.
 
     Raises
     ------

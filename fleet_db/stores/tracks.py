@@ -273,7 +273,17 @@ def _alignment_record(row: Any) -> AlignmentRecord:  # noqa: ANN401 - a row of R
 
 
 def find_layout(connection: Connection, section: str, version: int | None) -> TrackLayout | None:
-    """Return one version of the layout of a section, or the newest; None where there is none."""
+    """Return one version of the layout of a section, or the newest; None where there is none.
+
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    section
+        Code.
+    version
+        None is the newest.
+    """
     statement = select(LAYOUTS.c.version, LAYOUTS.c.packed).where(LAYOUTS.c.section == section)
     if version is not None:
         statement = statement.where(LAYOUTS.c.version == version)

@@ -221,6 +221,15 @@ class WindowStore:
 def content_digest(connection: Connection, wheelset: str, start_ns: int) -> str:
     """Return the digest of a window's content.
 
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    wheelset
+        Serial.
+    start_ns
+        Start of the window, ns UTC on the vehicle's clock.
+
     Raises
     ------
     NotFoundError
