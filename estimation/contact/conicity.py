@@ -8,10 +8,10 @@ Rules for curves that a measurement gives:
 
 - The curve is straight between its points; points that are not finite are left out.
 - Of several upward zero crossings the one counts where the integral of Delta r is lowest, the deepest equilibrium;
-  on a stretch of zeros its middle.
+  on an interval of zeros its middle.
 - Where S is not convex nothing changes; where it even falls, going outwards, its running maximum seen from the zero
   crossing takes its place: the wheelset turns back where it first meets S = C. An amplitude that lies on a level
-  stretch of that maximum gets 0, because the wheelset would come to rest there.
+  part of that maximum gets 0, because the wheelset would come to rest there.
 - An amplitude whose travel leaves the curve, and every amplitude of a curve without an upward crossing, gives NaN.
 """
 

@@ -2,7 +2,7 @@
 
 Seen from one wheel: lateral is positive to its field side, ``shift`` moves the wheel to its field side relative to the
 rail, ``roll`` lifts it. A wheel point at lateral distance p from the middle of the axle and distance d below the axis
-lies, after the roll, at lateral shift + p cos(roll) + d sin(roll) and depth d cos(roll) - p sin(roll).
+is, after the roll, at lateral shift + p cos(roll) + d sin(roll) and depth d cos(roll) - p sin(roll).
 The gap is the depth of the rail minus that of the wheel; contact is where the gap is smallest.
 """
 

@@ -1,4 +1,4 @@
-"""Wheel and rail profiles: the value that readers, wear and contact geometry share, and the analytic ones by name.
+"""Wheel and rail profiles: the value that readers, wear and contact geometry share, and the analytic ones.
 
 Axes of a profile, wheel and rail alike, metres: y lateral and positive to the field side (away from the track centre),
 z positive down. Origin of a wheel: its tread datum, 70 mm from the flange back. Origin of a rail: the centre of its
@@ -24,10 +24,10 @@ from estimation.values.arrays import FloatArray, frozen_array
 
 @dataclass(frozen=True, slots=True)
 class MeasuredProfiles:
-    """Profiles of both wheels of a wheelset, as a profile gauge has told them. Key: (wheelset, at_ns).
+    """Profiles of both wheels of a wheelset, as measured by a profile gauge. Key: (wheelset, at_ns).
 
-    ``left`` is the wheelset's own left wheel, whichever way round it is mounted. ``std`` says how well the lateral
-    displacement that belongs to a rolling radius difference follows from them.
+    ``left`` is the wheelset's own left wheel, whichever way round it is mounted. ``std`` is that of the lateral
+    displacement at a given rolling radius difference which follows from them.
     """
 
     wheelset: str

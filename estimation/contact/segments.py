@@ -19,7 +19,7 @@ _VERTICAL = 100.0  # slope from which a surface counts as vertical
 class Arc:
     """``z = centre_z + side * sqrt(radius^2 - (y - centre_y)^2)`` for start <= y <= end; mm, z down.
 
-    ``side`` is -1 where the surface lies above the centre (rail heads, hollow treads), +1 below it (flange tips).
+    ``side`` is -1 where the surface is above the centre (rail heads, hollow treads), +1 below it (flange tips).
     """
 
     start: float

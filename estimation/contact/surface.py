@@ -89,7 +89,7 @@ def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
 def _gauge_edge(name: str, y: FloatArray, depth: FloatArray, *, wall: bool) -> float:
     """Return the smallest y within `GAUGE_DEPTH` below the top; the last point of the arrays is the top.
 
-    ``wall`` says that the rail ends in a face so steep that its last point stands for what is below.
+    ``wall``: the rail ends in a face so steep that its last point stands for what is below.
     """
     below = np.flatnonzero(depth > GAUGE_DEPTH)
     if len(below) == 0 and wall:

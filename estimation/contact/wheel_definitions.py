@@ -1,6 +1,6 @@
 """Wheel profiles as their standards define them. Millimetres; y to the field side from the tread datum, z down.
 
-The tread datum lies 70 mm from the flange back. Sources: EN 15302:2021 Annex I (wheels A, B, C, H, I; wheel C is the
+The tread datum is 70 mm from the flange back. Sources: EN 15302:2021 Annex I (wheels A, B, C, H, I; wheel C is the
 BR P8 profile), UIC 510-2 / EN 13715 Annex C (S1002, flange height 28 mm, flange thickness 32.5 mm).
 """
 

@@ -1,7 +1,7 @@
-"""One high-pass for everything that is compared along a section: a signal minus its local cubic fit.
+"""The high-pass of passes along a section: a signal minus its local cubic fit.
 
 The local fit over distance has weights of compact support that reproduce every cubic, so the filter is the same for
-every pass, forgets what lies further away than its reach, and takes out the slow wandering of integrated sensors.
+every pass, does not depend on what is further away than its reach, and removes the slow wander of integrated sensors.
 """
 
 from __future__ import annotations

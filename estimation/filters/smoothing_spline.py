@@ -2,13 +2,13 @@
 
 An integrated acceleration is what the wheelset did plus a wander. The wander is modelled as an integrated random walk
 of third order *in distance*: its third derivative by distance is white. The most probable wander w given the whole
-stretch of u is then the smoothing spline
+segment of u is then the smoothing spline
 
     minimise  sum_i ds_i (u_i - w(s_i))^2 + mu integral (w''')^2 ds,        mu = (L / 2 pi)^6,
 
-which is what a Kalman filter over the stretch and the Rauch-Tung-Striebel smoother back give, computed as one sparse
+which is what a Kalman filter over the segment and the Rauch-Tung-Striebel smoother back give, computed as one sparse
 least-squares problem. Of a wave of length l it leaves 1 / (1 + (l/L)^6): half at the cut-off L, 98.5 % at L/2, 1.5 %
-at 2 L. At the ends of a stretch, where a filter would have to guess, the spline runs on as a parabola.
+at 2 L. At the ends of a segment, where a filter would have to guess, the spline runs on as a parabola.
 """
 
 from __future__ import annotations

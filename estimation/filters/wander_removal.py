@@ -25,11 +25,11 @@ def remove_wander(
     Parameters
     ----------
     signals
-        (m, n), of one stretch; values at samples that are not known are no part of the fit.
+        (m, n), of one segment; values at samples that are not known are no part of the fit.
     distance
-        (n,) m run since the start of the stretch, not decreasing.
+        (n,) m run since the start of the segment, not decreasing.
     known
-        (n,) samples that were measured. After a gap the rates are off by a constant that nobody knows and the
+        (n,) samples that were measured. After a gap the rates are off by an unknown constant and the
         displacements by a straight line: both are taken out for every modelled gap.
     cutoff_wavelength
         m, of which half is left.

@@ -134,9 +134,9 @@ def _nonlinearity(
 
 
 def _rounding(row: _Row, amplitude: FloatArray, resolution: float) -> FloatArray:
-    """Return what rounding over ``resolution`` (m) changes of the conicity (a,): its bend over amplitude tells.
+    """Return what rounding over ``resolution`` (m) changes of the conicity (a,), from its curvature over amplitude.
 
-    Where a contact jump sits inside a bin, bins cannot tell; the conicity just above it depends on that.
+    Where a contact jump is inside a bin, bins cannot show; the conicity just above it depends on that.
     """
     x, difference = row
     below, here, above = (equivalent_conicity(x, difference, amplitude + shift) for shift in (-REACH, 0.0, REACH))

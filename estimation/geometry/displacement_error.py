@@ -13,9 +13,9 @@ import numpy as np
 from estimation.values.arrays import BoolArray, FloatArray
 
 SCALE_UNCERTAINTY = 0.003  # of a displacement that was integrated and projected
-STRAY = 2.5  # reach of samples that stray over a jump, in std: most come from nearby, the far ones from long errors
-ORIGIN = 0.005e-3  # m by which the origin of band-limited motion strays: it is the mean of what was met
-ORIGIN_STD_SHARE = 0.25  # share of ``jump_position_std`` by which it strays more
+SCATTER = 2.5  # std over which samples scatter across a jump, in std of the error
+ORIGIN = 0.005e-3  # m, std of the origin of band-limited motion: it is the mean of the observed displacements
+ORIGIN_STD_SHARE = 0.25  # share of ``jump_position_std`` that is added to it
 MOST_EXCESS = 0.2  # of the variance of the displacement that its error may make up
 
 
@@ -62,7 +62,7 @@ class DisplacementError:
         after = np.interp(x + step, x, values) + line_high * np.maximum(x + step - x[-1], 0.0)
         return np.asarray(before / 6 + 2 * values / 3 + after / 6)
 
-    def std_of_bins(self, centre: FloatArray, values: FloatArray, smooth: BoolArray, met: BoolArray) -> FloatArray:
+    def std_of_bins(self, centre: FloatArray, values: FloatArray, smooth: BoolArray, observed: BoolArray) -> FloatArray:
         """Return what the error leaves unknown of a value per bin (b,): scale, origin, rounding.
 
         Parameters
@@ -73,9 +73,9 @@ class DisplacementError:
             (b,) in any unit.
         smooth
             (b,) bins with a value of the curve; elsewhere the result is zero.
-        met
+        observed
             (b,) bins with any value, those included that a contact jump crosses: no part of the curve's slope, but
-            samples stray from them into their neighbours.
+            samples scatter from them into their neighbours.
         """
         left_unknown = np.zeros(len(centre))
         if smooth.sum() < 2:  # noqa: PLR2004 - no slope of one value
@@ -87,8 +87,8 @@ class DisplacementError:
         )  # jumps below are part of it, not of the slope
         scaled = np.maximum(np.abs(slope * x), np.abs(above_centre)) * np.hypot(self.excess, self.scale)
         shifted = np.hypot(scaled, slope * np.hypot(self.origin, ORIGIN_STD_SHARE * self.jump_position_std))
-        strayed = np.zeros(len(centre))
-        both = replace(self, std=float(np.hypot(STRAY * self.std, self.jump_position_std)))
-        strayed[met] = both.rounded(centre[met], values[met]) - values[met]
-        left_unknown[smooth] = np.hypot(shifted, strayed[smooth])
+        scattered = np.zeros(len(centre))
+        both = replace(self, std=float(np.hypot(SCATTER * self.std, self.jump_position_std)))
+        scattered[observed] = both.rounded(centre[observed], values[observed]) - values[observed]
+        left_unknown[smooth] = np.hypot(shifted, scattered[smooth])
         return left_unknown

@@ -52,7 +52,7 @@ class _Replicates:
 
 
 def estimate_geometry(table: BinTable, bins: BinParameters, parameters: GeometryParameters) -> WheelsetGeometry:
-    """Return what ``table`` says of the wheelset.
+    """Return the geometry of the wheelset that ``table`` gives.
 
     Parameters
     ----------
@@ -70,42 +70,17 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
     """
     if table.parameter_key != bins.key:
         raise ValueError(f"table of parameters {table.parameter_key}, expected {bins.key}")
-    samples = table.weight.sum(axis=0)
     replicates = _replicates(table, bins)
-    few = (samples < parameters.least_samples) | (replicates.groups_in_bin < FEWEST_GROUPS)
-    jump = ~few & _jumps(replicates, few, parameters)
+    screening = _screened(table, replicates, bins, parameters)
     unc = parameters.uncertainty
-    centre = table.centres
-    noise = _displacement_noise(replicates, few | jump, bins)
-    error = DisplacementError.of(
-        noise,
-        centre,
-        samples,
-        integrated=bins.band_limited,
-        scale=unc.displacement,
-        jump_position_std=unc.jump_position_std,
-    )
-    hidden = _BinScreening(few, jump, centre, error, parameters.informative)
-    S = _combination(replicates.lateral[:, :, 0], unc.lateral(), hidden, parameters.prior_radius)
-    D = _combination(replicates.lateral[:, :, 2], unc.lateral(), hidden, parameters.prior_angle)
-    A = _combination(replicates.yaw[:, :, 0], unc.yaw(), hidden, parameters.prior_angle)
-    R = _combination(replicates.yaw[:, :, 1], unc.yaw(), hidden, parameters.prior_radius)
-    shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 5, 3): R across each bin, by target
-    curve = curve_estimates(
-        CurveReplicates(
-            edges=table.edges,
-            difference=shape[:, :, 0, :],
-            sensitivity=shape[0, :, 1:, :] * unc.yaw()[:, None],
-            usable=~few,
-            error=error,
-            count=float(table.windows),
-            band_limited=bins.band_limited,
-        ),
-        parameters.curve,
-    )
+    S = _combination(replicates.lateral[:, :, 0], unc.lateral(), screening, parameters.prior_radius)
+    D = _combination(replicates.lateral[:, :, 2], unc.lateral(), screening, parameters.prior_angle)
+    A = _combination(replicates.yaw[:, :, 0], unc.yaw(), screening, parameters.prior_angle)
+    R = _combination(replicates.yaw[:, :, 1], unc.yaw(), screening, parameters.prior_radius)
+    curve = curve_estimates(_curve(table, replicates, screening, bins, unc), parameters.curve)
     return WheelsetGeometry(
         bin_edges=table.edges,
-        samples=samples,
+        samples=table.weight.sum(axis=0),
         rolling_radius_sum=S,
         rolling_radius_difference=R,
         contact_angle_sum=A,
@@ -120,6 +95,43 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
         parameter_key=table.parameter_key,
         status=curve.at_reference.status,
         reason=curve.at_reference.reason,
+    )
+
+
+def _screened(
+    table: BinTable, replicates: _Replicates, bins: BinParameters, parameters: GeometryParameters
+) -> _BinScreening:
+    """Return which bins have too few samples or a contact jump, and the error of y - d."""
+    samples = table.weight.sum(axis=0)
+    too_few = (samples < parameters.least_samples) | (replicates.groups_in_bin < FEWEST_GROUPS)
+    jump = ~too_few & _jumps(replicates, too_few, parameters)
+    unc = parameters.uncertainty
+    centre = table.centres
+    noise = _displacement_noise(replicates, too_few | jump, bins)
+    error = DisplacementError.of(
+        noise,
+        centre,
+        samples,
+        integrated=bins.band_limited,
+        scale=unc.displacement,
+        jump_position_std=unc.jump_position_std,
+    )
+    return _BinScreening(too_few, jump, centre, error, parameters.informative)
+
+
+def _curve(
+    table: BinTable, replicates: _Replicates, screening: _BinScreening, bins: BinParameters, unc: ParameterUncertainty
+) -> CurveReplicates:
+    """Return R across each bin with its replicates and sensitivities."""
+    shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 5, 3), by target
+    return CurveReplicates(
+        edges=table.edges,
+        difference=shape[:, :, 0, :],
+        sensitivity=shape[0, :, 1:, :] * unc.yaw()[:, None],
+        usable=~screening.too_few,
+        error=screening.error,
+        count=float(table.windows),
+        band_limited=bins.band_limited,
     )
 
 
@@ -149,10 +161,10 @@ def _solve(packed: FloatArray, weight: FloatArray, targets: int) -> least_square
     return least_squares.solve(packed.reshape(-1, size), weight.reshape(-1), REGRESSORS, targets)
 
 
-def _jumps(replicates: _Replicates, few: BoolArray, parameters: GeometryParameters) -> BoolArray:
+def _jumps(replicates: _Replicates, too_few: BoolArray, parameters: GeometryParameters) -> BoolArray:
     """Bins whose rolling radius difference steps: a large rise across the bin, or residuals far above the others'."""
     rise = np.abs(replicates.yaw[0, :, 2, 0])
-    typical = np.nanmedian(replicates.residual[~few]) if (~few).any() else 0.0
+    typical = np.nanmedian(replicates.residual[~too_few]) if (~too_few).any() else 0.0
     limit = max(parameters.jump_residual * float(typical), parameters.jump_residual_floor)
     return np.asarray((rise > parameters.jump_step) | (replicates.residual > limit))
 
@@ -173,33 +185,28 @@ def _displacement_noise(replicates: _Replicates, out: BoolArray, bins: BinParame
 
 @dataclass(frozen=True, slots=True)
 class _BinScreening:
-    """What decides over all combinations of a bin alike."""
+    """What decides about a bin in all four combinations."""
 
-    few: BoolArray  # (b,)
+    too_few: BoolArray  # (b,)
     jump: BoolArray  # (b,)
     centre: FloatArray  # (b,) m
     error: DisplacementError
     informative: float
 
 
-def _combination(theta: FloatArray, relative: FloatArray, hidden: _BinScreening, prior: float) -> BinValues:
+_STATUSES = (BinStatus.ESTIMATED, BinStatus.TOO_FEW, BinStatus.CONTACT_JUMP, BinStatus.UNOBSERVABLE)
+
+
+def _combination(theta: FloatArray, relative: FloatArray, screening: _BinScreening, prior: float) -> BinValues:
     """One coefficient over the bins: (1 + g, b, 1 + k) replicates and sensitivities to value, std, status."""
     value = theta[0, :, 0]
     sampled = normal_equivalent(jackknife_std(theta[:, :, 0]), len(theta) - 1)
     parameters = np.sqrt(((theta[0, :, 1:] * relative) ** 2).sum(axis=1))
-    met = ~hidden.few & np.isfinite(value)
-    displaced = hidden.error.std_of_bins(hidden.centre, value, met & ~hidden.jump, met)
+    observed = ~screening.too_few & np.isfinite(value)
+    displaced = screening.error.std_of_bins(screening.centre, value, observed & ~screening.jump, observed)
     std = np.sqrt(sampled**2 + parameters**2 + displaced**2)
-    vague = ~(std < hidden.informative * prior)
-    status = tuple(
-        BinStatus.TOO_FEW
-        if f
-        else BinStatus.CONTACT_JUMP
-        if j
-        else BinStatus.UNOBSERVABLE
-        if v
-        else BinStatus.ESTIMATED
-        for f, j, v in zip(hidden.few, hidden.jump, vague, strict=True)
-    )
-    unknown = hidden.few | hidden.jump | vague
+    imprecise = ~(std < screening.informative * prior)
+    codes = np.select([screening.too_few, screening.jump, imprecise], [1, 2, 3], default=0)
+    status = tuple(_STATUSES[code] for code in codes)
+    unknown = screening.too_few | screening.jump | imprecise
     return BinValues(np.where(unknown, np.nan, value), np.where(unknown, np.nan, std), status)

@@ -12,43 +12,43 @@ from estimation.values.track import RECORDED, TrackAlignment, TrackFindings
 
 JUMP_SHARE_UNCORRECTED = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
 
-JUMP_SHARE_CORRECTED = 0.22  # the same where what the gauge does to the wheelset is taken off: it is told so well
+JUMP_SHARE_CORRECTED = 0.22  # the same where what the gauge does to the wheelset is taken off: it is known so well
 
 JUMP_SHARE_GAUGE_ESTIMATED = 0.32  # the same where the gauge had to be found too
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterUncertainty:
-    """Relative standard deviation of what the estimator believes of the vehicle; zero for a simulation's own truth.
+    """Relative standard deviation of the assumed parameters of the vehicle; zero for a simulation's own truth.
 
     The defaults read +-20 % of the creep coefficients, +-10 % of the springs and +-5 % of the masses as 95 % limits.
-    ``ratio``, where it has been learnt, is that of yaw stiffness over longitudinal creep coefficient; it then stands in
-    the yaw equation for both.
+    ``ratio``, where it has been estimated, is that of yaw stiffness over longitudinal creep coefficient; it then
+    replaces both in the yaw equation.
     """
 
     creep: float = 0.10
     stiffness: float = 0.05
     mass: float = 0.025
     ratio: float | None = None
-    displacement: float = 0.0  # of a common stretch of y - d that the alignment leaves open
+    displacement: float = 0.0  # of a common scale error of y - d that the alignment leaves open
     jump_position_std: float = 0.0  # m, of where contact jumps are on a gauge that varies
 
     def on(self, tracks: Iterable[TrackAlignment], wheelset: str | None = None) -> ParameterUncertainty:
-        """Return what is left unknown of a geometry that rests on these alignments, with what they have taught.
+        """Return what is left unknown of a geometry that rests on these alignments.
 
         Parameters
         ----------
         tracks
             Alignments that its windows were estimated with.
         wheelset
-            Its serial; where left out, whatever an alignment has taught counts.
+            Its serial; where left out, the findings of an alignment count for any.
         """
         used = list(tracks)
-        taught = [_findings_for(track, wheelset) for track in used]
-        learnt = [findings.stiffness_ratio_std for findings in taught if findings is not None]
+        findings = [_findings_for(track, wheelset) for track in used]
+        ratio_stds = [item.stiffness_ratio_std for item in findings if item is not None]
         return replace(
             self,
-            ratio=max(learnt) if learnt and len(learnt) == len(used) else self.ratio,
+            ratio=max(ratio_stds) if ratio_stds and len(ratio_stds) == len(used) else self.ratio,
             displacement=max((track.scale_std for track in used), default=self.displacement),
             jump_position_std=max(
                 (_jump_position_std(track, wheelset) for track in used), default=self.jump_position_std
@@ -67,7 +67,7 @@ class ParameterUncertainty:
 
 
 def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings | None:
-    """Return what has been found on ``track``; windows on a recording do not wait until their wheelset has been met."""
+    """Return what has been found on ``track``; windows on a recording do not wait for findings of their wheelset."""
     if track.findings is None or wheelset is None or track.source != RECORDED:
         return track.findings
     return track.findings if wheelset in track.findings.gauge_shifts else None

@@ -64,11 +64,11 @@ def _requeue(unit: UnitOfWork, settings: EstimationSettings, in_force: Mapping[s
     A version that differs from the one of a table by less than that left unknown is none to estimate again for, nor is
     a recording of the gauge alone.
     """
-    lies = {code: one.same_since for code, one in in_force.items() if one.status is Status.ESTIMATED}
-    outdated = unit.tables.outdated(settings.bins.key, lies)
+    same_since = {code: one.same_since for code, one in in_force.items() if one.status is Status.ESTIMATED}
+    outdated = unit.tables.outdated(settings.bins.key, same_since)
     for wheelset, start_ns in outdated:
         unit.windows.mark(wheelset, start_ns, WindowState.PENDING)
-    return len(outdated) + sum(unit.windows.requeue(code, NO_ALIGNMENT.code) for code in lies)
+    return len(outdated) + sum(unit.windows.requeue(code, NO_ALIGNMENT.code) for code in same_since)
 
 
 def _compute(

@@ -95,8 +95,8 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
 
     Only the tables that such a geometry needs are read, so that new windows cost themselves and not the history. A
     geometry whose windows are all gone (refused since, or of another baseline now) is followed by an empty one. The
-    current geometry is that of the newest baseline with windows. What lies on both sides of an identity change of the
-    wheelset is never merged, and what cannot be told to lie on either side is left out.
+    current geometry is that of the newest baseline with windows. What was measured before and
+    after an identity change of the wheelset is never merged, and what cannot be assigned to either side is left out.
     """
     settings = context.settings.estimation
     records: list[GeometryRecord] = []
@@ -144,7 +144,7 @@ def _mounted(entry: _Entry, turned: Sequence[Mounting]) -> _Entry:
 
 
 def _apart(entries: Sequence[_Entry], change: IdentityChange | None) -> list[_Entry]:
-    """Return the entries that lie before or after an identity change."""
+    """Return the entries before or after an identity change."""
     if change is None:
         return list(entries)
     return [e for e in entries if e[0].start_ns < change.before_ns or e[0].start_ns >= change.after_ns]

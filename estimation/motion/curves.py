@@ -1,8 +1,8 @@
-"""Curves felt where no layout is on file: on straight track an axlebox does not lean.
+"""Curves: left out by the layout of the section, or detected by the accelerometers where none is on file.
 
-In a curve the lateral accelerometers of wheelset and mass feel V^2 kappa - g theta, the acceleration that the cant
-leaves uncompensated. An offset of the sensor looks the same, but does not change within a minute. What cannot be felt:
-a window that lies in one curve as a whole, and a curve whose cant is that of the speed.
+In a curve the lateral accelerometers of wheelset and mass measure V^2 kappa - g theta, the acceleration that the cant
+leaves uncompensated. An offset of the sensor looks the same, but does not change within a minute. What cannot be
+detected: a window within a single curve, and a curve whose cant is that of the speed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ GRID_STEP = 1.0  # m, to which a layout is refined before it is looked at
 
 
 def straight(distance: FloatArray, layout: TrackLayout, limits: CurveLimits) -> BoolArray:
-    """Return which places (n,) lie on track that is straight within ``limits``; places off the layout do not.
+    """Return which places (n,) are on track that is straight within ``limits``; places off the layout do not.
 
     Parameters
     ----------
@@ -87,11 +87,13 @@ def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> flo
     size = round(MEAN_S / window.sample_interval_s)
     count = len(usable) // size
     known = usable[: count * size].reshape(count, size)
-    felt = 0.5 * (window.lateral_acceleration + window.mass_lateral_acceleration)[: count * size].reshape(count, size)
+    lateral = 0.5 * (window.lateral_acceleration + window.mass_lateral_acceleration)[: count * size].reshape(
+        count, size
+    )
     enough = known.mean(axis=1) >= LEAST_SHARE
     if not enough.any():
         return 0.0
-    means = np.where(known, felt, 0.0).sum(axis=1)[enough] / known.sum(axis=1)[enough]
+    means = np.where(known, lateral, 0.0).sum(axis=1)[enough] / known.sum(axis=1)[enough]
     return float(np.ptp(means))
 
 
@@ -103,7 +105,7 @@ def straight_part(window: Window, layout: TrackLayout | None, parameters: Signal
     window
         Samples, at positions as measured.
     layout
-        Curves of the section; None where none is on file: then a window that feels a curve is refused.
+        Curves of the section; None where none is on file: then a window that shows a curve is refused.
     parameters
         What counts as straight.
     """

@@ -1,4 +1,4 @@
-"""Where the gauge puts a wheelset along a window, from what it feels there."""
+"""By how much the gauge moves a wheelset along a window, from its rolling radius difference there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
-LONGEST = 120.0  # m, wavelength of rL - rR; what is longer is small: -2 l r0 d''
+CUTOFF_WAVELENGTH = 120.0  # m, wavelength of rL - rR; what is longer is small: -2 l r0 d''
 
 
 def gauge_shift(
@@ -26,7 +26,7 @@ def gauge_shift(
 ) -> FloatArray | None:
     """Return by how much the gauge moves the wheelset (n,), m, NaN where that cannot be said.
 
-    None where nothing is known of it: on constant gauge, or of a wheelset that the section has not met.
+    None where nothing is known of it: on constant gauge, or of a wheelset of which the section has no findings.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def gauge_shift(
         if not certain.any():
             continue
         whole = (grid.difference + more * grid.stiffness_term)[None, :]
-        (fast,) = remove_wander(np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, LONGEST)
+        (fast,) = remove_wander(np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, CUTOFF_WAVELENGTH)
         known = segment.known & (run >= grid.run[0] + ends) & (run <= grid.run[-1] - ends)
         shift[part][known] = table.at(np.interp(run[known], grid.run, fast), e[part][known])
     return shift

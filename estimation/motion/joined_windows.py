@@ -34,7 +34,7 @@ def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], 
 def whole_runs(windows: Iterable[Window]) -> Iterator[Window]:
     """Yield windows that come in order of time, those that follow each other without a break as one, however many.
 
-    Long wavelengths need long stretches: what is near the end of a window is lost to the filters, what is near a seam
+    Long wavelengths need long segments: what is near the end of a window is lost to the filters, what is near a seam
     is not.
 
     Parameters

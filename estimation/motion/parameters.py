@@ -22,10 +22,10 @@ class SignalParameters:
 
     cutoff_wavelength: float = 40.0  # m; of longer ones less than half is left
     bridged_samples: int = 3  # gaps up to this long are bridged for the integrals, never used as samples
-    modelled_gap_s: float = 0.25  # gaps up to this long do not end a stretch of motion: their integrals are solved for
+    modelled_gap_s: float = 0.25  # gaps up to this long do not end a segment of motion: their integrals are solved for
     gap_margin_s: float = 0.5  # on both sides of a modelled gap, where that takes some of the motion too
     shortest_segment_s: float = 10.0
-    trimmed_s: float = 1.0  # at each end of a stretch, where the high-pass sees one side only
+    trimmed_s: float = 1.0  # at each end of a segment, where the high-pass sees one side only
     least_speed_m_s: float = 8.0
     sharpest_curvature: float = 5e-5  # 1/m: shifts the wheelset by a third of a bin at conicity 0.2
     highest_cant: float = 0.02  # m
@@ -46,7 +46,7 @@ class SignalParameters:
 
     @property
     def source(self) -> str:
-        """What a bin table says of where its motion came from."""
+        """Where the motion of a bin table came from, for its key."""
         return "band-limited " + " ".join(f"{item.name}={getattr(self, item.name)}" for item in fields(self))
 
     @property

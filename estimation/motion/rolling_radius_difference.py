@@ -56,12 +56,12 @@ class FusedSignals:
     stiffness_term: FloatArray  # (m,) m
 
 
-def fuse(felt: MotionSignals, vehicle: VehicleParameters, parameters: FusionParameters) -> FusedSignals:
+def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionParameters) -> FusedSignals:
     """Return y, R and its stiffness term on a grid; short waves of R from the yaw sensor, long ones from Eq. 1.
 
     Parameters
     ----------
-    felt
+    signals
         (n,) signals of one segment, over an increasing distance.
     vehicle
         Parameters of Eq. 1 and Eq. 2.
@@ -69,10 +69,10 @@ def fuse(felt: MotionSignals, vehicle: VehicleParameters, parameters: FusionPara
         Grid, crossover wavelength and what is known of g beforehand.
     """
     step = parameters.step
-    run = np.arange(np.ceil(felt.run[0] / step), np.floor(felt.run[-1] / step) + 1) * step
+    run = np.arange(np.ceil(signals.run[0] / step), np.floor(signals.run[-1] / step) + 1) * step
     V, y, R, stiffness_term, ψ = (
-        np.interp(run, felt.run, values)
-        for values in (felt.speed, felt.displacement, felt.difference, felt.stiffness_term, felt.yaw)
+        np.interp(run, signals.run, values)
+        for values in (signals.speed, signals.displacement, signals.difference, signals.stiffness_term, signals.yaw)
     )
     gravity = _gravity(R, ψ, V, vehicle, parameters)
     corrected_yaw = ψ

@@ -2,7 +2,7 @@
 
 Rates and displacements are running integrals of the accelerations. Offsets and drift make them wander; so from every
 signal the part that varies slowly *along the track* is taken out (``high_pass``). The filter is linear, takes
-stretches of any length and speed, and is applied once to each side that is compared (y - d as a whole), so that it
+segments of any length and speed, and is applied once to each side that is compared (y - d as a whole), so that it
 favours neither.
 """
 
@@ -42,19 +42,19 @@ def motion(
     window
         Measured accelerations, speed and distance, (n,) each.
     track
-        Alignment of the window's section; samples outside it are passed over. Wavelengths that it does not hold are
+        Alignment of the window's section; samples outside it are left out. Wavelengths that it does not hold are
         taken out of the motion too.
     parameters
         Cut-off wavelength and gates.
     layout
-        Curves of the section, which are passed over; None where none is on file.
+        Curves of the section, which are left out; None where none is on file.
     gauge_shift
         (n,) m, by how much the gauge moves the wheelset, NaN where that cannot be said; None where it is not known.
     earlier
         The same accelerations and speeds, integrated before.
     """
-    longest = min(parameters.cutoff_wavelength, track.cutoff_wavelength)
-    d = alignment_at(window.distance, track, longest)
+    cutoff_wavelength = min(parameters.cutoff_wavelength, track.cutoff_wavelength)
+    d = alignment_at(window.distance, track, cutoff_wavelength)
     if gauge_shift is not None:
         d += gauge_shift  # it runs as it would at nominal gauge on a track that is aligned so
     limits = parameters.curve_limits
@@ -64,7 +64,7 @@ def motion(
         return refusal
     dt = window.sample_interval_s
     integrated = integrate(window, usable.samples, parameters, round(parameters.modelled_gap_s / dt), earlier)
-    signals, valid = _filtered(integrated, d, replace(parameters, cutoff_wavelength=longest))
+    signals, valid = _filtered(integrated, d, replace(parameters, cutoff_wavelength=cutoff_wavelength))
     refusal = _too_little(valid, integrated, usable, parameters)
     if refusal is not None:
         return refusal

@@ -1,7 +1,7 @@
 """Bin tables: the piecewise, locally linear least squares of a wheelset, on mergeable statistics.
 
-Samples are dealt to bins of lateral displacement y - d (Eq. 19-21). Inside a bin, with u = (y - d - centre)/width, the
-lateral equation has the regressors [x1, x1 u, x2, x2 u] and the yaw equation [(l W/2) psi, c, c u, c u^2]: S, D and A
+Samples are assigned to bins of lateral displacement y - d (Eq. 19-21). Inside a bin, with u = (y - d - centre)/width,
+the lateral equation has regressors [x1, x1 u, x2, x2 u], the yaw equation [(l W/2) psi, c, c u, c u^2]: S, D and A
 are constant or linear across the bin, R is quadratic, so that the variation of R inside the bin cannot pose as A.
 """
 
@@ -41,7 +41,7 @@ class BinParameters:
     def __post_init__(self) -> None:
         if not 0 < self.width < self.reach:
             raise ParameterError(f"bin width {self.width} m must be positive and below reach", field="width")
-        if self.groups < 4:  # noqa: PLR2004 - a jackknife over fewer says nothing
+        if self.groups < 4:  # noqa: PLR2004 - a jackknife over fewer has no spread
             raise ParameterError(f"{self.groups} groups; at least 4 are needed", field="groups")
 
     @property
@@ -95,7 +95,7 @@ def group_of(block: IntArray, groups: int) -> IntArray:
 
 
 def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
-    """Reduce one stretch of motion to its bin table; blocks are dealt to the groups by :func:`group_of`.
+    """Reduce the motion of a window to its bin table; blocks are assigned to the groups by :func:`group_of`.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Weighted least squares on mergeable sufficient statistics.
 
-For ``z = X theta`` the sums ``X'X``, ``X'z``, ``z'z`` and the weight hold all that the data say of ``theta``. They add:
+For ``z = X theta`` the sums ``X'X``, ``X'z``, ``z'z`` and the weight are sufficient for ``theta``. They add:
 a window is reduced in one pass, windows merge in any grouping, older ones with a smaller weight, and the answer equals
 that of the recursion sample by sample (Eq. 10-14 of the paper; the tests hold the oracle).
 

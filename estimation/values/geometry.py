@@ -76,7 +76,7 @@ class BinValues:
 
 @dataclass(frozen=True, slots=True)
 class WheelsetGeometry:
-    """What the data say of one wheelset's contact geometry."""
+    """Contact geometry of one wheelset, estimated from its bin table."""
 
     bin_edges: FloatArray  # (b + 1,) m, lateral displacement y - d
     samples: FloatArray  # (b,) effective samples

@@ -13,15 +13,15 @@ NOT_SIGNALS = frozenset({"valid", "block", "band_limited", "stiffness_ratio"})
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Motion of one wheelset and its suspended mass over one stretch of running.
+    """Motion of one wheelset and its suspended mass over one window.
 
     With ``band_limited`` every lateral and angular signal has lost its wavelengths beyond the cut-off (all through the
     same filter), so that offsets carry no meaning; without, they are absolute. Samples that are not ``valid`` are
-    passed over. ``block`` numbers the stretches of some seconds from which standard deviations are computed; -1
+    left out. ``block`` numbers the intervals of some seconds from which standard deviations are computed; -1
     where a sample belongs to none.
 
     ``stiffness_ratio`` is the vehicle's yaw stiffness over creep coefficient, of the assumed one, where that has been
-    learnt. Where it is known what the gauge does, ``displacement`` is that at nominal gauge.
+    estimated. Where it is known what the gauge does, ``displacement`` is that at nominal gauge.
     """
 
     speed: FloatArray  # (n,) V, m/s

@@ -20,7 +20,7 @@ class Status(StrEnum):
 class Estimate:
     """A number with its uncertainty; never published without.
 
-    ``value`` and ``std`` are None exactly when ``status`` is not ``estimated``; then ``reason`` says why.
+    ``value`` and ``std`` are None exactly when ``status`` is not ``estimated``; then ``reason`` gives the cause.
     ``low`` and ``high`` are the ends of the 95 % interval, ``count`` the effective number of windows behind it.
     """
 
@@ -34,7 +34,7 @@ class Estimate:
 
     @staticmethod
     def unknown(reason: Reason, count: float = 0.0, status: Status = Status.UNESTIMATED) -> Estimate:
-        """Return the estimate that says: not known, for this reason."""
+        """Return the estimate of a number that is not known, with the reason."""
         return Estimate(None, None, None, None, count, status, reason)
 
 

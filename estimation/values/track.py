@@ -21,7 +21,7 @@ FLEET = "fleet"
 class GaugeShift:
     """Where a gauge deviation puts a wheelset: y - d at a rolling radius difference and a gauge deviation, m.
 
-    Told as the shift against nominal gauge at the same rolling radius difference: that is measured well, and contact
+    The shift is against nominal gauge at the same rolling radius difference: that is measured well, and contact
     jumps, which move over y - d with the gauge, are steps of it. Linear between the grids, flat beyond them.
     """
 
@@ -53,7 +53,7 @@ class GaugeShift:
 
 
 def _cells(values: FloatArray, grid: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the cell (n,) of a uniform grid in which each value lies, and where in it, 0 to 1."""
+    """Return the cell (n,) of a uniform grid that holds each value, and where in it, 0 to 1."""
     position = np.clip((values - grid[0]) / (grid[1] - grid[0]), 0.0, len(grid) - 1.0)
     cell = np.minimum(position.astype(np.int64), len(grid) - 2)
     return cell, np.asarray(position - cell)
@@ -61,7 +61,7 @@ def _cells(values: FloatArray, grid: FloatArray) -> tuple[IntArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True)
 class TrackFindings:
-    """What the passes of a section say besides its alignment, for those who passed it."""
+    """What the passes of a section show besides its alignment: of vehicles and wheelsets that passed it."""
 
     stiffness_ratio: Mapping[str, float]  # by vehicle: true yaw stiffness over creep coefficient, of the assumed one
     stiffness_ratio_std: float  # largest of them
@@ -86,7 +86,7 @@ class TrackAlignment:
     status: Status
     source: str = RECORDED  # or FLEET
     cutoff_wavelength: float = np.inf  # m; longer wavelengths are not in ``alignment``
-    scale_std: float = 0.0  # relative, of a common stretch of y - d that the alignment leaves open
+    scale_std: float = 0.0  # relative, of a common scale error of y - d that the alignment leaves open
     gauge_known: bool = True  # False: from the passes alone, or zero for want of knowledge; see its std
     findings: TrackFindings | None = None  # of a fleet, on its own alignment or on a recording whose gauge varies
 
@@ -111,13 +111,13 @@ class TrackLayout:
         n = len(self.s)
         for name in ("s", "curvature", "cant"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        if n < 2 or not (np.diff(self.s) > 0).all():  # noqa: PLR2004 - a stretch has two ends
+        if n < 2 or not (np.diff(self.s) > 0).all():  # noqa: PLR2004 - a layout has two ends
             raise ValueError("s: two points or more, strictly increasing, are needed")
 
 
 @dataclass(frozen=True, slots=True)
 class TrackSectionRecord:
-    """A stretch of line by code; ``number`` is what the vehicle says on its bus."""
+    """A section of line by code; ``number`` is what the vehicle reports on its bus."""
 
     code: str
     number: int
