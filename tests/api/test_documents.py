@@ -1,4 +1,4 @@
-"""The pages for operators say what the code does."""
+"""The pages for operators agree with the code."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 
 from api.problems import TYPES
 from api.settings import PREFIX, Settings
+from estimation.values.reasons import ReasonCode
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -16,17 +17,22 @@ DOCS = Path(__file__).parents[2] / "docs"
 def test_every_setting_is_described_with_its_default() -> None:
     rows = re.findall(r"^\| `(TREADWATCH_\w+)` \| (.*?) \|", (DOCS / "operations.md").read_text(), re.MULTILINE)
     assert {name for name, _ in rows} == {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
-    for name, told in rows:
+    for name, shown in rows:
         default = Settings.model_fields[name.removeprefix(PREFIX).lower()].default
-        if told.startswith("`"):
-            assert told.strip("`") == (f"{default:g}" if isinstance(default, float) else str(default)), name
+        if shown.startswith("`"):
+            assert shown.strip("`") == (f"{default:g}" if isinstance(default, float) else str(default)), name
         else:
             assert default is None, name
 
 
 def test_every_type_of_problem_is_described() -> None:
-    told = re.findall(r"`urn:treadwatch:problem:([\w-]+)`", (DOCS / "api.md").read_text())
-    assert set(told) == set(TYPES)
+    described = re.findall(r"`urn:treadwatch:problem:([\w-]+)`", (DOCS / "api.md").read_text())
+    assert set(described) == set(TYPES)
+
+
+def test_every_reason_code_has_a_meaning_and_a_remedy() -> None:
+    pages = "".join((DOCS / name).read_text() for name in ("troubleshooting.md", "sections.md"))
+    assert {code for code in ReasonCode if not re.search(rf"^\|.*`{code}`", pages, re.MULTILINE)} == set()
 
 
 @pytest.mark.parametrize("measure", re.findall(r"`(treadwatch_\w+)`", (DOCS / "operations.md").read_text()))

@@ -110,7 +110,7 @@ def place_std(journeys: int, reach: float = 20.0) -> float:
 def test_with_uncertain_positions_a_shift_of_10_m_takes_many_journeys_to_be_found(
     journeys: int, fleet_off: float, *, found: bool
 ) -> None:
-    """The limit, stated in docs/estimation.md: 3 m + 3 std / sqrt(n); 25 journeys at +-20 m, 70 to be nearly sure."""
+    """The limit, stated in docs/sections.md: 3 m + 3 std / sqrt(n); 25 journeys at +-20 m, 70 to be nearly sure."""
     for seed in range(3):
         good = recording(seed, 0.1e-3)
         off = fleet_off * place_std(journeys)
