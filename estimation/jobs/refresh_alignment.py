@@ -22,14 +22,22 @@ from estimation.motion.curves import straight_part
 from estimation.motion.gates import gate
 from estimation.motion.joined_windows import following, joined
 from estimation.storage import UnitOfWork
-from estimation.track.epochs import epoch_digest, life, limit_batch, resampled
+from estimation.track.epochs import epoch_digest, limit_batch, resampled
 from estimation.track.examination import examine
 from estimation.track.passes import Pass
-from estimation.track.update import find
+from estimation.track.profile_life import ProfileLife, profile_life
+from estimation.track.update import UpdateOutcome, update_alignment
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment, TrackSectionRecord
 from estimation.values.windows import Window, WindowRecord
 
+_COUNTED = {
+    UpdateOutcome.UNESTIMATED: "unestimated",
+    UpdateOutcome.KEPT: "kept",
+    UpdateOutcome.SURVEY_KEPT: "kept",
+    UpdateOutcome.NEW_VERSION: "versions",
+    UpdateOutcome.SURVEY_EXTENDED: "versions",
+}
 _COUNTS = ("sections", "windows", "passes", "versions", "kept", "unestimated", "unchanged", "changed_meanwhile")
 
 
@@ -67,10 +75,10 @@ class _Waiting:
     """New windows of a section and what was known of it when they were read."""
 
     records: Sequence[WindowRecord]
-    lives: Sequence[str]
+    lives: Sequence[ProfileLife]
     in_force: TrackAlignment | None
     looked_at: str | None  # digest of the last report
-    verdict: str | None  # what the fleet has said of the recording, while the version of that report is in force
+    verdict: str | None  # on the survey, while the version of the report that holds it is in force
     measured: Measured
 
 
@@ -88,45 +96,42 @@ def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counte
     left = [record for record in waiting.records if (record.wheelset, record.start_ns) not in epoch_passes.refused]
     digest = epoch_digest(left, version, context.code_version, measured_curves)  # what the next run would find again
     epoch = Epoch(section, waiting.records, waiting.in_force, digest, epoch_passes, waiting.measured.notes)
-    settings = context.settings.alignment
-    finding = find(
+    update = update_alignment(
         section,
         epoch_passes.found,
         waiting.in_force,
-        settings,
-        judge=waiting.verdict is None,
+        context.settings.alignment,
+        survey_checked=waiting.verdict is not None,
         measured=measured_curves,
     )
-    finding = replace(finding, recording=finding.recording or waiting.verdict)
+    update = replace(update, survey=update.survey or waiting.verdict)
     with context.storage.write() as unit:
-        outcome = store(unit, epoch, finding, context)
-    counts[outcome] += 1
+        stored = store(unit, epoch, update, context)
+    counts[_COUNTED[update.outcome] if stored else "changed_meanwhile"] += 1
     counts["windows"] += len(waiting.records)
     counts["passes"] += len(epoch_passes.found)
-    return outcome in {"versions", "kept"}
+    return stored and update.outcome is not UpdateOutcome.UNESTIMATED
 
 
 def _waiting(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext) -> _Waiting:
     settings, interval_km = context.settings.alignment, context.settings.estimation.interval_km
     records = unit.windows.unplaced(section.code, settings.most_windows)
     wheelsets = {serial: unit.registry.wheelset(serial) for serial in {record.wheelset for record in records}}
-    lives = [life(wheelsets[record.wheelset], record, interval_km) for record in records]
+    lives = [profile_life(wheelsets[record.wheelset], record, interval_km) for record in records]
     chosen = limit_batch(records, lives, settings.most_wheelsets)
     in_force = unit.tracks.alignment(section.code)
     report = unit.tracks.report(section.code)
-    told = report is not None and in_force is not None and report.version == in_force.version
-    verdict = report.report.get("recording") if told and report is not None else None
+    current = report is not None and in_force is not None and report.version == in_force.version
+    verdict = report.report.get("recording") if current and report is not None else None
+    chosen_records, chosen_lives = [record for record, _ in chosen], [life for _, life in chosen]
     return _Waiting(
-        *_parted(chosen),
-        in_force,
-        report.input_digest if report is not None else None,
-        verdict if isinstance(verdict, str) else None,
-        measured(unit, section, *_parted(chosen), settings.measured_km),
+        records=chosen_records,
+        lives=chosen_lives,
+        in_force=in_force,
+        looked_at=report.input_digest if report is not None else None,
+        verdict=verdict if isinstance(verdict, str) else None,
+        measured=measured(unit, section, chosen_records, chosen_lives, settings.measured_km),
     )
-
-
-def _parted(chosen: Sequence[tuple[WindowRecord, str]]) -> tuple[list[WindowRecord], list[str]]:
-    return [record for record, _ in chosen], [name for _, name in chosen]
 
 
 def _passes(context: JobContext, waiting: _Waiting) -> EpochPasses:

@@ -10,28 +10,21 @@ import numpy as np
 
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.passes import Pass, gridded
-from estimation.values.registry import WheelsetRecord
+from estimation.track.profile_life import ProfileLife
 from estimation.values.windows import WindowRecord
 
 
-def life(wheelset: WheelsetRecord, record: WindowRecord, interval_km: float) -> str:
-    """Return the name under which a window's passes enter the panel: same wheelset, same profile, hardly more wear."""
-    turned = [item for item in wheelset.reprofilings if item.at_ns <= record.start_ns]
-    begin_km = max((item.mileage_km for item in turned), default=0.0)
-    return f"{record.wheelset}#{len(turned)}#{int((record.mileage_km - begin_km) // interval_km)}"
-
-
 def limit_batch(
-    records: Sequence[WindowRecord], lives: Sequence[str], most_wheelsets: int
-) -> list[tuple[WindowRecord, str]]:
+    records: Sequence[WindowRecord], lives: Sequence[ProfileLife], most_wheelsets: int
+) -> list[tuple[WindowRecord, ProfileLife]]:
     """Return the first records with their lives, as many as do not exceed the number of lives, by place in time."""
-    chosen: list[tuple[WindowRecord, str]] = []
-    seen: set[str] = set()
-    for record, name in zip(records, lives, strict=True):
-        if name not in seen and len(seen) == most_wheelsets:
+    chosen: list[tuple[WindowRecord, ProfileLife]] = []
+    seen: set[ProfileLife] = set()
+    for record, life in zip(records, lives, strict=True):
+        if life not in seen and len(seen) == most_wheelsets:
             break
-        seen.add(name)
-        chosen.append((record, name))
+        seen.add(life)
+        chosen.append((record, life))
     return chosen
 
 
@@ -39,25 +32,25 @@ def epoch_digest(
     records: Sequence[WindowRecord],
     version: int | None,
     code_version: str,
-    measured: Mapping[str, MeasuredCurve] | None = None,
+    measured: Mapping[ProfileLife, MeasuredCurve] | None = None,
 ) -> str:
     """Return what tells an epoch from another: its windows, the version before, the code, what has been measured."""
     text = hashlib.sha256(f"{version} {code_version}\n".encode())
     for record in sorted(records, key=lambda item: (item.wheelset, item.start_ns)):
         text.update(f"{record.wheelset} {record.start_ns} {record.content_digest} {record.mileage_km!r}\n".encode())
-    for name, curve in sorted((measured or {}).items()):
-        text.update(f"{name} {curve.name} {curve.std!r}\n".encode())
+    for life, curve in sorted((measured or {}).items()):
+        text.update(f"{life.wheelset}#{life.profile}#{life.interval} {curve.name} {curve.std!r}\n".encode())
         text.update(curve.difference.tobytes() + curve.displacement.tobytes())
     return text.hexdigest()
 
 
-def resampled(item: Pass, name: str, step: float) -> Pass:
-    """Return a pass on a grid, under the name of its wheelset's life."""
+def resampled(item: Pass, life: ProfileLife, step: float) -> Pass:
+    """Return a pass on a grid, under the life of its wheelset's profile."""
     first, displacement, difference = gridded(item, step)
     at = (first + np.arange(len(displacement))) * step
     return replace(
         item,
-        wheelset=name,
+        life=life,
         at=np.asarray(at, dtype=np.float64),
         displacement=displacement,
         difference=difference,

@@ -13,6 +13,7 @@ import numpy as np
 from estimation.filters.local_cubic import high_pass, valid_support
 from estimation.track.journeys import Journey, apply_correction
 from estimation.track.passes import Pass, gridded
+from estimation.track.profile_life import ProfileLife
 from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.track import Correction
@@ -34,9 +35,9 @@ class GriddedPass:
     inside: BoolArray  # (m,) where both filters see enough of it, and no impact
 
     @property
-    def life(self) -> str:
+    def life(self) -> ProfileLife:
         """Profile life of the wheelset."""
-        return self.source.wheelset
+        return self.source.life
 
     @property
     def side(self) -> int:

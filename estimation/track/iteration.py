@@ -82,7 +82,7 @@ class IterationResult:
     def measured_curves(self) -> list[MeasuredCurve]:
         """Measured curves of the wheelsets that have passed."""
         known = self.panel.known.measured
-        return [known[name] for name in self.solution.wheelsets if name in known]
+        return [known[name] for name in self.solution.lives if name in known]
 
     def convergence(self, parameters: IterationParameters) -> tuple[Convergence, ...]:
         """Return how positions, stiffness ratios and gauge ended."""

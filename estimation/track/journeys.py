@@ -28,7 +28,7 @@ def journeys(passes: Sequence[Pass], parameters: PositionParameters) -> dict[Jou
     """Group passes by vehicle and run."""
     found: dict[Journey, list[Pass]] = {}
     last: dict[str, tuple[Journey, int]] = {}
-    for item in sorted(passes, key=lambda p: (p.vehicle, p.start_ns, p.wheelset)):
+    for item in sorted(passes, key=lambda p: (p.vehicle, p.start_ns, p.life)):
         end = item.start_ns
         known = last.get(item.vehicle)
         if known is None or end - known[1] > parameters.pause_s * NANOSECONDS:

@@ -10,6 +10,7 @@ from estimation.motion.integration import IntegratedWindow, bridged, integrate
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_radius_difference import FusionParameters, MotionSignals, fuse, motion_signals
 from estimation.motion.usable_samples import moving_samples
+from estimation.track.profile_life import ProfileLife
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -24,7 +25,7 @@ class Pass:
     and y = d - h(R) instead of y = d + h(R).
     """
 
-    wheelset: str
+    life: ProfileLife  # of the wheelset
     vehicle: str
     start_ns: int  # of its window
     at: FloatArray  # (n,) m along the section, strictly increasing
@@ -32,6 +33,11 @@ class Pass:
     difference: FloatArray  # (n,) R, m, measured without knowledge of the track
     side: int = 1  # or -1
     stiffness_term: FloatArray | None = None  # (n,) m, part of R that scales with yaw stiffness over creep coefficient
+
+    @property
+    def wheelset(self) -> str:
+        """Serial of the wheelset."""
+        return self.life.wheelset
 
     def __post_init__(self) -> None:
         n = len(self.at)
@@ -99,7 +105,7 @@ def _placed(
     along = slice(None, None, direction)
     return [
         Pass(
-            window.wheelset,
+            ProfileLife(window.wheelset),
             window.vehicle,
             window.start_ns,
             direction * grid.run[along],

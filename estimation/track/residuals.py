@@ -14,6 +14,7 @@ import numpy as np
 from estimation.track.iteration import IterationResult
 from estimation.track.journeys import Journey
 from estimation.track.panel.basis import pass_residual
+from estimation.track.profile_life import ProfileLife
 from estimation.values.arrays import FloatArray
 
 USUAL_FACTOR = 1.5  # times the median of the wheelsets
@@ -27,16 +28,16 @@ class Residuals:
     """Root mean squares of y - d - h(R), m; NaN where nothing that is known was covered."""
 
     of_journeys: Mapping[Journey, float]
-    of_wheelsets: Mapping[str, float]
+    of_lives: Mapping[ProfileLife, float]
 
-    def weights(self) -> dict[str, float]:
-        """Return by wheelset how much a pass counts: 1 up to what is usual, less and less beyond.
+    def weights(self) -> dict[ProfileLife, float]:
+        """Return by profile life how much a pass counts: 1 up to what is usual, less and less beyond.
 
         Empty where none is so far off that it would matter.
         """
-        known = [value for value in self.of_wheelsets.values() if np.isfinite(value)]
+        known = [value for value in self.of_lives.values() if np.isfinite(value)]
         usual = max(USUAL_FACTOR * float(np.median(known)), LEAST_USUAL) if known else np.inf
-        found = {name: (usual / value) ** POWER for name, value in self.of_wheelsets.items() if value > usual}
+        found = {life: (usual / value) ** POWER for life, value in self.of_lives.items() if value > usual}
         return found if min(found.values(), default=1.0) < LARGEST_EFFECTIVE_WEIGHT else {}
 
 
@@ -56,7 +57,7 @@ class _MeanSquare:
 @dataclass(slots=True)
 class _Sums:
     journeys: dict[Journey, _MeanSquare] = field(default_factory=dict)
-    wheelsets: dict[str, _MeanSquare] = field(default_factory=dict)
+    lives: dict[ProfileLife, _MeanSquare] = field(default_factory=dict)
 
 
 def residuals(iterated: IterationResult) -> Residuals:
@@ -65,15 +66,15 @@ def residuals(iterated: IterationResult) -> Residuals:
     for journey, one in iterated.placed.items():
         for item in one.passes:
             sums.journeys.setdefault(journey, _MeanSquare())
-            sums.wheelsets.setdefault(item.life, _MeanSquare())
+            sums.lives.setdefault(item.life, _MeanSquare())
             curve = iterated.solution.curve_of(item.life)
             if item.empty or curve is None:
                 continue
             values = pass_residual(item, curve, iterated.panel)[item.inside]
             rest = (values - d[item.used_points])[np.isfinite(d[item.used_points])]
             sums.journeys[journey].add(rest)
-            sums.wheelsets[item.life].add(rest)
+            sums.lives[item.life].add(rest)
     return Residuals(
         {journey: mean.rms for journey, mean in sums.journeys.items()},
-        {wheelset: mean.rms for wheelset, mean in sums.wheelsets.items()},
+        {life: mean.rms for life, mean in sums.lives.items()},
     )

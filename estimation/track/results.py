@@ -18,8 +18,6 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 from estimation.values.track import GaugeShift, TrackFindings
 
-LIFE = "#"  # after a wheelset's serial, then the number of its profile and that of its mileage interval
-
 UNKNOWN_SHARE = 0.3  # of its own std that an estimated gauge deviation may be off by
 
 
@@ -44,7 +42,7 @@ def findings(iterated: IterationResult, *, gauge_estimated: bool) -> SectionResu
     sign = gauge_sign(contact_samples(iterated.passes, iterated.solution, panel), shifts) if gauge_estimated else 1
     if sign < 0:
         shifts = {name: _turned(one) for name, one in shifts.items()}
-    latest = {_life(name)[0]: shifts[name] for name in sorted(shifts, key=_life)}  # of several lives the latest
+    latest = {life.wheelset: shifts[life] for life in sorted(shifts)}  # of several lives the latest
     found = TrackFindings(ratios, std, latest)
     if not gauge_estimated:
         return SectionResults(found, None, None)
@@ -54,12 +52,6 @@ def findings(iterated: IterationResult, *, gauge_estimated: bool) -> SectionResu
 def _turned(shift: GaugeShift) -> GaugeShift:
     """Return what a gauge of the other sign does; the grid is symmetric."""
     return replace(shift, shift=shift.shift[:, ::-1])
-
-
-def _life(name: str) -> tuple[str, tuple[int, ...]]:
-    """Return the serial of a wheelset and the numbers of its life, in whose order lives follow each other."""
-    serial, *numbers = name.rsplit(LIFE, 2)
-    return serial, tuple(int(number) for number in numbers)
 
 
 @dataclass(frozen=True, slots=True)

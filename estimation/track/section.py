@@ -27,8 +27,9 @@ from estimation.track.panel.solution import (
     too_few_passes,
 )
 from estimation.track.passes import Pass
+from estimation.track.profile_life import ProfileLife
 from estimation.track.residuals import residuals
-from estimation.track.results import LIFE, AlignmentReport, JourneyReport, nothing
+from estimation.track.results import AlignmentReport, JourneyReport, nothing
 from estimation.track.section_parameters import SectionParameters
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, combined
@@ -41,6 +42,7 @@ class SectionEstimate:
 
     alignment: TrackAlignment | None
     report: AlignmentReport
+    grouped: Grouped  # passes by journey
     corrections: Mapping[Journey, Correction]  # of the journeys that were used
     solution: PanelSolution | None
 
@@ -59,7 +61,7 @@ def estimate_section(
     passes: Sequence[Pass],
     prior: TrackAlignment | None,
     parameters: SectionParameters,
-    measured: Mapping[str, MeasuredCurve] | None = None,
+    measured: Mapping[ProfileLife, MeasuredCurve] | None = None,
 ) -> SectionEstimate:
     """Return the alignment of a section from ``passes`` and what was known before.
 
@@ -80,18 +82,18 @@ def estimate_section(
     grouped: Grouped = journeys(passes, parameters.positions)
     panel = Panel.of(parameters.panel, KnownBeforehand(measured=measured or {}))
     if not grouped:
-        return SectionEstimate(None, nothing(Reason(ReasonCode.NO_PASS, "no pass"), named), {}, None)
+        return SectionEstimate(None, nothing(Reason(ReasonCode.NO_PASS, "no pass"), named), grouped, {}, None)
     known = None if prior is None else prior_on_grid(prior, panel.grid, parameters.panel.cutoff_wavelength)
     reason = _too_few_passes(grouped, panel) if known is None or not known.has_alignment else None
     if reason is not None:
-        return SectionEstimate(None, nothing(reason, named), {}, None)
+        return SectionEstimate(None, nothing(reason, named), grouped, {}, None)
     accepted = _reject_outliers(grouped, known, panel, parameters)
     iterated = accepted.iterated
     report = _report(accepted, grouped, known, parameters)
     used = (f"measured profiles of {one.name}" for one in iterated.measured_curves)
     report = replace(report, evidence=(*named, *used))
     if report.status is not Status.ESTIMATED:
-        return SectionEstimate(None, report, {}, iterated.solution)
+        return SectionEstimate(None, report, grouped, {}, iterated.solution)
     alignment = merged_alignment(section, iterated, prior, parameters)
     certain = np.isfinite(alignment.alignment)
     report = replace(
@@ -99,7 +101,7 @@ def estimate_section(
         covered=float(certain.mean()),
         alignment_std_m=float(np.median(alignment.alignment_std[certain])) if certain.any() else float("nan"),
     )
-    return SectionEstimate(alignment, report, iterated.corrections, iterated.solution)
+    return SectionEstimate(alignment, report, grouped, iterated.corrections, iterated.solution)
 
 
 def _too_few_passes(grouped: Grouped, panel: Panel) -> Reason | None:
@@ -110,7 +112,7 @@ def _too_few_passes(grouped: Grouped, panel: Panel) -> Reason | None:
     for item in (item for members in grouped.values() for item in members):
         first, last = (int(np.clip(at / grid.step, 0, grid.points)) for at in (item.at[0], item.at[-1]))
         passed[first:last] += 1
-        lives.add(item.wheelset)
+        lives.add(item.life)
     if len(lives) < LEAST_WHEELSETS and not lives & panel.known.measured.keys():
         return SINGLE_WHEELSET
     return None if (passed >= least).any() else too_few_passes(least)
@@ -183,7 +185,7 @@ def _report(
         residual_rms_m=iterated.noise,
         moved_m=iterated.moved,
         passes=sum(item.passes for item in journeys_reported if item.used),
-        wheelsets=len(solution.wheelsets),
+        wheelsets=len(solution.lives),
         mean_passes=float(state.passes[passed].mean()) if passed.any() else 0.0,
         diversity=between_pass_std_ratio(state),
         covered=float(np.isfinite(solution.alignment).mean()),
@@ -207,8 +209,8 @@ def _state_of(accepted: _Accepted, grouped: Grouped, known: PriorAlignment | Non
 def _low_weight_reason(iterated: IterationResult) -> Reason | None:
     """Return which wheelsets count for little, being further off than the others; None where none is."""
     weights = iterated.panel.known.weights
-    used = sorted(weights.keys() & set(iterated.solution.wheelsets))
-    listed = [f"{name.split(LIFE)[0]} ({weights[name]:.2f} of a pass)" for name in used]
+    used = sorted(weights.keys() & set(iterated.solution.lives))
+    listed = [f"{life.wheelset} ({weights[life]:.2f} of a pass)" for life in used]
     if not listed:
         return None
     return Reason(ReasonCode.LOW_WEIGHT, f"low weight: poor fit of a single curve: {', '.join(listed)}")

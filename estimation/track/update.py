@@ -1,18 +1,20 @@
-"""What an epoch makes of the alignment in force: the next version, or the recording kept.
+"""What an epoch makes of the alignment in force: the next version, or the survey kept.
 
-Where a recorded gauge varies, the recording is kept with what its gauge does to the wheelsets that have been met.
+Where a surveyed gauge varies, the survey is kept with what its gauge does to the wheelsets that have passed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 
 from estimation.track.gauge.initial_shape import LEAST_GAUGE
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.passes import Pass
+from estimation.track.profile_life import ProfileLife
 from estimation.track.screening.screen import PassOutcome, Screened, screen
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.section_parameters import SectionParameters
@@ -21,34 +23,54 @@ from estimation.track.survey_check import check_survey
 from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
 from estimation.values.track import RECORDED, TrackAlignment, TrackSectionRecord
 
+BETTER_SHARE = 0.5  # of the survey's std that a fleet's alignment must reach to replace it
+
+
+class UpdateOutcome(StrEnum):
+    """What an epoch makes of the alignment in force."""
+
+    UNESTIMATED = "unestimated"  # the passes identify nothing, and nothing is in force
+    KEPT = "kept"  # the passes identify nothing; the fleet's alignment stays
+    NEW_VERSION = "new_version"  # of the fleet
+    SURVEY_KEPT = "survey_kept"
+    SURVEY_EXTENDED = "survey_extended"  # kept, with gauge shifts of wheelsets as a version of its own
+
+    @property
+    def makes_version(self) -> bool:
+        """Whether a version is added."""
+        return self in {UpdateOutcome.NEW_VERSION, UpdateOutcome.SURVEY_EXTENDED}
+
+    @property
+    def positions_trusted(self) -> bool:
+        """Whether measured positions are used unless they are far off: on a survey."""
+        return self in {UpdateOutcome.SURVEY_KEPT, UpdateOutcome.SURVEY_EXTENDED}
+
 
 @dataclass(frozen=True, slots=True)
-class Finding:
-    """What the passes of an epoch say.
+class AlignmentUpdate:
+    """What the passes of an epoch make of a section.
 
-    ``alignment`` is what is in force from now on, None where nobody knows any; ``made`` that it is new. ``trusted``
-    positions are believed unless they are far off. ``outcomes`` are of the passes in their order. ``recording`` says
-    what the fleet thinks of the recording in force, where it was asked and could tell.
+    ``alignment`` is in force from now on, None where nobody knows any; ``pass_outcomes`` are of the passes in their
+    order. ``survey`` is what the fleet finds of the survey in force, where it was checked and could be.
     """
 
+    outcome: UpdateOutcome
     estimate: SectionEstimate
     alignment: TrackAlignment | None
-    made: bool
-    trusted: bool
-    outcomes: tuple[PassOutcome, ...]
-    recording: str | None = None
+    pass_outcomes: tuple[PassOutcome, ...]
+    survey: str | None = None
 
 
-def find(
+def update_alignment(
     section: TrackSectionRecord,
     passes: Sequence[Pass],
     in_force: TrackAlignment | None,
     settings: AlignmentSettings,
     *,
-    judge: bool,
-    measured: Mapping[str, MeasuredCurve] | None = None,
-) -> Finding:
-    """Return what an epoch of passes says of a section.
+    survey_checked: bool,
+    measured: Mapping[ProfileLife, MeasuredCurve] | None = None,
+) -> AlignmentUpdate:
+    """Return what an epoch of passes makes of the alignment of a section.
 
     Parameters
     ----------
@@ -57,81 +79,106 @@ def find(
     passes
         Of the epoch.
     in_force
-        Its alignment so far.
+        Its alignment so far; None where there is none.
     settings
         Grid, filter, limits.
-    judge
-        Hold a recording against what the fleet finds without it.
+    survey_checked
+        Whether the survey in force was compared before with what the fleet finds without it; if not, it is now.
     measured
-        What measured profiles say, by the name of the wheelset in ``passes``.
+        Curves of measured profiles, by profile life.
     """
-    panel = replace(settings.section.panel, length=section.length_m)
-    parameters = replace(settings.section, panel=panel)
-    recording = in_force is not None and in_force.source == RECORDED
-    on_record = recording and in_force is not None and bool(np.isfinite(in_force.alignment).any())
+    parameters = replace(settings.section, panel=replace(settings.section.panel, length=section.length_m))
     screened = screen(passes, in_force, replace(settings.screening, positions=parameters.positions))
-    if in_force is not None and on_record:
-        beside = _beside_recording(section.code, screened, in_force, parameters, measured, judge=judge)
-        return beside if beside.made else _with_gauge_shifts(beside, in_force, settings)
-    evidence = (
-        in_force
-        if in_force is not None and (recording or in_force.cutoff_wavelength == parameters.cutoff_wavelength)
-        else None
-    )
-    estimate = estimate_section(section.code, screened.used, evidence, parameters, measured)
+    epoch = _Epoch(section.code, screened, parameters, measured)
+    if in_force is not None and in_force.source == RECORDED and np.isfinite(in_force.alignment).any():
+        update = _with_survey(epoch, in_force, survey_checked=survey_checked)
+        return update if update.outcome.makes_version else _with_gauge_shifts(update, in_force, settings)
+    return _without_surveyed_alignment(epoch, in_force)
+
+
+@dataclass(frozen=True, slots=True)
+class _Epoch:
+    section: str
+    screened: Screened
+    parameters: SectionParameters
+    measured: Mapping[ProfileLife, MeasuredCurve] | None
+
+    def estimate(self, prior: TrackAlignment | None) -> SectionEstimate:
+        """Return what the passes and a prior alignment give."""
+        return estimate_section(self.section, self.screened.used, prior, self.parameters, self.measured)
+
+    def update(
+        self,
+        outcome: UpdateOutcome,
+        estimate: SectionEstimate,
+        alignment: TrackAlignment | None,
+        survey: str | None = None,
+    ) -> AlignmentUpdate:
+        """Return the update with the outcomes of the passes."""
+        return AlignmentUpdate(outcome, estimate, alignment, self.screened.outcomes, survey)
+
+
+def _without_surveyed_alignment(epoch: _Epoch, in_force: TrackAlignment | None) -> AlignmentUpdate:
+    """Return the next version of the fleet; a survey of the gauge alone is a prior."""
+    surveyed = in_force is not None and in_force.source == RECORDED
+    cutoff = epoch.parameters.cutoff_wavelength
+    usable = in_force is not None and (surveyed or in_force.cutoff_wavelength == cutoff)
+    estimate = epoch.estimate(in_force if usable else None)
     if estimate.alignment is None:
-        kept = None if recording else in_force  # a recording of the gauge alone says of no place how it lies
-        return Finding(estimate, kept, made=False, trusted=False, outcomes=screened.outcomes)
-    told = carry_over_findings(estimate.alignment, in_force)
-    return Finding(estimate, told, made=True, trusted=False, outcomes=screened.outcomes)
+        if in_force is None or surveyed:  # a survey of the gauge alone
+            return epoch.update(UpdateOutcome.UNESTIMATED, estimate, None)
+        return epoch.update(UpdateOutcome.KEPT, estimate, in_force)
+    return epoch.update(UpdateOutcome.NEW_VERSION, estimate, carry_over_findings(estimate.alignment, in_force))
 
 
-def _beside_recording(
-    section: str,
-    screened: Screened,
-    recorded: TrackAlignment,
-    parameters: SectionParameters,
-    measured: Mapping[str, MeasuredCurve] | None,
-    *,
-    judge: bool,
-) -> Finding:
+def _with_survey(epoch: _Epoch, survey: TrackAlignment, *, survey_checked: bool) -> AlignmentUpdate:
+    """Return the survey kept, or the fleet's alignment where that contradicts it or knows far more."""
     verdict = None
-    if judge:
-        blind = estimate_section(section, screened.used, None, parameters, measured)
-        if blind.alignment is not None:
-            judgement = check_survey(recorded, blind.alignment, place_std=_place_std(blind))
-            if not judgement.usable:
-                told = f"not used: {judgement.reason}"
-                return Finding(blind, blind.alignment, True, False, screened.outcomes, told)  # noqa: FBT003 - made, not trusted
-            verdict = None if judgement.reason else "agrees with what the fleet has felt"
-    estimate = estimate_section(section, screened.used, recorded, parameters, measured)
-    if estimate.alignment is not None and better(estimate.alignment, recorded):
-        return Finding(estimate, estimate.alignment, True, False, screened.outcomes, verdict)  # noqa: FBT003 - the same
-    return Finding(estimate, recorded, False, True, screened.outcomes, verdict)  # noqa: FBT003 - kept, trusted
+    if not survey_checked:
+        without_survey = epoch.estimate(None)
+        if without_survey.alignment is not None:
+            check = check_survey(survey, without_survey.alignment, place_std=_place_std(without_survey))
+            if not check.usable:
+                refusal = f"not used: {check.reason}"
+                return epoch.update(UpdateOutcome.NEW_VERSION, without_survey, without_survey.alignment, survey=refusal)
+            verdict = None if check.reason else "agrees with what the fleet has measured"
+    estimate = epoch.estimate(survey)
+    if estimate.alignment is not None and better(estimate.alignment, survey):
+        return epoch.update(UpdateOutcome.NEW_VERSION, estimate, estimate.alignment, survey=verdict)
+    return epoch.update(UpdateOutcome.SURVEY_KEPT, estimate, survey, survey=verdict)
 
 
-def _with_gauge_shifts(kept: Finding, recorded: TrackAlignment, settings: AlignmentSettings) -> Finding:
-    """Return the recording with what its gauge does to wheelsets, as a version of its own where that says more."""
+def _with_gauge_shifts(kept: AlignmentUpdate, survey: TrackAlignment, settings: AlignmentSettings) -> AlignmentUpdate:
+    """Return the survey with what its gauge does to wheelsets, as a version of its own where that is new."""
     found = kept.estimate.alignment
-    varies = recorded.gauge_known and float(np.std(recorded.gauge_deviation)) >= LEAST_GAUGE
+    varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= LEAST_GAUGE
     if not varies or found is None or found.findings is None or not found.findings.gauge_shifts:
         return kept
-    told = carry_over_findings(replace(recorded, findings=found.findings), recorded)
-    if not (requires_reestimation(recorded, told, settings) or gauge_shift_changed(recorded, told, settings)):
+    extended = carry_over_findings(replace(survey, findings=found.findings), survey)
+    if not (requires_reestimation(survey, extended, settings) or gauge_shift_changed(survey, extended, settings)):
         return kept
-    return replace(kept, alignment=told, made=True)
+    return replace(kept, outcome=UpdateOutcome.SURVEY_EXTENDED, alignment=extended)
 
 
 def _place_std(estimate: SectionEstimate) -> float:
-    """Return how well the fleet knows where it lies: the scatter of its journeys over the root of their number, m."""
+    """Return how well the fleet knows its place: the scatter of its journeys over the root of their number, m."""
     offsets = [correction.offset for correction in estimate.corrections.values()]
     return float(np.std(offsets) / np.sqrt(len(offsets))) if offsets else 0.0
 
 
-def better(fleet: TrackAlignment, recorded: TrackAlignment, share: float = 0.5) -> bool:
-    """Whether the fleet's alignment knows all that the recording knows, and knows it far better."""
-    if fleet.cutoff_wavelength < recorded.cutoff_wavelength or (recorded.gauge_known and not fleet.gauge_known):
+def better(fleet: TrackAlignment, survey: TrackAlignment, share: float = BETTER_SHARE) -> bool:
+    """Return whether the fleet's alignment covers all that a survey covers, and is far more certain.
+
+    Parameters
+    ----------
+    fleet, survey
+        The alignments, each with its std.
+    share
+        Of the survey's median std that the fleet's must be below.
+    """
+    coarser = fleet.cutoff_wavelength < survey.cutoff_wavelength
+    if coarser or (survey.gauge_known and not fleet.gauge_known):
         return False
-    held = np.interp(fleet.s, recorded.s, recorded.alignment_std)
+    survey_std = np.interp(fleet.s, survey.s, survey.alignment_std)
     known = np.isfinite(fleet.alignment_std)
-    return bool(known.all() and np.median(fleet.alignment_std) < share * np.median(held))
+    return bool(known.all() and np.median(fleet.alignment_std) < share * np.median(survey_std))

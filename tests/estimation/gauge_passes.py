@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from estimation.track.passes import Pass
+from estimation.track.profile_life import ProfileLife
 from estimation.values.arrays import FloatArray
 
 LENGTH = 2000.0  # m
@@ -56,7 +58,14 @@ def section(gauge_std: float, *, seed: int = 1, longest: float = 25.0) -> Sectio
     return Section(s, wave(rng, 6.0, longest, 2e-3, len(s)), gauge)
 
 
-def passes(place: Section, cones: dict[str, float], times: int, *, noise: float = 0.02e-3, seed: int = 2) -> list[Pass]:
+def passes(
+    place: Section,
+    cones: Mapping[str, float] | Mapping[ProfileLife, float],
+    times: int,
+    *,
+    noise: float = 0.02e-3,
+    seed: int = 2,
+) -> list[Pass]:
     """Return ``times`` passes of each wheelset, each on a course of its own."""
     rng = np.random.default_rng(seed)
     found = []
@@ -67,5 +76,6 @@ def passes(place: Section, cones: dict[str, float], times: int, *, noise: float 
             y = place.alignment + x + noise * rng.standard_normal(n)
             difference = Wheels(cone).difference(x, place.gauge)
             start_ns = (10 * turn + number) * 86_400 * 10**9
-            found.append(Pass(name, f"V{number}", start_ns, place.s, y, difference))
+            life = name if isinstance(name, ProfileLife) else ProfileLife(name)
+            found.append(Pass(life, f"V{number}", start_ns, place.s, y, difference))
     return found

@@ -16,6 +16,7 @@ from estimation.track.panel.long_waves import LongWaveAlignment, long_wave_align
 from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass
+from estimation.track.profile_life import ProfileLife
 from estimation.values.arrays import FloatArray
 
 PANEL = Panel.of(PanelParameters(length=LENGTH, basis_count=21))
@@ -77,7 +78,7 @@ def test_at_the_cut_off_of_the_panel_it_is_the_alignment_of_the_panel() -> None:
 
 def test_passes_of_wheelsets_without_curve_and_short_ones_say_nothing() -> None:
     some = passes(place(), CONES, 3, noise=NOISE)
-    stranger = replace(some[0], wheelset="X")
+    stranger = replace(some[0], life=ProfileLife("X"))
     short = replace(
         some[0], at=some[0].at[:80], displacement=some[0].displacement[:80], difference=some[0].difference[:80]
     )

@@ -184,9 +184,11 @@ def test_the_next_epoch_is_put_where_the_last_version_lies_and_waits_until_it_is
 
 def test_a_geometry_names_every_version_that_its_windows_were_estimated_with(sqlite_storage: SqlStorage) -> None:
     storage = sqlite_storage
-    lenient = AlignmentSettings(
+    alike = AlignmentSettings(
         same_share=1e6, same_stretch=1.0, same_std=0.0, same_coverage=1.0, same_ratio=1.0, same_gauge=1.0
     )
+    lenient = JobSettings(alignment=alike)
+
     register(storage)
     for day, numbers in ((0, range(6)), (3, [1, 4])):
         put(storage, numbers, day=day)
@@ -233,7 +235,7 @@ def test_a_recording_is_kept_unless_the_fleet_contradicts_it(
     told = report(storage)
     if said is None:
         assert (in_force(storage).version, in_force(storage).source) == (1, RECORDED)
-        assert told.report["recording"] == "agrees with what the fleet has felt"
+        assert told.report["recording"] == "agrees with what the fleet has measured"
         with storage.read() as unit:
             position = unit.tracks.position("W0", windows(0)[0].start_ns)
         assert position is not None
@@ -261,7 +263,7 @@ def test_the_verdict_on_a_recording_stays_over_the_epochs_that_do_not_judge(
         asked.append(place_std)
         return check_survey(*given, place_std=place_std)  # type: ignore[arg-type] - as they come
 
-    monkeypatch.setattr("estimation.track.update.judge_recorded", judged)
+    monkeypatch.setattr("estimation.track.update.check_survey", judged)
     register(storage)
     with storage.write() as unit:
         unit.tracks.add_alignment(surveyed(factor))
@@ -279,7 +281,7 @@ def test_the_verdict_on_a_recording_stays_over_the_epochs_that_do_not_judge(
     put(storage, range(6), day=6)
     counts(storage, "refresh_alignment")
     assert len(asked) == 2  # of the new one nothing had been said
-    assert verdict(storage) == "agrees with what the fleet has felt"
+    assert verdict(storage) == "agrees with what the fleet has measured"
 
 
 def gauged() -> TrackAlignment:

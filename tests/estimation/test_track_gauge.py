@@ -14,6 +14,7 @@ from estimation.track.iteration import IterationParameters, IterationResult, ite
 from estimation.track.journeys import PositionParameters, journeys
 from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.prior_alignment import PriorAlignment
+from estimation.track.profile_life import ProfileLife
 from estimation.track.results import SectionResults, findings
 from estimation.values.arrays import FloatArray
 
@@ -21,7 +22,12 @@ PANEL = Panel.of(PanelParameters(length=LENGTH, basis_count=21))
 GRID = PANEL.grid.s
 INNER = slice(200, -200)
 GAUGE_STD = 2e-3
-CONES = {"A#0#9": 0.16, "A#0#10": 0.05, "B#0#0": 0.08, "C#1#2": 0.12}  # serial, profile, interval of mileage
+CONES = {
+    ProfileLife("A", 0, 9): 0.16,
+    ProfileLife("A", 0, 10): 0.05,
+    ProfileLife("B", 0, 0): 0.08,
+    ProfileLife("C", 1, 2): 0.12,
+}  # serial, profile, interval of mileage
 LATEST = {"A": 0.05, "B": 0.08, "C": 0.12}
 
 
@@ -80,7 +86,7 @@ def test_of_several_lives_of_a_wheelset_the_latest_counts() -> None:
     assert set(lives) == set(CONES)
     shifts = told(GAUGE_STD).findings.gauge_shifts
     assert set(shifts) == set(LATEST)
-    both_signs = (lives["A#0#10"].shift, lives["A#0#10"].shift[:, ::-1])
+    both_signs = (lives[ProfileLife("A", 0, 10)].shift, lives[ProfileLife("A", 0, 10)].shift[:, ::-1])
     assert any(np.array_equal(shifts["A"].shift, one) for one in both_signs)
 
 

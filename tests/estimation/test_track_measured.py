@@ -17,6 +17,7 @@ from estimation.errors import ContactError, ProfileError
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
 from estimation.track.passes import Pass
+from estimation.track.profile_life import ProfileLife
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.section_parameters import SectionParameters
 from estimation.values.quantities import Status
@@ -32,14 +33,14 @@ def curve(cone: float = 0.10, *, stretched: float = 1.0) -> MeasuredCurve:
     return MeasuredCurve("W of 2026-01-02", table.left(x) - table.right(x), stretched * x, STD)
 
 
-def estimated(passes: list[Pass], measured: dict[str, MeasuredCurve] | None) -> SectionEstimate:
+def estimated(passes: list[Pass], measured: dict[ProfileLife, MeasuredCurve] | None) -> SectionEstimate:
     return estimate_section("S", passes, None, SectionParameters(panel=PARAMETERS), measured)
 
 
 @cache
 def alike() -> SectionEstimate:
     passes = list(fleet_passes(alike=True))
-    return estimated(passes, {passes[0].wheelset: curve()})
+    return estimated(passes, {passes[0].life: curve()})
 
 
 def alignment_error(found: SectionEstimate) -> float:
@@ -92,15 +93,17 @@ def test_one_measured_wheelset_makes_a_fleet_of_alike_ones_tell_the_track() -> N
 
 def test_what_was_measured_a_tenth_too_wide_is_believed_where_nothing_else_tells() -> None:
     passes = list(fleet_passes(alike=True))
-    wide = estimated(passes, {passes[0].wheelset: curve(stretched=1.1)})
+    wide = estimated(passes, {passes[0].life: curve(stretched=1.1)})
     assert alignment_error(wide) > 1.2 * alignment_error(alike())
 
 
 def test_one_measured_wheelset_alone_is_enough() -> None:
-    own = [replace(item, wheelset="W", start_ns=i * 10**14) for i, item in enumerate(fleet_passes(alike=True)[:3])]
+    own = [
+        replace(item, life=ProfileLife("W"), start_ns=i * 10**14) for i, item in enumerate(fleet_passes(alike=True)[:3])
+    ]
     assert code_of(estimated(own, None).report.reason) is ReasonCode.SINGLE_WHEELSET
-    assert code_of(estimated(own, {"another": curve()}).report.reason) is ReasonCode.SINGLE_WHEELSET
-    found = estimated(own, {"W": curve()})
+    assert code_of(estimated(own, {ProfileLife("another"): curve()}).report.reason) is ReasonCode.SINGLE_WHEELSET
+    found = estimated(own, {ProfileLife("W"): curve()})
     assert found.report.status is Status.ESTIMATED
     assert alignment_error(found) < 0.2
 
@@ -108,6 +111,6 @@ def test_one_measured_wheelset_alone_is_enough() -> None:
 def test_a_fleet_that_can_tell_hardly_heeds_a_wrong_measurement() -> None:
     passes = list(fleet_passes())
     without = estimated(passes, None)
-    wrong = estimated(passes, {"cone 0.1": curve(stretched=1.2)})
+    wrong = estimated(passes, {ProfileLife("cone 0.1"): curve(stretched=1.2)})
     assert wrong.report.evidence
     assert alignment_error(wrong) < alignment_error(without) + 0.02

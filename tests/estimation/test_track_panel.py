@@ -21,6 +21,7 @@ from estimation.track.panel.basis import Panel, PanelParameters, basis_functions
 from estimation.track.panel.normal_equations import PanelState, init, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass, gridded, passes
+from estimation.track.profile_life import ProfileLife
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -39,7 +40,7 @@ def fleet_passes(seed: int = 1, alike: bool = False) -> tuple[Pass, ...]:  # noq
         (window,) = whole_runs(mems_windows(m, seed=10 * seed + number))
         name = f"cone {cone}" + (f" {number}" if alike else "")
         found += [
-            replace(item, wheelset=name, vehicle=f"{speed:g} m/s")
+            replace(item, life=ProfileLife(name), vehicle=f"{speed:g} m/s")
             for item in passes(window, VehicleParameters(), SignalParameters())
         ]
     return tuple(found)
@@ -104,13 +105,13 @@ def test_alignment_and_conicity_come_out_of_unknown_track() -> None:
     assert error.std() < 0.12 * true[seen].std()
     amplitudes = (1.0e-3, 1.5e-3, 2.0e-3)
     curves = solved.curves[0, :, : PARAMETERS.basis_count]
-    for name, curve, weight in zip(solved.wheelsets, curves, solved.weight, strict=True):
-        table = SmoothTable(float(name.split()[1]))
+    for life, curve, weight in zip(solved.lives, curves, solved.weight, strict=True):
+        table = SmoothTable(float(life.wheelset.split()[1]))
         x = table.lateral_displacement
         expected = equivalent_conicity(x, table.left(x) - table.right(x), amplitudes)
         used = (weight > 50) & (np.gradient(curve) > 0)
         found = equivalent_conicity(curve[used], solved.knots[used], amplitudes)
-        assert np.nanmax(np.abs(found - expected)) < 0.02, name
+        assert np.nanmax(np.abs(found - expected)) < 0.02, life
 
 
 @settings(max_examples=8, deadline=None)
@@ -122,7 +123,7 @@ def test_any_order_and_grouping_of_the_passes_gives_the_same(order: list[int], c
     chosen = [on_grid[i] for i in order]
     state: PanelState = update(update(init(small), chosen[:cut]), chosen[cut:])
     reference = update(init(small), on_grid[:6])
-    columns = [state.wheelsets.index(name) for name in reference.wheelsets]
+    columns = [state.lives.index(name) for name in reference.lives]
     for name in ("gram", "cross"):
         ours, theirs = getattr(state, name)[:, columns], getattr(reference, name)
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
@@ -142,7 +143,7 @@ def test_one_wheelset_alone_or_wheelsets_all_alike_say_nothing() -> None:
 
 def test_nothing_and_what_is_too_short_are_unestimated() -> None:
     assert result(init(Panel.of(PanelParameters(length=500.0, basis_count=5)))).report.status is Status.UNESTIMATED
-    short = Pass("W", "V", 0, np.arange(90) * 0.08, np.zeros(90), np.zeros(90))
+    short = Pass(ProfileLife("W"), "V", 0, np.arange(90) * 0.08, np.zeros(90), np.zeros(90))
     assert update(init(PANEL), [grid_pass(short, PANEL.grid)]).passes.sum() == 0
     with pytest.raises(ParameterError, match="cutoff_wavelength"):
         PanelParameters(cutoff_wavelength=0.0)

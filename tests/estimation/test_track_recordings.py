@@ -9,15 +9,16 @@ import numpy as np
 from gauge_passes import LENGTH, Section, Wheels, passes, section
 
 from estimation.track.panel.basis import PanelParameters
+from estimation.track.profile_life import ProfileLife
 from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
-from estimation.track.update import Finding, find
+from estimation.track.update import AlignmentUpdate, UpdateOutcome, update_alignment
 from estimation.values.quantities import Status
 from estimation.values.track import RECORDED, TrackAlignment, TrackSectionRecord
 
 RECORD = TrackSectionRecord("S", 1, "Section", "56E1", 0.05, 1.435, LENGTH)
 SETTINGS = AlignmentSettings(section=SectionParameters(panel=PanelParameters(basis_count=21)))
-CONES = {"A#0#0": 0.16, "B#0#0": 0.08, "C#0#0": 0.12}
+CONES = {ProfileLife("A", 0, 0): 0.16, ProfileLife("B", 0, 0): 0.08, ProfileLife("C", 0, 0): 0.12}
 
 
 def recording(place: Section, gauge_std: float = 0.1e-3) -> TrackAlignment:
@@ -29,16 +30,15 @@ def recording(place: Section, gauge_std: float = 0.1e-3) -> TrackAlignment:
 
 
 @cache
-def first(gauge_std: float) -> Finding:
+def first(gauge_std: float) -> AlignmentUpdate:
     place = section(gauge_std)
-    return find(RECORD, passes(place, CONES, 3), recording(place), SETTINGS, judge=False)
+    return update_alignment(RECORD, passes(place, CONES, 3), recording(place), SETTINGS, survey_checked=True)
 
 
 def test_what_the_gauge_on_file_does_to_wheelsets_is_told_on_the_recording() -> None:
     place = section(1e-3)
     found = first(1e-3)
-    assert found.made
-    assert found.trusted
+    assert found.outcome is UpdateOutcome.SURVEY_EXTENDED
     told = found.alignment
     assert told is not None
     assert told.source == RECORDED
@@ -52,23 +52,27 @@ def test_what_the_gauge_on_file_does_to_wheelsets_is_told_on_the_recording() -> 
         wheels = Wheels(cone)
         R = wheels.difference(x, e)
         true = x - np.interp(R, wheels.difference(everywhere, np.zeros(2001)), everywhere)
-        shift = told.findings.gauge_shifts[name.split("#")[0]].at(R, e)
+        shift = told.findings.gauge_shifts[name.wheelset].at(R, e)
         assert (shift - true).var() < 0.5 * true.var(), name
 
 
 def test_the_same_again_makes_no_version_and_a_turned_wheelset_makes_one() -> None:
     place, told = section(1e-3), first(1e-3).alignment
     assert told is not None
-    again = find(RECORD, passes(place, CONES, 3, seed=7), replace(told, version=2), SETTINGS, judge=False)
-    assert (again.made, again.alignment is not None, again.trusted) == (False, True, True)
-    turned = {"A#1#0": 0.05, "B#0#0": 0.08, "C#0#0": 0.12}
-    other = find(RECORD, passes(place, turned, 3, seed=8), replace(told, version=2), SETTINGS, judge=False)
-    assert other.made
+    again = update_alignment(
+        RECORD, passes(place, CONES, 3, seed=7), replace(told, version=2), SETTINGS, survey_checked=True
+    )
+    assert again.outcome is UpdateOutcome.SURVEY_KEPT
+    assert again.alignment is not None
+    turned = {ProfileLife("A", 1, 0): 0.05, ProfileLife("B", 0, 0): 0.08, ProfileLife("C", 0, 0): 0.12}
+    other = update_alignment(
+        RECORD, passes(place, turned, 3, seed=8), replace(told, version=2), SETTINGS, survey_checked=True
+    )
+    assert other.outcome is UpdateOutcome.SURVEY_EXTENDED
 
 
 def test_a_gauge_on_file_that_does_not_vary_changes_nothing() -> None:
     found = first(0.0)
-    assert not found.made
-    assert found.trusted
+    assert found.outcome is UpdateOutcome.SURVEY_KEPT
     assert found.alignment is not None
     assert found.alignment.findings is None

@@ -14,6 +14,7 @@ from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
 from estimation.track.passes import Pass, passes
+from estimation.track.profile_life import ProfileLife
 from estimation.track.residuals import LEAST_USUAL, USUAL_FACTOR, Residuals
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.section_parameters import SectionParameters
@@ -38,7 +39,7 @@ def one_pass(name: str, cone: float, speed: float) -> tuple[Pass, ...]:
     m = simulate_wheelset(VehicleParameters(), table, track(1), np.full(120_000, speed), 10.0)
     (window,) = whole_runs(mems_windows(m, seed=ord(name[0])))
     return tuple(
-        replace(item, wheelset=name, vehicle=f"V {name}")
+        replace(item, life=ProfileLife(name), vehicle=f"V {name}")
         for item in passes(window, VehicleParameters(), SignalParameters())
     )
 
@@ -63,12 +64,31 @@ def error(estimate: SectionEstimate) -> tuple[float, float]:
 
 
 def test_what_is_usual_counts_whole_and_what_is_not_counts_less_and_less() -> None:
-    told = Residuals({}, {"A": 0.10e-3, "B": 0.10e-3, "C": 0.149e-3, "D": 0.3e-3, "E": float("nan")})
+    told = Residuals(
+        {},
+        {
+            ProfileLife("A"): 0.10e-3,
+            ProfileLife("B"): 0.10e-3,
+            ProfileLife("C"): 0.149e-3,
+            ProfileLife("D"): 0.3e-3,
+            ProfileLife("E"): float("nan"),
+        },
+    )
     usual = USUAL_FACTOR * 0.1245e-3
-    assert told.weights() == {"D": pytest.approx((usual / 0.3e-3) ** 4)}
-    assert Residuals({}, {"A": 0.01e-3, "B": 0.01e-3, "C": 0.99 * LEAST_USUAL}).weights() == {}
-    assert Residuals({}, {"A": 0.1e-3, "B": 0.1e-3, "C": 1.2 * USUAL_FACTOR * 0.1e-3}).weights() == {}  # hardly matters
-    assert Residuals({}, {"A": float("nan")}).weights() == {}
+    assert told.weights() == {ProfileLife("D"): pytest.approx((usual / 0.3e-3) ** 4)}
+    assert (
+        Residuals(
+            {}, {ProfileLife("A"): 0.01e-3, ProfileLife("B"): 0.01e-3, ProfileLife("C"): 0.99 * LEAST_USUAL}
+        ).weights()
+        == {}
+    )
+    assert (
+        Residuals(
+            {}, {ProfileLife("A"): 0.1e-3, ProfileLife("B"): 0.1e-3, ProfileLife("C"): 1.2 * USUAL_FACTOR * 0.1e-3}
+        ).weights()
+        == {}
+    )  # hardly matters
+    assert Residuals({}, {ProfileLife("A"): float("nan")}).weights() == {}
     assert Residuals({}, {}).weights() == {}
 
 

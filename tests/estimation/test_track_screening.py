@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +13,12 @@ from section_runs import SETTINGS, honest, made, mirror_mounted, turned_windows,
 from smooth_wheelset import GOOD, alignment, track
 
 from estimation.track.examination import examine
-from estimation.track.panel.basis import PanelParameters
+from estimation.track.gridded_pass import grid_pass
+from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.normal_equations import init, update
-from estimation.track.panel.solution import result
+from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass
+from estimation.track.profile_life import ProfileLife
 from estimation.track.screening.agreement import agreement as agree
 from estimation.track.screening.agreement import felt, laid
 from estimation.track.screening.screen import PassStatus, screen
@@ -77,15 +79,20 @@ def test_a_position_that_jumps_between_windows_is_refused_where_it_leaves_its_jo
         assert "away from the rest of its journey" in reason
 
 
+def solved(used: Sequence[Pass]) -> PanelSolution:
+    panel = Panel.of(PANEL)
+    return result(update(init(panel), [grid_pass(item, panel.grid) for item in used]))
+
+
 @settings(max_examples=6, deadline=None)
 @given(kind=st.sampled_from(sorted(BAD)), number=st.integers(0, 5), place=st.integers(0, 12))
 def test_a_bad_pass_leaves_the_solution_of_the_others_as_it_was(kind: str, number: int, place: int) -> None:
     found = list(honest())
-    bad = replace(BAD[kind][0](found[2 * number]), wheelset="BAD", vehicle="BAD")
-    before = result(update(init(PANEL), list(screen(found).used)))
+    bad = replace(BAD[kind][0](found[2 * number]), life=ProfileLife("BAD"), vehicle="BAD")
+    before = solved(screen(found).used)
     told = screen([*found[:place], bad, *found[place:]])
-    after = result(update(init(PANEL), list(told.used)))
-    assert after.wheelsets == before.wheelsets
+    after = solved(told.used)
+    assert after.lives == before.lives
     np.testing.assert_allclose(after.curves, before.curves, rtol=1e-12, atol=1e-18)
     np.testing.assert_allclose(after.alignment, before.alignment, rtol=1e-12, atol=1e-18)
 
@@ -140,14 +147,15 @@ def test_the_other_direction_tells_the_same_alignment_and_the_same_wheelset() ->
     assert all(np.all(np.diff(item.at) > 0) for item in both)
     told = screen(both, KNOWN)
     assert len(told.used) == len(both)
-    apart = [replace(item, wheelset=item.wheelset + " turned") if item.side < 0 else item for item in both]
-    solved = result(update(init(replace(PANEL, length=13_000.0, reach=1.0e-3)), apart))
+    apart = [replace(item, life=ProfileLife(item.wheelset + " turned")) if item.side < 0 else item for item in both]
+    panel = Panel.of(replace(PANEL, length=13_000.0, reach=1.0e-3))
+    both_ways = result(update(init(panel), [grid_pass(item, panel.grid) for item in apart]))
     for name in ("W0", "W2"):
-        here, there = solved.wheelsets.index(name), solved.wheelsets.index(f"{name} turned")
-        k = len(solved.knots)
-        seen = (solved.weight[here, :k] > 50) & (solved.weight[there, :k] > 50)
+        here, there = (both_ways.lives.index(ProfileLife(serial)) for serial in (name, f"{name} turned"))
+        k = len(both_ways.knots)
+        seen = (both_ways.weight[here, :k] > 50) & (both_ways.weight[there, :k] > 50)
         assert seen.sum() >= 3
-        first, second = (solved.curves[0, number, :k][seen] for number in (here, there))
+        first, second = (both_ways.curves[0, number, :k][seen] for number in (here, there))
         assert np.abs(first - second).max() < 0.1 * np.ptp(first)
 
 

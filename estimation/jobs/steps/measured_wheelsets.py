@@ -10,6 +10,7 @@ from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ContactError, DamagedError, ProfileError
 from estimation.storage import UnitOfWork
 from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
+from estimation.track.profile_life import ProfileLife
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import WindowRecord
 
@@ -18,7 +19,7 @@ from estimation.values.windows import WindowRecord
 class Measured:
     """Curves by the life of a wheelset, and what to say of measurements that cannot be used."""
 
-    curves: Mapping[str, MeasuredCurve] = field(default_factory=dict)
+    curves: Mapping[ProfileLife, MeasuredCurve] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 
@@ -26,7 +27,7 @@ def measured(
     unit: UnitOfWork,
     section: TrackSectionRecord,
     records: Sequence[WindowRecord],
-    lives: Sequence[str],
+    lives: Sequence[ProfileLife],
     within_km: float,
 ) -> Measured:
     """Return what profiles say that were measured within ``within_km`` of the windows, by the lathe's last visit.
@@ -42,7 +43,7 @@ def measured(
     within_km
         Mileage between measurement and window at which the profile still is what it was.
     """
-    curves: dict[str, MeasuredCurve] = {}
+    curves: dict[ProfileLife, MeasuredCurve] = {}
     notes: list[str] = []
     for life, record in {life: record for record, life in zip(records, lives, strict=True)}.items():
         try:

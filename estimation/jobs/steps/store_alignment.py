@@ -9,11 +9,11 @@ import numpy as np
 
 from estimation.jobs.job import JobContext
 from estimation.storage import UnitOfWork
-from estimation.track.journeys import Journey, journeys
+from estimation.track.journeys import Journey
 from estimation.track.passes import Pass
 from estimation.track.screening.screen import PassStatus
 from estimation.track.settings import AlignmentSettings
-from estimation.track.update import Finding
+from estimation.track.update import AlignmentUpdate
 from estimation.track.versions import requires_reestimation
 from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason, ReasonCode, code_of
@@ -32,8 +32,8 @@ class EpochPasses:
     refused: Mapping[WindowKey, Reason]
 
     def windows(self, item: Pass) -> Sequence[WindowKey]:
-        """Return the windows of a pass, which bears the name of a life of its wheelset."""
-        return self.members[item.wheelset.rsplit("#", 2)[0], item.start_ns]
+        """Return the windows of a pass."""
+        return self.members[item.wheelset, item.start_ns]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,30 +48,42 @@ class Epoch:
     notes: tuple[str, ...] = ()  # on evidence that could not be used
 
 
-def store(unit: UnitOfWork, epoch: Epoch, finding: Finding, context: JobContext) -> str:
-    """Store what was found; return what became of it.
+def store(unit: UnitOfWork, epoch: Epoch, update: AlignmentUpdate, context: JobContext) -> bool:
+    """Store what an epoch makes of a section, unless its alignment has changed since the epoch was read.
 
-    Nothing is stored where another version has come in force since the epoch was read ("changed_meanwhile"). Windows
-    of an epoch that identified nothing are left for the next, but for those that hold no pass.
+    Windows of an epoch that identified nothing are left for the next, but for those that hold no pass.
+
+    Parameters
+    ----------
+    unit
+        A transaction to write in.
+    epoch
+        Its windows and passes.
+    update
+        What was found.
+    context
+        Settings, clock and code version of the job.
+
+    Returns
+    -------
+    bool
+        Whether it was stored.
     """
     now = unit.tracks.in_force(epoch.section.code)
     expected = epoch.before.version if epoch.before is not None else None
     if (now.version if now is not None else None) != expected:
-        return "changed_meanwhile"
+        return False
     version = expected
-    if finding.made and finding.alignment is not None:
-        version = _next_version(unit, epoch, finding.alignment, context)
-    _report(unit, epoch, finding, version, context)
-    settings = context.settings.alignment
-    for position in _positions(epoch, finding, version, settings):
+    if update.outcome.makes_version and update.alignment is not None:
+        version = _next_version(unit, epoch, update.alignment, context)
+    _report(unit, epoch, update, version, context)
+    for position in _positions(epoch, update, version, context.settings.alignment):
         _place(unit, position)
-    if finding.alignment is None:
-        return "unestimated"
-    return "versions" if finding.made else "kept"
+    return True
 
 
 def _next_version(unit: UnitOfWork, epoch: Epoch, alignment: TrackAlignment, context: JobContext) -> int:
-    """Store an alignment; say since which version what it is used for stays the same."""
+    """Store an alignment with the oldest version whose results need not be estimated again."""
     now = unit.tracks.in_force(epoch.section.code)
     base = unit.tracks.alignment(epoch.section.code, now.same_since) if now is not None else None
     same_since = None
@@ -80,11 +92,11 @@ def _next_version(unit: UnitOfWork, epoch: Epoch, alignment: TrackAlignment, con
     return unit.tracks.add_alignment(alignment, same_since=same_since, recorded_ns=context.clock.now_ns())
 
 
-def _report(unit: UnitOfWork, epoch: Epoch, finding: Finding, version: int | None, context: JobContext) -> None:
-    told = finding.estimate.report
+def _report(unit: UnitOfWork, epoch: Epoch, update: AlignmentUpdate, version: int | None, context: JobContext) -> None:
+    found = update.estimate.report
     extra: dict[str, JsonValue] = {
-        "evidence": [*told.evidence, *epoch.notes],
-        "recording": finding.recording,
+        "evidence": [*found.evidence, *epoch.notes],
+        "recording": update.survey,
         "refused_windows": _counted([reason.text for reason in epoch.passes.refused.values()]),
         "refused_windows_by_code": _counted([reason.code for reason in epoch.passes.refused.values()]),
         "parameters": context.settings.alignment_parameters(),
@@ -93,13 +105,13 @@ def _report(unit: UnitOfWork, epoch: Epoch, finding: Finding, version: int | Non
         TrackReport(
             section=epoch.section.code,
             version=version,
-            made=finding.made,
-            status=told.status,
-            reason=told.reason,
+            made=update.outcome.makes_version,
+            status=found.status,
+            reason=found.reason,
             windows=len(epoch.records),
             input_digest=epoch.digest,
             code_version=context.code_version,
-            report=dict(told.as_json()) | extra,
+            report=dict(found.as_json()) | extra,
             recorded_ns=context.clock.now_ns(),
         )
     )
@@ -111,59 +123,66 @@ def _counted(reasons: Sequence[str]) -> JsonValue:
 
 
 def _positions(
-    epoch: Epoch, finding: Finding, version: int | None, settings: AlignmentSettings
+    epoch: Epoch, update: AlignmentUpdate, version: int | None, settings: AlignmentSettings
 ) -> Sequence[WindowPosition]:
     """Return where the windows were, as far as it has been found."""
-    judged = list(zip(epoch.passes.found, finding.outcomes, strict=True))
-    used = [item for item, outcome in judged if outcome.status is PassStatus.USED]
-    journey_of = {
-        key: journey
-        for journey, members in journeys(used, settings.section.positions).items()
-        for item in members
+    journey_of = _journeys_of_windows(epoch, update)
+    unused = {
+        key: outcome
+        for item, outcome in zip(epoch.passes.found, update.pass_outcomes, strict=True)
         for key in epoch.passes.windows(item)
+        if outcome.reason and key not in journey_of
     }
-    told = [(key, outcome) for item, outcome in judged for key in epoch.passes.windows(item)]
-    against = {key: outcome for key, outcome in told if key not in journey_of}
-    spoken = {key for key, outcome in against.items() if outcome.status is PassStatus.REFUSED}
-    reasons = {**epoch.passes.refused, **{key: outcome.reason for key, outcome in against.items() if outcome.reason}}
-    outliers = {(one.vehicle, one.from_ns): one.reason for one in finding.estimate.report.journeys if not one.used}
+    contradicted = {key for key, outcome in unused.items() if outcome.status is PassStatus.REFUSED}
+    refusals = {**epoch.passes.refused, **{key: outcome.reason for key, outcome in unused.items() if outcome.reason}}
+    outliers = {(one.vehicle, one.from_ns): one.reason for one in update.estimate.report.journeys if not one.used}
     found = []
     for record in epoch.records:
         key = (record.wheelset, record.start_ns)
-        plain = WindowPosition(record.wheelset, record.start_ns, record.content_digest, version)
-        if key in reasons and (key in epoch.passes.refused or finding.alignment is not None):
-            # on a recording a window needs no pass, unless its pass speaks against it
-            believed = finding.trusted and key not in spoken
-            found.append(plain if believed else replace(plain, reason=reasons[key]))
-        elif finding.alignment is not None and key in journey_of:
-            found.append(_corrected(plain, journey_of[key], finding, outliers, settings))
+        uncorrected = WindowPosition(record.wheelset, record.start_ns, record.content_digest, version)
+        if key in refusals and (key in epoch.passes.refused or update.alignment is not None):
+            # on a survey a window needs no pass, unless its pass contradicts the survey
+            accepted = update.outcome.positions_trusted and key not in contradicted
+            found.append(uncorrected if accepted else replace(uncorrected, reason=refusals[key]))
+        elif update.alignment is not None and key in journey_of:
+            found.append(_corrected(uncorrected, journey_of[key], update, outliers, settings))
     return found
 
 
+def _journeys_of_windows(epoch: Epoch, update: AlignmentUpdate) -> dict[WindowKey, Journey]:
+    """Return the journey of every window whose pass was used."""
+    return {
+        key: journey
+        for journey, members in update.estimate.grouped.items()
+        for item in members
+        for key in epoch.passes.windows(item)
+    }
+
+
 def _corrected(
-    plain: WindowPosition,
+    uncorrected: WindowPosition,
     journey: Journey,
-    finding: Finding,
+    update: AlignmentUpdate,
     outliers: Mapping[Journey, Reason | None],
     settings: AlignmentSettings,
 ) -> WindowPosition:
-    correction = finding.estimate.corrections.get(journey)
-    if finding.trusted:
+    correction = update.estimate.corrections.get(journey)
+    if update.outcome.positions_trusted:
         far = correction is not None and _largest(correction) > settings.trusted_offset
-        return plain if correction is None or not far else _moved(plain, correction)
+        return uncorrected if correction is None or not far else _moved(uncorrected, correction)
     if journey in outliers:
-        return replace(plain, reason=_uncertain(f": {outliers[journey]}"))
+        return replace(uncorrected, reason=_uncertain(f": {outliers[journey]}"))
     if correction is None:
-        return replace(plain, reason=_uncertain())
-    return _moved(plain, correction)
+        return replace(uncorrected, reason=_uncertain())
+    return _moved(uncorrected, correction)
 
 
 def _uncertain(why: str = "") -> Reason:
     return Reason(ReasonCode.POSITION_UNCERTAIN, f"its position along the section is not certain{why}")
 
 
-def _moved(plain: WindowPosition, correction: Correction) -> WindowPosition:
-    return replace(plain, offset_m=correction.offset, scale=correction.scale, middle_m=correction.middle)
+def _moved(uncorrected: WindowPosition, correction: Correction) -> WindowPosition:
+    return replace(uncorrected, offset_m=correction.offset, scale=correction.scale, middle_m=correction.middle)
 
 
 def _largest(correction: Correction) -> float:
@@ -177,8 +196,8 @@ def _place(unit: UnitOfWork, position: WindowPosition) -> None:
     before = unit.tracks.position(position.wheelset, position.start_ns)
     if not unit.tracks.put_position(position):
         return
-    told = (position.offset_m, position.scale, code_of(position.reason))
+    now = (position.offset_m, position.scale, code_of(position.reason))
     was = (before.offset_m, before.scale, code_of(before.reason)) if before is not None else (0.0, 0.0, None)
     window = unit.windows.get(position.wheelset, position.start_ns)
-    if told != was and window is not None and window.state is not WindowState.PENDING:
+    if now != was and window is not None and window.state is not WindowState.PENDING:
         unit.windows.mark(position.wheelset, position.start_ns, WindowState.PENDING)

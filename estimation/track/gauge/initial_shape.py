@@ -19,6 +19,7 @@ from estimation.track.panel.basis import Panel, basis_functions, pass_residual
 from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import PanelSolution, residual_of_passes, result
 from estimation.track.passes import Pass
+from estimation.track.profile_life import ProfileLife
 from estimation.values.arrays import FloatArray
 
 CLIPPED = 1e-3  # m of residual
@@ -52,7 +53,7 @@ def initial_gauge_effect(
         size = np.sqrt((mixed**2 * vectors.weight).sum() / vectors.weight.sum())
         odd = mixed * SIZE * panel.parameters.gauge_unit / size
         candidates.append(np.concatenate([-odd[:, :0:-1], np.zeros((len(odd), 1)), odd[:, 1:]], axis=1))
-    return _best_candidate(candidates, solution.wheelsets, passes, panel, prior)
+    return _best_candidate(candidates, solution.lives, passes, panel, prior)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,7 @@ class _LeadingVectors:
 
 def _leading_vectors(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel) -> _LeadingVectors:
     knots = panel.parameters.gauge_knots[panel.parameters.gauge_basis_count // 2 :]
-    k, w = len(knots), len(solution.wheelsets)
+    k, w = len(knots), len(solution.lives)
     sums, own, count = np.zeros((panel.grid.points, w * k)), np.zeros((w * k, w * k)), np.zeros(w * k)
     for item in passes:
         curve = solution.curve_of(item.life)
@@ -79,7 +80,7 @@ def _leading_vectors(passes: Sequence[GriddedPass], solution: PanelSolution, pan
         R = item.difference[item.inside]
         basis = basis_functions(np.minimum(np.abs(R), panel.parameters.reach), knots) * known
         products = panel.known.weight_of(item.life) * basis * np.sign(R) * residual
-        number = solution.wheelsets.index(item.life)
+        number = solution.lives.index(item.life)
         columns = slice(number * k, (number + 1) * k)
         sums[at, columns] += item.side * products.T
         own[columns, columns] += products @ products.T
@@ -93,7 +94,7 @@ def _leading_vectors(passes: Sequence[GriddedPass], solution: PanelSolution, pan
 
 def _best_candidate(
     candidates: Sequence[FloatArray],
-    wheelsets: Sequence[str],
+    lives: Sequence[ProfileLife],
     passes: Sequence[GriddedPass],
     panel: Panel,
     prior: GaugePrior,
@@ -110,7 +111,7 @@ def _best_candidate(
     ]
     start = result(update(init(small), part), std=False)
     zero = small.with_gauge(np.zeros(small.grid.points))
-    kept = [wheelsets.index(name) for name in start.wheelsets]
+    kept = [lives.index(life) for life in start.lives]
     residuals: list[float] = []
     for effect in candidates:
         gauge = gauge_step(part, with_gauge_effect(start, effect[kept], zero), zero, prior).gauge

@@ -17,6 +17,7 @@ from estimation.track.gauge.least_squares_step import FEWEST_PASSES
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.basis import Panel, gauge_at
 from estimation.track.panel.solution import PanelSolution
+from estimation.track.profile_life import ProfileLife
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.track import GaugeShift
 
@@ -43,7 +44,7 @@ def search_gauge(
     passes: Sequence[GriddedPass],
     solution: PanelSolution,
     panel: Panel,
-    shifts: Mapping[str, GaugeShift],
+    shifts: Mapping[ProfileLife, GaugeShift],
     parameters: SearchParameters,
 ) -> FloatArray:
     """Return the gauge deviation (n,), m, with mean zero, at which ``passes`` agree best.
@@ -81,7 +82,7 @@ def search_gauge(
 
 
 def _placed(
-    item: GriddedPass, solution: PanelSolution, panel: Panel, shifts: Mapping[str, GaugeShift]
+    item: GriddedPass, solution: PanelSolution, panel: Panel, shifts: Mapping[ProfileLife, GaugeShift]
 ) -> tuple[IntArray, FloatArray, FloatArray] | None:
     """Return grid points (m,), d plus the shift as this pass sees it (m,), m, and R (m,)."""
     curve = solution.curve_of(item.life)

@@ -24,6 +24,7 @@ from estimation.track.panel.basis import (
     pass_residual,
 )
 from estimation.track.panel.solution import PanelSolution
+from estimation.track.profile_life import ProfileLife
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array
 from estimation.values.track import GaugeShift
 
@@ -75,7 +76,9 @@ class ContactSamples:
         return ContactSamples(self.displacement[near], self.misfit[near], self.difference[near], self.gauge[near])
 
 
-def contact_samples(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel) -> dict[str, ContactSamples]:
+def contact_samples(
+    passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel
+) -> dict[ProfileLife, ContactSamples]:
     """Return where every wheelset sat, seen from itself; what the filter takes from y - d is put back from h(R, e).
 
     Parameters
@@ -85,7 +88,7 @@ def contact_samples(passes: Sequence[GriddedPass], solution: PanelSolution, pane
     solution, panel
         As solved, with a gauge.
     """
-    found: dict[str, list[FloatArray]] = {}
+    found: dict[ProfileLife, list[FloatArray]] = {}
     for item in passes:
         curve = solution.curve_of(item.life)
         if item.empty or curve is None:
@@ -126,20 +129,20 @@ def gauge_shift_of(wheels: WheelFunctions) -> GaugeShift:
     return GaugeShift(DIFFERENCES, GAUGES, at - at[:, [len(GAUGES) // 2]])
 
 
-def remove_common_shift(shifts: Mapping[str, GaugeShift]) -> dict[str, GaugeShift]:
+def remove_common_shift(shifts: Mapping[ProfileLife, GaugeShift]) -> dict[ProfileLife, GaugeShift]:
     """Return the shifts less their mean at R = 0: a shift of all wheelsets alike cannot be told from the track."""
     mean = np.mean([one.shift[len(DIFFERENCES) // 2] for one in shifts.values()], axis=0)
     return {name: replace(one, shift=one.shift - mean) for name, one in shifts.items()}
 
 
-def total_gauge_shifts(solution: PanelSolution, panel: Panel) -> dict[str, GaugeShift]:
+def total_gauge_shifts(solution: PanelSolution, panel: Panel) -> dict[ProfileLife, GaugeShift]:
     """Return all that the gauge does: what the panel knew beforehand, and h1 and h2 on top, as far as e was met."""
     assert panel.gauge is not None
     p, largest = panel.parameters, float(np.abs(panel.gauge).max())
     e = np.clip(GAUGES, -largest, largest) / p.gauge_unit
     R = np.clip(DIFFERENCES, -p.reach, p.reach)
     found = {}
-    for name, curve in zip(solution.wheelsets, solution.curves[0], strict=True):
+    for name, curve in zip(solution.lives, solution.curves[0], strict=True):
         first, second = (np.interp(R, p.gauge_knots, values) for values in gauge_curves(curve, panel))
         shift = np.outer(first, e) + np.outer(second, e * e)
         known = panel.known.gauge_shifts.get(name)
@@ -147,7 +150,7 @@ def total_gauge_shifts(solution: PanelSolution, panel: Panel) -> dict[str, Gauge
     return found
 
 
-def gauge_factor(seen: Mapping[str, ContactSamples]) -> float:
+def gauge_factor(seen: Mapping[ProfileLife, ContactSamples]) -> float:
     """Return what estimated gauge deviations are to be multiplied with: wheels that fit best tell the size.
 
     h1 and e have a common factor that the panel leaves open, a wheel does not.
@@ -162,7 +165,7 @@ def gauge_factor(seen: Mapping[str, ContactSamples]) -> float:
     return float(np.clip(np.exp(-slope / (2 * bend)), FACTORS[best - 1], FACTORS[best + 1]))
 
 
-def gauge_sign(seen: Mapping[str, ContactSamples], shifts: Mapping[str, GaugeShift]) -> int:
+def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[ProfileLife, GaugeShift]) -> int:
     """Return the sign that estimated gauge deviations are to be multiplied with.
 
     It is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is taken from

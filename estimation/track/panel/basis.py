@@ -12,6 +12,7 @@ from estimation.errors import ParameterError
 from estimation.filters.local_cubic import high_pass
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.measured_curves import MeasuredCurve
+from estimation.track.profile_life import ProfileLife
 from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.track import GaugeShift
@@ -65,11 +66,13 @@ class KnownBeforehand:
     """What is known of a section and its passes before the panel is solved."""
 
     gauge: FloatArray | None = None  # (points,) m, deviation; None: none is modelled
-    gauge_shifts: Mapping[str, GaugeShift] = field(default_factory=dict)  # by profile life
-    measured: Mapping[str, MeasuredCurve] = field(default_factory=dict)  # by profile life
-    weights: Mapping[str, float] = field(default_factory=dict)  # of a pass, by profile life; 1 where there is none
+    gauge_shifts: Mapping[ProfileLife, GaugeShift] = field(default_factory=dict)  # by profile life
+    measured: Mapping[ProfileLife, MeasuredCurve] = field(default_factory=dict)  # by profile life
+    weights: Mapping[ProfileLife, float] = field(
+        default_factory=dict
+    )  # of a pass, by profile life; 1 where there is none
 
-    def weight_of(self, life: str) -> float:
+    def weight_of(self, life: ProfileLife) -> float:
         """Return how much a pass of this wheelset counts."""
         return self.weights.get(life, 1.0)
 
@@ -89,7 +92,7 @@ class Panel:
         grid = SectionGrid(p.length, p.step, p.cutoff_wavelength, p.difference_cutoff_wavelength, p.impact)
         return cls(parameters, grid, known or KnownBeforehand())
 
-    def with_gauge(self, gauge: FloatArray, gauge_shifts: Mapping[str, GaugeShift] | None = None) -> Panel:
+    def with_gauge(self, gauge: FloatArray, gauge_shifts: Mapping[ProfileLife, GaugeShift] | None = None) -> Panel:
         """Return the panel with a gauge deviation (points,), m; its shifts stay as they are by default."""
         shifts = self.known.gauge_shifts if gauge_shifts is None else gauge_shifts
         return replace(self, known=replace(self.known, gauge=gauge, gauge_shifts=shifts))

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.basis import Panel, PassRows, pass_rows
+from estimation.track.profile_life import ProfileLife
 from estimation.values.arrays import FloatArray, IntArray
 
 
@@ -34,7 +35,7 @@ class PanelState:
     """
 
     panel: Panel
-    wheelsets: tuple[str, ...]
+    lives: tuple[ProfileLife, ...]  # of the wheelsets
     gram: FloatArray  # (g, w, k, k)
     cross: FloatArray  # (g, w, k)
     square: FloatArray  # (g,) sum of y^2
@@ -51,7 +52,7 @@ def init(panel: Panel) -> PanelState:
     g, k, n = panel.parameters.groups, panel.unknowns, panel.grid.points
     return PanelState(
         panel=panel,
-        wheelsets=(),
+        lives=(),
         gram=np.zeros((g, 0, k, k)),
         cross=np.zeros((g, 0, k)),
         square=np.zeros(g),
@@ -73,11 +74,11 @@ def update(state: PanelState, passes: Sequence[GriddedPass]) -> PanelState:
     passes
         On the grid of the state's panel.
     """
-    wheelsets = tuple(dict.fromkeys((*state.wheelsets, *(item.life for item in passes))))
-    new = len(wheelsets) - len(state.wheelsets)
+    lives = tuple(dict.fromkeys((*state.lives, *(item.life for item in passes))))
+    new = len(lives) - len(state.lives)
     sums = replace(
         state,
-        wheelsets=wheelsets,
+        lives=lives,
         gram=np.pad(state.gram, ((0, 0), (0, new), (0, 0), (0, 0))),
         cross=np.pad(state.cross, ((0, 0), (0, new), (0, 0))),
         square=state.square.copy(),
@@ -89,7 +90,7 @@ def update(state: PanelState, passes: Sequence[GriddedPass]) -> PanelState:
     )
     for item in passes:
         if not item.empty:
-            _add(sums, wheelsets.index(item.life), pass_rows(item, state.panel), state.panel.known.weight_of(item.life))
+            _add(sums, lives.index(item.life), pass_rows(item, state.panel), state.panel.known.weight_of(item.life))
     return sums
 
 

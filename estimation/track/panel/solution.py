@@ -10,6 +10,7 @@ from scipy import linalg
 from estimation.track.panel.basis import Panel
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, groups_of
+from estimation.track.profile_life import ProfileLife
 from estimation.values.arrays import FloatArray
 from estimation.values.intervals import jackknife_std
 from estimation.values.quantities import Status
@@ -45,7 +46,7 @@ class PanelSolution:
     """Curves and alignment with their standard deviations from blocks along the section."""
 
     report: PanelReport
-    wheelsets: tuple[str, ...]
+    lives: tuple[ProfileLife, ...]  # of the wheelsets
     knots: FloatArray  # (k,) R, m
     curves: FloatArray  # (1 + g, w, c) h(R) = y - d, m, and further columns: from all data, then without each group
     weight: FloatArray  # (w, k) how much of the data each knot has seen, in samples
@@ -54,15 +55,15 @@ class PanelSolution:
     common_std: FloatArray  # (n,) m, the share of it that the curves' uncertainty makes
     passes: FloatArray  # (n,) sum of their weights
 
-    def curve_of(self, wheelset: str) -> FloatArray | None:
+    def curve_of(self, life: ProfileLife) -> FloatArray | None:
         """Return the coefficients (c,) of a wheelset from all data; None where it has no curve."""
-        return self.curves[0, self.wheelsets.index(wheelset)] if wheelset in self.wheelsets else None
+        return self.curves[0, self.lives.index(life)] if life in self.lives else None
 
 
 def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     """Return what the passes so far say of the section and of the wheelsets that passed it; quicker without std."""
     p = state.panel.parameters
-    w, k, n = len(state.wheelsets), state.panel.unknowns, state.panel.grid.points
+    w, k, n = len(state.lives), state.panel.unknowns, state.panel.grid.points
     enough = state.passes >= p.least_passes
     group = groups_of(np.arange(n), state.panel)
     normal = np.empty((p.groups, w * k, w * k))
@@ -87,7 +88,7 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     told = curves_fixed or reason is None
     return PanelSolution(
         report=PanelReport(Status.ESTIMATED if told else Status.UNESTIMATED, None if told else reason, curves_fixed),
-        wheelsets=state.wheelsets,
+        lives=state.lives,
         knots=p.knots,
         curves=curves,
         weight=np.einsum("gwkk->wk", state.gram)[:, : p.basis_count],
@@ -106,7 +107,7 @@ def _by_curves(curves: FloatArray, state: PanelState) -> FloatArray:
 
 def _curves(normal: FloatArray, right: FloatArray, state: PanelState, *, curves_fixed: bool, std: bool) -> FloatArray:
     """Solve for all data and with each group left out; curves pass through zero at R = 0."""
-    w, p, c = len(state.wheelsets), state.panel.parameters, state.panel.unknowns
+    w, p, c = len(state.lives), state.panel.parameters, state.panel.unknowns
     if w == 0:
         return np.zeros((1 + len(normal), 0, 1))
     total, total_right = normal.sum(axis=0), right.sum(axis=0)
@@ -146,7 +147,7 @@ def _prior(scale: float, panel: Panel) -> FloatArray:
 def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
     """Return the curves that have been measured, by the number of their wheelset."""
     known = state.panel.known.measured
-    return {number: known[name] for number, name in enumerate(state.wheelsets) if name in known}
+    return {number: known[life] for number, life in enumerate(state.lives) if life in known}
 
 
 def _prior_of_measured(state: PanelState, fixed_weight: float | None) -> tuple[FloatArray, FloatArray]:
@@ -154,7 +155,7 @@ def _prior_of_measured(state: PanelState, fixed_weight: float | None) -> tuple[F
 
     ``fixed_weight`` is the weight of a knot where only the measurement can tell the curve; None lets its std weigh it.
     """
-    w, p, c = len(state.wheelsets), state.panel.parameters, state.panel.unknowns
+    w, p, c = len(state.lives), state.panel.parameters, state.panel.unknowns
     matrix, right = np.zeros((w * c, w * c)), np.zeros(w * c)
     for number, curve in _measured(state).items():
         displacement, reached = curve.at(p.knots)
@@ -198,7 +199,7 @@ def _residual_rms(state: PanelState, curve: FloatArray, normal: FloatArray, righ
 
 def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
     """Return the rms of y - d - h(R) over the passes alone, m, what they have shaped d and h by taken off."""
-    c = solution.curves[0].reshape(len(state.wheelsets), -1)
+    c = solution.curves[0].reshape(len(state.lives), -1)
     d = np.nan_to_num(solution.alignment)
     count = np.where(np.isfinite(solution.alignment), state.passes, 0)
     rest = state.displacement - _by_curves(c[None], state)[0]
@@ -240,7 +241,7 @@ def _too_little(state: PanelState) -> Reason | None:
     least = state.panel.parameters.least_passes
     if not (state.passes >= least).any():
         return too_few_passes(least)
-    if len(state.wheelsets) < LEAST_WHEELSETS:
+    if len(state.lives) < LEAST_WHEELSETS:
         return SINGLE_WHEELSET
     found = between_pass_std_ratio(state)
     if found < LEAST_DIVERSITY:

@@ -49,12 +49,12 @@ def refine_ratios(
     slopes = _slopes(solution, panel)
     numerators: dict[str, np.ndarray] = {}
     squares: dict[str, float] = {}
-    for vehicle, wheelset in sorted(
+    for vehicle, life in sorted(
         {(item.source.vehicle, item.life) for item in passes if item.source.stiffness_term is not None}
     ):
-        if wheelset not in solution.wheelsets:
+        if life not in solution.lives:
             continue
-        w = solution.wheelsets.index(wheelset)
+        w = solution.lives.index(life)
         numerators[vehicle] = numerators.get(vehicle, 0.0) + slopes[w] * solution.curves[:, w, -1]
         squares[vehicle] = squares.get(vehicle, 0.0) + slopes[w] ** 2
     result = {}
