@@ -44,8 +44,7 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("example", ["alert_rule", "estimator", "log_format", "profile_format"])
 def test_the_example_works(extended: Path, tmp_path: Path, example: str) -> None:
-    tests = (ROOT / "tests" / "jobs", ROOT / "tests" / "estimation")
-    path = os.pathsep.join(str(folder) for folder in (extended, *tests))
+    path = os.pathsep.join((str(extended), str(ROOT / "tests" / "estimation")))
     command = [sys.executable, str(USES / f"use_{example}.py"), str(tmp_path)]
     done = subprocess.run(
         command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=False
