@@ -48,7 +48,7 @@ class IdentityParameters:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """The geometry of one wheelset over one stretch of mileage, as an identity is judged by."""
+    """The geometry of one wheelset over one mileage interval, as an identity is judged by."""
 
     wheelset: str
     from_ns: int
@@ -92,11 +92,11 @@ def identity_events(
     """
     p = parameters or IdentityParameters()
     jumps = {serial: jump for serial, seen in histories.items() if (jump := _first_jump(seen, p)) is not None}
-    found: dict[str, IdentityEvent] = {}
+    events: dict[str, IdentityEvent] = {}
     for serial, (before, after) in jumps.items():
         event = reversed_between(before, after, p)
         if event is not None:
-            found[serial] = event
+            events[serial] = event
     pairs = []
     serials = sorted(jumps)
     for i, first in enumerate(serials):
@@ -104,14 +104,20 @@ def identity_events(
             swap = swapped_between(jumps[first], jumps[second], p)
             if swap is not None:
                 pairs.append(swap)
-    for one, other in sorted(pairs, key=lambda pair: (max(pair[0].left, pair[1].left), pair[0].wheelset)):
-        better = all(event.wheelset not in found or event.left < found[event.wheelset].left for event in (one, other))
+    for first_event, second_event in sorted(
+        pairs, key=lambda pair: (max(pair[0].left, pair[1].left), pair[0].wheelset)
+    ):
+        better = all(
+            event.wheelset not in events or event.left < events[event.wheelset].left
+            for event in (first_event, second_event)
+        )
         taken = any(
-            serial in found and found[serial].mistake is Mistake.SWAPPED for serial in (one.wheelset, other.wheelset)
+            serial in events and events[serial].mistake is Mistake.SWAPPED
+            for serial in (first_event.wheelset, second_event.wheelset)
         )
         if better and not taken:
-            found |= {one.wheelset: one, other.wheelset: other}
-    return found
+            events |= {first_event.wheelset: first_event, second_event.wheelset: second_event}
+    return events
 
 
 def _first_jump(seen: Sequence[Observation], p: IdentityParameters) -> tuple[Observation, Observation] | None:

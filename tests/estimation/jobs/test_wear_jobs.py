@@ -193,7 +193,7 @@ def test_rules_come_from_the_settings_and_one_switched_off_closes_its_alerts(sto
     run_jobs(storage, 6.0, RuleBook().with_rules(NoDataRule(days=5.0)))
     assert told(storage) == [(RAISED, "no_data")]
     run_jobs(storage, 6.5, RuleBook().with_rules(NoDataRule(enabled=False)))
-    assert [e.alert.close_reason for e in feed(storage) if e.kind is CLOSED] == ["rule switched off"]
+    assert [e.alert.close_reason for e in feed(storage) if e.kind is CLOSED] == [CloseReason.RULE_DISABLED]
     run_jobs(storage, 90.0, RuleBook().with_rules(NoDataRule(enabled=False)))
     assert len(feed(storage)) == 2
 
