@@ -170,7 +170,7 @@ def test_a_gap_of_a_tenth_of_a_second_costs_a_second_and_not_the_stretch() -> No
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"valid": np.arange(15_000) % 2000 < 1500}, ["stretch of 10 s", "23% missing, clipped or invalid"]),
+        ({"valid": np.arange(15_000) % 2000 < 1500}, ["uninterrupted run of 10 s", "23% missing, clipped or invalid"]),
         (
             {"speed": np.where(np.arange(15_000) < 3000, 20.0, 3.0)},
             ["17% of the samples can be used, 20% are needed", "80% slower than 8 m/s"],
