@@ -14,6 +14,7 @@ from api.rules_file import load_rules
 from estimation.jobs import evaluate_alerts
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
+from estimation.values.runs import JobTrigger
 from fleet_db.migrate import upgrade
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
@@ -28,8 +29,9 @@ with closing(SqlStorage(database_engine(url), folder)) as storage:
     wear(storage, "W1", 20)
     run_windows(storage, "W1", 19.5, 20)
     clock = SetClock(START_NS + round(20.5 * DAY_NS))
-    run = run_job(evaluate_alerts.JOB, JobContext(storage, clock, "test", JobSettings(rules=load_rules(rules))), "cli")
-    assert run.outcome == "succeeded", run.error
+    context = JobContext(storage, clock, "test", JobSettings(rules=load_rules(rules)))
+    run = run_job(evaluate_alerts.JOB, context, JobTrigger.CLI)
+    assert run.error is None, run.error
     with storage.read() as unit:
         kinds = [alert.kind for alert in unit.alerts.all_open("W1")]
 assert kinds == ["uncertain_conicity"], kinds
