@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -46,6 +47,30 @@ class FrameBatch:
 
 DEFAULT_CHANNEL = "can0"
 DATA_BYTES = 8
+_NUMBERED = re.compile(r"[A-Za-z_]*(\d+)")
+
+
+def channel_name(number: int) -> str:
+    """Return the name of a bus: BLF, ASC and MF4 count from 1, and ``can0`` is number 1.
+
+    Parameters
+    ----------
+    number
+        Number of the bus, from 1; 0 is taken as 1.
+    """
+    return f"can{max(number - 1, 0)}"
+
+
+def channel_number(name: str) -> int:
+    """Return the number, from 1, that BLF, ASC and MF4 use for a bus.
+
+    Parameters
+    ----------
+    name
+        Name of the bus; one without a number is bus 1.
+    """
+    match = _NUMBERED.fullmatch(name)
+    return int(match[1]) + 1 if match else 1
 
 
 def batch_of(

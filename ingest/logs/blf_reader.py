@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import LogFileError
-from ingest.frames import DATA_BYTES, ERROR_FLAG, REMOTE_FLAG, FrameBatch, empty_batch, from_owned_arrays
-from ingest.logs.log_format import DEFAULT_LIMITS, LogFormat, ReadLimits, channel_name
+from ingest.frames import DATA_BYTES, ERROR_FLAG, REMOTE_FLAG, FrameBatch, channel_name, empty_batch, from_owned_arrays
+from ingest.logs.log_format import DEFAULT_LIMITS, LogFormat, ReadLimits
 
 FILE_SIGNATURE = b"LOGG"
 OBJECT_SIGNATURE = b"LOBJ"

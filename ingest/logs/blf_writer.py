@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import LogFileError
-from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, channel_number
 from ingest.logs import blf_reader as blf
-from ingest.logs.log_format import channel_number
 
 CONTAINER_BYTES = 128 * 1024
 COMPRESSION = 1

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ingest.frames import FrameBatch
+from ingest.frames import FrameBatch, channel_name
 
 MEBIBYTE = 1 << 20
-_NUMBERED = re.compile(r"[A-Za-z_]*(\d+)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,29 +39,6 @@ class LogFormat:
     is_held: Callable[[bytes], bool]  # whether a file that begins with these bytes is of the format
     read: Callable[[Path, ReadLimits], FrameBatch] | None = None
     messages: Callable[[Path], Iterable[Any]] | None = None
-
-
-def channel_name(number: int) -> str:
-    """Return the name of a bus: BLF, ASC and MF4 count from 1, and ``can0`` is number 1.
-
-    Parameters
-    ----------
-    number
-        Number of the bus, from 1; 0 is taken as 1.
-    """
-    return f"can{max(number - 1, 0)}"
-
-
-def channel_number(name: str) -> int:
-    """Return the number, from 1, that BLF, ASC and MF4 use for a bus.
-
-    Parameters
-    ----------
-    name
-        Name of the bus; one without a number is bus 1.
-    """
-    match = _NUMBERED.fullmatch(name)
-    return int(match[1]) + 1 if match else 1
 
 
 def library_channel_name(channel: int | str | None) -> str:

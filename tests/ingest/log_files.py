@@ -9,9 +9,8 @@ import can
 import pytest
 
 from ingest.bus import messages_of
-from ingest.frames import FrameBatch
+from ingest.frames import FrameBatch, channel_number
 from ingest.logs import write_blf
-from ingest.logs.log_format import channel_number
 
 
 def write_recording(path: Path, batch: FrameBatch) -> None:
