@@ -47,6 +47,19 @@ def numbers(contact: ContactTable, cases: Mapping[str, Case], seed: int) -> dict
     }
 
 
+def page(title: str, case: Case) -> str:
+    """Return a Markdown page of a figure, bin by bin.
+
+    Parameters
+    ----------
+    title
+        Heading of the page.
+    case
+        The run behind the figure.
+    """
+    return f"# {title}\n\nWritten by `treadwatch reproduce`.\n\n{table(case)}"
+
+
 def table(case: Case) -> str:
     """Return a Markdown table, estimate against truth per bin with enough samples."""
     head = ["y-d (mm)", "samples"]
