@@ -13,7 +13,7 @@ import shutil
 import tempfile
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from multiprocessing import get_context
@@ -23,7 +23,19 @@ from typing import Any
 from rich.console import Console
 
 from api.comparison.trial import recording_key
-from bench.section_table import LIMITS, scaling_table, summaries, summary_table
+from bench.results_page import RESULTS, markdown_table, write_page
+from bench.section_table import (
+    LIMITS,
+    SCALING_HEADER,
+    SCALING_TITLE,
+    SUMMARY_HEADER,
+    SUMMARY_TITLE,
+    scaling_rows,
+    scaling_table,
+    summaries,
+    summary_rows,
+    summary_table,
+)
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario import Scenario, VehicleErrors
 from ingest.simulator.scenario_file import builtin_scenarios, load_scenario
@@ -37,10 +49,22 @@ def main(arguments: Sequence[str]) -> int:
     options = _options(arguments)
     console = Console(width=None if Console().is_terminal else 200)
     results = _before(options)
+    if not options.print_only:
+        _write(options.out, results)  # now, not after an hour
+        _run_rows(options, results, console)
+        if options.scaling and not results["scaling"]:
+            _run_sizes(options, results, console)
+    _show(console, results)
+    if options.write_docs:
+        console.print(f"wrote {write_results(results)}", highlight=False)
     if options.print_only:
-        _show(console, results)
         return 0
-    _write(options.out, results)  # now, not after an hour
+    console.print(f"wrote {options.out}", highlight=False)
+    return 1 if results["failures"] or not all_met(results["cases"]) else 0
+
+
+def _run_rows(options: argparse.Namespace, results: dict[str, Any], console: Console) -> None:
+    """Add the cases that ``results`` lacks; stored after every task."""
     variants = {"both": (False, True), "none": (False,), "only": (True,)}[options.parameter_errors]
     have = {(case["row"], case["seed"], case["drawn"]) for case in results["cases"]}
     tasks = [
@@ -57,24 +81,39 @@ def main(arguments: Sequence[str]) -> int:
             results["cases"] += cases
             results["failures"] += failures
             _write(options.out, results)
-            passed = time.monotonic() - began
-            console.print(
-                f"seed {futures[future]} done, {done} of {len(futures)} tasks, {passed / 60:.1f} min", highlight=False
-            )
-            for case in cases:
-                console.print("  " + summary_line(case), highlight=False)
-            for failure in failures:
-                console.print(f"  FAILED {failure['row']} seed {failure['seed']}: {failure['error']}", highlight=False)
-    if options.scaling and not results["scaling"]:
-        from bench.section_scaling import scaling  # noqa: PLC0415 - only where asked for
+            passed = (time.monotonic() - began) / 60.0
+            lines = [f"seed {futures[future]} done, {done} of {len(futures)} tasks, {passed:.1f} min"]
+            lines += ["  " + summary_line(case) for case in cases]
+            lines += [f"  FAILED {item['row']} seed {item['seed']}: {item['error']}" for item in failures]
+            for line in lines:
+                console.print(line, highlight=False)
 
-        for size in scaling(options.keep):
-            results["scaling"].append(size)
-            _write(options.out, results)
-            console.print(f"  {size['passes']} passes: {size['seconds']:.1f} s, {size['peak_mib']:.0f} MiB")
-    _show(console, results)
-    console.print(f"wrote {options.out}", highlight=False)
-    return 1 if results["failures"] or not all_met(results["cases"]) else 0
+
+def _run_sizes(options: argparse.Namespace, results: dict[str, Any], console: Console) -> None:
+    """Add time and memory by number of passes; stored after every size."""
+    from bench.section_scaling import scaling  # noqa: PLC0415 - only where asked for
+
+    for size in scaling(options.keep):
+        results["scaling"].append(size)
+        _write(options.out, results)
+        console.print(f"  {size['passes']} passes: {size['seconds']:.1f} s, {size['peak_mib']:.0f} MiB")
+
+
+def write_results(results: Mapping[str, Any], folder: Path = RESULTS) -> Path:
+    """Write the tables as a page of results, and return its path.
+
+    Parameters
+    ----------
+    results
+        As ``--out`` holds them.
+    folder
+        Where the page goes.
+    """
+    body = [SUMMARY_TITLE + ".", markdown_table(SUMMARY_HEADER, summary_rows(results["cases"]), range(1, 7))]
+    if results["scaling"]:
+        sizes = markdown_table(SCALING_HEADER, scaling_rows(results["scaling"]), range(len(SCALING_HEADER)))
+        body += [SCALING_TITLE + ".", sizes]
+    return write_page("accuracy", "Accuracy on simulated fleets", "python -m bench section --write-docs", body, folder)
 
 
 def seed_cases(
@@ -169,6 +208,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--no-scaling", dest="scaling", action="store_false", help="leave time and memory out")
     parser.add_argument("--resume", action="store_true", help="keep what --out holds, and do what it lacks")
     parser.add_argument("--print-only", action="store_true", help="print the table of what --out holds")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/results/accuracy.md too")
     parser.add_argument("--workers", type=int, default=WORKERS, help="processes")
     parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings (150 MB each)")
     parser.add_argument("--out", type=Path, default=Path("bench-results/section.json"), help="JSON file to write")

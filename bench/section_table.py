@@ -131,17 +131,24 @@ def _summary(row: str, drawn: bool, cases: Sequence[Mapping[str, Any]]) -> RowSu
     )
 
 
-def summary_table(cases: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the table for a terminal."""
-    table = Table(
-        "row", "seeds", "median", "95th", "reach", "bias", "given", *SHORT.values(), "d 3-60 m (as published)",
-        "gauge", "s", "met", f"outside {100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %",
-        title="equivalent conicity, mean absolute error over 1-3 mm; share of 95 % intervals that cover (of how many);"
-        " D bins: S and A would count there too, but are not published",
-        title_justify="left",
-    )  # fmt: skip
-    for item in summaries(cases):
-        table.add_row(
+SUMMARY_HEADER = (
+    "row", "seeds", "median", "95th", "reach", "bias", "given", *SHORT.values(), "d 3-60 m (as published)",
+    "gauge", "s", "met", f"outside {100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %",
+)  # fmt: skip
+SUMMARY_TITLE = (
+    "equivalent conicity, mean absolute error over 1-3 mm; share of 95 % intervals that cover (of how many);"
+    " D bins: S and A would count there too, but are not published"
+)
+SCALING_HEADER = (
+    "passes", "alignment s", "windows s", "geometry s", "total s", "s per pass", "peak MiB", "of these at start"
+)  # fmt: skip
+SCALING_TITLE = "12 km, one core: processor time and memory of the jobs"
+
+
+def summary_rows(cases: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Return the cells of the accuracy table, in the order of ``SUMMARY_HEADER``."""
+    return [
+        (
             item.row + (" + errors" if item.drawn else ""),
             str(item.seeds),
             _number(item.median, 4),
@@ -156,7 +163,13 @@ def summary_table(cases: Sequence[Mapping[str, Any]]) -> Table:
             "yes" if item.met else "NO",
             ", ".join(item.outside) or "-",
         )
-    return table
+        for item in summaries(cases)
+    ]
+
+
+def summary_table(cases: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the accuracy table for a terminal."""
+    return _table(SUMMARY_HEADER, SUMMARY_TITLE, summary_rows(cases))
 
 
 def _reach(item: RowSummary) -> str:
@@ -166,14 +179,10 @@ def _reach(item: RowSummary) -> str:
     return f"{limit:g}" if limit is not None else f"none estimated: {item.false_estimated}"
 
 
-def scaling_table(sizes: Sequence[Mapping[str, Any]]) -> Table:
-    """Return time and memory by number of passes."""
-    table = Table(
-        "passes", "alignment s", "windows s", "geometry s", "total s", "s per pass", "peak MiB", "of these at start",
-        title="12 km, one core: processor time and memory", title_justify="left",
-    )  # fmt: skip
-    for size in sizes:
-        table.add_row(
+def scaling_rows(sizes: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Return the cells of time and memory by number of passes, in the order of ``SCALING_HEADER``."""
+    return [
+        (
             str(size["passes"]),
             *(f"{value:.1f}" for value in size["parts"]),
             f"{size['seconds']:.1f}",
@@ -181,6 +190,19 @@ def scaling_table(sizes: Sequence[Mapping[str, Any]]) -> Table:
             f"{size['peak_mib']:.0f}",
             f"{size['base_mib']:.0f}",
         )
+        for size in sizes
+    ]
+
+
+def scaling_table(sizes: Sequence[Mapping[str, Any]]) -> Table:
+    """Return time and memory by number of passes, for a terminal."""
+    return _table(SCALING_HEADER, SCALING_TITLE, scaling_rows(sizes))
+
+
+def _table(header: Sequence[str], title: str, rows: Sequence[Sequence[str]]) -> Table:
+    table = Table(*header, title=title, title_justify="left")
+    for cells in rows:
+        table.add_row(*cells)
     return table
 
 

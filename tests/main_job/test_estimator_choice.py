@@ -7,12 +7,14 @@ from dataclasses import replace
 import pytest
 from tiny_fleet import WORN, Deployment
 
-from api.factory import estimation_settings
+from api.comparison.study import geometry_by
+from api.factory import estimation_settings, job_context
 from api.schemas.geometry import geometry
 from api.settings import load_settings
 from estimation.errors import ParameterError
 from estimation.values.geometry import BinStatus, GeometryRecord
 from estimation.values.quantities import Status
+from fleet_db.packed_values import pack_geometry
 from ingest.simulator.fleet import FleetReport
 
 
@@ -64,3 +66,18 @@ def test_an_unknown_estimator_is_refused_naming_the_variable(monkeypatch: pytest
     monkeypatch.setenv("TREADWATCH_ESTIMATOR", "kalman")
     with pytest.raises(ParameterError, match=r"TREADWATCH_ESTIMATOR.*no estimator 'kalman'; there are bins, linear"):
         estimation_settings(load_settings())
+
+
+def test_a_comparison_takes_the_geometry_that_the_job_stored(fleet: Deployment, report: FleetReport) -> None:
+    fleet.campaign_over(report.recordings[:1])
+    fleet.run_jobs()
+    stored_geometry = stored(fleet)[0].geometry
+    context = job_context(fleet.settings, fleet.storage)
+    compared = geometry_by(fleet.storage, context, WORN, "bins")
+    assert compared is not None
+    assert pack_geometry(compared) == pack_geometry(stored_geometry)
+    line = geometry_by(fleet.storage, context, WORN, "linear")
+    assert line is not None
+    assert pack_geometry(line) != pack_geometry(stored_geometry)
+    chosen(fleet, "linear").run_jobs()
+    assert pack_geometry(stored(fleet)[0].geometry) == pack_geometry(line)
