@@ -10,6 +10,7 @@ from pydantic import Field, JsonValue
 from api.schemas.common import Links, Representation, finite, finite_list
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
+from estimation.track.convergence import Iterated
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of, text_of
 from estimation.values.track import AlignmentRecord, TrackAlignment, TrackReport, TrackSectionRecord
@@ -48,6 +49,16 @@ class Journey(Representation):
     reason_code: ReasonCode | None
 
 
+class Convergence(Representation):
+    """How the iteration of one quantity ended."""
+
+    of: Iterated
+    converged: bool
+    rounds: int
+    change_m: float | None = Field(description="By the last round, of positions and gauge.")
+    change_1: float | None = Field(description="By the last round, of stiffness ratios.")
+
+
 class AlignmentReport(Representation):
     """What a run of the alignment job found of a section, and from what."""
 
@@ -64,7 +75,8 @@ class AlignmentReport(Representation):
     mean_passes_1: float | None = Field(description="Per place that has any.")
     diversity_1: float | None = Field(description="How far the passes of a place differ: 0 means no information.")
     covered_1: float | None = Field(description="Share of the section whose alignment is known.")
-    converged: bool = Field(description="Positions and stiffness ratios have converged.")
+    converged: bool = Field(description="Positions, stiffness ratios and, where it is estimated, gauge have converged.")
+    convergence: list[Convergence] = Field(description="Of each quantity; empty in reports of earlier versions.")
     rounds: int
     moved_m: float | None = Field(description="By which the last round moved a position at most.")
     residual_rms_mm: float | None
@@ -173,6 +185,7 @@ def report(record: TrackReport) -> AlignmentReport:
         mean_passes_1=_scaled(report.get("mean_passes")),
         diversity_1=_scaled(report.get("diversity")),
         covered_1=_scaled(report.get("covered")),
+        convergence=[_convergence(item) for item in _listed(report.get("convergence"))],
         journeys=[_journey(item) for item in _listed(report.get("journeys"))],
         code_version=record.code_version,
         links={"self": f"{own}/alignment-report", "section": own, **in_force},
@@ -196,6 +209,18 @@ _AS_STORED: dict[str, Any] = {
 
 def _as_stored(report: Mapping[str, Any]) -> dict[str, Any]:
     return {name: report.get(name, missing) for name, missing in _AS_STORED.items()}
+
+
+def _convergence(stored: dict[str, Any]) -> Convergence:
+    of = Iterated(stored["of"])
+    relative = of is Iterated.STIFFNESS_RATIOS
+    return Convergence(
+        of=of,
+        converged=stored["converged"],
+        rounds=stored["rounds"],
+        change_m=None if relative else stored["change"],
+        change_1=stored["change"] if relative else None,
+    )
 
 
 def _journey(report: dict[str, Any]) -> Journey:

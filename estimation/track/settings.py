@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from estimation.track.screening.screen import ScreeningParameters
+from estimation.track.screening.parameters import ScreeningParameters
 from estimation.track.section_parameters import SectionParameters
 
 

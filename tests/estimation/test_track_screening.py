@@ -20,7 +20,7 @@ from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass
 from estimation.track.profile_life import ProfileLife
 from estimation.track.screening.agreement import agreement as agree
-from estimation.track.screening.agreement import felt, laid
+from estimation.track.screening.agreement import alignment_segment, filter_pass
 from estimation.track.screening.screen import PassStatus, screen
 from estimation.values.track import TrackAlignment
 
@@ -119,7 +119,7 @@ def test_an_alignment_that_most_contradict_does_not_decide() -> None:
 
 def test_chance_agrees_as_often_as_it_says() -> None:
     """Passes of two places far apart: the probability of their agreement is uniform, as far as it can be counted."""
-    signals = [one for seed in (1, 2) for item in honest(seed) if (one := felt(item, 30.0, 1.0)) is not None]
+    signals = [one for seed in (1, 2) for item in honest(seed) if (one := filter_pass(item, 30.0, 1.0)) is not None]
     found = []
     for k, one in enumerate(signals):
         for other in signals[k + 1 :]:
@@ -131,9 +131,9 @@ def test_chance_agrees_as_often_as_it_says() -> None:
 
 
 def test_an_agreement_finds_shift_and_factor() -> None:
-    item = felt(replace(honest()[0], at=honest()[0].at + 7.0), 30.0, 0.5)
+    item = filter_pass(replace(honest()[0], at=honest()[0].at + 7.0), 30.0, 0.5)
     assert item is not None
-    d = laid(KNOWN, item.first - 100, item.last + 100, 30.0, 0.5)
+    d = alignment_segment(KNOWN, item.first - 100, item.last + 100, 30.0, 0.5)
     assert d is not None
     found = agree(item, d, 45.0, 100.0)
     assert found.shift == pytest.approx(-7.0, abs=0.51)

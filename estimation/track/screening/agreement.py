@@ -1,6 +1,6 @@
-"""Whether two things were felt at one place: how far what they have in common reaches beyond chance.
+"""Whether two signals are of one place: how far what they have in common exceeds chance.
 
-What a wheelset feels at a place is y = d + h(R), h near to a straight line. So two passes of one place have a
+The displacement of a wheelset at a place is y = d + h(R), h near to a straight line. So two passes of one place have a
 combination of (y, R) each that is the same in both, d, whatever their wear; two passes of different places have not.
 The largest canonical correlation between them over the offsets that are searched says which, and its significance is
 that of Wilks' lambda with the number of independent samples that their autocorrelations leave (Bartlett).
@@ -19,13 +19,13 @@ from estimation.track.passes import Pass, gridded
 from estimation.values.arrays import FloatArray
 from estimation.values.track import TrackAlignment
 
-MEMORY = 60.0  # m: how far samples of a high-passed signal know of each other
+CORRELATION_LENGTH = 60.0  # m: over which samples of a high-passed signal are correlated
 PIECE = 1000.0  # m
 LEAST_SAMPLES = 8.0  # independent ones, below which nothing is said
 
 
 @dataclass(frozen=True, slots=True)
-class Felt:
+class FilteredPass:
     """High-passed signals on the grid: of a pass y and R; of an alignment d."""
 
     first: int  # grid point of the first sample
@@ -57,8 +57,8 @@ class Agreement:
 NOTHING = Agreement(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def felt(item: Pass, cutoff_wavelength: float, step: float) -> Felt | None:
-    """Return what a pass felt, high-passed; None where it is shorter than the filter reaches.
+def filter_pass(item: Pass, cutoff_wavelength: float, step: float) -> FilteredPass | None:
+    """Return the high-passed signals of a pass; None where it is shorter than the filter reaches.
 
     Parameters
     ----------
@@ -73,11 +73,23 @@ def felt(item: Pass, cutoff_wavelength: float, step: float) -> Felt | None:
     if len(y) <= 2 * len(weights):
         return None
     signals = high_pass(np.stack([y, item.side * R]), weights)[:, reach:-reach]
-    return Felt(first + reach, signals, step)
+    return FilteredPass(first + reach, signals, step)
 
 
-def laid(track: TrackAlignment, first: int, last: int, cutoff_wavelength: float, step: float) -> Felt | None:
-    """Return the longest known stretch of an alignment between two grid points, high-passed unless it is already."""
+def alignment_segment(
+    track: TrackAlignment, first: int, last: int, cutoff_wavelength: float, step: float
+) -> FilteredPass | None:
+    """Return the longest known stretch of an alignment between two grid points, high-passed unless it is already.
+
+    Parameters
+    ----------
+    track
+        The alignment.
+    first, last
+        Grid points.
+    cutoff_wavelength, step
+        Of the filter and of the grid, m.
+    """
     grid = np.arange(first, last + 1) * step
     known = np.isfinite(track.alignment)
     if np.count_nonzero(known) < 2:  # noqa: PLR2004 - nothing to interpolate between
@@ -86,12 +98,12 @@ def laid(track: TrackAlignment, first: int, last: int, cutoff_wavelength: float,
     start, stop = _longest(inside)
     d = np.interp(grid[start:stop], track.s[known], track.alignment[known])
     if np.isfinite(track.cutoff_wavelength):
-        return Felt(first + start, d[None, :], step) if len(d) else None
+        return FilteredPass(first + start, d[None, :], step) if len(d) else None
     weights = local_cubic_kernel(cutoff_wavelength, step)
     reach = len(weights) // 2
     if len(d) <= 2 * len(weights):
         return None
-    return Felt(first + start + reach, high_pass(d, weights)[None, reach:-reach], step)
+    return FilteredPass(first + start + reach, high_pass(d, weights)[None, reach:-reach], step)
 
 
 def _longest(inside: FloatArray) -> tuple[int, int]:
@@ -103,7 +115,7 @@ def _longest(inside: FloatArray) -> tuple[int, int]:
     return int(starts[k]), int(stops[k])
 
 
-def agreement(first: Felt, second: Felt, largest_offset: float, least_length: float) -> Agreement:
+def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, least_length: float) -> Agreement:
     """Return what two have in common within ``largest_offset`` m, on at least ``least_length`` m; else ``NOTHING``.
 
     Where they share much, odometers of other scale drift apart by more than a wavelength; a few pieces of it are then
@@ -176,11 +188,11 @@ def _at_lag(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> 
     cross = all_of[:p, p:]
     M = _inverse(all_of[:p, :p]) @ cross @ _inverse(all_of[p:, p:]) @ cross.T
     squared = np.clip(np.linalg.eigvals(M).real, 0.0, 1.0 - 1e-12)
-    samples, memory = _independent(X, Z, step)
+    samples, correlation_length = _independent(X, Z, step)
     if samples < LEAST_SAMPLES:
         return NOTHING
     wilks = -(samples - 0.5 * (p + q + 3)) * float(np.log1p(-squared).sum())
-    search_gauge = max(2 * reach * step / memory, 1.0)
+    search_gauge = max(2 * reach * step / correlation_length, 1.0)
     chance = float(chi2.logsf(wilks, p * q)) / np.log(10.0) + np.log10(search_gauge)
     coefficients = _inverse(all_of[1:, 1:]) @ all_of[1:, 0]  # of y on R and on the other's signals
     return Agreement(float(np.sqrt(squared.max())), min(chance, 0.0), lag * step, float(coefficients[p - 1]), samples)
@@ -196,7 +208,7 @@ def _inverse(gram: FloatArray) -> FloatArray:
 def _independent(X: FloatArray, Z: FloatArray, step: float) -> tuple[float, float]:
     """Return how many independent samples a correlation of X with Z has, and over how many m one of them reaches."""
     n = X.shape[1]
-    far = min(int(MEMORY / step), n - 1)
+    far = min(int(CORRELATION_LENGTH / step), n - 1)
     size = fft.next_fast_len(n + far, real=True)
     spectra = [np.abs(fft.rfft(signal, size)) ** 2 for signal in (*X, *Z)]
     own = [fft.irfft(power, size)[: far + 1] for power in spectra]

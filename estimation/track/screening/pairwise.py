@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.track.screening.agreement import Felt
+from estimation.track.screening.agreement import FilteredPass, agreement
+from estimation.track.screening.disagreement import disagreement
+from estimation.track.screening.parameters import ScreeningParameters
 from estimation.track.screening.position_jumps import Link
 from estimation.values.arrays import IntArray
 from estimation.values.reasons import Reason
 
-ALIKE = 20  # grid points: overlaps that differ less are alike
-LEADING_ON = 200  # grid points that one which leads on must share
-ONWARD = 2  # of them
-Compare = Callable[[Felt, Felt], tuple[Reason | None, Link | None] | None]
+OVERLAP_RESOLUTION = 20  # grid points: overlaps that differ less count as equal
+MIN_CHAIN_OVERLAP = 200  # grid points of overlap with a pass that continues along the section
+CHAIN_NEIGHBOURS = 2  # passes that continue along the section
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,53 +34,60 @@ class Comparison:
         return self.reason is None
 
 
-def compared(heard: Mapping[int, Felt], journey_of: IntArray, peers: int, compare: Compare) -> list[Comparison]:
-    """Return the comparisons of every pass with up to ``peers`` that overlap it most, of as many other journeys.
+def compare_pairs(
+    filtered: Mapping[int, FilteredPass], journey_of: IntArray, p: ScreeningParameters
+) -> list[Comparison]:
+    """Return the comparisons of every pass with up to ``p.peers`` that overlap it most, of as many other journeys.
 
     Parameters
     ----------
-    heard
+    filtered
         Passes by index.
     journey_of
         (n,) number of each pass's journey; those of one journey share their errors and are not compared.
-    peers
-        How many; the cost is linear in the number of passes.
-    compare
-        Why two contradict each other, or where they agree; None where nothing can be said.
+    p
+        Limits, and how many peers; the cost is linear in the number of passes.
     """
-    pairs = {(min(i, j), max(i, j)) for i in heard for j in _peers(i, heard, journey_of, peers)}
-    found = []
-    for i, j in sorted(pairs):
-        said = compare(heard[i], heard[j])
-        if said is not None:
-            reason, link = said
-            found.append(Comparison(i, j, reason, replace(link or Link(0, 0, 0.0), first=i, second=j)))
-    return found
+    pairs = {(min(i, j), max(i, j)) for i in filtered for j in _peers(i, filtered, journey_of, p.peers)}
+    comparisons = (_compare(i, j, filtered, p) for i, j in sorted(pairs))
+    return [one for one in comparisons if one is not None]
 
 
-def _peers(i: int, heard: Mapping[int, Felt], journey_of: IntArray, wanted: int) -> list[int]:
+def _compare(i: int, j: int, filtered: Mapping[int, FilteredPass], p: ScreeningParameters) -> Comparison | None:
+    """Return why two passes contradict each other, or where they agree; None where they share too little."""
+    found = agreement(filtered[i], filtered[j], p.positions.largest_offset, p.cutoff_wavelength)
+    if found.samples < p.least_samples and found.log10_chance > p.log10_chance:
+        return None
+    return Comparison(i, j, disagreement(found, 1.0, p, "other passes of the place"), Link(i, j, found.shift))
+
+
+def _peers(i: int, filtered: Mapping[int, FilteredPass], journey_of: IntArray, wanted: int) -> list[int]:
     """Return the passes to compare ``i`` with: of each other journey the one that overlaps it most, those that do best.
 
     Wheelsets of one vehicle overlap alike; ``i`` decides among them, so that not all are compared with the same one.
-    Besides, a few that overlap less and lead on along the section, so that comparisons do not end where windows do.
+    Besides, a few that overlap less and continue along the section, so that comparisons do not end where windows do.
     """
-    others = np.array(list(heard), dtype=np.int64)
-    first = np.array([one.first for one in heard.values()])
-    last = np.array([one.last for one in heard.values()])
-    shared = (np.minimum(last, heard[i].last) - np.maximum(first, heard[i].first)) // ALIKE
+    others = np.array(list(filtered), dtype=np.int64)
+    first = np.array([one.first for one in filtered.values()])
+    last = np.array([one.last for one in filtered.values()])
+    shared = (np.minimum(last, filtered[i].last) - np.maximum(first, filtered[i].first)) // OVERLAP_RESOLUTION
     order = np.lexsort(((others - i) % len(journey_of), -shared))
     chosen: dict[int, int] = {}  # by journey
     for k in order[shared[order] > 0]:
         chosen.setdefault(int(journey_of[others[k]]), int(others[k]))
     chosen.pop(int(journey_of[i]), None)
     best = list(chosen.values())[:wanted]
-    beyond = np.where((journey_of[others] != journey_of[i]) & (shared * ALIKE >= LEADING_ON), last - heard[i].last, 0)
-    onward = [int(others[k]) for k in np.argsort(-beyond, kind="stable")[:ONWARD] if beyond[k] > 0]
-    return list(dict.fromkeys([*best, *onward]))
+    beyond = np.where(
+        (journey_of[others] != journey_of[i]) & (shared * OVERLAP_RESOLUTION >= MIN_CHAIN_OVERLAP),
+        last - filtered[i].last,
+        0,
+    )
+    following = [int(others[k]) for k in np.argsort(-beyond, kind="stable")[:CHAIN_NEIGHBOURS] if beyond[k] > 0]
+    return list(dict.fromkeys([*best, *following]))
 
 
-def contradicted(
-    comparisons: Sequence[Comparison], journey_of: IntArray, believed: frozenset[int] = frozenset()
+def minority(
+    comparisons: Sequence[Comparison], journey_of: IntArray, confirmed: frozenset[int] = frozenset()
 ) -> dict[int, Reason]:
     """Return the passes that are contradicted by at least as many journeys as stand with them, with the reason.
 
@@ -89,7 +97,7 @@ def contradicted(
         Of the passes.
     journey_of
         (n,) number of each pass's journey.
-    believed
+    confirmed
         Passes that a known alignment agrees with: they are not refused, and whom they contradict is.
     """
     camp = _camps(comparisons, len(journey_of))
@@ -97,18 +105,18 @@ def contradicted(
     for c in comparisons:
         for i in (c.first, c.second):
             members.setdefault(int(camp[i]), set()).add(int(journey_of[i]))
-    known = {int(camp[i]) for i in believed}
+    known = {int(camp[i]) for i in confirmed}
     found: dict[int, Reason] = {}
     for c in comparisons:
         if c.reason is None or camp[c.first] == camp[c.second]:
             continue
         for i, j in ((c.first, c.second), (c.second, c.first)):
-            mine, theirs = int(camp[i]), int(camp[j])
-            weaker = len(members[mine]) <= len(members[theirs]) if mine not in known else False
-            if (weaker or theirs in known) and i not in believed:
-                both = len(members[mine] | members[theirs])
+            own, theirs = int(camp[i]), int(camp[j])
+            weaker = len(members[own]) <= len(members[theirs]) if own not in known else False
+            if (weaker or theirs in known) and i not in confirmed:
+                both = len(members[own] | members[theirs])
                 found[i] = replace(
-                    c.reason, text=f"{c.reason}; {len(members[mine])} of {both} journeys of the place agree with it"
+                    c.reason, text=f"{c.reason}; {len(members[own])} of {both} journeys of the place agree with it"
                 )
     return found
 
