@@ -68,14 +68,14 @@ def _run_rows(options: argparse.Namespace, results: dict[str, Any], console: Con
     variants = {"both": (False, True), "none": (False,), "only": (True,)}[options.parameter_errors]
     have = {(case["row"], case["seed"], case["drawn"]) for case in results["cases"]}
     tasks = [
-        (seed, drawn, rows, options.keep)
+        (seed, rows, drawn)
         for drawn in variants
         for seed in options.seeds
-        for rows in _sharing(_missing(options.rows, seed, drawn, have), seed)
+        for rows in _sharing(_missing(options.rows, have, seed, drawn=drawn), seed)
     ]
     began = time.monotonic()
     with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        futures = {pool.submit(seed_cases, *task): task[0] for task in tasks}
+        futures = {pool.submit(seed_cases, seed, rows, options.keep, drawn=drawn): seed for seed, rows, drawn in tasks}
         for done, future in enumerate(as_completed(futures), start=1):
             cases, failures = future.result()
             results["cases"] += cases
@@ -117,10 +117,7 @@ def write_results(results: Mapping[str, Any], folder: Path = RESULTS) -> Path:
 
 
 def seed_cases(
-    seed: int,
-    drawn: bool,  # noqa: FBT001 - part of a task
-    rows: Sequence[str],
-    keep: Path | None,
+    seed: int, rows: Sequence[str], keep: Path | None, *, drawn: bool
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the scores of ``rows`` for one seed, and what failed; runs in a process of its own."""
     from bench.section_case import score  # noqa: PLC0415 - compiled code is loaded where it runs
@@ -130,7 +127,9 @@ def seed_cases(
         for row in rows:
             data = Path(folder) / row
             try:
-                cases.append(score(row_scenario(row, seed, drawn), keep or Path(folder) / "recordings", data).as_json())
+                cases.append(
+                    score(row_scenario(row, seed, drawn=drawn), keep or Path(folder) / "recordings", data).as_json()
+                )
             except Exception as error:  # noqa: BLE001 - one row that fails must not cost the hour before it
                 trace = "".join(traceback.format_exception(error)[-2:])
                 failures.append({"row": row, "seed": seed, "drawn": drawn, "error": repr(error), "trace": trace})
@@ -138,13 +137,13 @@ def seed_cases(
     return cases, failures
 
 
-def row_scenario(row: str, seed: int, drawn: bool) -> Scenario:  # noqa: FBT001 - part of a task
+def row_scenario(row: str, seed: int, *, drawn: bool) -> Scenario:
     """Return the scenario of a row for one seed, with or without errors of the vehicle parameters."""
     scenario = with_seed(load_scenario(row), seed)
     return replace(scenario, vehicle_errors=VehicleErrors()) if drawn else scenario
 
 
-def _missing(rows: Sequence[str], seed: int, drawn: bool, have: set[tuple[str, int, bool]]) -> list[str]:  # noqa: FBT001 - as above
+def _missing(rows: Sequence[str], have: set[tuple[str, int, bool]], seed: int, *, drawn: bool) -> list[str]:
     """Return the rows that are still to do; a section without information has no variant with errors."""
     return [row for row in rows if (row, seed, drawn) not in have and not (drawn and row == NO_INFORMATION)]
 

@@ -39,7 +39,7 @@ class AlignmentScore:
 
 
 def alignment_score(scenario: Scenario, found: TrackAlignment) -> AlignmentScore:
-    """Return the error of an alignment, its offset and scale along the track fitted: no data can tell these.
+    """Return the error of an alignment, its offset and scale along the track fitted: no data determine these.
 
     Parameters
     ----------

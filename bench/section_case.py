@@ -3,7 +3,7 @@
 Nothing is left out and nothing is set: recordings go through the receiver, windows are examined and screened, passes
 become epochs, and the uncertainty of the vehicle parameters is as shipped.
 
-Band-limited signals carry no offset. Bins are therefore held against the true curve seen from the place on it that
+Band-limited signals carry no offset. Bins are therefore compared with the true curve counted from the place on it that
 fits them best, within 0.6 mm of the true zero crossing, and less its mean over the samples (R and D): where on the true
 curve they lie is not scored, and the zero crossing is published as unknown. Conicity and NP do not depend on it.
 
@@ -195,7 +195,7 @@ def origin(found: WheelsetGeometry, truth: TrueWheelset) -> tuple[float, float]:
     """Return (y - d, R) of the true curve, m, from which the estimated one is counted.
 
     Band-limited signals have lost their means, so the estimated curve has its origin at the mean of both: it may lie
-    anywhere along the true curve, with its own R on average nought. The place where it fits best is taken.
+    anywhere along the true curve, with its own R zero on average. The place where it fits best is taken.
     """
     centre, R = found.bin_centres, found.rolling_radius_difference
     known = np.isfinite(R.value)

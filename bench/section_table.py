@@ -21,7 +21,7 @@ LIMITS: Mapping[str, float | None] = {  # 95th percentile of the conicity error;
 }
 COVERAGE = (0.92, 0.98)
 ALIGNMENT = 0.06e-3  # m SD, constant gauge
-LEAST_INTERVALS = 100  # before a share of them says anything
+LEAST_INTERVALS = 100  # before a share of them is judged
 
 
 @dataclass(frozen=True, slots=True)

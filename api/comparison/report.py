@@ -21,7 +21,7 @@ OF_USE = 0.05  # error, 95th percentile, beyond which the nearest is not near
 
 
 def titles() -> dict[str, str]:
-    """Return what the estimators are, by name."""
+    """Return the titles of the estimators, keyed by their names."""
     return {item.name: item.title for item in estimators()}
 
 

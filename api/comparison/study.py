@@ -38,7 +38,7 @@ class TrackInformation(StrEnum):
     """What is on file of the track."""
 
     KNOWN = "known"  # its true alignment and gauge
-    FLEET = "fleet"  # what the scenario says is on file; the alignment job finds the rest
+    FLEET = "fleet"  # no alignment: the alignment job finds it; gauge as in the scenario
     NONE = "none"  # a straight track: y is taken for y - d
 
 
@@ -124,13 +124,16 @@ def study(scenario: Scenario, cache: Path, progress: Progress = no_progress, wor
     workers
         Processes of the simulation; None for as many as cores.
     """
-    told: Progress = lambda what, done, of: progress(f"{scenario.pair}: {what}", done, of)  # noqa: E731 - a prefix
-    recorded = record(scenario, cache, workers=workers, progress=told)
+
+    def show(what: str, done: int, of: int) -> None:
+        progress(f"{scenario.pair}: {what}", done, of)
+
+    recorded = record(scenario, cache, workers=workers, progress=show)
     truths = read_truth(recorded.truth)
     shown = truths[3 * len(truths) // 4]
     collected = _Collected()
     with tempfile.TemporaryDirectory(prefix="treadwatch-compare-") as temporary:
-        received = _received(scenario, recorded, Path(temporary) / "received", told)
+        received = _received(scenario, recorded, Path(temporary) / "received", show)
         for track in TrackInformation:
             folder = Path(temporary) / track.value
             settings = copied(received, folder)
@@ -138,11 +141,11 @@ def study(scenario: Scenario, cache: Path, progress: Progress = no_progress, wor
             with opened(settings) as (storage, context):
                 began = time.perf_counter()
                 jobs = ESTIMATION[1:] if track is TrackInformation.NONE else ESTIMATION
-                run_jobs(context, jobs[:1], told)
+                run_jobs(context, jobs[:1], show)
                 if track is TrackInformation.FLEET:
                     collected.track_seconds = time.perf_counter() - began
-                run_jobs(context, jobs[1:], told)
-                _score_all(storage, context, scenario.pair, track, truths, shown, collected, told)
+                run_jobs(context, jobs[1:], show)
+                _score_all(storage, context, scenario.pair, track, truths, shown, collected, show)
     example = Example(shown, collected.geometries)
     scores, seconds = tuple(collected.scores), collected.track_seconds
     return PairStudy(scenario.pair, scenario.seed, scores, collected.unestimated, seconds, example)

@@ -42,7 +42,7 @@ class CurveEstimate:
     nonlinearity: Estimate  # NP, 1/mm
     zero_crossing: Estimate  # m
     samples: int
-    stretches: int  # of motion seen
+    stretches: int  # windows of motion added
     status: Status
     reason: Reason | None = None
 
@@ -82,7 +82,7 @@ class Estimator(Protocol[State]):
         weight
             Above 0, at most 1: how much the samples of ``motion`` count beside those of weight 1. The current geometry
             forgets by mileage so: half the weight after each half-life. An estimator that cannot weight ignores it,
-            and its current geometry forgets nothing; its docstring says so.
+            and its current geometry forgets nothing; its docstring states that.
         """
 
     def result(self, state: State) -> CurveEstimate:

@@ -30,7 +30,7 @@ class LinearConicity:
         return added(state, motion, _line, weight)
 
     def result(self, state: SeriesState) -> CurveEstimate:
-        """Return the straight line, its conicity at every amplitude that was met."""
+        """Return the straight line, its conicity at every amplitude inside the data."""
         return solved(state, _line, ridge=0.0)
 
 

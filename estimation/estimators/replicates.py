@@ -33,7 +33,7 @@ class Replicates:
 
 
 def nothing(reason: Reason, parameters: EstimatorParameters, samples: int, stretches: int) -> CurveEstimate:
-    """Return the estimate that says: nothing, for this reason."""
+    """Return the estimate without any number, for this reason."""
     amplitude = np.array(parameters.curve.amplitudes)
     unknown = Estimate.unknown(reason, float(stretches))
     empty = np.empty(0)

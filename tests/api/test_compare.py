@@ -1,4 +1,4 @@
-"""``treadwatch compare``: as a person runs it, what its words say, and what a bad scenario gives."""
+"""``treadwatch compare``: as a person runs it, its sentences, and a bad scenario."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ deepest_wear_mm = 0.6
 NAMES = [item.name for item in estimators()]
 
 
-def score(name: str, told: Track, errors: tuple[float, ...], estimated: int = 18) -> Score:
-    return Score("P8/113A", told, name, errors, 2, 18, estimated, estimated - 1, 1.0)
+def score(name: str, track: Track, errors: tuple[float, ...], estimated: int = 18) -> Score:
+    return Score("P8/113A", track, name, errors, 2, 18, estimated, estimated - 1, 1.0)
 
 
 def truth() -> TrueWheelset:

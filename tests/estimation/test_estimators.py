@@ -1,4 +1,4 @@
-"""Estimators behind one interface: against truth, against the paper's plain form, and a stranger that fits in."""
+"""Estimators behind one interface: against truth, against the paper's plain form, and one that is in no catalogue."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class ScalarKalman:
-    """A stranger: a Kalman filter of one slope, sample by sample."""
+    """A Kalman filter of one slope, sample by sample."""
 
     name: str = "kalman"
     title: str = "Kalman filter of one slope"
@@ -229,8 +229,8 @@ class ScalarKalman:
 
 
 def test_a_kalman_filter_fits_in() -> None:
-    stranger: Estimator[Gaussian] = ScalarKalman()
+    kalman: Estimator[Gaussian] = ScalarKalman()
     parts = cut(ideal(run(120)), 50_000)
-    found = run_estimator(stranger, CERTAIN, parts)
+    found = run_estimator(kalman, CERTAIN, parts)
     line = run_estimator(LinearConicity(), CERTAIN, parts)
     assert found.conicity[4].value == pytest.approx(line.conicity[4].value, abs=0.02)
