@@ -17,7 +17,17 @@ from estimation.values.windows import WindowRecord
 def limit_batch(
     records: Sequence[WindowRecord], lives: Sequence[ProfileLife], most_wheelsets: int
 ) -> list[tuple[WindowRecord, ProfileLife]]:
-    """Return the first records with their lives, as many as do not exceed the number of lives, by place in time."""
+    """Return the first records with their lives, as many as do not exceed the number of lives, by place in time.
+
+    Parameters
+    ----------
+    records
+        Windows by time.
+    lives
+        Profile life of each.
+    most_wheelsets
+        Number of lives at most.
+    """
     chosen: list[tuple[WindowRecord, ProfileLife]] = []
     seen: set[ProfileLife] = set()
     for record, life in zip(records, lives, strict=True):
@@ -34,7 +44,19 @@ def epoch_digest(
     code_version: str,
     measured: Mapping[ProfileLife, MeasuredCurve] | None = None,
 ) -> str:
-    """Return what tells an epoch from another: its windows, the version before, the code, what has been measured."""
+    """Return what tells an epoch from another: its windows, the version before, the code, what has been measured.
+
+    Parameters
+    ----------
+    records
+        Windows of the epoch.
+    version
+        Of the alignment before; None where there is none.
+    code_version
+        Version of the numerics.
+    measured
+        Curves of measured profiles, by profile life.
+    """
     text = hashlib.sha256(f"{version} {code_version}\n".encode())
     for record in sorted(records, key=lambda item: (item.wheelset, item.start_ns)):
         text.update(f"{record.wheelset} {record.start_ns} {record.content_digest} {record.mileage_km!r}\n".encode())
@@ -45,7 +67,17 @@ def epoch_digest(
 
 
 def resampled(item: Pass, life: ProfileLife, step: float) -> Pass:
-    """Return a pass on a grid, under the life of its wheelset's profile."""
+    """Return a pass on a grid, under the life of its wheelset's profile.
+
+    Parameters
+    ----------
+    item
+        The pass.
+    life
+        Of the profile of its wheelset.
+    step
+        Grid spacing, m.
+    """
     first, displacement, difference = gridded(item, step)
     at = (first + np.arange(len(displacement))) * step
     return replace(

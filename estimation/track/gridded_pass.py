@@ -160,7 +160,17 @@ def place(
 
 
 def with_ratios(placed: Placed, ratios: Mapping[str, float], grid: SectionGrid) -> dict[Journey, PlacedJourney]:
-    """Return the passes for other stiffness ratios, by vehicle; 1 where there is none."""
+    """Return the passes for other stiffness ratios, by vehicle; 1 where there is none.
+
+    Parameters
+    ----------
+    placed
+        Passes by journey.
+    ratios
+        Yaw stiffness over creep coefficient by vehicle, relative to the assumed one.
+    grid
+        On which they are.
+    """
     return {
         journey: replace(
             one, passes=tuple(with_ratio(item, ratios.get(item.source.vehicle, 1.0), grid) for item in one.passes)
@@ -170,5 +180,11 @@ def with_ratios(placed: Placed, ratios: Mapping[str, float], grid: SectionGrid) 
 
 
 def all_passes(placed: Placed) -> list[GriddedPass]:
-    """Return the passes of all journeys in order."""
+    """Return the passes of all journeys in order.
+
+    Parameters
+    ----------
+    placed
+        Passes by journey.
+    """
     return [item for one in placed.values() for item in one.passes]

@@ -48,7 +48,15 @@ class Pass:
 
 
 def gridded(item: Pass, step: float) -> tuple[int, FloatArray, FloatArray]:
-    """Return the first grid point, and y and R (m,) at the grid points ``k * step`` that the pass covers."""
+    """Return the first grid point, and y and R (m,) at the grid points ``k * step`` that the pass covers.
+
+    Parameters
+    ----------
+    item
+        The pass.
+    step
+        Grid spacing, m.
+    """
     first, last = int(np.ceil(item.at[0] / step)), int(np.floor(item.at[-1] / step))
     grid = np.arange(first, last + 1) * step
     return first, np.interp(grid, item.at, item.displacement), np.interp(grid, item.at, item.difference)

@@ -183,7 +183,19 @@ def _peak(
 def register(
     found: FloatArray, reference: FloatArray, grid: SectionGrid, parameters: PositionParameters
 ) -> tuple[Correction, float]:
-    """Return how ``found`` (n,) must be moved to lie on ``reference`` (n,), and the mean correlation of its pieces."""
+    """Return how ``found`` (n,) must be moved to lie on ``reference`` (n,), and the mean correlation of its pieces.
+
+    Parameters
+    ----------
+    found
+        (n,) signal along the section.
+    reference
+        (n,) signal to compare with.
+    grid
+        Of the section.
+    parameters
+        How far positions may be off.
+    """
     pieces = np.array_split(np.arange(grid.points), max(round(grid.length / (2 * parameters.piece)), 1))
     peaks = [_peak(part, found[part], reference, grid, parameters) for part in pieces]
     known = [peak for peak in peaks if peak is not None]

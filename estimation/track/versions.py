@@ -21,6 +21,13 @@ def requires_reestimation(old: TrackAlignment, new: TrackAlignment, settings: Al
     It should where ``new`` differs by more than ``old`` left unknown, is much more certain, reaches further, or knows
     more of the section; and where it tells another stiffness ratio of a vehicle, another gauge, or on a recording what
     the gauge does to a wheelset of which that was not known.
+
+    Parameters
+    ----------
+    old, new
+        Two versions of an alignment.
+    settings
+        Differences that matter.
     """
     if old.source != new.source or old.cutoff_wavelength != new.cutoff_wavelength or old.gauge_known != new.gauge_known:
         return True
@@ -75,7 +82,15 @@ def _met(old: TrackAlignment, new: TrackAlignment) -> bool:
 
 
 def gauge_shift_changed(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettings) -> bool:
-    """Whether ``new`` tells another gauge shift of a wheelset, as after wear or the lathe; both on one gauge."""
+    """Whether ``new`` tells another gauge shift of a wheelset, as after wear or the lathe; both on one gauge.
+
+    Parameters
+    ----------
+    old, new
+        Two versions on one gauge.
+    settings
+        Difference that matters.
+    """
     if old.findings is None or new.findings is None:
         return False
     size = float(np.std(new.gauge_deviation))
@@ -94,6 +109,13 @@ def carry_over_findings(found: TrackAlignment, before: TrackAlignment | None) ->
 
     Their windows are estimated again with it as those of the others. What was told of shifts goes with the gauge that
     makes them: it stays where the epoch has found that gauge again.
+
+    Parameters
+    ----------
+    found
+        The alignment of this epoch.
+    before
+        The version before; None where there is none.
     """
     if before is None or before.findings is None or found.findings is None:
         return found

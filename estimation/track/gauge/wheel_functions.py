@@ -104,7 +104,15 @@ def contact_samples(
 
 
 def fit_wheels(seen: ContactSamples, factor: float = 1.0) -> WheelFunctions:
-    """Return the functions of the wheels of one wheelset, gauge deviations taken ``factor`` times."""
+    """Return the functions of the wheels of one wheelset, gauge deviations taken ``factor`` times.
+
+    Parameters
+    ----------
+    seen
+        Contact samples of one wheelset.
+    factor
+        By which gauge deviations are multiplied.
+    """
     x, half = seen.displacement, 0.5 * factor * seen.gauge
     B = sparse.hstack([_hats(x - half, KNOTS), -_hats(-x - half, KNOTS)]).tocsr()
     normal, k = B.T @ B, len(KNOTS)
@@ -136,7 +144,13 @@ def remove_common_shift(shifts: Mapping[ProfileLife, GaugeShift]) -> dict[Profil
 
 
 def total_gauge_shifts(solution: PanelSolution, panel: Panel) -> dict[ProfileLife, GaugeShift]:
-    """Return all that the gauge does: what the panel knew beforehand, and h1 and h2 on top, as far as e was met."""
+    """Return all that the gauge does: what the panel knew beforehand, and h1 and h2 on top, as far as e was met.
+
+    Parameters
+    ----------
+    solution, panel
+        As solved, with a gauge.
+    """
     assert panel.gauge is not None
     p, largest = panel.parameters, float(np.abs(panel.gauge).max())
     e = np.clip(GAUGES, -largest, largest) / p.gauge_unit
@@ -154,6 +168,11 @@ def gauge_factor(seen: Mapping[ProfileLife, ContactSamples]) -> float:
     """Return what estimated gauge deviations are to be multiplied with: wheels that fit best tell the size.
 
     h1 and e have a common factor that the panel leaves open, a wheel does not.
+
+    Parameters
+    ----------
+    seen
+        Contact samples by profile life.
     """
     some = [one.inliers(2) for _, one in sorted(seen.items())][:: max(len(seen) // MOST_WHEELSETS, 1)][:MOST_WHEELSETS]
     misfits = [sum(_misfit_wheels(one, factor) for one in some) for factor in FACTORS]
@@ -170,6 +189,13 @@ def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[Profi
 
     It is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is taken from
     what wheels are, steeper towards the flange: far from the centre a wheelset runs further out in wide gauge.
+
+    Parameters
+    ----------
+    seen
+        Contact samples by profile life.
+    shifts
+        What the gauge does to each wheelset.
     """
     return 1 if sum(_outwards(one, shifts[name]) for name, one in seen.items()) >= 0 else -1
 

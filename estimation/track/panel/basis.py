@@ -177,7 +177,15 @@ def pass_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatAr
 
 
 def known_shift(item: GriddedPass, panel: Panel) -> FloatArray:
-    """Return what is known beforehand of what the gauge does to y (m,), m."""
+    """Return what is known beforehand of what the gauge does to y (m,), m.
+
+    Parameters
+    ----------
+    item
+        The pass.
+    panel
+        With what is known beforehand.
+    """
     shift = panel.known.gauge_shifts.get(item.life)
     if shift is None:
         return np.zeros(len(item.points))
@@ -185,7 +193,15 @@ def known_shift(item: GriddedPass, panel: Panel) -> FloatArray:
 
 
 def design_matrix(item: GriddedPass, panel: Panel) -> FloatArray:
-    """Return the functions (k, m) of a pass that its displacement is a sum of, before the filter."""
+    """Return the functions (k, m) of a pass that its displacement is a sum of, before the filter.
+
+    Parameters
+    ----------
+    item
+        The pass.
+    panel
+        Its basis functions and gauge.
+    """
     p = panel.parameters
     R = np.clip(item.difference, -p.reach, p.reach)
     rows = [basis_functions(R, p.knots)]
@@ -197,7 +213,17 @@ def design_matrix(item: GriddedPass, panel: Panel) -> FloatArray:
 
 
 def curve_displacement(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
-    """Return ``curve`` (k,) times the design matrix of a pass (m,), m, without making that."""
+    """Return ``curve`` (k,) times the design matrix of a pass (m,), m, without making that.
+
+    Parameters
+    ----------
+    item
+        The pass.
+    curve
+        (k,) coefficients of its wheelset.
+    panel
+        Its basis functions and gauge.
+    """
     p = panel.parameters
     R = np.clip(item.difference, -p.reach, p.reach)
     displacement = np.interp(R, p.knots, curve[: p.basis_count]) + curve[-1] * item.stiffness_term
@@ -209,13 +235,29 @@ def curve_displacement(item: GriddedPass, curve: FloatArray, panel: Panel) -> Fl
 
 
 def gauge_curves(curve: FloatArray, panel: Panel) -> tuple[FloatArray, FloatArray]:
-    """Return h1 and h2 at the gauge knots (gauge_basis_count,), m, of the coefficients (unknowns,) of a wheelset."""
+    """Return h1 and h2 at the gauge knots (gauge_basis_count,), m, of the coefficients (unknowns,) of a wheelset.
+
+    Parameters
+    ----------
+    curve
+        (unknowns,) coefficients of a wheelset.
+    panel
+        With a gauge.
+    """
     start, count = panel.parameters.basis_count, panel.parameters.gauge_basis_count
     return curve[start : start + count], curve[start + count : start + 2 * count]
 
 
 def gauge_at(points: IntArray, panel: Panel) -> FloatArray:
-    """Return the gauge deviation (m,) at grid points, m; zero off the section."""
+    """Return the gauge deviation (m,) at grid points, m; zero off the section.
+
+    Parameters
+    ----------
+    points
+        (m,) grid points.
+    panel
+        With a gauge.
+    """
     assert panel.gauge is not None
     on = panel.grid.contains(points)
     return np.where(on, panel.gauge[np.clip(points, 0, panel.grid.points - 1)], 0.0)

@@ -31,7 +31,17 @@ class LongWaveAlignment:
 def long_wave_alignment(
     passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, cutoff_wavelength: float
 ) -> LongWaveAlignment:
-    """Return the alignment from ``passes`` with the curves of ``solution``."""
+    """Return the alignment from ``passes`` with the curves of ``solution``.
+
+    Parameters
+    ----------
+    passes
+        On the grid of the panel.
+    solution, panel
+        As solved.
+    cutoff_wavelength
+        Of the alignment that is returned, m.
+    """
     weights = local_cubic_kernel(cutoff_wavelength, panel.grid.step)
     total, square, count = np.zeros((3, panel.grid.points))
     for item in passes:

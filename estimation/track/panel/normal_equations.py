@@ -126,6 +126,14 @@ def _as_slice(at: IntArray) -> IntArray | slice:
 
 
 def groups_of(at: IntArray, panel: Panel) -> IntArray:
-    """Return the group (m,) of each grid point: blocks along the section, assigned in turn."""
+    """Return the group (m,) of each grid point: blocks along the section, assigned in turn.
+
+    Parameters
+    ----------
+    at
+        (m,) grid points.
+    panel
+        Length of a block, and number of groups.
+    """
     block = panel.parameters.block
     return np.asarray((at * panel.grid.step // block).astype(np.int64) % panel.parameters.groups)

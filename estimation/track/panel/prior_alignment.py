@@ -54,7 +54,19 @@ def prior_on_grid(evidence: TrackAlignment, grid: SectionGrid, cutoff_wavelength
 
 
 def add_prior(state: PanelState, known: PriorAlignment, noise: float, most_weight: float) -> PanelState:
-    """Return the sums with the evidence added, as heavy as its variance makes it against a pass's ``noise`` (m)."""
+    """Return the sums with the evidence added, as heavy as its variance makes it against a pass's ``noise`` (m).
+
+    Parameters
+    ----------
+    state
+        Sums over the passes.
+    known
+        The prior alignment on the grid.
+    noise
+        Std of y - d - h(R) of a pass, m.
+    most_weight
+        Of the prior alignment, in passes.
+    """
     with np.errstate(divide="ignore"):
         weight = np.minimum((noise / known.std) ** 2, most_weight)
     d = known.alignment

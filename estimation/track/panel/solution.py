@@ -61,7 +61,15 @@ class PanelSolution:
 
 
 def result(state: PanelState, *, std: bool = True) -> PanelSolution:
-    """Return what the passes so far say of the section and of the wheelsets that passed it; quicker without std."""
+    """Return what the passes so far say of the section and of the wheelsets that passed it; quicker without std.
+
+    Parameters
+    ----------
+    state
+        Sums over the passes.
+    std
+        Whether to compute standard deviations.
+    """
     p = state.panel.parameters
     w, k, n = len(state.lives), state.panel.unknowns, state.panel.grid.points
     enough = state.passes >= p.least_passes
@@ -198,7 +206,15 @@ def _residual_rms(state: PanelState, curve: FloatArray, normal: FloatArray, righ
 
 
 def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
-    """Return the rms of y - d - h(R) over the passes alone, m, what they have shaped d and h by taken off."""
+    """Return the rms of y - d - h(R) over the passes alone, m, what they have shaped d and h by taken off.
+
+    Parameters
+    ----------
+    state
+        Sums over the passes, without a prior alignment.
+    solution
+        As solved.
+    """
     c = solution.curves[0].reshape(len(state.lives), -1)
     d = np.nan_to_num(solution.alignment)
     count = np.where(np.isfinite(solution.alignment), state.passes, 0)
@@ -216,7 +232,13 @@ def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
 
 
 def between_pass_std_ratio(state: PanelState) -> float:
-    """Return the std of R between the passes of a place over the std of R."""
+    """Return the std of R between the passes of a place over the std of R.
+
+    Parameters
+    ----------
+    state
+        Sums over the passes.
+    """
     several = state.passes > 1
     count = state.passes[several]
     sums, squares = state.difference[0, several], state.difference[1, several]

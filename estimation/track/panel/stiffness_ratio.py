@@ -32,7 +32,13 @@ class Ratio:
 
 
 def ratio_values(ratios: Mapping[str, Ratio]) -> dict[str, float]:
-    """Return the value of each vehicle's ratio."""
+    """Return the value of each vehicle's ratio.
+
+    Parameters
+    ----------
+    ratios
+        By vehicle.
+    """
     return {vehicle: one.value for vehicle, one in ratios.items()}
 
 
@@ -43,6 +49,15 @@ def refine_ratios(
 
     The step of a vehicle is the mean over its wheelsets, weighted by the squares of their slopes, as far as the data
     are worth against what is known beforehand. Where measured profiles had to tell the curves, nothing is learnt.
+
+    Parameters
+    ----------
+    ratios
+        By vehicle, as the passes were adjusted.
+    passes
+        On the grid of the panel.
+    solution, panel
+        As solved.
     """
     if solution.report.curves_fixed:
         return {item.source.vehicle: Ratio() for item in passes if item.source.stiffness_term is not None}
@@ -75,7 +90,17 @@ def refine_ratios(
 def with_ratio_std(
     ratios: Mapping[str, Ratio], passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel
 ) -> dict[str, Ratio]:
-    """Return the ratios with which ``passes`` were adjusted, each with its std from the groups of ``solution``."""
+    """Return the ratios with which ``passes`` were adjusted, each with its std from the groups of ``solution``.
+
+    Parameters
+    ----------
+    ratios
+        By vehicle.
+    passes
+        On the grid of the panel.
+    solution, panel
+        As solved, with standard deviations.
+    """
     found = refine_ratios(ratios, passes, solution, panel)
     return {
         vehicle: replace(ratios.get(vehicle, Ratio()), std=float(np.hypot(one.std, SYSTEMATIC_STD)))
