@@ -1,4 +1,4 @@
-"""Job: new windows of a section tell its alignment better, and it tells where they were.
+"""Job: new windows of a section improve its alignment, which corrects their positions.
 
 Each section is done in epochs: the windows of which nobody has looked where they were, a bounded number, become passes;
 these and the alignment in force become the next version. So a run costs its new windows and not the history. Windows of

@@ -44,7 +44,7 @@ def epoch_digest(
     code_version: str,
     measured: Mapping[ProfileLife, MeasuredCurve] | None = None,
 ) -> str:
-    """Return what tells an epoch from another: its windows, the version before, the code, what has been measured.
+    """Return a digest of what distinguishes an epoch: windows, version before, code, measured curves.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """One window to the passes that it holds, or the reason why it holds none.
 
 A window is looked at by itself: its sensors, its speed, how its positions go with its speed, which way its axes point.
-Where the position jumps the passes end; what lies on both sides is judged against the rest of the journey later.
+Where the position jumps the passes end; what is on both sides is judged against the rest of the journey later.
 """
 
 from __future__ import annotations

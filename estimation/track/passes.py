@@ -1,4 +1,4 @@
-"""A pass: what one wheelset felt along a stretch of a section."""
+"""A pass: the signals of one wheelset along a segment of a section."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def passes(
 ) -> list[Pass]:
     """Return the passes of a window: one for each uninterrupted stretch along which distance rises, or falls.
 
-    A vehicle that runs the section the other way has its axes turned half round: what it feels to its left lies to the
+    A vehicle that runs the section the other way has its axes turned half round: what it measures to its left is to the
     section's right, and its left wheels run on the section's right rail.
 
     Parameters
@@ -96,18 +96,18 @@ def passes(
         steps = np.diff(at)
         direction = 1 if steps.min() > 0 else -1 if steps.max() < 0 else 0
         if direction:
-            felt = motion_signals(segment, vehicle, np.asarray(direction * at))
-            found += _placed(window, felt, vehicle, direction, -1 if mounted_reversed else 1)
+            signals = motion_signals(segment, vehicle, np.asarray(direction * at))
+            found += _placed(window, signals, vehicle, direction, -1 if mounted_reversed else 1)
     return found
 
 
 def _placed(
-    window: Window, felt: MotionSignals, vehicle: VehicleParameters, direction: int, mounted: int
+    window: Window, signals: MotionSignals, vehicle: VehicleParameters, direction: int, mounted: int
 ) -> list[Pass]:
     """Return the pass of one stretch, along the section's own direction."""
-    if not (np.isfinite(felt.displacement).all() and np.isfinite(felt.difference).all()):
+    if not (np.isfinite(signals.displacement).all() and np.isfinite(signals.difference).all()):
         return []
-    grid = fuse(felt, vehicle, FusionParameters())
+    grid = fuse(signals, vehicle, FusionParameters())
     if len(grid.run) < 2:  # noqa: PLR2004 - a pass has a length
         return []
     along = slice(None, None, direction)

@@ -2,11 +2,11 @@
 
 What every wheelset feels at a place is mostly the track. So each journey (the windows of one vehicle on one run over
 the section) is shifted and stretched until its lateral displacement agrees with the mean of the others: first by
-correlation, then by least squares on the slope of the alignment that the panel has found. Where the whole fleet lies
+correlation, then by least squares on the slope of the alignment that the panel has found. Where the whole fleet is
 is nobody's to say: the mean journey keeps its place.
 
 A worn and a new wheelset answer the track with different lags, so the offset of a journey and the slope of its
-wheelsets' curves trade off; a vehicle whose wheelsets differ in wear tells them apart.
+wheelsets' curves trade off; a vehicle whose wheelsets differ in wear separates them.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ UNKNOWN_SHARE = 0.3  # of its own std that an estimated gauge deviation may be o
 
 @dataclass(frozen=True, slots=True)
 class SectionResults:
-    """Findings, and the gauge deviation (n,) with its std, m, where the passes themselves tell it."""
+    """Findings, and the gauge deviation (n,) with its std, m, where it is estimated from the passes."""
 
     findings: TrackFindings
     gauge: FloatArray | None
@@ -31,7 +31,7 @@ class SectionResults:
 
 
 def findings(iterated: IterationResult, *, gauge_estimated: bool) -> SectionResults:
-    """Return what the passes tell; ``gauge_estimated`` where the gauge of the panel came from them.
+    """Return what the passes show; ``gauge_estimated`` where the gauge of the panel came from them.
 
     Parameters
     ----------

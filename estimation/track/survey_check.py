@@ -1,4 +1,4 @@
-"""A recorded alignment held against what the fleet has felt: of this section, in metres, and where it says or not.
+"""A surveyed alignment compared with the fleet's: whether section, unit, sign and place are right.
 
 Both are compared after the same high-pass, at every offset that is searched: how much they have in common beyond
 chance, by what factor, and how far apart they are there against what their standard deviations allow.
@@ -37,13 +37,13 @@ MEMORY = 60.0  # m: how far samples of a high-passed alignment know of each othe
 
 @dataclass(frozen=True, slots=True)
 class SurveyCheckParameters:
-    """When a recorded alignment is believed."""
+    """When a surveyed alignment is used."""
 
     largest_offset: float = 60.0  # m, searched both ways
     log10_chance: float = -6.0  # of as much in common with another section, over all offsets
     least_samples: float = 20.0  # independent ones, below which nothing is said
     most_factor: float = 1.25  # and its inverse the least, besides what the fleet leaves open
-    largest_shift: float = 3.0  # m, besides what is known of where the fleet lies
+    largest_shift: float = 3.0  # m, besides the uncertainty of the fleet's place
     most_misfit: float = 1.5  # times what the standard deviations allow, besides chance
     chance: float = 1e-4  # of a misfit of a recording whose standard deviation is right
 
@@ -54,10 +54,10 @@ class SurveyCheck:
 
     usable: bool
     reason: str  # why not; or why nothing can be said
-    scale: float  # recorded over felt, without its sign
-    shift: float  # m: what is recorded at s was felt at s + shift
+    scale: float  # surveyed over measured, without its sign
+    shift: float  # m: what is surveyed at s was measured at s + shift
     sign: int  # 1; -1 where left and right are exchanged; 0 where nothing can be said
-    misfit: float  # rms of the difference where it lies now, over what the standard deviations allow
+    misfit: float  # rms of the difference at its place now, over what the standard deviations allow
     correlation: float  # at the best shift
     samples: float  # independent ones
 
@@ -78,7 +78,7 @@ def check_survey(
     fleet
         Found by the fleet alone, high-passed at its ``cutoff_wavelength``, with its std; NaN where not known.
     place_std
-        How well the fleet as a whole knows where it lies along the section, m: the scatter of its journeys' positions
+        How well the fleet as a whole knows its place along the section, m: the scatter of its journeys' positions
         over the root of their number. A shift that it explains is nobody's fault.
     parameters
         Limits.
@@ -126,17 +126,17 @@ def check_survey(
 def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: SurveyCheckParameters) -> list[str]:
     """Return what is wrong with the unit, the sides and the place of a recording.
 
-    ``open_scale`` is the factor that the fleet leaves open, ``place_known``, m, within what it knows where it lies.
+    ``open_scale`` is the factor that the fleet leaves open, ``place_known``, m, the uncertainty of its place.
     """
     reasons = []
     if not 1.0 / (p.most_factor * open_scale) <= found.scale <= p.most_factor * open_scale:
         reasons.append(_unit(found.scale))
     if found.sign < 0:
-        reasons.append("left and right are exchanged: it is the mirror image of what the fleet has felt")
+        reasons.append("left and right are exchanged: it is the mirror image of what the fleet has measured")
     if abs(found.shift) > p.largest_shift + place_known:
         within = f", and the fleet knows its place within {place_known:.1f} m" if place_known > 0.0 else ""
         direction = "back" if found.shift > 0.0 else "along"
-        reasons.append(f"it lies {abs(found.shift):.1f} m too far {direction}{within}")
+        reasons.append(f"it is {abs(found.shift):.1f} m too far {direction}{within}")
     return reasons
 
 
@@ -153,21 +153,21 @@ def _refused(found: SurveyCheck, reason: str) -> SurveyCheck:
 
 def _unrelated(found: SurveyCheck) -> str:
     return (
-        "it has no more in common with what the fleet has felt than another section would"
+        "it has no more in common with what the fleet has measured than another section would"
         f" (correlation {found.correlation:.2f} over {found.samples:.0f} independent samples)"
     )
 
 
 def _unit(scale: float) -> str:
     near = min(UNITS, key=lambda factor: abs(np.log(scale / factor)))
-    told = f"it is {scale:.3g} times what the fleet has felt"
-    return f"{told}: {UNITS[near]}" if abs(np.log(scale / near)) < np.log(SAME_UNIT) else told
+    text = f"it is {scale:.3g} times what the fleet has measured"
+    return f"{text}: {UNITS[near]}" if abs(np.log(scale / near)) < np.log(SAME_UNIT) else text
 
 
 def _on_one_grid(
     recorded: TrackAlignment, fleet: TrackAlignment
 ) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
-    """Return recorded and felt alignment, high-passed, zero where one is not known, their joint variance, the step."""
+    """Return surveyed and measured alignment, high-passed, zero where unknown, their joint variance, the step."""
     step = float(fleet.s[1] - fleet.s[0])
     inside = _known(recorded, fleet.s)
     lying = np.isfinite(recorded.alignment)
@@ -193,7 +193,7 @@ def _known(track: TrackAlignment, s: FloatArray) -> BoolArray:
 
 
 def _by_lag(r: FloatArray, f: FloatArray, weight: FloatArray, reach: int) -> tuple[FloatArray, FloatArray]:
-    """Return correlation and factor recorded over felt (2 reach + 1,), of r(s) with f(s + lag), by the errors of f."""
+    """Return correlation and factor (2 reach + 1,) of r(s) with f(s + lag), by the errors of f."""
     seen = (f != 0.0).astype(np.float64) * weight
     size = fft.next_fast_len(len(r) + reach, real=True)
     lags = np.arange(-reach, reach + 1)
@@ -203,8 +203,8 @@ def _by_lag(r: FloatArray, f: FloatArray, weight: FloatArray, reach: int) -> tup
 
     cross = products(r, seen * f)
     own = np.maximum(products(r * r, seen), 1e-300)
-    felt = np.maximum(products((r != 0.0).astype(np.float64), seen * f * f), 1e-300)
-    return cross / np.sqrt(own * felt), cross / felt
+    measured = np.maximum(products((r != 0.0).astype(np.float64), seen * f * f), 1e-300)
+    return cross / np.sqrt(own * measured), cross / measured
 
 
 def _peak(score: FloatArray, k: int, reach: int) -> float:

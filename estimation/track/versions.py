@@ -19,7 +19,7 @@ def requires_reestimation(old: TrackAlignment, new: TrackAlignment, settings: Al
     """Whether what was estimated with ``old`` should be estimated again with ``new``.
 
     It should where ``new`` differs by more than ``old`` left unknown, is much more certain, reaches further, or knows
-    more of the section; and where it tells another stiffness ratio of a vehicle, another gauge, or on a recording what
+    more of the section; and where it holds another stiffness ratio of a vehicle, another gauge, or on a survey what
     the gauge does to a wheelset of which that was not known.
 
     Parameters
@@ -62,7 +62,7 @@ def _moved(old: FloatArray, new: FloatArray, std: float, settings: AlignmentSett
 
 
 def _differs(old: TrackFindings | None, new: TrackFindings | None, settings: AlignmentSettings) -> bool:
-    """Whether two versions tell another stiffness ratio of any vehicle; one that is not told of is as assumed."""
+    """Whether two versions differ in the stiffness ratio of a vehicle; one without a ratio is as assumed."""
     if new is None:
         return False
     was = old or TrackFindings({}, 0.0, {})
@@ -72,7 +72,7 @@ def _differs(old: TrackFindings | None, new: TrackFindings | None, settings: Ali
 
 
 def _met(old: TrackAlignment, new: TrackAlignment) -> bool:
-    """Whether a recording tells the gauge shift of a wheelset whose windows were estimated without.
+    """Whether a survey gains the gauge shift of a wheelset whose windows were estimated without.
 
     Where the alignment is the fleet's own, windows wait until their wheelset has been met.
     """
@@ -82,7 +82,7 @@ def _met(old: TrackAlignment, new: TrackAlignment) -> bool:
 
 
 def gauge_shift_changed(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettings) -> bool:
-    """Whether ``new`` tells another gauge shift of a wheelset, as after wear or the lathe; both on one gauge.
+    """Whether ``new`` holds another gauge shift of a wheelset, as after wear or the lathe; both on one gauge.
 
     Parameters
     ----------
@@ -105,9 +105,9 @@ def _apart(first: GaugeShift, second: GaugeShift, size: float) -> float:
 
 
 def carry_over_findings(found: TrackAlignment, before: TrackAlignment | None) -> TrackAlignment:
-    """Return an alignment that also tells what was found of vehicles and wheelsets that this epoch has not met.
+    """Return an alignment that also holds what was found of vehicles and wheelsets that this epoch has not met.
 
-    Their windows are estimated again with it as those of the others. What was told of shifts goes with the gauge that
+    Their windows are estimated again with it as those of the others. Shifts belong to the gauge that
     makes them: it stays where the epoch has found that gauge again.
 
     Parameters

@@ -162,7 +162,10 @@ def _then_one_jumps(among: Deployment, jumping: Sequence[Edited]) -> None:
 
 Spoil = Callable[[float, float], tuple[float, float]]
 SPOILT: Mapping[str, tuple[Spoil, str]] = {
-    "a thousand times": (lambda s, d: (s, 1e3 * d), "times what the fleet has felt: millimetres were taken for metres"),
+    "a thousand times": (
+        lambda s, d: (s, 1e3 * d),
+        "times what the fleet has measured: millimetres were taken for metres",
+    ),
     "10 m along": (lambda s, d: (s + 10.0, d), "m too far along"),
     "left is right": (lambda s, d: (s, -d), "mirror image"),
 }

@@ -37,7 +37,7 @@ GAUGES: FloatArray = np.asarray(np.arange(-32, 33) * 0.25e-3, dtype=np.float64) 
 REACH = np.arange(-440, 441) * 25e-6  # m of x in which R is looked for
 LEAST_SLOPE = 0.02  # of R over x: no wheelset has less
 FACTORS = (0.5, 0.65, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0)
-MOST_WHEELSETS = 6  # that tell a factor
+MOST_WHEELSETS = 6  # that a factor is estimated from
 CURVE_KNOTS = DIFFERENCES[::2]  # m
 FAR = 0.8  # quantile of |R|
 
@@ -138,7 +138,7 @@ def gauge_shift_of(wheels: WheelFunctions) -> GaugeShift:
 
 
 def remove_common_shift(shifts: Mapping[ProfileLife, GaugeShift]) -> dict[ProfileLife, GaugeShift]:
-    """Return the shifts less their mean at R = 0: a shift of all wheelsets alike cannot be told from the track."""
+    """Return the shifts less their mean at R = 0: a shift of all wheelsets alike cannot be separated from the track."""
     mean = np.mean([one.shift[len(DIFFERENCES) // 2] for one in shifts.values()], axis=0)
     return {name: replace(one, shift=one.shift - mean) for name, one in shifts.items()}
 
@@ -165,7 +165,7 @@ def total_gauge_shifts(solution: PanelSolution, panel: Panel) -> dict[ProfileLif
 
 
 def gauge_factor(seen: Mapping[ProfileLife, ContactSamples]) -> float:
-    """Return what estimated gauge deviations are to be multiplied with: wheels that fit best tell the size.
+    """Return what estimated gauge deviations are to be multiplied with: by the wheels that fit best.
 
     h1 and e have a common factor that the panel leaves open, a wheel does not.
 

@@ -27,7 +27,7 @@ class PriorAlignment:
 
     @property
     def has_alignment(self) -> bool:
-        """Whether it says of any place how that lies; it may speak of the gauge alone."""
+        """Whether it holds an alignment anywhere; it may hold the gauge alone."""
         return bool(np.isfinite(self.std).any())
 
 

@@ -1,4 +1,4 @@
-"""The solution of a panel: every wheelset's curve, the alignment of the place, and whether they can be told at all."""
+"""The solution of a panel: every wheelset's curve, the alignment of the place, and whether they can be separated."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ STIFFNESS_TERM_PRIOR = 2e-7  # m2: variance of a pass over that of the coefficie
 PASS_STD = 0.12e-3  # m of y - d - h(R) of a pass, as measured profiles are weighed against it
 CORRELATED_SAMPLES = 20.0  # samples of a pass whose errors are one
 INDEPENDENT_PARTS = 4.0  # of a measured curve, whose errors are their own
-FIXED_CURVE_WEIGHT = 100.0  # times the data of a knot: a curve that only the measurement can tell
+FIXED_CURVE_WEIGHT = 100.0  # times the data of a knot: a curve that only the measurement determines
 
 
 @dataclass(frozen=True, slots=True)
 class PanelReport:
-    """Whether the passes could tell alignment and geometry apart.
+    """Whether the passes could separate alignment and geometry.
 
     ``curves_fixed`` where they could not, and measured profiles have done it for them.
     """
@@ -93,9 +93,11 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     residual = _residual_rms(state, curves[0], normal, right)
     common = jackknife_std(alignments)
     certainty = np.hypot(common, residual * np.sqrt(share))
-    told = curves_fixed or reason is None
+    separable = curves_fixed or reason is None
     return PanelSolution(
-        report=PanelReport(Status.ESTIMATED if told else Status.UNESTIMATED, None if told else reason, curves_fixed),
+        report=PanelReport(
+            Status.ESTIMATED if separable else Status.UNESTIMATED, None if separable else reason, curves_fixed
+        ),
         lives=state.lives,
         knots=p.knots,
         curves=curves,
@@ -126,7 +128,7 @@ def _curves(normal: FloatArray, right: FloatArray, state: PanelState, *, curves_
     prior += _no_common_shift(w, state.panel, 1e2 * float(np.diag(total).max(initial=0.0)))
     measured, measured_right = _prior_of_measured(state, FIXED_CURVE_WEIGHT * size if curves_fixed else None)
     prior, total_right = prior + measured, total_right + measured_right
-    if curves_fixed:  # as little as the curves do the passes tell the stiffness: it is as assumed
+    if curves_fixed:  # the passes determine the stiffness as little as the curves: it is as assumed
         stiffness = np.arange(c - 1, len(total), c)
         prior[stiffness, stiffness] += FIXED_CURVE_WEIGHT * total[stiffness, stiffness]
     curves = [
@@ -161,7 +163,7 @@ def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
 def _prior_of_measured(state: PanelState, fixed_weight: float | None) -> tuple[FloatArray, FloatArray]:
     """Return normal matrix (w c, w c) and right side (w c,) of h0 as measured, up to a constant.
 
-    ``fixed_weight`` is the weight of a knot where only the measurement can tell the curve; None lets its std weigh it.
+    ``fixed_weight`` is that of a knot where only the measurement determines the curve; None weights it by its std.
     """
     w, p, c = len(state.lives), state.panel.parameters, state.panel.unknowns
     matrix, right = np.zeros((w * c, w * c)), np.zeros(w * c)
@@ -180,7 +182,7 @@ def _prior_of_measured(state: PanelState, fixed_weight: float | None) -> tuple[F
 def _no_common_shift(w: int, panel: Panel, strength: float) -> FloatArray:
     """Return the normal matrix (w c, w c) of the mean of h1(0) and that of h2(0) over the wheelsets being zero.
 
-    A shift of all wheelsets alike in proportion to the gauge deviation, or its square, cannot be told from the track.
+    A common shift of all wheelsets in proportion to the gauge deviation, or its square, is inseparable from the track.
     """
     p, c = panel.parameters, panel.unknowns
     if panel.gauge is None:

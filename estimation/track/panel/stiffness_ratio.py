@@ -48,7 +48,8 @@ def refine_ratios(
     """Return the ratios after one Gauss-Newton step from the solution of the adjusted passes.
 
     The step of a vehicle is the mean over its wheelsets, weighted by the squares of their slopes, as far as the data
-    are worth against what is known beforehand. Where measured profiles had to tell the curves, nothing is learnt.
+    are worth against what is known beforehand. Where measured profiles had to determine the curves, the ratios are as
+    assumed.
 
     Parameters
     ----------

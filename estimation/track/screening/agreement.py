@@ -49,7 +49,7 @@ class Agreement:
 
     correlation: float  # 0 to 1, the largest canonical one
     log10_chance: float  # of as much between different places, over all offsets searched; 0 where nothing can be said
-    shift: float  # m: the first lies so much further along than it says, by the second
+    shift: float  # m: the true position of the first less its own, by the second
     factor: float  # y of the first over d of the second, 1 where both are in one unit and of one sign
     samples: float  # independent ones
 

@@ -1,7 +1,7 @@
 """Where passes lie against each other, from the shifts at which they agree; and which do not lie with their journey.
 
 The passes of a journey share one odometer, whose error grows slowly. Where the position of a vehicle jumped, the passes
-behind the jump lie elsewhere than those before it; the longer part is believed.
+behind the jump are displaced against those before it; the longer part is used.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LOOSE = 1e-6  # weight of keeping every pass where it is: what links leave open
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """Two passes, by index, that agree where the first lies ``shift`` m further along than it says, by the second."""
+    """Two passes, by index, that agree where the first is displaced by ``shift`` m against the second."""
 
     first: int
     second: int
@@ -32,7 +32,7 @@ class Link:
 
 
 def misplaced(links: Sequence[Link], journey_of: IntArray, middle: FloatArray, tolerance: float) -> Mapping[int, float]:
-    """Return by pass how far it lies from the rest of its journey, m, where its position jumped.
+    """Return by pass how far it is from the rest of its journey, m, where its position jumped.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def misplaced(links: Sequence[Link], journey_of: IntArray, middle: FloatArray, t
 
 
 def _offsets(links: Sequence[Link], count: int) -> tuple[FloatArray, IntArray]:
-    """Return by how much each pass (count,) lies further along than it says, m, and its group.
+    """Return the displacement of each pass (count,) along the section, m, and its group.
 
     Fitted by least absolute values. Groups are what links join; offsets of different groups cannot be compared.
     """
