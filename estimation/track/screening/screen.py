@@ -1,9 +1,9 @@
 """Which passes of a section are used: each is used, or refused with its reason.
 
 First by itself: long enough for the filter. Then against what is known of the place, the alignment and the other
-journeys: two vehicles that ran over the same track have measured the same, whatever their wear, and one that
-did not has not. Where passes contradict each other the place is with those of more journeys; where as many stand on both sides
-none is used. One pass never changes what is done with passes that agree with each other.
+journeys: two vehicles that ran over the same track have measured the same alignment, whatever their wear. Where passes
+contradict each other, those of more journeys are used; where as many stand on both sides, none is. One pass never
+changes what is done with passes that agree with each other.
 """
 
 from __future__ import annotations
