@@ -173,7 +173,7 @@ def answer_page(
     request
         The request; the operation and the path of the next page come from it.
     filters
-        Filters of the list by name; the cursor is bound to them.
+        Filters of the list, each under its name; the cursor is bound to them.
     limit
         How many items at most.
     rows

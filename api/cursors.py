@@ -31,7 +31,7 @@ def encode(operation: str, filters: Mapping[str, object], key: Key) -> str:
     operation
         Name of the list's operation.
     filters
-        Filters of the list by name; None is no filter.
+        Filters of the list, each under its name; None is no filter.
     key
         Of the last record shown.
     """
@@ -60,7 +60,7 @@ def decode_number(operation: str, filters: Mapping[str, object], cursor: str | N
     operation
         Name of the list's operation.
     filters
-        Filters of the list by name; None is no filter.
+        Filters of the list, each under its name; None is no filter.
     cursor
         As the client sent it.
 
@@ -83,7 +83,7 @@ def decode_text(operation: str, filters: Mapping[str, object], cursor: str | Non
     operation
         Name of the list's operation.
     filters
-        Filters of the list by name; None is no filter.
+        Filters of the list, each under its name; None is no filter.
     cursor
         As the client sent it.
 

@@ -20,7 +20,7 @@ VehicleFilter = Annotated[str | None, Query(pattern=_CODE, description="Only wha
 WheelsetFilter = Annotated[str | None, Query(pattern=_CODE, description="Only of this wheelset.")]
 AsOf = Annotated[
     Moment | None,
-    Query(description="What was believed at this recorded time; reproducible.", examples=["2026-01-31T12:00:00Z"]),
+    Query(description="The result as recorded at this time; reproducible.", examples=["2026-01-31T12:00:00Z"]),
 ]
 MeasuredFrom = Annotated[Moment | None, Query(alias="from", description="Measured at or after this time.")]
 MeasuredTo = Annotated[Moment | None, Query(alias="to", description="Measured before this time.")]

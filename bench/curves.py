@@ -1,4 +1,4 @@
-"""What an estimate loses where the whole run lies in one curve that nobody has on file: how straight is straight."""
+"""What an estimate loses where the whole run is in one curve that is not on file: how straight is straight."""
 
 from __future__ import annotations
 

@@ -121,7 +121,7 @@ def estimated(
     change: Callable[[BinParameters], BinParameters] = lambda p: p,
     published: GeometryParameters | None = None,
 ) -> list[WheelsetGeometry]:
-    """Estimate every case anew."""
+    """Estimate every case again."""
     signals = signals or SignalParameters()
     parameters = change(EstimationSettings(signals=signals).bins)
     published = published or GeometryParameters()

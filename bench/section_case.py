@@ -205,8 +205,8 @@ def origin(found: WheelsetGeometry, truth: TrueWheelset) -> tuple[float, float]:
     for shift in truth.zero_crossing + np.linspace(-SEARCHED, SEARCHED, 241):
         curve = np.interp(centre + shift, truth.displacement, truth.difference)
         mean = float(found.samples @ curve / found.samples.sum())
-        strayed = (R.value - curve + mean)[known] / R.std[known]
-        misfit = float(np.minimum(strayed**2, 9.0).sum())
+        deviation = (R.value - curve + mean)[known] / R.std[known]
+        misfit = float(np.minimum(deviation**2, 9.0).sum())
         best = min(best, (misfit, float(shift), mean))
     return best[1], best[2]
 

@@ -51,7 +51,7 @@ CURVES = tuple(
 
 @dataclass(frozen=True, slots=True)
 class Wheelset:
-    """A wheelset by name, with its contact geometry and its true conicity at ``AMPLITUDES``."""
+    """A named wheelset with its contact geometry and its true conicity at ``AMPLITUDES``."""
 
     name: str
     table: ContactGeometryTable

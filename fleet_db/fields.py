@@ -28,7 +28,7 @@ V = TypeVar("V")
 
 
 def fields_of(value: object, *, without: Collection[str] = ()) -> tuple[dict[str, JsonValue], dict[str, Array]]:
-    """Return the fields of a frozen value: JSON by name, and arrays by name, each in the order of the class.
+    """Return the fields of a frozen value: JSON and arrays under their names, in the order of the class.
 
     Parameters
     ----------

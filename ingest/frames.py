@@ -113,7 +113,7 @@ def from_owned_arrays(
     dlc: npt.NDArray[np.uint8],
     data: npt.NDArray[np.uint8],
 ) -> FrameBatch:
-    """Return a batch of arrays that nobody else holds: they are made read-only in place instead of copied.
+    """Return a batch of arrays that have no other owner: they are made read-only in place instead of copied.
 
     Parameters
     ----------

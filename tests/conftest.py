@@ -28,7 +28,7 @@ GIVEN = "TREADWATCH_TEST_POSTGRES_URL"
 
 @pytest.fixture
 def live_bus() -> Iterator[None]:
-    """Keep other test processes off the multicast bus: every group's frames are heard on the one port of all groups."""
+    """Keep other test processes off the multicast bus: every group's frames arrive on the one port of all groups."""
     with (Path(tempfile.gettempdir()) / f"treadwatch-test-live-bus-{os.getuid()}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield

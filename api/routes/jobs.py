@@ -27,7 +27,7 @@ def _job(services: Services, name: str) -> jobs.Job:
 
 @router.get("/jobs", response_model=Page[jobs.Job], responses=described(400))
 def list_jobs(request: Request, services: ServicesDep, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT) -> Response:
-    """List the jobs with their last runs, by name."""
+    """List the jobs with their last runs, in the order of their names."""
     after = cursors.decode_text(operation(request), {}, cursor)
     names = [name for name in sorted(services.jobs) if after is None or name > after]
     return answer_page(request, {}, limit, names[: limit + 1], lambda name: name, lambda name: _job(services, name))

@@ -62,7 +62,7 @@ class CloseReason(StrEnum):
 
 
 class AlertEventKind(StrEnum):
-    """What the feed tells."""
+    """What happened to an alert: the kinds of entries of the feed."""
 
     RAISED = "raised"
     UPDATED = "updated"

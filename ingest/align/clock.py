@@ -1,6 +1,6 @@
 """Frames of a recorder on the vehicle's clock: every frame gets the sampling instant of its SYNC.
 
-The recorder's clock is only trusted over a few seconds. TIME frames give the vehicle time once a second in whole
+The recorder's clock is used over a few seconds only. TIME frames give the vehicle time once a second in whole
 milliseconds; a SYNC carries its number modulo 240. The number nearest to the estimate from the TIME frames beside it,
 with that remainder, is the number of the SYNC: exact, and the same from any TIME frame near it.
 """

@@ -1,4 +1,4 @@
-"""The samples of one wheelset node: a SampleBlock, and per sample why it is not to be trusted."""
+"""The samples of one wheelset node: a SampleBlock, and per sample why it is not valid."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ class SectionPlan:
     nominal_gauge: float  # m
     recipe: TrackRecipe | None
     file: Path | None
-    survey_alignment_std: float  # m: error of the alignment that is on file, as the registry tells it
+    survey_alignment_std: float  # m: error of the alignment that is on file, as the registry states it
     survey_gauge_std: float  # m
     surveyed: bool  # whether a survey is on file at all
     gauge_surveyed: bool  # whether the gauge is on file; without a survey that is of the gauge alone
@@ -115,7 +115,7 @@ class Sessions:
 
 @dataclass(frozen=True, slots=True)
 class PositionErrors:
-    """How far the positions that a vehicle tells are off: uniform up to these, one draw per run."""
+    """How far the positions that a vehicle reports are off: uniform up to these, one draw per run."""
 
     offset: float  # m
     scale: float  # share of the distance run

@@ -128,7 +128,7 @@ def geometry_record(recorded_ns: int, conicity: float) -> GeometryRecord:
 
 
 def trend_record(recorded_ns: int, last: float) -> TrendRecord:
-    """Return the trend of the first wheelset as recorded then; its limit lies beyond the horizon at p90."""
+    """Return the trend of the first wheelset as recorded then; its limit is beyond the horizon at p90."""
     values = np.array([0.125, 0.15, last])
     trend = WearTrend(
         quantity="equivalent_conicity",
@@ -194,7 +194,7 @@ def track_report(section: str, version: int | None, status: Status) -> TrackRepo
     }
     stranger = journey | {"vehicle": "V-2", "residual_rms_m": None, "used": False}
     stranger |= {"reason": "agrees with no other", "reason_code": "journey_disagrees"}
-    told = {
+    report = {
         "passes": 4,
         "wheelsets": 4,
         "mean_passes": 2.5,
@@ -213,7 +213,7 @@ def track_report(section: str, version: int | None, status: Status) -> TrackRepo
     }
     reason = None if version else Reason(ReasonCode.PASSES_ALIKE, "the passes are too alike")
     made = version is not None
-    return TrackReport(section, version, made, status, reason, 10, "d" * 64, "0.1.0+test", told, RECORDED + 9)
+    return TrackReport(section, version, made, status, reason, 10, "d" * 64, "0.1.0+test", report, RECORDED + 9)
 
 
 def populate(storage: Storage) -> None:

@@ -52,8 +52,8 @@ def treadwatch(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
             main()
         except SystemExit as end:
             code = int(end.code or 0)
-        told = capsys.readouterr()
-        return Done(code, told.out, told.err)
+        captured = capsys.readouterr()
+        return Done(code, captured.out, captured.err)
 
     yield run
     for number, handler in signals.items():
@@ -192,7 +192,7 @@ def test_settings_come_from_the_environment_and_empty_means_not_set(monkeypatch:
         load_settings(port=70000)
 
 
-def test_the_embedded_database_lies_in_the_data_directory(tmp_path: Path) -> None:
+def test_the_embedded_database_is_in_the_data_directory(tmp_path: Path) -> None:
     settings = Settings(data_dir=tmp_path, _env_file=None)
     assert settings.url == f"sqlite:///{tmp_path}/treadwatch.sqlite"
     assert settings.raw_dir.parent == tmp_path

@@ -43,22 +43,22 @@ def test_a_storm_is_one_item_of_the_feed_that_leads_to_its_members_and_back(serv
     before = feed(service, None)["next_cursor"]
     fleet_alert = storm(service)
     (item,) = feed(service, before)["items"]
-    told = item["alert"]
-    assert (item["event"], told["id"], told["wheelset"]) == ("raised", fleet_alert.alert_id, None)
-    assert (told["scope"], told["fleet"], told["fleet_alert_id"]) == ("fleet", "=beta", None)
-    assert (told["limit_unit"], told["raise_limit"], told["probability_1"]) == (None, None, None)
-    assert set(told["links"]) == {"self", "events", "members"}
-    assert service.client.get(told["links"]["self"]).json() == told
-    members = items(service.client, told["links"]["members"])
+    served = item["alert"]
+    assert (item["event"], served["id"], served["wheelset"]) == ("raised", fleet_alert.alert_id, None)
+    assert (served["scope"], served["fleet"], served["fleet_alert_id"]) == ("fleet", "=beta", None)
+    assert (served["limit_unit"], served["raise_limit"], served["probability_1"]) == (None, None, None)
+    assert set(served["links"]) == {"self", "events", "members"}
+    assert service.client.get(served["links"]["self"]).json() == served
+    members = items(service.client, served["links"]["members"])
     assert [member["wheelset"] for member in members] == MEMBERS
-    assert [entry["alert_id"] for entry in told["evidence"]["members"]] == [member["id"] for member in members]
+    assert [entry["alert_id"] for entry in served["evidence"]["members"]] == [member["id"] for member in members]
     for member in members:
-        assert (member["scope"], member["fleet_alert_id"]) == ("wheelset", told["id"])
-        assert service.client.get(member["links"]["fleet_alert"]).json() == told
+        assert (member["scope"], member["fleet_alert_id"]) == ("wheelset", served["id"])
+        assert service.client.get(member["links"]["fleet_alert"]).json() == served
         assert [event["event"] for event in items(service.client, member["links"]["events"])] == ["raised"]
 
 
-def test_lists_tell_fleet_alerts_from_those_of_wheelsets(service: Service) -> None:
+def test_lists_distinguish_fleet_alerts_from_those_of_wheelsets(service: Service) -> None:
     number = storm(service).alert_id
     client = service.client
     assert [alert["id"] for alert in items(client, "/v1/alerts?scope=fleet&open=true")] == [number]

@@ -1,4 +1,4 @@
-"""What may be asked, in which form it is answered, and how a refusal is told."""
+"""Which requests are valid, the form of the answers, and the form of a refusal."""
 
 from __future__ import annotations
 

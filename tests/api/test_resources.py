@@ -183,7 +183,7 @@ def test_an_alignment_of_the_fleet_says_how_it_was_found_and_what_it_leaves_open
     assert get(client, versions[0]["links"]["self"])["report"] is None
 
 
-def test_a_section_that_tells_nothing_says_why(client: httpx.Client) -> None:
+def test_a_section_without_an_estimate_states_why(client: httpx.Client) -> None:
     assert client.get("/v1/track-sections/S-2/alignment").status_code == 404
     report = get(client, "/v1/track-sections/S-2/alignment-report")
     assert (report["status"], report["version"]) == ("unestimated", None)
@@ -268,7 +268,7 @@ def test_health_readiness_and_measures(service: Service) -> None:
     assert float(lines[key]) >= 1
 
 
-def test_an_error_of_the_storage_tells_nothing_of_the_machine() -> None:
+def test_an_error_of_the_storage_reveals_nothing_of_the_machine() -> None:
     from api.problems import from_error  # noqa: PLC0415 - only here
     from estimation.errors import StorageError  # noqa: PLC0415 - the same
 

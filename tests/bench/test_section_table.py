@@ -34,7 +34,7 @@ def case(row: str = "known", error: float = 0.004, **covered: int) -> dict[str, 
     }
 
 
-def test_nothing_lies_outside_where_everything_covers_as_it_should() -> None:
+def test_nothing_is_outside_where_everything_covers_as_it_should() -> None:
     (row,) = summaries([case()])
     assert row.outside == ()
     assert row.met
@@ -73,7 +73,7 @@ def test_places_of_the_alignment_count_too() -> None:
     assert row.outside == ("alignment 99.9 %",)
 
 
-def test_the_table_names_every_kind_and_what_lies_outside() -> None:
+def test_the_table_names_every_kind_and_what_is_outside() -> None:
     console = Console(width=300)
     with console.capture() as shown_there:
         console.print(summary_table([case(nonlinearity=198)]))
@@ -83,17 +83,17 @@ def test_the_table_names_every_kind_and_what_lies_outside() -> None:
     assert all(name in shown for name in SHORT.values())
 
 
-def test_a_found_gauge_is_told_and_a_row_without_a_limit_is_not_taken_for_one_without_information() -> None:
+def test_a_found_gauge_is_reported_and_a_row_without_a_limit_is_not_taken_for_one_without_information() -> None:
     found = {"band": 1e-4, "filtered": 1e-4, "published": 200, "covered": 190}
     scored = found | {"gauge": 0.26e-3, "gauge_published": 200, "gauge_covered": 188}
-    told = [case("mine") | {"alignment": one, "status": "estimated"} for one in (found, scored)]
-    (row,) = summaries(told)
+    cases = [case("mine") | {"alignment": one, "status": "estimated"} for one in (found, scored)]
+    (row,) = summaries(cases)
     assert row.coverage["gauge"] == (200, 188)
     assert row.gauge == pytest.approx(0.26e-3)
     assert row.false_estimated == 0
     assert row.met
     console = Console(width=400, record=True)
-    console.print(summary_table(told))
+    console.print(summary_table(cases))
     printed = console.export_text()
     assert "0.26 mm" in printed
     assert "none estimated" not in printed

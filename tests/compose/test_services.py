@@ -112,19 +112,21 @@ def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment) -> 
         processes = {name: stack.enter_context(deployment.running(name)) for name in ("api", "scheduler", "receiver")}
         processes["simulated-fleet"] = stack.enter_context(deployment.running("simulated-fleet"))
 
-        def told(path: str, wanted: Callable[[Any], bool]) -> Any:  # noqa: ANN401 - JSON
+        def eventually(path: str, wanted: Callable[[Any], bool]) -> Any:  # noqa: ANN401 - JSON
             return _eventually(lambda: _asked(client, path, wanted), processes, deployment)
 
-        told("/readyz", lambda body: body["status"] == "ok")
-        windows = told("/v1/wheelsets/LIVE-1/windows", lambda body: len(body["items"]) >= 1)["items"]
+        eventually("/readyz", lambda body: body["status"] == "ok")
+        windows = eventually("/v1/wheelsets/LIVE-1/windows", lambda body: len(body["items"]) >= 1)["items"]
         assert windows[0]["vehicle"] == "L-1"
         assert windows[0]["track_section"] == "LIVE-5"
         assert 15.0 <= windows[0]["quality"]["speed_min_m_s"] <= windows[0]["quality"]["speed_max_m_s"] <= 25.0
-        told("/v1/wheelsets/LIVE-1/windows", lambda body: any(item["state"] == "estimated" for item in body["items"]))
-        geometry = told("/v1/wheelsets/LIVE-1/geometry", lambda body: body["n_windows"] >= 1)
+        eventually(
+            "/v1/wheelsets/LIVE-1/windows", lambda body: any(item["state"] == "estimated" for item in body["items"])
+        )
+        geometry = eventually("/v1/wheelsets/LIVE-1/geometry", lambda body: body["n_windows"] >= 1)
         assert sum(geometry["bins"]["samples_1"]) > 1000
         assert geometry["provenance"]["track_versions"] == {"LIVE-5": [1]}
-        for job in told("/v1/jobs", lambda body: all(item["last_run"] for item in body["items"]))["items"]:
+        for job in eventually("/v1/jobs", lambda body: all(item["last_run"] for item in body["items"]))["items"]:
             assert job["last_run"]["trigger"] == "schedule"
             assert job["last_run"]["error"] is None
         second = _second_scheduler(deployment)

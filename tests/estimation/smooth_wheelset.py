@@ -122,12 +122,14 @@ def mems_windows(m: WheelsetMotion, seed: int, density: float = 1e-3, length_s: 
     rng = np.random.default_rng(seed)
     dt = 4e-3
     clean = (m.lateral_acceleration, m.yaw_acceleration, m.roll_acceleration, m.mass_lateral_acceleration)
-    felt = []
+    measured = []
     for values, noise in zip(clean, (density, 2 * density, 2 * density, density), strict=True):
         sampled = values[::4]
         n = len(sampled)
         drift = density * np.cumsum(rng.standard_normal(n)) * np.sqrt(dt)
-        felt.append(sampled + 0.3 * rng.standard_normal() + drift + noise * np.sqrt(0.5 / dt) * rng.standard_normal(n))
+        measured.append(
+            sampled + 0.3 * rng.standard_normal() + drift + noise * np.sqrt(0.5 / dt) * rng.standard_normal(n)
+        )
     step = round(length_s / dt)
     return [
         Window(
@@ -137,10 +139,10 @@ def mems_windows(m: WheelsetMotion, seed: int, density: float = 1e-3, length_s: 
             start_ns=i * length_s * 10**9,
             length_ns=length_s * 10**9,
             sample_interval_s=dt,
-            lateral_acceleration=felt[0][part],
-            yaw_acceleration=felt[1][part],
-            roll_acceleration=felt[2][part],
-            mass_lateral_acceleration=felt[3][part],
+            lateral_acceleration=measured[0][part],
+            yaw_acceleration=measured[1][part],
+            roll_acceleration=measured[2][part],
+            mass_lateral_acceleration=measured[3][part],
             speed=m.speed[::4][part],
             distance=m.distance[::4][part],
             valid=np.ones(step, dtype=bool),
@@ -149,5 +151,5 @@ def mems_windows(m: WheelsetMotion, seed: int, density: float = 1e-3, length_s: 
             odometer_m=0.0,
             quality=GOOD,
         )
-        for i, part in enumerate(slice(k * step, (k + 1) * step) for k in range(len(felt[0]) // step))
+        for i, part in enumerate(slice(k * step, (k + 1) * step) for k in range(len(measured[0]) // step))
     ]

@@ -1,4 +1,4 @@
-"""Bad input through the real store and jobs: each is refused or reported with its reason, and nobody else moves."""
+"""Bad input through the real store and jobs: each is refused or reported with its reason; no other result moves."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _short_pass() -> Sequence[Window]:
 
 
 def _all_reversed(found: Sequence[Window]) -> Sequence[Window]:
-    """Return windows whose sensors all have the other sign, so that nothing in them speaks against itself."""
+    """Return windows whose sensors all have the other sign, so that nothing in them contradicts itself."""
     names = ("lateral_acceleration", "yaw_acceleration", "roll_acceleration", "mass_lateral_acceleration")
     return [replace(w, **{name: -getattr(w, name) for name in names}) for w in found]
 
@@ -192,9 +192,9 @@ def test_a_wrong_recording_is_not_used_and_the_fleet_finds_the_track_itself(
     with sqlite_storage.read() as unit:
         report, in_force = unit.tracks.report("S1"), unit.tracks.in_force("S1")
     assert report is not None
-    told = str(report.report["recording"])
-    assert told.startswith("not used: ")
-    assert said in told
+    verdict = str(report.report["recording"])
+    assert verdict.startswith("not used: ")
+    assert said in verdict
     assert in_force is not None
     assert (in_force.source, in_force.version) == (FLEET, 2)
     same(geometries(sqlite_storage), without)

@@ -60,7 +60,7 @@ def motion(name: str, *, turned: bool) -> WheelsetMotion:
 
 @cache
 def visit(name: str, number: int, *, turned: bool = False) -> tuple[Window, ...]:
-    """Return the windows of a visit, felt with other noise each time."""
+    """Return the windows of a visit, measured with other noise each time."""
     found = mems_windows(motion(name, turned=turned), seed=1000 * number + ord(name), length_s=WINDOW_S)
     return tuple(replace(w, start_ns=w.start_ns + (number + 1) * VISIT_NS, track_section="S1") for w in found)
 
@@ -112,7 +112,7 @@ def mistakes(storage: Storage) -> dict[str | None, tuple[object, object]]:
 
 @pytest.fixture(scope="module", params=[True, False], ids=["track on file", "track found by the fleet"])
 def recorded(request: pytest.FixtureRequest) -> bool:
-    """Return whether the section has been recorded; else the passes tell of it, those of the mistaken among them."""
+    """Return whether the section has been recorded; else the passes determine it, the mistaken ones included."""
     found: bool = request.param
     return found
 
@@ -133,7 +133,7 @@ def same_curve(first: WheelsetGeometry, second: WheelsetGeometry, within: float)
 
 
 def as_they_were(storage: Storage, without: Storage, *names: str, recorded: bool) -> None:
-    """Assert that nothing of them changes; on found track no more than other passes tell of it, far below their std."""
+    """Assert that nothing of them changes; on found track no more than with other passes, far below their std."""
     for name in names:
         now, then = current(storage, name), current(without, name)
         assert now.windows == then.windows

@@ -1,4 +1,4 @@
-"""Blocks of data and the groups they are dealt to; empty tables; what the jobs make of regular traffic."""
+"""Blocks of data and the groups they are assigned to; empty tables; what the jobs make of regular traffic."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""With the curves known the passes tell wavelengths of the alignment that the panel has filtered out."""
+"""With the curves known the passes determine wavelengths of the alignment that the panel has filtered out."""
 
 from __future__ import annotations
 

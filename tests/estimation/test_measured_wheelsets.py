@@ -37,9 +37,9 @@ def test_a_wheelset_that_has_been_measured_can_be_read_alone(storage: SqlStorage
     assert code_of(report(storage).reason) is ReasonCode.SINGLE_WHEELSET
     measure(storage)
     counts(storage, "refresh_alignment")  # the same windows, but more is known
-    told = report(storage)
-    assert told.status is Status.ESTIMATED
-    assert told.report["evidence"] == ["measured profiles of W0 of 1970-01-01"]
+    track_report = report(storage)
+    assert track_report.status is Status.ESTIMATED
+    assert track_report.report["evidence"] == ["measured profiles of W0 of 1970-01-01"]
     found = in_force(storage)
     known = np.isfinite(found.alignment_std)
     assert known.any()
@@ -56,29 +56,29 @@ def test_profiles_that_the_wheelset_has_no_longer_say_nothing(storage: SqlStorag
         with storage.write() as unit:
             unit.registry.add_reprofiling(Reprofiling("W0", DAY_NS // 2, 10.2))
     counts(storage, "refresh_alignment")
-    told = report(storage)
-    assert code_of(told.reason) is ReasonCode.SINGLE_WHEELSET
-    assert told.report["evidence"] == []
+    track_report = report(storage)
+    assert code_of(track_report.reason) is ReasonCode.SINGLE_WHEELSET
+    assert track_report.report["evidence"] == []
 
 
-def test_profiles_that_cannot_be_used_are_told(storage: SqlStorage) -> None:
+def test_profiles_that_cannot_be_used_are_reported(storage: SqlStorage) -> None:
     one_wheelset_three_times(storage)
     with storage.write() as unit:
         unit.tracks.add_section(TrackSectionRecord("S1", 1, "Section", "99E9", 0.05, 1.435, 2900.0))
     measure(storage)
     counts(storage, "refresh_alignment")
-    (told,) = report(storage).report["evidence"]  # type: ignore[misc]
-    assert str(told).startswith("measured profiles of W0 of 1970-01-01 are not used: ")
-    assert "99E9" in str(told)
+    (refusal,) = report(storage).report["evidence"]  # type: ignore[misc]
+    assert str(refusal).startswith("measured profiles of W0 of 1970-01-01 are not used: ")
+    assert "99E9" in str(refusal)
 
 
-def test_a_damaged_measurement_is_told_and_the_section_goes_on(storage: SqlStorage) -> None:
+def test_a_damaged_measurement_is_reported_and_the_section_goes_on(storage: SqlStorage) -> None:
     one_wheelset_three_times(storage)
     measure(storage)
     with storage.engine.begin() as connection:
         connection.execute(update(table_of(MeasuredProfilesRow)).values(packed=b"damaged"))
     counts(storage, "refresh_alignment")
-    told = report(storage)
-    assert code_of(told.reason) is ReasonCode.SINGLE_WHEELSET
-    (note,) = told.report["evidence"]  # type: ignore[misc]
+    track_report = report(storage)
+    assert code_of(track_report.reason) is ReasonCode.SINGLE_WHEELSET
+    (note,) = track_report.report["evidence"]  # type: ignore[misc]
     assert "W0" in str(note)

@@ -69,7 +69,7 @@ def register(storage: Storage, sections: Sequence[str] = ("S1",)) -> None:
 def put(
     storage: Storage, numbers: Sequence[int], *, day: int = 0, offset: float = 0.0, section: str = "S1"
 ) -> list[Window]:
-    """Store the windows of some runs, as told by odometers that are ``offset`` m off."""
+    """Store the windows of some runs, as reported by odometers that are ``offset`` m off."""
     found = [
         replace(
             window,
@@ -144,18 +144,18 @@ def test_an_epoch_becomes_a_version_once_and_its_windows_are_estimated_on_it(sto
     assert (first["versions"], first["windows"]) == (1, 12)
     found = in_force(storage)
     assert (found.version, found.source, found.gauge_known) == (1, FLEET, False)
-    told = report(storage)
-    assert (told.version, told.made, told.status) == (1, True, Status.ESTIMATED)
+    latest = report(storage)
+    assert (latest.version, latest.made, latest.status) == (1, True, Status.ESTIMATED)
     assert counts(storage, "estimate_windows")["estimated"] == 12
     with storage.read() as unit:
         assert {version for _, _, version in unit.tables.index("W0", 0, None)} == {1}
     again = counts(storage, "refresh_alignment")
     assert (again["versions"], again["unchanged"]) == (0, 1)
-    assert report(storage) == told
+    assert report(storage) == latest
     assert counts(storage, "estimate_windows") == {"estimated": 0, "refused": 0, "changed_meanwhile": 0, "requeued": 0}
 
 
-def test_the_next_epoch_is_put_where_the_last_version_lies_and_waits_until_it_is(sqlite_storage: SqlStorage) -> None:
+def test_the_next_epoch_is_placed_on_the_last_version_and_waits_until_it_is(sqlite_storage: SqlStorage) -> None:
     storage = sqlite_storage
     register(storage)
     put(storage, range(6))
@@ -163,7 +163,7 @@ def test_the_next_epoch_is_put_where_the_last_version_lies_and_waits_until_it_is
     counts(storage, "estimate_windows")
     first = in_force(storage)
     put(storage, [1, 4, 5], day=3, offset=14.0)
-    assert counts(storage, "estimate_windows")["estimated"] == 0  # nobody has looked where they were
+    assert counts(storage, "estimate_windows")["estimated"] == 0  # no epoch has placed them
     assert counts(storage, "refresh_alignment")["windows"] == 6
     with storage.read() as unit:
         positions = [unit.tracks.position("W4", window.start_ns) for window in unit.windows.list("W4", DAY_NS)]
@@ -196,25 +196,28 @@ def test_a_geometry_names_every_version_that_its_windows_were_estimated_with(sql
         counts(storage, "estimate_windows")
     counts(storage, "refresh_geometry")
     with storage.read() as unit:
-        told = {name: unit.geometries.current(name) for name in ("W0", "W1")}
-    assert {name: one.track_versions for name, one in told.items() if one} == {"W0": {"S1": (1,)}, "W1": {"S1": (1, 2)}}
+        current = {name: unit.geometries.current(name) for name in ("W0", "W1")}
+    assert {name: one.track_versions for name, one in current.items() if one} == {
+        "W0": {"S1": (1,)},
+        "W1": {"S1": (1, 2)},
+    }
 
 
-def test_what_one_wheelset_could_not_tell_is_told_together_with_those_that_come_later(
+def test_what_one_wheelset_cannot_determine_is_estimated_together_with_those_that_come_later(
     sqlite_storage: SqlStorage,
 ) -> None:
     storage = sqlite_storage
     register(storage)
     put(storage, [0])
     assert counts(storage, "refresh_alignment")["unestimated"] == 1
-    told = report(storage)
-    assert (told.version, told.status) == (None, Status.UNESTIMATED)
-    assert code_of(told.reason) is ReasonCode.SINGLE_WHEELSET
+    latest = report(storage)
+    assert (latest.version, latest.status) == (None, Status.UNESTIMATED)
+    assert code_of(latest.reason) is ReasonCode.SINGLE_WHEELSET
     assert counts(storage, "estimate_windows")["refused"] == 2
     with storage.read() as unit:
         assert {window.reason for window in unit.windows.list("W0")} == {NO_ALIGNMENT}
     assert counts(storage, "refresh_alignment")["unchanged"] == 1
-    assert report(storage).report_id == told.report_id
+    assert report(storage).report_id == latest.report_id
     put(storage, range(1, 6))
     assert counts(storage, "refresh_alignment")["windows"] == 12
     assert counts(storage, "estimate_windows")["estimated"] == 12
@@ -232,17 +235,17 @@ def test_a_recording_is_kept_unless_the_fleet_contradicts_it(
         unit.tracks.add_alignment(surveyed(factor))
     put(storage, range(6))
     counts(storage, "refresh_alignment")
-    told = report(storage)
+    latest = report(storage)
     if said is None:
         assert (in_force(storage).version, in_force(storage).source) == (1, RECORDED)
-        assert told.report["recording"] == "agrees with what the fleet has measured"
+        assert latest.report["recording"] == "agrees with what the fleet has measured"
         with storage.read() as unit:
             position = unit.tracks.position("W0", windows(0)[0].start_ns)
         assert position is not None
         assert (position.offset_m, position.scale, position.reason) == (0.0, 0.0, None)
     else:
         assert (in_force(storage).version, in_force(storage).source) == (2, FLEET)
-        assert said in str(told.report["recording"])
+        assert said in str(latest.report["recording"])
         with storage.write() as unit:  # what is registered again at the next start does not come back
             assert unit.tracks.add_alignment(surveyed(factor)) == 1
         assert in_force(storage).version == 2
@@ -300,7 +303,7 @@ def test_what_a_recorded_gauge_does_to_wheelsets_becomes_a_version_of_the_record
         assert unit.tracks.add_alignment(gauged()) == 1
     put(storage, range(5))
     put(storage, range(5), day=1)
-    assert counts(storage, "estimate_windows")["estimated"] == 20  # on a recording a window waits for nobody
+    assert counts(storage, "estimate_windows")["estimated"] == 20  # on a surveyed section no window waits
     assert counts(storage, "refresh_alignment")["versions"] == 1
     found = in_force(storage)
     assert (found.version, found.source, found.gauge_known, found.cutoff_wavelength) == (2, RECORDED, True, np.inf)
@@ -313,7 +316,7 @@ def test_what_a_recorded_gauge_does_to_wheelsets_becomes_a_version_of_the_record
     with storage.read() as unit:
         position = unit.tracks.position("W0", windows(0)[0].start_ns)
     assert position is not None
-    assert (position.offset_m, position.scale, position.reason) == (0.0, 0.0, None)  # positions are believed as ever
+    assert (position.offset_m, position.scale, position.reason) == (0.0, 0.0, None)  # positions stay as reported
     assert counts(storage, "estimate_windows") == {
         "estimated": 20, "refused": 0, "changed_meanwhile": 0, "requeued": 20
     }  # fmt: skip
@@ -358,12 +361,12 @@ def load_survey(storage: Storage, folder: Path) -> None:
     load(storage, folder, "s_m,alignment_mm,gauge_deviation_mm", rows, alignment_std_mm=0.05)
 
 
-def load(storage: Storage, folder: Path, header: str, rows: Sequence[str], **told: float) -> None:
+def load(storage: Storage, folder: Path, header: str, rows: Sequence[str], **stds: float) -> None:
     (folder / "track.csv").write_text("\n".join([header, *rows]))
     section = {
         "code": "S1", "number": 1, "name": "Section", "rail_profile": "56E1", "rail_inclination": 0.05,
         "nominal_gauge_mm": 1435.0, "length_m": LENGTH,
-        "alignment": {"file": "track.csv", "gauge_deviation_std_mm": 0.1, **told},
+        "alignment": {"file": "track.csv", "gauge_deviation_std_mm": 0.1, **stds},
     }  # fmt: skip
     (folder / "registry.json").write_text(json.dumps({"format": FORMAT, "track_sections": [section]}))
     with storage.write() as unit:
@@ -406,7 +409,7 @@ def test_of_a_section_whose_gauge_alone_is_on_file_the_fleet_finds_the_alignment
 def test_a_track_file_that_comes_later_lets_the_windows_be_looked_at_again(
     sqlite_storage: SqlStorage, tmp_path: Path
 ) -> None:
-    """The fleet's alignment lies where its odometers say on average; the survey does not."""
+    """The alignment of the fleet is at the mean position of its odometers; the survey is elsewhere."""
     offsets = (0.0, 4.0, 9.0, -3.0, 12.0, 7.0)
     storage = sqlite_storage
     register(storage)
@@ -422,8 +425,8 @@ def test_a_track_file_that_comes_later_lets_the_windows_be_looked_at_again(
     for position, offset in zip(positions, offsets, strict=True):
         assert position is not None
         shift = position.offset_m + position.scale * (1000.0 - position.middle_m)
-        believed = abs(offset) < 5.0
-        assert (position.version, shift) == (2, 0.0 if believed else pytest.approx(-offset, abs=1.5))
+        within_limit = abs(offset) < 5.0
+        assert (position.version, shift) == (2, 0.0 if within_limit else pytest.approx(-offset, abs=1.5))
     assert counts(storage, "estimate_windows")["estimated"] == 12
     load_survey(storage, tmp_path)
     assert counts(storage, "refresh_alignment")["windows"] == 0
@@ -524,10 +527,10 @@ def test_only_what_matters_is_another_alignment() -> None:
     wide = 1e-3 * rng.standard_normal(n)
     assert requires_reestimation(old, replace(old, gauge_deviation=wide), settings)
     assert not requires_reestimation(old, replace(old, gauge_deviation=0.1 * wide), settings)
-    told = replace(old, findings=TrackFindings({"A": 0.96}, 0.01, {}))
-    assert not requires_reestimation(told, replace(old, findings=TrackFindings({"A": 0.975}, 0.01, {})), settings)
-    assert requires_reestimation(told, replace(old, findings=TrackFindings({"A": 0.99}, 0.01, {})), settings)
-    assert requires_reestimation(told, replace(old, findings=TrackFindings({"B": 1.0}, 0.01, {})), settings)
+    estimated = replace(old, findings=TrackFindings({"A": 0.96}, 0.01, {}))
+    assert not requires_reestimation(estimated, replace(old, findings=TrackFindings({"A": 0.975}, 0.01, {})), settings)
+    assert requires_reestimation(estimated, replace(old, findings=TrackFindings({"A": 0.99}, 0.01, {})), settings)
+    assert requires_reestimation(estimated, replace(old, findings=TrackFindings({"B": 1.0}, 0.01, {})), settings)
     recorded = replace(old, source=RECORDED, gauge_known=True)
     wheel = GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.zeros((3, 2)))
     with_one = replace(recorded, findings=TrackFindings({}, 0.01, {"A1": wheel}))
@@ -544,7 +547,7 @@ def test_another_gauge_shift_is_one_that_noise_does_not_make() -> None:
     gauge = 1e-3 * np.random.default_rng(1).standard_normal(n)
     R, e = np.linspace(-6e-3, 6e-3, 25), np.linspace(-4e-3, 4e-3, 17)
 
-    def told(per_gauge: float | None) -> TrackAlignment:
+    def with_shift(per_gauge: float | None) -> TrackAlignment:
         table = {} if per_gauge is None else {"A": GaugeShift(R, e, per_gauge * np.sign(R)[:, None] * e[None, :])}
         zero = np.zeros(n)
         return TrackAlignment(
@@ -552,10 +555,10 @@ def test_another_gauge_shift_is_one_that_noise_does_not_make() -> None:
             findings=TrackFindings({}, 0.01, table),
         )  # fmt: skip
 
-    assert not gauge_shift_changed(told(0.1), told(0.2), settings)
-    assert gauge_shift_changed(told(0.1), told(0.3), settings)
-    assert not gauge_shift_changed(told(None), told(0.3), settings)
-    assert not gauge_shift_changed(replace(told(0.1), findings=None), told(0.3), settings)
+    assert not gauge_shift_changed(with_shift(0.1), with_shift(0.2), settings)
+    assert gauge_shift_changed(with_shift(0.1), with_shift(0.3), settings)
+    assert not gauge_shift_changed(with_shift(None), with_shift(0.3), settings)
+    assert not gauge_shift_changed(replace(with_shift(0.1), findings=None), with_shift(0.3), settings)
 
 
 def test_what_was_found_of_those_who_stayed_away_is_kept() -> None:

@@ -1,4 +1,4 @@
-"""A gauge that varies along the section is told apart from the alignment, by the passes alone or by a recording."""
+"""A gauge that varies along the section is distinguished from the alignment, by the passes alone or by a recording."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def iterated(gauge_std: float) -> IterationResult:
     return iterate(grouped, None, PANEL, positions, IterationParameters())
 
 
-def told(gauge_std: float) -> SectionResults:
+def section_results(gauge_std: float) -> SectionResults:
     return findings(iterated(gauge_std), gauge_estimated=True)
 
 
@@ -55,7 +55,7 @@ def alignment_error(found: IterationResult, gauge_std: float) -> float:
 
 def shifted(serial: str, seed: int = 5) -> tuple[FloatArray, FloatArray]:
     """Return where the gauge puts a wheelset at places of the section, m: by the findings, and by its radii."""
-    one = told(GAUGE_STD)
+    one = section_results(GAUGE_STD)
     assert one.gauge is not None
     rng = np.random.default_rng(seed)
     at = rng.integers(INNER.start, PANEL.grid.points + INNER.stop, 400)
@@ -67,15 +67,15 @@ def shifted(serial: str, seed: int = 5) -> tuple[FloatArray, FloatArray]:
 
 
 def test_alignment_and_gauge_come_out_of_the_passes_with_the_right_sign() -> None:
-    found, true = told(GAUGE_STD).gauge, true_gauge()[INNER]
+    found, true = section_results(GAUGE_STD).gauge, true_gauge()[INNER]
     assert found is not None
     assert np.corrcoef(found[INNER], true)[0, 1] > 0.97
     assert alignment_error(iterated(GAUGE_STD), GAUGE_STD) < 0.12e-3
 
 
 @pytest.mark.parametrize("serial", ["A", "B", "C"])
-def test_the_shifts_found_tell_where_the_gauge_found_puts_a_wheelset(serial: str) -> None:
-    """Better than both for themselves: a gauge told too small goes with shifts told too large."""
+def test_shifts_and_gauge_found_together_place_a_wheelset(serial: str) -> None:
+    """Better than both for themselves: a gauge estimated too small goes with shifts estimated too large."""
     found, true = shifted(serial)
     assert (found - true).var() < 0.5 * true.var()
 
@@ -84,7 +84,7 @@ def test_of_several_lives_of_a_wheelset_the_latest_counts() -> None:
     """Intervals of mileage follow each other as numbers: 10 comes after 9."""
     lives = total_gauge_shifts(iterated(GAUGE_STD).solution, iterated(GAUGE_STD).panel)
     assert set(lives) == set(CONES)
-    shifts = told(GAUGE_STD).findings.gauge_shifts
+    shifts = section_results(GAUGE_STD).findings.gauge_shifts
     assert set(shifts) == set(LATEST)
     both_signs = (lives[ProfileLife("A", 0, 10)].shift, lives[ProfileLife("A", 0, 10)].shift[:, ::-1])
     assert any(np.array_equal(shifts["A"].shift, one) for one in both_signs)
@@ -93,7 +93,7 @@ def test_of_several_lives_of_a_wheelset_the_latest_counts() -> None:
 def test_a_gauge_that_does_not_vary_is_not_made_up() -> None:
     found = iterated(0.0)
     assert found.panel.gauge is None
-    one = told(0.0)
+    one = section_results(0.0)
     assert (one.gauge, one.gauge_std, dict(one.findings.gauge_shifts)) == (None, None, {})
     assert alignment_error(found, 0.0) < 0.02e-3
 

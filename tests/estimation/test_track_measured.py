@@ -1,4 +1,4 @@
-"""Freshly measured profiles tell the track where the passes alone cannot, and hardly matter where they can."""
+"""Freshly measured profiles determine the track where the passes alone cannot, and hardly matter where they can."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_profiles_that_cannot_be_used_are_named() -> None:
         measured_curve("W", rail, wheel, STD, rail="56E1", inclination=0.05, gauge=1.435)
 
 
-def test_one_measured_wheelset_makes_a_fleet_of_alike_ones_tell_the_track() -> None:
+def test_one_measured_wheelset_lets_a_fleet_of_alike_ones_determine_the_track() -> None:
     found = alike()
     assert found.report.status is Status.ESTIMATED
     assert found.report.diversity < 0.15
@@ -108,7 +108,7 @@ def test_one_measured_wheelset_alone_is_enough() -> None:
     assert alignment_error(found) < 0.2
 
 
-def test_a_fleet_that_can_tell_hardly_heeds_a_wrong_measurement() -> None:
+def test_a_fleet_that_determines_the_track_hardly_heeds_a_wrong_measurement() -> None:
     passes = list(fleet_passes())
     without = estimated(passes, None)
     wrong = estimated(passes, {ProfileLife("cone 0.1"): curve(stretched=1.2)})

@@ -133,9 +133,9 @@ def test_any_order_and_grouping_of_the_passes_gives_the_same(order: list[int], c
 
 def test_one_wheelset_alone_or_wheelsets_all_alike_say_nothing() -> None:
     alone = tuple(p for p in fleet_passes() if p.wheelset == "cone 0.05")
-    told = _solved(alone).report
-    assert told.status is Status.UNESTIMATED
-    assert told.reason
+    panel_report = _solved(alone).report
+    assert panel_report.status is Status.UNESTIMATED
+    assert panel_report.reason
     alike = _solved(fleet_passes(alike=True)).report
     assert alike.status is Status.UNESTIMATED
     assert code_of(alike.reason) is ReasonCode.PASSES_ALIKE

@@ -1,4 +1,4 @@
-"""A recorded alignment with a mistake in it is found out by what the fleet has felt; an honest one is believed."""
+"""A surveyed alignment with a mistake in it is detected by what the fleet has measured; a correct one is accepted."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def fleet(seed: int, *, offset: float = 0.0, stretch: float = 0.0) -> TrackAlign
     error = np.convolve(rng.standard_normal(len(grid)), np.hanning(17), mode="same")
     place = grid + offset + stretch * (grid - LENGTH / 2)
     d = high_pass(np.stack([np.interp(place, track.s, track.alignment), error]), weights)
-    felt = 0.98 * d[0] + FLEET_STD * d[1] / d[1].std()
+    measured = 0.98 * d[0] + FLEET_STD * d[1] / d[1].std()
     reach = len(weights) // 2
-    felt[:reach] = felt[-reach:] = np.nan
-    return replace(lying(grid, felt, FLEET_STD), source=FLEET, cutoff_wavelength=CUT_OFF)
+    measured[:reach] = measured[-reach:] = np.nan
+    return replace(lying(grid, measured, FLEET_STD), source=FLEET, cutoff_wavelength=CUT_OFF)
 
 
 def recording(seed: int, std: float, spacing: float = 0.25) -> TrackAlignment:
@@ -50,16 +50,14 @@ def recording(seed: int, std: float, spacing: float = 0.25) -> TrackAlignment:
 
 @pytest.mark.parametrize("std", [0.05e-3, 0.5e-3])
 @pytest.mark.parametrize("spacing", [0.25, 1.0])
-def test_honest_recordings_are_believed_wherever_the_fleet_lies_within_its_own_doubt(
-    std: float, spacing: float
-) -> None:
+def test_correct_surveys_are_accepted_wherever_the_fleet_is_within_its_position_std(std: float, spacing: float) -> None:
     for seed in range(8):
         rng = np.random.default_rng(seed)
         found = fleet(seed, offset=rng.uniform(-2, 2), stretch=rng.uniform(-3e-4, 3e-4))
-        told = check_survey(recording(seed, std, spacing), found)
-        assert told.usable, (seed, told)
-        assert told.scale == pytest.approx(1.0, abs=0.06)
-        assert told.sign == 1
+        verdict = check_survey(recording(seed, std, spacing), found)
+        assert verdict.usable, (seed, verdict)
+        assert verdict.scale == pytest.approx(1.0, abs=0.06)
+        assert verdict.sign == 1
 
 
 @pytest.mark.parametrize(
@@ -72,21 +70,21 @@ def test_a_wrong_unit_is_named(factor: float, said: str, *, of_std: bool) -> Non
     for seed in range(3):
         good = recording(seed, 0.05e-3)
         std = good.alignment_std * (factor if of_std else 1.0)
-        told = check_survey(replace(good, alignment=factor * good.alignment, alignment_std=std), fleet(seed))
-        assert not told.usable
-        assert said in told.reason
-        assert told.scale == pytest.approx(factor, rel=0.05)
+        verdict = check_survey(replace(good, alignment=factor * good.alignment, alignment_std=std), fleet(seed))
+        assert not verdict.usable
+        assert said in verdict.reason
+        assert verdict.scale == pytest.approx(factor, rel=0.05)
 
 
 @pytest.mark.parametrize("shift", [10.0, -10.0, 4.5])
 def test_a_shifted_recording_is_found_and_measured(shift: float) -> None:
     for seed in range(4):
         good = recording(seed, 0.1e-3)
-        told = check_survey(replace(good, s=good.s + shift), fleet(seed))
-        assert not told.usable
-        assert f"{abs(told.shift):.1f} m too far {'along' if shift > 0 else 'back'}" in told.reason
-        assert told.shift == pytest.approx(-shift, abs=0.3)
-        assert told.misfit > 2.0
+        verdict = check_survey(replace(good, s=good.s + shift), fleet(seed))
+        assert not verdict.usable
+        assert f"{abs(verdict.shift):.1f} m too far {'along' if shift > 0 else 'back'}" in verdict.reason
+        assert verdict.shift == pytest.approx(-shift, abs=0.3)
+        assert verdict.misfit > 2.0
         excused = check_survey(replace(good, s=good.s + shift), fleet(seed), place_std=4.0)
         assert excused.usable  # a fleet that does not know its own place cannot say
 
@@ -103,7 +101,7 @@ def place_std(journeys: int, reach: float = 20.0) -> float:
         (20, 0.0, False),
         (30, 0.0, True),
         (70, 0.0, True),
-        (70, -2.0, True),  # also where the fleet as a whole lies two of its standard deviations on its side
+        (70, -2.0, True),  # also where the fleet as a whole is two of its standard deviations off
         (70, 2.0, True),
     ],
 )
@@ -114,9 +112,9 @@ def test_with_uncertain_positions_a_shift_of_10_m_takes_many_journeys_to_be_foun
     for seed in range(3):
         good = recording(seed, 0.1e-3)
         off = fleet_off * place_std(journeys)
-        told = check_survey(replace(good, s=good.s + 10.0), fleet(seed, offset=off), place_std=place_std(journeys))
-        assert told.usable is not found
-        assert ("too far along" in told.reason) is found
+        verdict = check_survey(replace(good, s=good.s + 10.0), fleet(seed, offset=off), place_std=place_std(journeys))
+        assert verdict.usable is not found
+        assert ("too far along" in verdict.reason) is found
 
 
 def test_mirrored_and_foreign_recordings_are_refused() -> None:
@@ -127,15 +125,15 @@ def test_mirrored_and_foreign_recordings_are_refused() -> None:
         assert mirrored.sign == -1
         assert "mirror image" in mirrored.reason
         for other in (recording(seed + 50, 0.05e-3), replace(good, alignment=good.alignment[::-1])):
-            told = check_survey(other, found)
-            assert not told.usable
-            assert "no more in common" in told.reason
+            verdict = check_survey(other, found)
+            assert not verdict.usable
+            assert "no more in common" in verdict.reason
 
 
 def test_a_recording_that_claims_too_much_is_refused() -> None:
-    told = check_survey(replace(recording(1, 0.5e-3), alignment_std=recording(1, 0.05e-3).alignment_std), fleet(1))
-    assert not told.usable
-    assert "standard deviation" in told.reason
+    verdict = check_survey(replace(recording(1, 0.5e-3), alignment_std=recording(1, 0.05e-3).alignment_std), fleet(1))
+    assert not verdict.usable
+    assert "standard deviation" in verdict.reason
 
 
 def test_a_fleet_that_knows_too_little_says_nothing_against_a_recording() -> None:
@@ -143,10 +141,10 @@ def test_a_fleet_that_knows_too_little_says_nothing_against_a_recording() -> Non
     few = replace(found, alignment=np.where(np.arange(len(found.s)) < 300, found.alignment, np.nan))
     none = replace(found, alignment=np.full(len(found.s), np.nan))
     elsewhere = replace(recording(1, 1e-4), s=recording(1, 1e-4).s + 1e5)
-    for told in (
+    for verdict in (
         check_survey(recording(1, 1e-4), few), check_survey(recording(1, 1e-4), none),
         check_survey(elsewhere, found),
     ):  # fmt: skip
-        assert told.usable
-        assert told.sign == 0
-        assert "does not know enough" in told.reason
+        assert verdict.usable
+        assert verdict.sign == 0
+        assert "does not know enough" in verdict.reason

@@ -35,16 +35,16 @@ def first(gauge_std: float) -> AlignmentUpdate:
     return update_alignment(RECORD, passes(place, CONES, 3), recording(place), SETTINGS, survey_checked=True)
 
 
-def test_what_the_gauge_on_file_does_to_wheelsets_is_told_on_the_recording() -> None:
+def test_the_gauge_shift_of_wheelsets_is_found_on_a_surveyed_gauge() -> None:
     place = section(1e-3)
     found = first(1e-3)
     assert found.outcome is UpdateOutcome.SURVEY_EXTENDED
-    told = found.alignment
-    assert told is not None
-    assert told.source == RECORDED
-    np.testing.assert_array_equal(told.alignment, place.alignment)
-    np.testing.assert_array_equal(told.gauge_deviation, place.gauge)
-    assert told.findings is not None
+    first_version = found.alignment
+    assert first_version is not None
+    assert first_version.source == RECORDED
+    np.testing.assert_array_equal(first_version.alignment, place.alignment)
+    np.testing.assert_array_equal(first_version.gauge_deviation, place.gauge)
+    assert first_version.findings is not None
     rng = np.random.default_rng(1)
     x, e = 1.5e-3 * rng.standard_normal(400), 1e-3 * rng.standard_normal(400)
     everywhere = np.linspace(-9e-3, 9e-3, 2001)
@@ -52,21 +52,21 @@ def test_what_the_gauge_on_file_does_to_wheelsets_is_told_on_the_recording() -> 
         wheels = Wheels(cone)
         R = wheels.difference(x, e)
         true = x - np.interp(R, wheels.difference(everywhere, np.zeros(2001)), everywhere)
-        shift = told.findings.gauge_shifts[name.wheelset].at(R, e)
+        shift = first_version.findings.gauge_shifts[name.wheelset].at(R, e)
         assert (shift - true).var() < 0.5 * true.var(), name
 
 
 def test_the_same_again_makes_no_version_and_a_turned_wheelset_makes_one() -> None:
-    place, told = section(1e-3), first(1e-3).alignment
-    assert told is not None
+    place, first_version = section(1e-3), first(1e-3).alignment
+    assert first_version is not None
     again = update_alignment(
-        RECORD, passes(place, CONES, 3, seed=7), replace(told, version=2), SETTINGS, survey_checked=True
+        RECORD, passes(place, CONES, 3, seed=7), replace(first_version, version=2), SETTINGS, survey_checked=True
     )
     assert again.outcome is UpdateOutcome.SURVEY_KEPT
     assert again.alignment is not None
     turned = {ProfileLife("A", 1, 0): 0.05, ProfileLife("B", 0, 0): 0.08, ProfileLife("C", 0, 0): 0.12}
     other = update_alignment(
-        RECORD, passes(place, turned, 3, seed=8), replace(told, version=2), SETTINGS, survey_checked=True
+        RECORD, passes(place, turned, 3, seed=8), replace(first_version, version=2), SETTINGS, survey_checked=True
     )
     assert other.outcome is UpdateOutcome.SURVEY_EXTENDED
 

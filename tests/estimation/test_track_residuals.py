@@ -1,4 +1,4 @@
-"""A wheelset that no single curve fits is heard less, and does not spoil the track for the others."""
+"""A wheelset that no single curve fits is down-weighted, and does not spoil the track for the others."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def error(estimate: SectionEstimate) -> tuple[float, float]:
 
 
 def test_what_is_usual_counts_whole_and_what_is_not_counts_less_and_less() -> None:
-    told = Residuals(
+    rms_residuals = Residuals(
         {},
         {
             ProfileLife("A"): 0.10e-3,
@@ -75,7 +75,7 @@ def test_what_is_usual_counts_whole_and_what_is_not_counts_less_and_less() -> No
         },
     )
     usual = USUAL_FACTOR * 0.1245e-3
-    assert told.weights() == {ProfileLife("D"): pytest.approx((usual / 0.3e-3) ** 4)}
+    assert rms_residuals.weights() == {ProfileLife("D"): pytest.approx((usual / 0.3e-3) ** 4)}
     assert (
         Residuals(
             {}, {ProfileLife("A"): 0.01e-3, ProfileLife("B"): 0.01e-3, ProfileLife("C"): 0.99 * LEAST_USUAL}

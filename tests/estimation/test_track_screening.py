@@ -1,4 +1,4 @@
-"""What does not belong among the passes of a section is refused with its reason, and moves nobody else."""
+"""What does not belong among the passes of a section is refused with its reason, and moves no other pass."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ def reasons(
     found: list[Pass], bad: set[int], known: TrackAlignment | None = None, wanted: PassStatus = PassStatus.REFUSED
 ) -> set[str]:
     """Return why the bad ones were refused; all others must be used."""
-    told = screen(found, known)
-    assert [o.status for i, o in enumerate(told.outcomes) if i not in bad] == [PassStatus.USED] * (
+    screened = screen(found, known)
+    assert [o.status for i, o in enumerate(screened.outcomes) if i not in bad] == [PassStatus.USED] * (
         len(found) - len(bad)
     )
-    assert [o.status for i, o in enumerate(told.outcomes) if i in bad] == [wanted] * len(bad)
-    assert list(told.used) == [item for i, item in enumerate(found) if i not in bad]
-    return {str(told.outcomes[i].reason) for i in bad}
+    assert [o.status for i, o in enumerate(screened.outcomes) if i in bad] == [wanted] * len(bad)
+    assert list(screened.used) == [item for i, item in enumerate(found) if i not in bad]
+    return {str(screened.outcomes[i].reason) for i in bad}
 
 
 @pytest.mark.parametrize("known", [None, KNOWN], ids=["unknown track", "known track"])
@@ -90,8 +90,8 @@ def test_a_bad_pass_leaves_the_solution_of_the_others_as_it_was(kind: str, numbe
     found = list(honest())
     bad = replace(BAD[kind][0](found[2 * number]), life=ProfileLife("BAD"), vehicle="BAD")
     before = solved(screen(found).used)
-    told = screen([*found[:place], bad, *found[place:]])
-    after = solved(told.used)
+    screened = screen([*found[:place], bad, *found[place:]])
+    after = solved(screened.used)
     assert after.lives == before.lives
     np.testing.assert_allclose(after.curves, before.curves, rtol=1e-12, atol=1e-18)
     np.testing.assert_allclose(after.alignment, before.alignment, rtol=1e-12, atol=1e-18)
@@ -112,9 +112,9 @@ def test_one_alone_and_nothing_are_left_to_the_panel() -> None:
 
 def test_an_alignment_that_most_contradict_does_not_decide() -> None:
     wrong = replace(KNOWN, alignment=KNOWN.alignment[::-1])
-    told = screen(list(honest()), wrong)
-    assert told.known_contradicted
-    assert len(told.used) == len(honest())
+    screened = screen(list(honest()), wrong)
+    assert screened.known_contradicted
+    assert len(screened.used) == len(honest())
 
 
 def test_chance_agrees_as_often_as_it_says() -> None:
@@ -141,12 +141,12 @@ def test_an_agreement_finds_shift_and_factor() -> None:
     assert found.correlation > 0.9
 
 
-def test_the_other_direction_tells_the_same_alignment_and_the_same_wheelset() -> None:
+def test_the_other_direction_gives_the_same_alignment_and_the_same_wheelset() -> None:
     both = [*honest(), *made(turned_windows(0)), *made(turned_windows(2))]
     assert {item.side for item in both} == {1, -1}
     assert all(np.all(np.diff(item.at) > 0) for item in both)
-    told = screen(both, KNOWN)
-    assert len(told.used) == len(both)
+    screened = screen(both, KNOWN)
+    assert len(screened.used) == len(both)
     apart = [replace(item, life=ProfileLife(item.wheelset + " turned")) if item.side < 0 else item for item in both]
     panel = Panel.of(replace(PANEL, length=13_000.0, reach=1.0e-3))
     both_ways = result(update(init(panel), [grid_pass(item, panel.grid) for item in apart]))
@@ -170,11 +170,12 @@ WINDOW = windows(1)[0]
 
 
 def refusal(window: object) -> str:
-    told = examine(window, SETTINGS.windows)  # type: ignore[arg-type] - every caller hands a window
-    assert told.passes == ()
-    assert told.outcome.status is PassStatus.REFUSED
-    assert (told.outcome.wheelset, told.outcome.vehicle, told.outcome.start_ns) == ("W1", "V1", WINDOW.start_ns)
-    return str(told.outcome.reason)
+    examined = examine(window, SETTINGS.windows)  # type: ignore[arg-type] - every caller hands a window
+    assert examined.passes == ()
+    assert examined.outcome.status is PassStatus.REFUSED
+    refused = examined.outcome
+    assert (refused.wheelset, refused.vehicle, refused.start_ns) == ("W1", "V1", WINDOW.start_ns)
+    return str(examined.outcome.reason)
 
 
 def test_windows_without_a_pass_say_why() -> None:
@@ -198,22 +199,22 @@ def test_windows_without_a_pass_say_why() -> None:
 def test_honest_windows_are_examined_without_a_word() -> None:
     for number in range(6):
         for window in (*windows(number), *turned_windows(0)):
-            told = examine(window, SETTINGS.windows)
-            assert len(told.passes) == 1
-            assert told.outcome.reason is None
+            examined = examine(window, SETTINGS.windows)
+            assert len(examined.passes) == 1
+            assert examined.outcome.reason is None
 
 
 @settings(max_examples=25, deadline=None)
 @given(at=st.integers(3500, 11_500), metres=st.floats(2.0, 60.0), back=st.booleans())
 def test_a_position_that_jumps_inside_a_window_ends_the_pass_there(at: int, metres: float, back: bool) -> None:  # noqa: FBT001 - drawn
     jump = -metres if back else metres
-    told = examine(
+    examined = examine(
         replace(WINDOW, distance=WINDOW.distance + jump * (np.arange(len(WINDOW.valid)) >= at)), SETTINGS.windows
     )
-    assert told.outcome.status is PassStatus.USED
-    assert f"jumps once against the speed, by {metres:.1f} m" in str(told.outcome.reason)
-    assert len(told.passes) == 2
-    first, second = told.passes
+    assert examined.outcome.status is PassStatus.USED
+    assert f"jumps once against the speed, by {metres:.1f} m" in str(examined.outcome.reason)
+    assert len(examined.passes) == 2
+    first, second = examined.passes
     before, after = WINDOW.distance[at - 1], WINDOW.distance[at] + jump
     assert first.at[-1] <= before
     assert before - first.at[-1] < 30.0

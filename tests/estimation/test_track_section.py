@@ -64,8 +64,8 @@ def test_positions_and_alignment_converge_together() -> None:
     assert found.report.evidence == ()
     assert all(journey.used for journey in found.report.journeys)
     assert known(found).source == FLEET
-    fleet_lies = np.mean([OFFSETS[c] for c in OFFSETS])  # nobody says where the fleet as a whole lies
-    assert error(known(found), -fleet_lies) < 0.12
+    fleet_offset = np.mean([OFFSETS[c] for c in OFFSETS])  # the position of the fleet as a whole is not known
+    assert error(known(found), -fleet_offset) < 0.12
     json.dumps(found.report.as_json(), allow_nan=False)
 
 
@@ -87,8 +87,8 @@ def test_what_has_not_converged_is_estimated_and_says_so(limits: dict[str, float
     assert first_version().report.reason is None
 
 
-def test_evidence_says_where_the_place_lies_and_more_passes_make_it_no_worse() -> None:
-    """The next epoch lies elsewhere by its odometers, and is put where the last version is."""
+def test_a_prior_alignment_fixes_the_position_and_more_passes_make_it_no_worse() -> None:
+    """The next epoch is elsewhere by its odometers, and is moved to where the last version is."""
     first = known(first_version())
     again = [replace(item, at=item.at + 11.0, start_ns=item.start_ns + 10**15) for item in displaced(fleet_passes())]
     second = estimate_section("S", again, first, SECTION)
@@ -102,8 +102,8 @@ def test_evidence_says_where_the_place_lies_and_more_passes_make_it_no_worse() -
     assert np.isfinite(after.alignment[held]).all()
     assert np.nanmedian(after.alignment_std) < np.nanmedian(first.alignment_std)
     assert (after.passes >= first.passes).all()
-    fleet_lies = np.mean([OFFSETS[c] for c in OFFSETS])
-    assert error(after, -fleet_lies) < 1.1 * error(first, -fleet_lies)
+    fleet_offset = np.mean([OFFSETS[c] for c in OFFSETS])
+    assert error(after, -fleet_offset) < 1.1 * error(first, -fleet_offset)
 
 
 def test_a_recorded_alignment_is_evidence_that_one_wheelset_can_be_read_against() -> None:

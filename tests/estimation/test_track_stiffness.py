@@ -21,12 +21,12 @@ from estimation.track.results import findings
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 CONES = (0.05, 0.10, 0.16)
-SOFT, RIGHT = 17.0, 23.0  # m/s of the vehicle that is believed 20 % too soft, and of one that is known
+SOFT, RIGHT = 17.0, 23.0  # m/s of the vehicle that is assumed 20 % too soft, and of one that is known
 PANEL = Panel.of(PanelParameters(length=2800.0, basis_count=21))
 
 
 @cache
-def believed(share: float) -> tuple[Pass, ...]:
+def assumed_stiffness(share: float) -> tuple[Pass, ...]:
     """Return passes of two vehicles with three wheelsets each, one read with ``share`` of its true yaw stiffness."""
     found: list[Pass] = []
     truth = VehicleParameters()
@@ -41,10 +41,10 @@ def believed(share: float) -> tuple[Pass, ...]:
 @cache
 def iterated(share: float) -> IterationResult:
     positions = PositionParameters()
-    return iterate(journeys(believed(share), positions), None, PANEL, positions, IterationParameters())
+    return iterate(journeys(assumed_stiffness(share), positions), None, PANEL, positions, IterationParameters())
 
 
-def test_a_vehicle_believed_too_soft_is_found_out_on_unknown_track() -> None:
+def test_a_vehicle_assumed_stiffness_too_soft_is_found_out_on_unknown_track() -> None:
     found = iterated(0.8).ratios
     assert found[f"{SOFT:g}"].value == pytest.approx(1 / 0.8, rel=0.02)
     assert found[f"{RIGHT:g}"].value == pytest.approx(1.0, abs=0.02)
@@ -57,14 +57,14 @@ def test_the_std_of_a_ratio_covers_its_error_and_is_what_geometry_is_told() -> N
     for vehicle, ratio in one.ratios.items():
         assert SYSTEMATIC_STD < ratio.std < 0.05
         assert abs(ratio.value - truth[vehicle]) < 2.5 * ratio.std
-    told = findings(one, gauge_estimated=False).findings
-    assert told.stiffness_ratio_std == max(ratio.std for ratio in one.ratios.values())
-    assert told.stiffness_ratio == {vehicle: ratio.value for vehicle, ratio in one.ratios.items()}
+    track_findings = findings(one, gauge_estimated=False).findings
+    assert track_findings.stiffness_ratio_std == max(ratio.std for ratio in one.ratios.values())
+    assert track_findings.stiffness_ratio == {vehicle: ratio.value for vehicle, ratio in one.ratios.items()}
 
 
 def test_the_ratio_makes_the_radius_difference_that_of_the_vehicle_as_it_is() -> None:
     """R of the assumed stiffness plus its stiffness term in the right proportion is R of the true stiffness."""
-    soft, right = (list(believed(share)[: len(CONES)]) for share in (0.8, 1.0))
+    soft, right = (list(assumed_stiffness(share)[: len(CONES)]) for share in (0.8, 1.0))
     for ours, true in zip(soft, right, strict=True):
         before, after, whole = (
             grid_pass(item, PANEL.grid, ratio).difference for item, ratio in ((ours, 1.0), (ours, 1 / 0.8), (true, 1.0))
@@ -75,7 +75,7 @@ def test_the_ratio_makes_the_radius_difference_that_of_the_vehicle_as_it_is() ->
 
 
 def test_another_ratio_needs_no_filter_again_and_without_stiffness_term_nothing_changes() -> None:
-    item = believed(0.8)[0]
+    item = assumed_stiffness(0.8)[0]
     at_once = grid_pass(item, PANEL.grid, 1.25)
     later = with_ratio(grid_pass(item, PANEL.grid), 1.25, PANEL.grid)
     np.testing.assert_array_equal(later.difference, at_once.difference)

@@ -28,7 +28,7 @@ SEEN = np.linspace(-2.5e-3, 2.5e-3, 51)  # m, where many samples were
 
 
 def contact_samples(cone: float, *, size: float = 1.0, seed: int = 1, noise: float = 2e-6) -> ContactSamples:
-    """Return places of wheels of ``cone`` whose gauge deviation is told ``size`` times too small."""
+    """Return contact samples of wheels of ``cone`` whose gauge deviation is given ``size`` times too small."""
     rng = np.random.default_rng(seed)
     x, e = 2e-3 * rng.standard_normal(SAMPLES), 2e-3 * rng.standard_normal(SAMPLES)
     difference = Wheels(cone).difference(x, e) + noise * rng.standard_normal(SAMPLES)

@@ -172,7 +172,7 @@ def test_what_the_first_release_stored_is_still_read() -> None:
     assert same_values(unpack_window(stored("window"), where="here"), make.window(samples=50))
     layout = unpack_layout(stored("track_layout"), 3, where="here")
     assert (layout.section, layout.version, list(layout.cant)) == ("S-1", 3, [0.0, 0.05, 0.0])
-    # versions of a track are told apart by the bytes of their blob
+    # versions of a track are distinguished by the bytes of their blob
     assert pack_alignment(surveyed) == stored("surveyed")
     assert pack_alignment(of_fleet) == stored("of_fleet")
     assert pack_layout(layout) == stored("track_layout")

@@ -127,25 +127,25 @@ def test_one_open_fleet_alert_of_a_kind(fleet: SqlStorage) -> None:
 
 
 def test_a_fleet_alert_stands_in_the_feed_for_members_raised_with_it(fleet: SqlStorage) -> None:
-    told = save(fleet, make.ALERT, RAISED)
+    fleet_alert = save(fleet, make.ALERT, RAISED)
     standing = save(fleet, FLEET_ALERT, RAISED)
     number = standing.alert_id
-    told = save(fleet, replace(told, fleet_alert_id=number), UPDATED)
+    fleet_alert = save(fleet, replace(fleet_alert, fleet_alert_id=number), UPDATED)
     quiet = save(fleet, replace(make.ALERT, wheelset="WS-2", fleet_alert_id=number), RAISED)
     quiet = save(fleet, replace(quiet, closed_ns=60), CLOSED)
-    told = save(fleet, replace(told, closed_ns=61), CLOSED)
+    fleet_alert = save(fleet, replace(fleet_alert, closed_ns=61), CLOSED)
     with fleet.read() as unit:
         assert [(e.kind, e.alert.alert_id) for e in unit.alerts.feed(0, 10)] == [
-            (RAISED, told.alert_id),
+            (RAISED, fleet_alert.alert_id),
             (RAISED, number),
-            (UPDATED, told.alert_id),
-            (CLOSED, told.alert_id),
+            (UPDATED, fleet_alert.alert_id),
+            (CLOSED, fleet_alert.alert_id),
         ]
         assert [(e.kind, e.alert.fleet_alert_id) for e in unit.alerts.events(quiet.alert_id)] == [
             (RAISED, number),
             (CLOSED, number),
         ]
-        assert list(unit.alerts.members(number)) == [told, quiet]
+        assert list(unit.alerts.members(number)) == [fleet_alert, quiet]
         assert list(unit.alerts.open_in_fleet("F-1")) == [standing]
         assert unit.alerts.open_in_fleet("F-2") == []
 

@@ -41,17 +41,17 @@ def test_the_same_inputs_are_not_appended_again(fleet: SqlStorage) -> None:
     assert put(fleet, first) == [True]  # what it was before is a change too
 
 
-def test_what_was_believed_then(fleet: SqlStorage) -> None:
+def test_what_was_recorded_then_then(fleet: SqlStorage) -> None:
     old, new = make.geometry_record(1, 100), make.geometry_record(2, 200)
     turned = make.geometry_record(3, 300, baseline=1)
     late = make.geometry_record(4, 400)  # data of the first baseline that came late
     put(fleet, old)
     with fleet.read() as unit:
-        believed = unit.geometries.current("WS-1", 150)
+        recorded_then = unit.geometries.current("WS-1", 150)
     put(fleet, new, turned, late)
     with fleet.read() as unit:
         at = unit.geometries.current
-        assert make.same(at("WS-1", 150), believed)
+        assert make.same(at("WS-1", 150), recorded_then)
         assert [at("WS-1", time) for time in (99,)] == [None]
         for time, record in ((100, old), (199, old), (200, new), (300, turned), (400, turned), (None, turned)):
             assert make.same(at("WS-1", time), record), time
@@ -81,7 +81,7 @@ def test_a_clock_that_went_back_does_not_hide_the_newest(fleet: SqlStorage) -> N
         assert (found.input_digest, found.recorded_ns) == (make.geometry_record(2).input_digest, 500)
 
 
-def test_a_geometry_that_told_the_newest_version_alone_is_read_as_before(fleet: SqlStorage) -> None:
+def test_a_geometry_that_names_only_the_newest_version_is_read_as_before(fleet: SqlStorage) -> None:
     put(fleet, make.geometry_record(1, 100), make.geometry_record(2, 200, interval=4, track_versions={}))
     rows = table_of(GeometryRow)
     with fleet.write() as unit:

@@ -52,9 +52,9 @@ def test_where_an_alignment_came_from_comes_back_with_it_and_a_recording_is_pack
     recorded = make.alignment(1)
     assert unpack_alignment(pack_alignment(recorded), 0, where="here").source == RECORDED
     assert b"" != pack_alignment(recorded) != pack_alignment(replace(recorded, cutoff_wavelength=60.0))
-    told = unpack_alignment(pack_alignment(replace(recorded, findings=FOUND)), 0, where="here")
-    assert (told.source, told.findings is not None) == (RECORDED, True)
-    assert make.same(replace(told, findings=None), recorded)
+    with_findings = unpack_alignment(pack_alignment(replace(recorded, findings=FOUND)), 0, where="here")
+    assert (with_findings.source, with_findings.findings is not None) == (RECORDED, True)
+    assert make.same(replace(with_findings, findings=None), recorded)
 
 
 def test_a_recording_registered_again_does_not_come_before_what_the_fleet_has_found(fleet: SqlStorage) -> None:
@@ -74,7 +74,7 @@ def test_a_recording_registered_again_does_not_come_before_what_the_fleet_has_fo
         assert unit.tracks.versions("S-8", None, 10) == []
     std = float(np.nanmedian(of_fleet(3).alignment_std))
     assert newest == found[-1]
-    told = AlignmentRecord(
+    with_findings = AlignmentRecord(
         "S-7",
         3,
         Status.ESTIMATED,
@@ -87,9 +87,9 @@ def test_a_recording_registered_again_does_not_come_before_what_the_fleet_has_fo
         points=40,
         recorded_ns=70,
     )
-    assert newest == told
+    assert newest == with_findings
     assert found[0] == replace(
-        told, version=1, source=RECORDED, same_since=1, cut_off_m=np.inf, scale_std=0.0, gauge_known=True,
+        with_findings, version=1, source=RECORDED, same_since=1, cut_off_m=np.inf, scale_std=0.0, gauge_known=True,
         alignment_std_m=None, recorded_ns=None,
     )  # fmt: skip
 
@@ -105,11 +105,11 @@ def test_a_recording_registered_again_does_not_come_before_itself_with_what_the_
     fleet: SqlStorage,
 ) -> None:
     recorded, other = make.alignment(1), make.alignment(2)
-    told = replace(recorded, findings=FOUND)
+    with_findings = replace(recorded, findings=FOUND)
     with fleet.write() as unit:
         assert unit.tracks.add_alignment(recorded) == 1
-        assert unit.tracks.add_alignment(told, recorded_ns=50) == 2
-        assert unit.tracks.add_alignment(told, recorded_ns=60) == 2
+        assert unit.tracks.add_alignment(with_findings, recorded_ns=50) == 2
+        assert unit.tracks.add_alignment(with_findings, recorded_ns=60) == 2
         assert unit.tracks.add_alignment(recorded) == 1
         newest = unit.tracks.in_force("S-7")
         assert newest is not None
@@ -153,7 +153,7 @@ def test_windows_wait_until_it_has_been_looked_at_where_they_were(fleet: SqlStor
     with fleet.read() as unit:
         assert unit.tracks.position("WS-1", windows[0].start_ns) == replace(position, offset_m=12.25)
         assert [one.start_ns for one in unit.windows.ready(10, ["S-7"])] == [windows[0].start_ns, elsewhere.start_ns]
-    with fleet.write() as unit:  # other samples: nobody has looked at these
+    with fleet.write() as unit:  # other samples: not estimated yet
         unit.windows.put(make.window(0, seed=5), 1.0, 2)
         assert len(unit.windows.unplaced("S-7", 10)) == 3
     with pytest.raises(ConflictError), fleet.write() as unit:

@@ -33,7 +33,7 @@ def estimate(storage: SqlStorage, index: int, seed: int = 0) -> None:
         unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED)
 
 
-def settle(storage: SqlStorage) -> None:
+def mark_estimated(storage: SqlStorage) -> None:
     """Record a geometry of every stale wheelset."""
     with storage.write() as unit:
         for serial in unit.geometries.stale(100):
@@ -62,7 +62,7 @@ def test_a_window_comes_back_with_its_record(fleet: SqlStorage) -> None:
 def test_the_same_content_changes_nothing(fleet: SqlStorage) -> None:
     put(fleet, 0)
     estimate(fleet, 0)
-    settle(fleet)
+    mark_estimated(fleet)
     with fleet.write() as unit:
         assert not unit.windows.put(make.window(0), 10.0, 99)
     with fleet.read() as unit:
@@ -86,7 +86,7 @@ def test_a_lost_sample_file_is_made_again(fleet: SqlStorage) -> None:
 def test_other_content_is_pending_again_without_a_bin_table(fleet: SqlStorage) -> None:
     put(fleet, 0)
     estimate(fleet, 0)
-    settle(fleet)
+    mark_estimated(fleet)
     other = make.window(0, seed=1)
     with fleet.write() as unit:
         assert unit.windows.put(other, 10.0, 99)
@@ -101,7 +101,7 @@ def test_other_content_is_pending_again_without_a_bin_table(fleet: SqlStorage) -
 def test_another_mileage_keeps_the_bin_table(fleet: SqlStorage) -> None:
     put(fleet, 0)
     estimate(fleet, 0)
-    settle(fleet)
+    mark_estimated(fleet)
     with fleet.write() as unit:
         assert unit.windows.put(make.window(0), 11.5, 99)
     with fleet.read() as unit:
@@ -163,7 +163,7 @@ def test_a_bin_table_of_replaced_content_is_refused(fleet: SqlStorage) -> None:
 def test_a_refused_window_loses_its_bin_table(fleet: SqlStorage) -> None:
     put(fleet, 0)
     estimate(fleet, 0)
-    settle(fleet)
+    mark_estimated(fleet)
     with fleet.write() as unit:
         unit.windows.mark("WS-1", make.START, WindowState.REFUSED, SLOW)
         assert list(unit.tables.stream("WS-1", 0, None)) == []
@@ -175,12 +175,12 @@ def test_what_makes_a_wheelset_stale(fleet: SqlStorage) -> None:
     assert stale(fleet) == []  # a pending window says nothing yet
     estimate(fleet, 0)
     assert stale(fleet) == ["WS-1"]
-    settle(fleet)
+    mark_estimated(fleet)
     estimate(fleet, 0)  # the same again
     assert stale(fleet) == []
     estimate(fleet, 0, seed=5)
     assert stale(fleet) == ["WS-1"]
-    settle(fleet)  # the record is the same as before, and yet it was looked at
+    mark_estimated(fleet)  # the record is the same as before, and yet it was looked at
     assert stale(fleet) == []
     with fleet.write() as unit:
         unit.registry.add_reprofiling(Reprofiling("WS-1", 5, 1.0))
@@ -189,7 +189,7 @@ def test_what_makes_a_wheelset_stale(fleet: SqlStorage) -> None:
         assert unit.geometries.stale(0) == []
     assert stale(fleet) == ["WS-1"]
     for expected in (["WS-1"], []):  # the second time the same again
-        settle(fleet)
+        mark_estimated(fleet)
         with fleet.write() as unit:
             unit.registry.add_measured_profiles(make.measured_profiles(make.START))
         assert stale(fleet) == expected
@@ -235,8 +235,8 @@ def test_every_window_of_a_section_can_wait_again(fleet: SqlStorage) -> None:
         section = first.track_section
         assert section is not None
         assert unit.windows.requeue_section("S-other") == 0
-        settled = [w for w in (first, second) if w.track_section == section]
-        assert unit.windows.requeue_section(section) == len(settled)
+        in_section = [w for w in (first, second) if w.track_section == section]
+        assert unit.windows.requeue_section(section) == len(in_section)
         assert unit.windows.requeue_section(section) == 0
         found = unit.windows.get("WS-1", first.start_ns)
         assert found is not None

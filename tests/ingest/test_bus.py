@@ -73,13 +73,13 @@ def test_what_is_sent_is_heard(buses: tuple[can.BusABC, can.BusABC]) -> None:
     notifier = can.Notifier(buses[1], [listener], timeout=0.1)
     try:
         assert send(buses[0], batch) == len(batch)
-        heard = gathered(listener, len(batch))
+        received = gathered(listener, len(batch))
     finally:
         notifier.stop()
-    assert np.array_equal(heard.arbitration_id, batch.arbitration_id)
-    assert np.array_equal(heard.dlc, batch.dlc)
-    assert np.array_equal(heard.data, batch.data)
-    assert abs(int(heard.t_ns[0]) - time.time_ns()) < 60 * SECOND_NS
+    assert np.array_equal(received.arbitration_id, batch.arbitration_id)
+    assert np.array_equal(received.dlc, batch.dlc)
+    assert np.array_equal(received.data, batch.data)
+    assert abs(int(received.t_ns[0]) - time.time_ns()) < 60 * SECOND_NS
 
 
 def test_a_live_bus_is_cut_into_recordings(buses: tuple[can.BusABC, can.BusABC], tmp_path: Path) -> None:
@@ -99,11 +99,11 @@ def test_a_live_bus_is_cut_into_recordings(buses: tuple[can.BusABC, can.BusABC],
     assert not listening.is_alive()
     assert len(chunks) >= 2
     assert all(chunk.dropped == 0 and chunk.path.name.startswith("N-7__") for chunk in chunks)
-    heard = concatenate([read_log(chunk.path) for chunk in chunks])
-    assert sum(chunk.frames for chunk in chunks) == len(heard)
-    assert np.array_equal(heard.arbitration_id, batch.arbitration_id)
-    assert np.array_equal(heard.data, batch.data)
-    assert np.all(np.diff(heard.t_ns) >= 0)
+    received = concatenate([read_log(chunk.path) for chunk in chunks])
+    assert sum(chunk.frames for chunk in chunks) == len(received)
+    assert np.array_equal(received.arbitration_id, batch.arbitration_id)
+    assert np.array_equal(received.data, batch.data)
+    assert np.all(np.diff(received.t_ns) >= 0)
 
 
 def test_a_full_buffer_drops_and_counts() -> None:
@@ -117,7 +117,7 @@ def test_a_full_buffer_drops_and_counts() -> None:
     assert listener.take()[1] == 0
 
 
-def test_a_failure_in_the_listener_is_told_and_does_not_end_listening(buses: tuple[can.BusABC, can.BusABC]) -> None:
+def test_a_failure_in_the_listener_is_reported_and_does_not_end_listening(buses: tuple[can.BusABC, can.BusABC]) -> None:
     listener = BusListener()
     listener.on_message_received(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))
     listener.on_message_received(can.Message(arbitration_id=0x181, is_extended_id=False, data=bytes(8), timestamp=1.0))
@@ -136,7 +136,7 @@ def test_a_failure_in_the_listener_is_told_and_does_not_end_listening(buses: tup
         notifier.stop()
 
 
-def test_frames_are_sent_at_their_pace_and_until_told_to_stop() -> None:
+def test_frames_are_sent_at_their_pace_until_a_stop_is_requested() -> None:
     channel = uuid.uuid4().hex
     with open_bus("virtual", channel) as bus, open_bus("virtual", channel) as other:
         batch = Run(seconds=0.3).frames()

@@ -148,12 +148,12 @@ def test_a_jump_of_the_vehicle_clock_leaves_no_sample_at_a_guessed_time(jump_ns:
     assert result.align_counts.clock_jumps == 1
     ticked = result.messages[ACCELERATION_1]
     scale = ticked.plan.signals[0].scale
-    told: dict[int, set[float]] = {}
+    true_values: dict[int, set[float]] = {}
     for run in (before, after):
         for tick, value in zip(run.ticks.tolist(), run.accelerations(1)["lateral_acceleration"].tolist(), strict=True):
-            told.setdefault(tick, set()).add(value)
+            true_values.setdefault(tick, set()).add(value)
     for tick, raw, conflict in zip(ticked.tick.tolist(), ticked.raw[:, 0].tolist(), ticked.conflict, strict=True):
-        assert conflict or raw * scale in told[tick]
+        assert conflict or raw * scale in true_values[tick]
     assert result.align_counts.syncs_unplaced > 0
 
 
@@ -192,7 +192,7 @@ def test_clipping_and_not_available_are_marked_per_sample() -> None:
     assert samples.block.valid[:, 0].all()
 
 
-def test_the_clipping_bit_marks_the_second_that_it_tells_of() -> None:
+def test_the_clipping_bit_marks_the_second_that_it_belongs_to() -> None:
     ticks = Run(seconds=5.0).ticks
     bit = (ticks * INTERVAL_NS == START_NS + 2 * SECOND_NS).astype(float)
     samples = samples_of(Run(seconds=5.0, changes={(kinds.STATUS, 1): {"roll_clipped": bit}}).frames())

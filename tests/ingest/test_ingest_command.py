@@ -92,7 +92,9 @@ def test_what_cannot_be_meant_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("live_bus")
-def test_a_live_bus_is_received_until_told_to_stop(deployment: SqlStorage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_live_bus_is_received_until_a_stop_is_requested(
+    deployment: SqlStorage, monkeypatch: pytest.MonkeyPatch
+) -> None:
     problem = multicast_problem()
     if problem:
         pytest.skip(problem)
@@ -110,7 +112,7 @@ def test_a_live_bus_is_received_until_told_to_stop(deployment: SqlStorage, monke
     assert "0 dropped" in said
     assert len(chunks) >= 3
     assert sum(chunk.frames for chunk in chunks) == sent
-    # a machine that is held up for more than 100 ms stamps a TIME frame so late that its second is not believed
+    # a machine that is held up for more than 100 ms stamps a TIME frame so late that its second is not accepted
     assert 1000 <= sum(chunk.counts["samples"] for chunk in chunks) <= 3000
     with deployment.read() as unit:
         assert unit.windows.counts()["pending"] >= 2
@@ -144,5 +146,5 @@ def test_migrations_are_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         run(str(folder))
     upgrade(f"sqlite:///{tmp_path / 'new' / 'treadwatch.sqlite'}")
     code, said = run(str(folder))
-    assert code == 1, "the recordings are kept, but nobody knows the vehicle"
+    assert code == 1, "the recordings are kept, but the vehicle is not registered"
     assert f"no vehicle '{VEHICLE}'" in said

@@ -218,7 +218,7 @@ BROKEN: dict[str, tuple[Callable[[], bytes], str]] = {
         lambda: file_bytes(container_bytes(b"", declared=1 << 30, deflated=bomb())),
         "declares 1073741824 bytes, more than is allowed",
     ),
-    "bomb that lies": (
+    "bomb with a false size": (
         lambda: file_bytes(container_bytes(b"", declared=4096, deflated=bomb())),
         "inflates to more than the 4096 bytes",
     ),
@@ -294,7 +294,7 @@ def test_a_file_that_was_appended_to_is_refused(tmp_path: Path) -> None:
 
 
 def test_flipped_bits_never_pass_unseen_or_raise_anything_else(tmp_path: Path) -> None:
-    """Whatever byte of a container is damaged, zlib's checksum or the structure tells."""
+    """Whatever byte of a container is damaged, zlib's checksum or the structure shows it."""
     path = tmp_path / "flipped.blf"
     write_recording(path, some_frames(300))
     content = bytearray(path.read_bytes())

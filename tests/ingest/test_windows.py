@@ -72,7 +72,7 @@ def test_windows_hold_what_was_sent_at_the_place_of_the_wheelset() -> None:
         assert window.quality.coverage == pytest.approx(there.mean())
 
 
-def test_quality_tells_of_gaps_clipping_and_invalid_values() -> None:
+def test_quality_counts_gaps_clipping_and_invalid_values() -> None:
     run = Run(seconds=17.0)
     values = run.accelerations(1)
     values["lateral_acceleration"][1750 + 100 : 1750 + 150] = np.nan  # in the window that begins 7 s after the start

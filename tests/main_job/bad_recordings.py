@@ -28,8 +28,8 @@ def message(kind: str, node: int, change: Callable[[Signals], Mapping[str, npt.A
         plan = default_catalogue().find(kind, node)
         found = decode(default_catalogue(), batch).messages[plan.arbitration_id]
         values = found.values()
-        told = change({name: values[:, i] for i, name in enumerate(plan.names)})
-        new = encode(plan, batch.t_ns[found.index], told, batch.channel)
+        faulty = change({name: values[:, i] for i, name in enumerate(plan.names)})
+        new = encode(plan, batch.t_ns[found.index], faulty, batch.channel)
         kept = np.ones(len(batch), dtype=np.bool_)
         kept[found.index] = False
         return sort_by_time(concatenate([take(batch, kept), new]))
@@ -38,7 +38,7 @@ def message(kind: str, node: int, change: Callable[[Signals], Mapping[str, npt.A
 
 
 def elsewhere(signals: Signals) -> Signals:
-    """Return positions of a place 400 m further on: what was felt is not of there."""
+    """Return positions of a place 400 m further on: the samples are not from there."""
     return signals | {"distance": signals["distance"] + 400.0}
 
 
@@ -64,7 +64,7 @@ def stuck(signals: Signals) -> Signals:
 
 
 def half_round(signals: Signals) -> Signals:
-    """Return what sensors turned half round about the vertical feel: they tell of running backwards."""
+    """Return what sensors turned half round about the vertical measure: as if the vehicle ran backwards."""
     return {name: values if name.startswith("yaw") else -values for name, values in signals.items()}
 
 

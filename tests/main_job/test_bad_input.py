@@ -1,4 +1,4 @@
-"""Bad input from frames and files to what the REST API says: refused or reported with its reason, nobody else moves."""
+"""Bad input from frames and files to the REST API: refused or reported with its reason; no other result moves."""
 
 from __future__ import annotations
 
@@ -108,11 +108,11 @@ def asked(found: Deployment, path: str) -> Any:  # noqa: ANN401 - JSON
 
 def geometries(found: Deployment) -> dict[str, Any]:
     """Return what the API says of the honest wheelsets' geometry, but for when and from which version of the track."""
-    told = {}
+    document = {}
     for serial in SERIALS:
         full = asked(found, f"/v1/wheelsets/{serial}/geometry")
-        told[serial] = {k: v for k, v in full.items() if k not in {"recorded_at", "provenance", "links"}}
-    return told
+        document[serial] = {k: v for k, v in full.items() if k not in {"recorded_at", "provenance", "links"}}
+    return document
 
 
 def first_campaign(report: FleetReport) -> list[Recording]:
@@ -186,9 +186,9 @@ def test_a_track_file_that_the_fleet_contradicts_is_not_used_and_the_api_says_wh
     file.write_text("\n".join(lines), encoding="utf-8")
     found = deploy(registry)
     received(found, first_campaign(report))
-    told = asked(found, "/v1/track-sections/U-1/alignment-report")
-    assert told["recording"].startswith("not used: ")
-    assert reason in told["recording"]
+    document = asked(found, "/v1/track-sections/U-1/alignment-report")
+    assert document["recording"].startswith("not used: ")
+    assert reason in document["recording"]
     assert track_of(found).startswith(
         "the surveyed alignment is not used; the fleet has found its alignment, now version 2"
     )
@@ -211,7 +211,7 @@ def test_two_swapped_vehicles_wheelsets_are_reported_and_kept_apart(
         if campaign > 2:
             these = [replace(one, vehicle=other[one.vehicle]) for one in these]
         received(found, these)
-    found.run_jobs()  # trends begin behind what the alerts tell of
+    found.run_jobs()  # trends begin after the change that the alerts name
     alerts = [one for one in asked(found, "/v1/alerts?open=true")["items"] if one["kind"] == "identity"]
     partners = {one["wheelset"]: one["evidence"]["partner"] for one in alerts}
     assert partners == {"U-A1": "U-B1", "U-B1": "U-A1", "U-A2": "U-B2", "U-B2": "U-A2"}
@@ -227,10 +227,10 @@ def test_a_section_that_too_few_have_passed_says_so_and_nothing_is_estimated(
 ) -> None:
     found = deploy(registry_with(report.registry, tmp_path / "few", {}, surveyed=False))
     received(found, first_campaign(report)[:1])
-    told = asked(found, "/v1/track-sections/U-1/alignment-report")
-    assert (told["status"], told["version"], told["made_version"]) == ("unestimated", None, False)
-    assert told["reason"] == "no place with 3 passes"
-    assert told["alignment_std_mm"] is None
+    document = asked(found, "/v1/track-sections/U-1/alignment-report")
+    assert (document["status"], document["version"], document["made_version"]) == ("unestimated", None, False)
+    assert document["reason"] == "no place with 3 passes"
+    assert document["alignment_std_mm"] is None
     assert asked(found, "/v1/track-sections/U-1/alignments")["items"] == []
     windows = asked(found, "/v1/wheelsets/U-A1/windows")["items"]
     assert {one["state"] for one in windows} == {"refused"}

@@ -112,9 +112,9 @@ def test_a_sensor_that_died_makes_its_wheelset_unknown_and_never_healthy(client:
     assert alerts["conicity_limit"]["condition"] == "unknown"
     assert alerts["conicity_limit"]["evidence"]["unknown_because"]
     assert alerts["no_data"]["condition"] == "active"
-    told = [event["event"] for event in got(client, "/v1/alerts/feed")["items"] if event["alert"]["wheelset"] == DEAD]
-    assert "raised" in told
-    assert not {"cleared", "closed"} & set(told)
+    events = [event["event"] for event in got(client, "/v1/alerts/feed")["items"] if event["alert"]["wheelset"] == DEAD]
+    assert "raised" in events
+    assert not {"cleared", "closed"} & set(events)
     windows = got(client, f"/v1/wheelsets/{DEAD}/windows")["items"]
     assert {window["state"] for window in windows[-4:]} == {"refused"}
     assert all(window["reason"] for window in windows[-4:])

@@ -1,4 +1,4 @@
-"""A section that nobody has surveyed, positions off by 20 m: from frames to conicity, as on a real line."""
+"""A section without a survey, positions off by 20 m: from frames to conicity, as on a real line."""
 
 from __future__ import annotations
 
@@ -93,11 +93,11 @@ def test_conicity_comes_out_without_a_survey_and_journeys_are_put_where_they_ran
         unknown.run_jobs()
     with unknown.storage.read() as unit:
         versions = unit.tracks.versions("U-1", None, 10)
-        told = unit.tracks.report("U-1")
+        track_report = unit.tracks.report("U-1")
         geometries = {one.serial: unit.geometries.current(one.serial) for one in unit.registry.wheelsets()}
     assert [one.source for one in versions] == [FLEET] * len(versions)
-    assert told is not None
-    assert told.status is Status.ESTIMATED
+    assert track_report is not None
+    assert track_report.status is Status.ESTIMATED
     errors = []
     for serial, record in geometries.items():
         assert record is not None
@@ -113,7 +113,7 @@ def test_conicity_comes_out_without_a_survey_and_journeys_are_put_where_they_ran
 
 
 def _check_positions(unknown: Deployment, scenario: Scenario) -> None:
-    """All journeys of all campaigns lie on one another; where the fleet as a whole lies nobody can say."""
+    """All journeys of all campaigns coincide; the position of the fleet as a whole is not observable."""
     track = scenario_track(scenario)
     left = []
     with unknown.storage.read() as unit:
@@ -123,7 +123,7 @@ def _check_positions(unknown: Deployment, scenario: Scenario) -> None:
                 (first, *_) = unit.windows.list(vehicle.wheelsets[0].serial, run.start_ns, run.start_ns + 10**11)
                 position = unit.tracks.position(first.wheelset, first.start_ns)
                 assert position is not None
-                corrected = run.told + position.offset_m + position.scale * (run.told - position.middle_m)
+                corrected = run.reported + position.offset_m + position.scale * (run.reported - position.middle_m)
                 left.append(np.interp([600.0, 1200.0], run.distance, corrected - run.distance))
     apart = np.array(left) - np.mean(left, axis=0)
     assert np.abs(apart).max() < 1.0

@@ -58,7 +58,7 @@ def _face(y: FloatArray, z: FloatArray, level: float) -> float:
 
 
 def _hollow(y: FloatArray, z: FloatArray) -> float:
-    """Return the largest amount by which a point further out lies deeper than the tread."""
+    """Return the largest amount by which a point further out is deeper than the tread."""
     part = z[(y >= _TREAD_FROM) & (y <= y[-1] - _RIM_MARGIN)]
     deepest_outside = np.maximum.accumulate(part[::-1])[::-1]
     return float((deepest_outside - part).max())

@@ -1,4 +1,4 @@
-"""Too many alerts of one kind in one fleet become one: which they are, and what the feed tells of them."""
+"""Too many alerts of one kind in one fleet become one: which they are, and what the feed contains of them."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def evaluate(storage: Storage, day: float, rules: RuleBook | None = None) -> Job
     return run
 
 
-def told(storage: Storage) -> list[tuple[AlertEventKind, str | None]]:
+def feed_of(storage: Storage) -> list[tuple[AlertEventKind, str | None]]:
     with storage.read() as unit:
         return [(event.kind, event.alert.wheelset) for event in unit.alerts.feed(0, 1000)]
 
@@ -157,10 +157,10 @@ def open_of_fleet(storage: Storage) -> Sequence[Alert]:
         return [alert for alert in unit.alerts.open_in_fleet("F") if alert.scope is AlertScope.FLEET]
 
 
-def test_many_at_once_are_told_as_one(storage: Storage) -> None:
+def test_many_at_once_are_raised_as_one(storage: Storage) -> None:
     fleet_of(storage, dict.fromkeys(WHEELSETS, 1.0))
     evaluate(storage, 8.5)
-    assert told(storage) == [(RAISED, None)]
+    assert feed_of(storage) == [(RAISED, None)]
     (fleet_alert,) = open_of_fleet(storage)
     with storage.read() as unit:
         members = unit.alerts.members(fleet_alert.alert_id)
@@ -175,7 +175,7 @@ def test_many_at_once_are_told_as_one(storage: Storage) -> None:
     assert fleet_alert.opened_ns == members[0].opened_ns < START_NS + round(8.1 * DAY_NS)  # of the data
     again = evaluate(storage, 9.0)
     assert set(again.counts.values()) == {0, len(WHEELSETS)}
-    assert told(storage) == [(RAISED, None)]
+    assert feed_of(storage) == [(RAISED, None)]
     assert open_of_fleet(storage) == [fleet_alert]
 
 
@@ -183,16 +183,16 @@ def test_it_follows_its_members_in_one_event_an_evaluation(storage: Storage) -> 
     fleet_of(storage, dict.fromkeys(WHEELSETS, 1.0))
     evaluate(storage, 8.5)
     evaluate(storage, 30.0)  # all critical by now
-    assert told(storage)[1:] == [(UPDATED, None)]
+    assert feed_of(storage)[1:] == [(UPDATED, None)]
     assert open_of_fleet(storage)[0].severity is Severity.CRITICAL
     for serial in WHEELSETS[:6]:
         run_windows(storage, serial, 31.0, 20)
     evaluate(storage, 31.5)
-    assert told(storage)[2:] == [(UPDATED, None)]
+    assert feed_of(storage)[2:] == [(UPDATED, None)]
     for serial in WHEELSETS[6:]:
         run_windows(storage, serial, 32.0, 20)
     evaluate(storage, 32.5)
-    assert told(storage)[3:] == [(CLEARED, None), (CLOSED, None)]
+    assert feed_of(storage)[3:] == [(CLEARED, None), (CLOSED, None)]
     with storage.read() as unit:
         assert unit.alerts.all_open() == []
         closed = unit.alerts.feed(0, 10)[-1].alert
@@ -201,30 +201,30 @@ def test_it_follows_its_members_in_one_event_an_evaluation(storage: Storage) -> 
     assert closed.closed_ns == max(alert.closed_ns or 0 for alert in members) < START_NS + round(32.4 * DAY_NS)
     assert kinds == [RAISED, UPDATED, CLEARED, CLOSED]
     evaluate(storage, 33.0)
-    assert len(told(storage)) == 5
+    assert len(feed_of(storage)) == 5
 
 
-def test_as_many_as_allowed_are_told_one_by_one(storage: Storage) -> None:
+def test_as_many_as_allowed_are_raised_one_by_one(storage: Storage) -> None:
     fleet_of(storage, dict.fromkeys(WHEELSETS[:5], 1.0))
     evaluate(storage, 8.5)
-    assert told(storage) == [(RAISED, serial) for serial in WHEELSETS[:5]]
+    assert feed_of(storage) == [(RAISED, serial) for serial in WHEELSETS[:5]]
     assert open_of_fleet(storage) == []
 
 
-def test_what_was_told_before_stays_told(storage: Storage) -> None:
-    """Three are told alone; three more within the day make a storm; the first three hear of it and go on by name."""
+def test_what_was_raised_before_stays_raised(storage: Storage) -> None:
+    """Three are raised alone; three more within the day make a flood; the first three join it and stay open."""
     first, then, later = WHEELSETS[:3], WHEELSETS[3:6], WHEELSETS[6:]
     fleet_of(storage, dict.fromkeys(first, 1.0) | dict.fromkeys(then, 1.6) | dict.fromkeys(later, 4.0))
     evaluate(storage, 8.3)
-    assert told(storage) == [(RAISED, serial) for serial in first]
+    assert feed_of(storage) == [(RAISED, serial) for serial in first]
     evaluate(storage, 8.8)
-    assert told(storage)[3:] == [(UPDATED, serial) for serial in first] + [(RAISED, None)]
+    assert feed_of(storage)[3:] == [(UPDATED, serial) for serial in first] + [(RAISED, None)]
     evaluate(storage, 11.5)  # two days after, and only two: by themselves
-    assert told(storage)[7:] == [(RAISED, serial) for serial in later]
+    assert feed_of(storage)[7:] == [(RAISED, serial) for serial in later]
     for serial in (*first, *then):
         run_windows(storage, serial, 12.0, 20)
     evaluate(storage, 12.2)
-    news = told(storage)[9:]
+    news = feed_of(storage)[9:]
     assert [event for event in news if event[1] is not None] == [
         (kind, serial) for serial in first for kind in (CLEARED, CLOSED)
     ]
@@ -239,7 +239,7 @@ def test_who_falls_silent_within_the_storm_joins_it(storage: Storage) -> None:
         seen = acknowledge(fleet_alert, "j.smith", START_NS + 9 * DAY_NS)
         unit.alerts.save(seen.alert, seen.events, START_NS + 9 * DAY_NS, "j.smith")
     evaluate(storage, 9.5)
-    assert told(storage) == [(RAISED, None), (ACKNOWLEDGED, None), (UPDATED, None)]
+    assert feed_of(storage) == [(RAISED, None), (ACKNOWLEDGED, None), (UPDATED, None)]
     (fleet_alert,) = open_of_fleet(storage)
     assert (fleet_alert.occurrence_count, fleet_alert.acknowledged_by) == (8, "j.smith")
 
@@ -250,20 +250,20 @@ def test_the_operator_sets_what_a_storm_is(storage: Storage) -> None:
         NoDataRule(days=5.0)
     )
     evaluate(storage, 9.0, book)
-    assert told(storage) == [(RAISED, None)]
+    assert feed_of(storage) == [(RAISED, None)]
     assert open_of_fleet(storage)[0].evidence["more_than"] == 2
 
 
-def test_a_run_that_is_stopped_tells_what_it_found_and_the_next_one_the_rest(storage: Storage) -> None:
+def test_a_run_that_is_stopped_raises_what_it_found_and_the_next_one_the_rest(storage: Storage) -> None:
     fleet_of(storage, dict.fromkeys(WHEELSETS, 1.0))
     looks = iter([False] * 2 + [True] * 100)
     clock = SetClock(START_NS + round(8.5 * DAY_NS))
     context = JobContext(storage, clock, "test", JobSettings(), stopping=lambda: next(looks))
     assert run_job(evaluate_alerts.JOB, context, JobTrigger.CLI).outcome == "abandoned"
-    before = told(storage)
+    before = feed_of(storage)
     assert before == [(RAISED, "W1"), (RAISED, "W2")]
     evaluate(storage, 8.6)
-    assert told(storage)[2:] == [(UPDATED, "W1"), (UPDATED, "W2"), (RAISED, None)]
+    assert feed_of(storage)[2:] == [(UPDATED, "W1"), (UPDATED, "W2"), (RAISED, None)]
 
 
 def test_two_open_fleet_alerts_of_a_kind_are_refused(storage: Storage) -> None:

@@ -22,7 +22,7 @@ from estimation.errors import ContactError
 PAPER = WheelsetOnTrack.symmetric(wheel_profile("P8"), rail_profile("56E1"), 1 / 20, 1.435)
 SHIFTS = np.array([0.5, 1, 2, 3, 4, 5, 6]) * 1e-3
 EXACT_GAUGE_A = 1.4351645
-"""Gauge at which the origin of rail A lies 750.000 mm from the track centre; the standard rounds it to 1435.16."""
+"""Gauge at which the origin of rail A is 750.000 mm from the track centre; the standard rounds it to 1435.16."""
 
 LOPSIDED = WheelsetOnTrack(
     left_wheel=worn(wheel_profile("P8"), TreadWear(0.8e-3, 3e-3, 44e-3, 1e-3)),
@@ -182,7 +182,7 @@ def test_a_fast_but_continuous_movement_is_no_jump() -> None:
 
 
 def test_the_gauge_is_where_it_is_said_to_be() -> None:
-    """Rail A in track axes: at 1435.16 mm its origin lies 750 mm from the track centre, as EN 15302 draws it."""
+    """Rail A in track axes: at 1435.16 mm its origin is 750 mm from the track centre, as EN 15302 draws it."""
     wheelset = WheelsetOnTrack.symmetric(wheel_profile("EN15302-B"), rail_profile("EN15302-A"), 0.0, 1.43516)
     table = contact_table(wheelset, [0.0], method=ContactMethod.EN15302)
     rail, _ = evaluate(RAIL_DEFINITIONS["EN15302-A"](), np.arange(-30.0, 35.0, 1e-3))

@@ -65,10 +65,10 @@ def estimates(
     curve: Callable[[FloatArray], FloatArray], std: float, seed: int, error: DisplacementError | None = None
 ) -> CurveEstimates:
     difference, samples = drawn(curve, std, seed)
-    believed = error or DisplacementError.of(std, CENTRE, samples, integrated=False)
+    assumed = error or DisplacementError.of(std, CENTRE, samples, integrated=False)
     certain = np.zeros((BINS, 1, 3))  # vehicle parameters are known
     return curve_estimates(
-        CurveReplicates(EDGES, difference, certain, samples > 100, believed, 10.0, band_limited=True), PARAMETERS
+        CurveReplicates(EDGES, difference, certain, samples > 100, assumed, 10.0, band_limited=True), PARAMETERS
     )
 
 
@@ -168,7 +168,7 @@ def test_what_is_left_unknown_of_bins_is_their_stretch_and_nothing_without_a_cur
     assert not error.std_of_bins(CENTRE, line, one, one).any()
 
 
-def test_samples_stray_over_a_jump_into_the_bins_beside_it() -> None:
+def test_samples_cross_a_jump_into_the_bins_beside_it() -> None:
     error = DisplacementError(0.2e-3, 0.0, 0.0)
     values = 0.3e-3 * (CENTRE > 1.1e-3)
     everywhere = np.ones(BINS, dtype=np.bool_)

@@ -89,11 +89,11 @@ def test_uncertain_parameters_hide_what_rests_on_them_even_with_ideal_sensors() 
     parameters = bin_table.BinParameters()
     table = bin_table.tabulate(ideal(run(200)), parameters)
     known = estimate_geometry(table, parameters, CERTAIN)
-    believed = estimate_geometry(table, parameters, GeometryParameters())
+    estimate = estimate_geometry(table, parameters, GeometryParameters())
     middle = len(known.samples) // 2
     assert known.rolling_radius_sum.status[middle] is BinStatus.ESTIMATED
-    assert believed.rolling_radius_sum.status[middle] is BinStatus.UNOBSERVABLE
-    assert believed.rolling_radius_difference.status[middle] is BinStatus.ESTIMATED
+    assert estimate.rolling_radius_sum.status[middle] is BinStatus.UNOBSERVABLE
+    assert estimate.rolling_radius_difference.status[middle] is BinStatus.ESTIMATED
 
 
 def test_a_contact_jump_is_recognised_and_nothing_of_its_bin_is_published() -> None:

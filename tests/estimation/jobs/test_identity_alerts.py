@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_wear_jobs import feed, open_alert, run_jobs, told
+from test_wear_jobs import feed, feed_of, open_alert, run_jobs
 from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, register, run_windows
 
 from estimation.alerts.identity import Mistake, Observation, identity_events
@@ -20,7 +20,9 @@ from estimation.values.registry import Mounting
 KM_A_DAY = 1000.0
 
 
-def felt(conicity: float, even: float, rng: np.random.Generator, *, mirrored: bool = False) -> WheelsetGeometry:
+def estimated_geometry(
+    conicity: float, even: float, rng: np.random.Generator, *, mirrored: bool = False
+) -> WheelsetGeometry:
     """Return what would be estimated: errors that neighbouring bins share, of scale and level, and wear's own."""
     plain = geometry_of(conicity=conicity * (1 + 0.01 * rng.standard_normal()), even=even)
     values = plain.rolling_radius_difference
@@ -43,7 +45,7 @@ def life(
             day * DAY_NS,
             (day + 1) * DAY_NS - 1,
             day * KM_A_DAY,
-            felt(conicity + 0.001 * day, even, rng, mirrored=day >= reversed_from),
+            estimated_geometry(conicity + 0.001 * day, even, rng, mirrored=day >= reversed_from),
         )
         for day in range(days)
     ]
@@ -90,7 +92,7 @@ def test_an_interval_with_both_in_it_is_left_out() -> None:
     histories = exchanged(first, second, 4)
     for serial in histories:
         mixed = 0.5 * (0.12 + 0.30)
-        histories[serial][4] = replace(histories[serial][4], geometry=felt(mixed, 0.0, rng))
+        histories[serial][4] = replace(histories[serial][4], geometry=estimated_geometry(mixed, 0.0, rng))
     events = identity_events(histories)
     assert {e.partner for e in events.values()} == {"A", "B"}
     assert {(e.before_ns, e.after_ns) for e in events.values()} == {(4 * DAY_NS - 1, 5 * DAY_NS)}
@@ -107,7 +109,7 @@ def test_a_wheelset_turned_round_is_found_where_its_wheels_differ_in_shape_and_o
 
 def test_what_nothing_explains_is_not_reported() -> None:
     rng = np.random.default_rng(1)
-    turned = [*life("A", 0.30, 0.02, rng)[:4], *life("A", 0.10, 0.0, rng)[4:]]  # a lathe nobody wrote down
+    turned = [*life("A", 0.30, 0.02, rng)[:4], *life("A", 0.10, 0.0, rng)[4:]]  # a lathe that was not recorded
     assert identity_events({"A": turned, "B": life("B", 0.2, 0.0, rng), "C": life("C", 0.1, 0.02, rng)}) == {}
 
 
@@ -150,7 +152,7 @@ def test_a_swap_raises_both_and_no_wear_alert_and_the_trend_begins_anew(storage:
     alerts = {serial: open_alert(storage, serial, "identity") for serial in ("W1", "W2")}
     assert {serial: alert.evidence["partner"] for serial, alert in alerts.items()} == {"W1": "W2", "W2": "W1"}
     assert {alert.evidence["mistake"] for alert in alerts.values()} == {"swapped"}
-    assert {kind for _, kind in told(storage)} == {"identity"}  # 0.46 is over the limit of 0.40, but whose is it?
+    assert {kind for _, kind in feed_of(storage)} == {"identity"}  # 0.46 is over the limit of 0.40, but whose is it?
     told_before = feed(storage)
     run_jobs(storage, 8.4)
     assert feed(storage) == told_before

@@ -43,7 +43,7 @@ def feed(storage: Storage) -> Sequence[AlertEvent]:
         return unit.alerts.feed(0, 1000)
 
 
-def told(storage: Storage) -> list[tuple[AlertEventKind, str]]:
+def feed_of(storage: Storage) -> list[tuple[AlertEventKind, str]]:
     return [(event.kind, event.alert.kind) for event in feed(storage)]
 
 
@@ -98,7 +98,7 @@ def test_worn_wheels_raise_alerts_once(storage: Storage) -> None:
     assert alert.probability > 0.99
     assert alert.evidence["windows"] == 8
     _, again = run_jobs(storage, 74.0)
-    assert set(again.counts.values()) == {0, 2}  # two wheelsets looked at, nothing to tell
+    assert set(again.counts.values()) == {0, 2}  # two wheelsets evaluated, nothing to report
     assert feed(storage) == before
 
 
@@ -117,26 +117,26 @@ def test_a_dead_sensor_makes_wear_unknown_and_is_reported_itself(storage: Storag
         assert alert.condition is Condition.UNKNOWN
         assert alert.evidence["unknown_because"]
     assert open_alert(storage, "W1", "no_data").condition is Condition.ACTIVE
-    assert not {CLEARED, CLOSED} & {kind for kind, _ in told(storage)}
+    assert not {CLEARED, CLOSED} & {kind for kind, _ in feed_of(storage)}
     run_windows(storage, "W1", 141, 20)
     with storage.write() as unit:
         unit.geometries.put(geometry_record("W1", None, 141.1, 0.46, recorded_ns=99))
     run_jobs(storage, 141.2)
     assert open_alert(storage, "W1", "conicity_limit").condition is Condition.ACTIVE
-    assert (CLEARED, "no_data") in told(storage)
+    assert (CLEARED, "no_data") in feed_of(storage)
 
 
-def test_silence_is_found_once_and_told_once(storage: Storage) -> None:
+def test_silence_is_found_once_and_reported_once(storage: Storage) -> None:
     register(storage, "W1")
     run_windows(storage, "W1", 1, 20)
     for day in (5.0, 8.5, 9.0, 20.0):
         run_jobs(storage, day)
-    assert told(storage) == [(RAISED, "no_data")]
+    assert feed_of(storage) == [(RAISED, "no_data")]
     run_jobs(storage, 40.0)
-    assert told(storage)[1:] == [(UPDATED, "no_data")]  # critical by now
+    assert feed_of(storage)[1:] == [(UPDATED, "no_data")]  # critical by now
     run_windows(storage, "W1", 41, 20)
     run_jobs(storage, 41.5)
-    assert told(storage)[2:] == [(CLEARED, "no_data"), (CLOSED, "no_data")]
+    assert feed_of(storage)[2:] == [(CLEARED, "no_data"), (CLOSED, "no_data")]
 
 
 def test_reprofiling_closes_wear_alerts_and_begins_again(storage: Storage) -> None:
@@ -191,7 +191,7 @@ def test_an_exchange_closes_and_the_wheelset_is_judged_anew_where_it_runs(storag
 def test_rules_come_from_the_settings_and_one_switched_off_closes_its_alerts(storage: Storage) -> None:
     register(storage, "W1")
     run_jobs(storage, 6.0, RuleBook().with_rules(NoDataRule(days=5.0)))
-    assert told(storage) == [(RAISED, "no_data")]
+    assert feed_of(storage) == [(RAISED, "no_data")]
     run_jobs(storage, 6.5, RuleBook().with_rules(NoDataRule(enabled=False)))
     assert [e.alert.close_reason for e in feed(storage) if e.kind is CLOSED] == [CloseReason.RULE_DISABLED]
     run_jobs(storage, 90.0, RuleBook().with_rules(NoDataRule(enabled=False)))
@@ -208,7 +208,7 @@ def test_what_people_did_survives_the_next_evaluation(storage: Storage) -> None:
         unit.alerts.save(change.alert, change.events, START_NS + 8 * DAY_NS, actor="ann")
     run_jobs(storage, 9.0)
     assert open_alert(storage, "W1", "no_data").acknowledged_by == "ann"
-    assert [kind for kind, _ in told(storage)] == [RAISED, AlertEventKind.ACKNOWLEDGED]
+    assert [kind for kind, _ in feed_of(storage)] == [RAISED, AlertEventKind.ACKNOWLEDGED]
 
 
 @pytest.mark.parametrize("order", [("W1", "W2"), ("W2", "W1")])

@@ -26,17 +26,17 @@ CONE = 0.12
 PER_DIFFERENCE, PER_GAUGE = 0.3, 0.25  # the table of the wheelset is straight in both
 
 
-def felt() -> WheelsetMotion:
+def wheelset_motion() -> WheelsetMotion:
     return run(60, cone=CONE)
 
 
 @cache
 def window() -> Window:
-    return mems_windows(felt(), seed=0, density=0.0)[0]
+    return mems_windows(wheelset_motion(), seed=0, density=0.0)[0]
 
 
 def known(*, per_difference: float = PER_DIFFERENCE, ratio: float = 1.0, serial: str = "W1") -> TrackAlignment:
-    """Return the section with a gauge of 2 mm amplitude and 40 m of length, as its passes told it."""
+    """Return the section with a gauge of 2 mm amplitude and 40 m of length, as its passes determined it."""
     place = alignment(track(1))
     difference, gauge = np.linspace(-8e-3, 8e-3, 33), np.linspace(-4e-3, 4e-3, 17)
     table = GaugeShift(difference, gauge, per_difference * difference[:, None] + PER_GAUGE * gauge[None, :])
@@ -54,7 +54,7 @@ def shift_of(place: TrackAlignment, seen: Window | None = None) -> FloatArray:
 
 
 def test_the_shift_is_that_of_the_table_at_the_radius_difference_that_the_wheelset_felt() -> None:
-    m, found = felt(), shift_of(known())
+    m, found = wheelset_motion(), shift_of(known())
     true = (m.rolling_radius_left - m.rolling_radius_right)[::4]
     e = 2e-3 * np.sin(2 * np.pi * window().distance / 40.0)
     inner = slice(len(true) // 6, -len(true) // 6)

@@ -44,7 +44,7 @@ def test_groups_are_unbroken_and_hold_everything_once(
     assert found == expected
 
 
-def test_what_another_wheelset_or_another_vehicle_felt_meanwhile_breaks_nothing() -> None:
+def test_windows_of_another_wheelset_or_vehicle_meanwhile_break_nothing() -> None:
     times = [("A", 0, 1), ("B", 0, 1), ("A", 1, 2), ("B", 1, 2), ("A", 2, 3)]
     assert following(times, times) == [[times[0], times[2], times[4]], [times[1], times[3]]]
     assert following([], []) == []

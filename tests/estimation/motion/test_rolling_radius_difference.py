@@ -79,7 +79,7 @@ def test_windows_that_follow_each_other_give_the_pass_of_one_long_window() -> No
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-def test_windows_are_joined_only_where_nothing_lies_between_them() -> None:
+def test_windows_are_joined_only_without_a_gap_between_them() -> None:
     cut = mems_windows(run(120, seed=1, cone=0.10, speed=20.0), seed=3, length_s=30)
     assert [w.length_ns for w in whole_runs([cut[0], cut[1], cut[3]])] == [60_000_000_000, 30_000_000_000]
     elsewhere = replace(cut[1], track_section="S2")

@@ -91,13 +91,13 @@ def test_a_simulated_curve_spoils_the_motion_unless_it_is_on_file() -> None:
     bent = make_track(TrackRecipe(length=2000.0, curves=(curve,)), np.random.SeedSequence(4))
     m = simulate_wheelset(VehicleParameters(), SmoothTable(), bent, np.full(60_000, 20.0), 300.0)
     window = mems_windows(m, seed=0, density=0.0)[0]
-    felt = m.path_accelerations
-    assert felt is not None
+    path = m.path_accelerations
+    assert path is not None
     window = replace(
         window,
-        lateral_acceleration=window.lateral_acceleration + felt[0, ::4],
-        yaw_acceleration=window.yaw_acceleration + felt[1, ::4],
-        mass_lateral_acceleration=window.mass_lateral_acceleration + felt[3, ::4],
+        lateral_acceleration=window.lateral_acceleration + path[0, ::4],
+        yaw_acceleration=window.yaw_acceleration + path[1, ::4],
+        mass_lateral_acceleration=window.mass_lateral_acceleration + path[3, ::4],
     )
     assert bent.curves is not None
     laid = TrackLayout("S1", 1, bent.s, bent.curves.curvature, bent.curves.cant)

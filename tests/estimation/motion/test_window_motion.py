@@ -36,14 +36,14 @@ def test_a_wheelset_that_runs_the_other_way_is_the_mirror_image_of_itself_and_co
 
 def test_a_wheelset_mounted_reversed_is_its_own_mirror_image() -> None:
     plain = curve(windows(2))
-    told = curve(windows(2), mounted_reversed=True)
-    np.testing.assert_allclose(told, -plain[::-1], atol=1e-7, equal_nan=True)
+    reversed_curve = curve(windows(2), mounted_reversed=True)
+    np.testing.assert_allclose(reversed_curve, -plain[::-1], atol=1e-7, equal_nan=True)
 
 
 def reason(window: Window) -> str:
-    told = tabulate_window(window, KNOWN, SETTINGS.windows)
-    assert isinstance(told, Reason)
-    return told.text
+    refusal = tabulate_window(window, KNOWN, SETTINGS.windows)
+    assert isinstance(refusal, Reason)
+    return refusal.text
 
 
 def test_what_speaks_against_itself_is_refused_with_its_reason() -> None:

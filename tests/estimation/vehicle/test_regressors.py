@@ -19,7 +19,7 @@ from estimation.vehicle.regressors import YAW_TARGETS, regression
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 
 BELIEVED = VehicleParameters()
-STIFFER = 1.25  # times as stiff in yaw as believed
+STIFFER = 1.25  # times as stiff in yaw as assumed
 WHEEL = GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.zeros((3, 2)))
 
 
@@ -89,13 +89,13 @@ def track_of(std: float | None, scale_std: float = 0.0) -> TrackAlignment:
 
 
 def test_a_geometry_is_as_sure_of_the_ratio_as_the_least_sure_of_its_alignments() -> None:
-    believed = ParameterUncertainty()
-    both = believed.on([track_of(0.01, 0.007), track_of(0.03, 0.002)])
+    assumed = ParameterUncertainty()
+    both = assumed.on([track_of(0.01, 0.007), track_of(0.03, 0.002)])
     assert (both.ratio, both.displacement) == (0.03, 0.007)
-    assert (both.creep, both.stiffness, both.mass) == (believed.creep, believed.stiffness, believed.mass)
+    assert (both.creep, both.stiffness, both.mass) == (assumed.creep, assumed.stiffness, assumed.mass)
     for mixed in ([track_of(0.01), track_of(None)], [track_of(None)], []):
-        assert believed.on(mixed).ratio is None, "one that has taught nothing leaves all open"
-    assert believed.on([]) == believed
+        assert assumed.on(mixed).ratio is None, "one without findings leaves all open"
+    assert assumed.on([]) == assumed
 
 
 @pytest.mark.parametrize(
@@ -117,16 +117,16 @@ def test_contact_jumps_are_as_far_off_as_the_gauge_is_left_in(change: dict[str, 
 
 
 def test_a_recording_has_taught_nothing_of_a_wheelset_that_it_has_not_met() -> None:
-    told = replace(track_of(0.01), findings=TrackFindings({"V1": 1.1}, 0.01, {"W1": WHEEL}))
-    assert ParameterUncertainty().on([told], "W1").ratio == 0.01
-    assert ParameterUncertainty().on([told], "W2").ratio is None
-    assert ParameterUncertainty().on([replace(told, source=FLEET)], "W2").ratio == 0.01
+    surveyed = replace(track_of(0.01), findings=TrackFindings({"V1": 1.1}, 0.01, {"W1": WHEEL}))
+    assert ParameterUncertainty().on([surveyed], "W1").ratio == 0.01
+    assert ParameterUncertainty().on([surveyed], "W2").ratio is None
+    assert ParameterUncertainty().on([replace(surveyed, source=FLEET)], "W2").ratio == 0.01
 
 
 def test_a_learnt_ratio_stands_for_creep_and_yaw_stiffness_in_the_yaw_equation_alone() -> None:
-    believed = ParameterUncertainty(creep=0.1, stiffness=0.05, mass=0.025)
-    learnt = believed.on([track_of(0.01)])
-    assert dict(zip(YAW_TARGETS[1:], believed.yaw(), strict=True)) == {
+    assumed = ParameterUncertainty(creep=0.1, stiffness=0.05, mass=0.025)
+    learnt = assumed.on([track_of(0.01)])
+    assert dict(zip(YAW_TARGETS[1:], assumed.yaw(), strict=True)) == {
         "longitudinal_creep": 0.1,
         "yaw_stiffness": 0.05,
         "yaw_inertia": 0.025,
@@ -138,4 +138,4 @@ def test_a_learnt_ratio_stands_for_creep_and_yaw_stiffness_in_the_yaw_equation_a
         "yaw_inertia": 0.025,
         "spin_creep": 0.1,
     }
-    np.testing.assert_array_equal(learnt.lateral(), believed.lateral())
+    np.testing.assert_array_equal(learnt.lateral(), assumed.lateral())

@@ -54,14 +54,16 @@ def test_every_frame_is_in_the_catalogue_and_in_time_order(scenario: Scenario) -
     assert identifiers == {0x80, 0x100, 0x181, 0x182, 0x190, 0x281, 0x282, 0x290, 0x390, 0x701, 0x702, 0x710}
 
 
-def test_the_bus_tells_the_vehicle_clock_exactly(scenario: Scenario) -> None:
+def test_the_bus_carries_the_vehicle_clock_exactly(scenario: Scenario) -> None:
     batch, decoded = frames_of(scenario)
     time, sync = decoded.messages[0x100], decoded.messages[0x80]
-    told = vehicle_time_ns(time.column("milliseconds"), time.column("days"))
-    np.testing.assert_array_equal(told, scenario.start_ns(scenario.vehicles[0], 0) + 10**9 * np.arange(len(told)))
+    reported = vehicle_time_ns(time.column("milliseconds"), time.column("days"))
+    np.testing.assert_array_equal(
+        reported, scenario.start_ns(scenario.vehicles[0], 0) + 10**9 * np.arange(len(reported))
+    )
     assert np.all(np.diff(sync.column("counter")) % 240 == 1)
     assert len(sync) == 12 * 250 + 1
-    late = batch.t_ns[time.index] - told
+    late = batch.t_ns[time.index] - reported
     assert np.all((late > 2.5e9) & (late < 2.502e9))
 
 
@@ -123,7 +125,7 @@ def test_bursts_take_everything_for_a_while(scenario: Scenario) -> None:
     assert np.diff(batch.t_ns).max() >= 0.49e9
 
 
-def test_clipping_is_told_in_the_status(scenario: Scenario) -> None:
+def test_clipping_is_reported_in_the_status(scenario: Scenario) -> None:
     clipping = replace(scenario, sensors=replace(scenario.sensors, mass_lateral=Channel(limit=0.05)))
     _, decoded = frames_of(clipping)
     assert decoded.messages[0x281].column("mass_lateral_clipped")[1:].any()
@@ -196,16 +198,16 @@ def test_an_unknown_vehicle_is_refused(scenario: Scenario, tmp_path: Path) -> No
 def test_a_vehicle_speaks_its_frames_on_a_live_bus(scenario: Scenario) -> None:
     short = replace(scenario, sessions=replace(scenario.sessions, campaigns=1, duration=2.0))
     batch, _ = frames_of(short)
-    with can.Bus("speak", interface="virtual") as bus, can.Bus("speak", interface="virtual") as listener:
+    with can.Bus("transmit", interface="virtual") as bus, can.Bus("transmit", interface="virtual") as listener:
         sent = transmit(short, bus, "V-1", speed_up=20.0)
-        heard = [listener.recv(0.5) for _ in range(sent)]
+        received = [listener.recv(0.5) for _ in range(sent)]
     assert sent == len(batch)
-    for message, identifier, data, length in zip(heard, batch.arbitration_id, batch.data, batch.dlc, strict=True):
+    for message, identifier, data, length in zip(received, batch.arbitration_id, batch.data, batch.dlc, strict=True):
         assert message is not None
         assert (message.arbitration_id, bytes(message.data)) == (identifier, data[:length].tobytes())
 
 
-def test_positions_told_are_off_by_one_offset_and_scale_a_run_and_nothing_else_is(scenario: Scenario) -> None:
+def test_reported_positions_are_off_by_one_offset_and_scale_a_run_and_nothing_else_is(scenario: Scenario) -> None:
     errors = replace(scenario, position=PositionErrors(20.0, 1e-3))
     vehicle, track = scenario.vehicles[0], scenario_track(scenario)
     near = replace(errors, sessions=replace(errors.sessions, start_within=10.0))
@@ -213,17 +215,17 @@ def test_positions_told_are_off_by_one_offset_and_scale_a_run_and_nothing_else_i
     assert abs(runs[0].distance[0] - runs[1].distance[0]) < 10.0
     drawn = []
     for run in runs:
-        scale, offset = np.polyfit(run.distance - run.distance[0], run.told - run.distance, 1)
+        scale, offset = np.polyfit(run.distance - run.distance[0], run.reported - run.distance, 1)
         assert abs(offset) < 20.0
         assert abs(scale) < 1e-3
-        np.testing.assert_allclose(run.told, run.distance + offset + scale * (run.distance - run.distance[0]))
+        np.testing.assert_allclose(run.reported, run.distance + offset + scale * (run.distance - run.distance[0]))
         drawn.append((offset, scale))
     assert drawn[0] != drawn[1]
     exact = vehicle_run(scenario, track, vehicle, 0)
-    np.testing.assert_array_equal(exact.told, exact.distance)
+    np.testing.assert_array_equal(exact.reported, exact.distance)
     decoded = frames_of(near)[1].messages[0x390]
-    told = decoded.column("distance")
-    assert abs(1e-3 * told[0] - runs[0].told[0]) < 0.5
+    reported = decoded.column("distance")
+    assert abs(1e-3 * reported[0] - runs[0].reported[0]) < 0.5
 
 
 def test_a_section_that_nobody_surveyed_is_registered_without_an_alignment(scenario: Scenario, tmp_path: Path) -> None:

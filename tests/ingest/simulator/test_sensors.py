@@ -86,7 +86,7 @@ def test_beyond_its_limit_a_sensor_clips_and_says_so(motion: WheelsetMotion) -> 
     assert record.values[:, 1].max() == pytest.approx(20.0, rel=0.01)
 
 
-def test_one_sample_at_the_limit_is_told_with_the_next_output(motion: WheelsetMotion) -> None:
+def test_one_sample_at_the_limit_is_reported_with_the_next_output(motion: WheelsetMotion) -> None:
     values = np.zeros(4000)
     values[1001] = 9.0
     record = measure(
