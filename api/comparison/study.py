@@ -164,7 +164,7 @@ def on_file(scenario: Scenario, track: TrackInformation) -> Scenario:
     section = scenario.section
     if track is TrackInformation.FLEET:
         return replace(scenario, section=replace(section, surveyed=False))
-    surveyed = replace(section, surveyed=True, gauge_surveyed=True)
+    surveyed = replace(section, surveyed=True)
     if track is TrackInformation.NONE and section.recipe is not None:
         straight = replace(section.recipe, alignment_std=0.0, gauge_std=0.0, gauge_offset=0.0)
         surveyed = replace(surveyed, recipe=straight, survey_alignment_std=0.0, survey_gauge_std=0.0)

@@ -81,7 +81,7 @@ class SectionPlan:
     survey_alignment_std: float  # m: error of the alignment that is on file, as the registry states it
     survey_gauge_std: float  # m
     surveyed: bool  # whether a survey is on file at all
-    gauge_surveyed: bool  # whether the gauge is on file; without a survey that is of the gauge alone
+    gauge_surveyed: bool  # whether the gauge is on file even without a survey
     latitude: float  # deg, of the section's start
     longitude: float
 

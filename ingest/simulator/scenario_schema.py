@@ -212,7 +212,7 @@ class SectionTable(InputTable):
             survey_alignment_std=MM * self.survey_alignment_std_mm,
             survey_gauge_std=MM * self.survey_gauge_std_mm,
             surveyed=self.surveyed,
-            gauge_surveyed=self.surveyed or self.gauge_surveyed,
+            gauge_surveyed=self.gauge_surveyed,
             latitude=self.latitude_deg,
             longitude=self.longitude_deg,
         )

@@ -49,7 +49,7 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
     section = scenario.section
     track_file = f"{section.code.lower()}.csv"
     length = track.length if section.recipe is None else section.recipe.length
-    if section.gauge_surveyed:
+    if section.surveyed or section.gauge_surveyed:
         write_track(folder / track_file, _on_section(survey, length), gauge_only=not section.surveyed)
     content: dict[str, JsonValue] = {
         "format": REGISTRY_FORMAT,
@@ -135,7 +135,7 @@ def _section(section: SectionPlan, length: float, track_file: str) -> JsonValue:
         "nominal_gauge_mm": 1e3 * section.nominal_gauge,
         "length_m": length,
     }
-    if section.gauge_surveyed:
+    if section.surveyed or section.gauge_surveyed:
         known: dict[str, JsonValue] = {"file": track_file}
         if section.surveyed:
             known["alignment_std_mm"] = 1e3 * section.survey_alignment_std
