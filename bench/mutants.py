@@ -62,6 +62,7 @@ OPERATORS = (
     "core/ReplaceBinaryOperator_Div_Mul",
 )
 QUICK = ("-x", "-q", "--assert=plain", "-p", "no:cacheprovider", "-p", "no:xdist")
+PURE = "tests/estimation/decisions"  # tests of pure functions, which need none of the fixtures above them
 PRELOADED = (
     "numpy", "scipy.signal", "scipy.interpolate", "scipy.linalg", "scipy.optimize", "scipy.sparse.linalg",
     "scipy.stats", "numba", "sqlalchemy.orm", "alembic.command", "psycopg", "fastapi", "pydantic",
@@ -166,8 +167,8 @@ def _of_path(entry: dict[str, Any]) -> Iterator[Mutant]:
     operators += [(name.removeprefix("core/"), get_operator(name)()) for name in OPERATORS]
     for name, operator in operators:
         for occurrence, line in enumerate(_positions(source, operator)):
-            if "raise " in lines[line - 1] or lines[line - 1].lstrip().startswith(("assert ", '"""')):
-                continue  # what is a mistake of ours has no test of its own
+            if "raise " in lines[line - 1] or lines[line - 1].lstrip().startswith(("assert ", '"""', "@")):
+                continue  # what is a mistake of ours has no test of its own; a decorator decides nothing
             changed = MutationVisitor.mutate_code(source, operator, occurrence)
             if changed is not None and changed != source:
                 yield Mutant(
@@ -231,7 +232,8 @@ def _start(mutant: Mutant | None, tests: Sequence[str]) -> int:
             sys.meta_path.insert(0, _Changed(mutant))
         import pytest  # noqa: PLC0415 - in the child
 
-        code = int(pytest.main([*QUICK, *tests]))
+        pure = all(test.startswith(f"{PURE}/") for test in tests)
+        code = int(pytest.main([*QUICK, *([f"--confcutdir={PURE}"] if pure else []), *tests]))
     except BaseException:  # noqa: BLE001 - a mutant that cannot even be imported has been noticed
         code = 1
     os._exit(code)

@@ -167,7 +167,7 @@ def _high_pass_running_mean(values: FloatArray, width: int) -> FloatArray:
     """Return values less their running mean over about ``width`` samples twice, which takes slow wandering out."""
     rest = values
     for _ in range(2):
-        rest = rest - uniform_filter1d(rest, 2 * (width // 2) + 1, mode="constant")
+        rest = rest - uniform_filter1d(rest, width | 1, mode="constant")  # an odd number, so that nothing is displaced
     return np.asarray(rest[width:-width])
 
 
