@@ -118,7 +118,9 @@ def scenario_table() -> Table:
             str(len(plan.vehicles)),
             str(sum(len(vehicle.wheelsets) for vehicle in plan.vehicles)),
             str(plan.sessions.campaigns),
-            f"{plan.sessions.duration / 60.0:g}",
+            f"up to {plan.sessions.duration / 60.0:.0f}"
+            if plan.sessions.whole_section
+            else f"{plan.sessions.duration / 60.0:g}",
             plan.description,
         )
     return table
