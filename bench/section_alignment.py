@@ -122,7 +122,7 @@ def _mean_position_error(scenario: Scenario, centre: float) -> tuple[float, floa
 
 
 def in_band(values: FloatArray, step: float) -> FloatArray:
-    """Return ``values`` (n,) without what lies outside ``BAND``; within ``ENDS`` of its ends it is faded out."""
+    """Return ``values`` (n,) without what is outside ``BAND``; within ``ENDS`` of its ends it is faded out."""
     n = len(values)
     fade = np.clip(np.arange(n) * step / (0.5 * ENDS), 0.0, 1.0)
     window = np.sin(0.5 * np.pi * fade) ** 2 * np.sin(0.5 * np.pi * fade[::-1]) ** 2

@@ -53,6 +53,17 @@ def opened(fleet: str, kind: str, members: Sequence[Alert], book: RuleBook) -> A
 
     It lists them only once they are stored, see :func:`refreshed`; to be raised after that.
 
+    Parameters
+    ----------
+    fleet
+        Code of the fleet.
+    kind
+        Kind of all members.
+    members
+        The alerts that join it, at least one.
+    book
+        The rules in force: limits of the alarm flood and delays of the kind.
+
     Raises
     ------
     InputError

@@ -59,7 +59,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class IdentityEvent:
-    """A jump of a wheelset's geometry with its explanation; it lies between ``before_ns`` and ``after_ns``."""
+    """A jump of a wheelset's geometry with its explanation, between ``before_ns`` and ``after_ns``."""
 
     wheelset: str
     mistake: Mistake
@@ -129,9 +129,9 @@ def _first_jump(seen: Sequence[Observation], p: IdentityParameters) -> tuple[Obs
             continue
         if i + 2 == len(usable):
             return before, next_one
-        # the interval in which it happened is a mixture: what follows it says what it has become
-        settled = usable[i + 2]
-        return (before, settled) if _jumps(next_one, settled, p) else (before, next_one)
+        # the interval in which it happened is a mixture: the next interval shows the geometry after it
+        after_next = usable[i + 2]
+        return (before, after_next) if _jumps(next_one, after_next, p) else (before, next_one)
     return None
 
 
@@ -146,9 +146,16 @@ def _jumps(before: Observation, after: Observation, p: IdentityParameters) -> bo
 def reversed_between(
     before: Observation, after: Observation, parameters: IdentityParameters | None = None
 ) -> IdentityEvent | None:
-    """Return the event where what came after is the mirror image of what was before; None where it is not.
+    """Return the event where the curve after is the mirror image of the one before; None where it is not.
 
-    Only the even part of R tells: the odd part is its own mirror image.
+    Only the even part of R decides: the odd part is its own mirror image.
+
+    Parameters
+    ----------
+    before, after
+        Geometry of the wheelset over two intervals of its mileage, the earlier one first.
+    parameters
+        Thresholds of a jump and of what may be left of it after mirroring; by default those of the identity rule.
     """
     p = parameters or IdentityParameters()
     worn = _worn(before, after, p)
@@ -242,7 +249,7 @@ def _even(curve: _Curve) -> _Curve:
 
 
 def _at_other_side(curve: _Curve, values: FloatArray) -> FloatArray:
-    """Return ``values`` at -x, NaN where one of the bins between which it lies is not known."""
+    """Return ``values`` at -x, NaN where a bin beside -x is not known."""
     return np.interp(-curve.at, curve.at, values, left=np.nan, right=np.nan)
 
 

@@ -102,7 +102,7 @@ def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
 
 
 def _pending(alert: Alert, finding: Finding) -> Transition | None:
-    """Count a breach towards the on-delay; without one the alert ends before anybody heard of it."""
+    """Count a breach towards the on-delay; without one the alert ends before it was published."""
     if finding.breached is None or not _is_news(alert, finding):
         return None
     if not finding.breached:
@@ -192,7 +192,7 @@ def without_stale_acknowledgement(alert: Alert, now_ns: int) -> Alert:
 
 
 def updated(before: Alert, after: Alert) -> Transition | None:
-    """Return the change, told of only where it matters to a reader of the feed; None where there is none."""
+    """Return the change, with an event only where it matters to a reader of the feed; None where there is none."""
     events = (AlertEventKind.UPDATED,) if _material(before) != _material(after) else ()
     return _changed(before, after, events)
 
@@ -204,7 +204,7 @@ def _changed(before: Alert, after: Alert, events: tuple[AlertEventKind, ...]) ->
 
 
 def _material(alert: Alert) -> tuple[object, ...]:
-    """Return what a reader of the feed wants to hear of."""
+    """Return the fields whose change is an event of the feed."""
     band = None if alert.probability is None else sum(alert.probability >= edge for edge in PROBABILITY_BANDS)
     evidence = {key: value for key, value in alert.evidence.items() if key != DELAYS}
     limits = (alert.raise_limit, alert.clear_limit)
@@ -238,6 +238,15 @@ def close(alert: Alert, reason: CloseReason, at_ns: int) -> Transition:
 
     The condition stays as it was: what was true then is on record. A pending alert goes without an event.
 
+    Parameters
+    ----------
+    alert
+        The open alert.
+    reason
+        Why it is closed.
+    at_ns
+        When that happened, ns UTC.
+
     Raises
     ------
     ConflictError
@@ -249,7 +258,16 @@ def close(alert: Alert, reason: CloseReason, at_ns: int) -> Transition:
 
 
 def acknowledge(alert: Alert, by: str, now_ns: int) -> Transition:
-    """Somebody has seen the alert.
+    """Record that somebody has seen the alert.
+
+    Parameters
+    ----------
+    alert
+        The open alert.
+    by
+        Who has seen it.
+    now_ns
+        Time of the acknowledgement, ns UTC.
 
     Raises
     ------
@@ -268,7 +286,18 @@ def acknowledge(alert: Alert, by: str, now_ns: int) -> Transition:
 
 
 def shelve(alert: Alert, until_ns: int, reason: str, now_ns: int) -> Transition:
-    """Put the alert out of sight until a time; it goes on living and comes back by itself.
+    """Hide the alert until a time; its life cycle goes on, and it returns by itself.
+
+    Parameters
+    ----------
+    alert
+        The open alert.
+    until_ns
+        End of the shelving, ns UTC, after ``now_ns``.
+    reason
+        Why it is shelved.
+    now_ns
+        The present, ns UTC.
 
     Raises
     ------
@@ -279,7 +308,7 @@ def shelve(alert: Alert, until_ns: int, reason: str, now_ns: int) -> Transition:
     """
     _must_be_raised(alert)
     if until_ns <= now_ns:
-        raise InputError("the end of shelving lies in the past", field="until")
+        raise InputError("the end of shelving is in the past", field="until")
     if not reason.strip():
         raise InputError("shelving needs a reason", field="reason")
     after = replace(alert, shelved_until_ns=until_ns, shelved_reason=reason.strip())

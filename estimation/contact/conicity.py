@@ -10,7 +10,7 @@ Rules for curves that a measurement gives:
 - Of several upward zero crossings the one counts where the integral of Delta r is lowest, the deepest equilibrium;
   on an interval of zeros its middle.
 - Where S is not convex nothing changes; where it even falls, going outwards, its running maximum seen from the zero
-  crossing takes its place: the wheelset turns back where it first meets S = C. An amplitude that lies on a level
+  crossing takes its place: the wheelset turns back where it first meets S = C. An amplitude on a level
   part of that maximum gets 0, because the wheelset would come to rest there.
 - An amplitude whose travel leaves the curve, and every amplitude of a curve without an upward crossing, gives NaN.
 """
@@ -28,7 +28,7 @@ from estimation.values.arrays import FloatArray
 
 _ANGLES = 240  # midpoints of the substitution y = middle + amplitude sin(angle)
 _HALVINGS = 60
-_REST = 1e-9  # share by which S lies below its running maximum where a wheelset has come to rest before
+_REST = 1e-9  # share by which S is below its running maximum where a wheelset has come to rest before
 _MILLIMETRE = 1e-3
 
 

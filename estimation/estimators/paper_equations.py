@@ -85,7 +85,19 @@ def _lateral(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) ->
 
 
 def yaw_output(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) -> FloatArray:
-    """Return psi'' - Omega2 (Eq. 17)."""
+    """Return psi'' - Omega2 (k,), rad/s^2 (Eq. 17).
+
+    Parameters
+    ----------
+    motion
+        Motion of the wheelset relative to the track over one window of n samples.
+    p
+        Parameters of the vehicle.
+    V
+        Speed, m/s.
+    keep
+        (n,) which samples count; k of them.
+    """
     damping = 2 * p.half_contact_distance**2 * p.longitudinal_creep_coefficient / V + 2 * p.spin_creep_coefficient / V
     known = (
         (2 * p.lateral_spin_creep_coefficient / V) * motion.lateral_velocity
@@ -107,6 +119,10 @@ def recursion_in_bins(
         (n,) measured minus known part.
     index
         (n,) bin of each sample, 0..bins-1.
+    bins
+        How many bins there are, b.
+    parameters
+        Samples that start a bin's recursion, and the forgetting factor W.
     """
     count = np.bincount(index, minlength=bins).astype(np.int64)
     theta = np.full((bins, REGRESSORS), np.nan)

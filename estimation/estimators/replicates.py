@@ -33,7 +33,19 @@ class Replicates:
 
 
 def nothing(reason: Reason, parameters: EstimatorParameters, samples: int, stretches: int) -> CurveEstimate:
-    """Return the estimate without any number, for this reason."""
+    """Return the estimate without any number, for one reason.
+
+    Parameters
+    ----------
+    reason
+        Why there is none.
+    parameters
+        Amplitudes at which the conicity is unknown.
+    samples
+        How many samples there were.
+    stretches
+        How many stretches of running they came from.
+    """
     amplitude = np.array(parameters.curve.amplitudes)
     unknown = Estimate.unknown(reason, float(stretches))
     empty = np.empty(0)
@@ -88,7 +100,20 @@ def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveE
 
 
 def estimate_of(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
-    """Return one number from its rows: all data, each group left out, then one row an uncertain parameter."""
+    """Return one number with its interval from its replicates.
+
+    Parameters
+    ----------
+    values
+        (1 + groups + p,) from all data, with each group left out, and with each of p uncertain parameters shifted by
+        one std.
+    groups
+        How many groups of data there are.
+    count
+        How many stretches of running the number rests on.
+    reason
+        Why it is unknown where a replicate is not finite.
+    """
     if not np.isfinite(values).all():
         return Estimate.unknown(reason, count)
     systematic = float(np.sqrt(((values[groups + 1 :] - values[0]) ** 2).sum()))

@@ -92,7 +92,17 @@ def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> Se
 
 
 def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
-    """Return the curve of the series; ``ridge`` holds functions without data at zero, relative to the mean."""
+    """Return the curve of the series, its intervals from groups left out and parameters shifted.
+
+    Parameters
+    ----------
+    state
+        Sums over all windows.
+    basis
+        The basis functions, of y - d in m.
+    ridge
+        Weight that holds functions without data at zero, as a share of the mean diagonal of the normal equations.
+    """
     span = covered_range(state.counts)
     if span is None:
         reason = Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")

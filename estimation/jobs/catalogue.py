@@ -36,6 +36,15 @@ def run_all(context: JobContext, trigger: JobTrigger, jobs: Sequence[Job] = ALL_
     """Run the jobs one after the other and return their records.
 
     A failed job does not keep the later ones from their work: each works on what is stored.
+
+    Parameters
+    ----------
+    context
+        What the jobs may touch; its ``stopping`` ends the series after the present job.
+    trigger
+        What started the runs, for their records.
+    jobs
+        Which jobs, in their order; by default all.
     """
     runs = []
     for job in jobs:

@@ -2,7 +2,7 @@
 
 A job is some twenty lines: load, compute with pure functions, store. It commits its work in batches, each batch in
 one ``storage.write()`` and keyed, so that a kill leaves nothing half-written and a rerun repeats nothing. Between
-batches it calls :meth:`JobContext.checkpoint`, which tells the progress and ends the run when a stop was asked for.
+batches it calls :meth:`JobContext.checkpoint`, which reports the progress and ends the run when a stop was asked for.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class JobContext:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """Something that is run again and again; ``run`` returns what it did, by name."""
+    """Something that is run again and again; ``run`` returns named counts of what it did."""
 
     name: str
     description: str
@@ -85,7 +85,7 @@ def run_job(
     trigger
         Who asked.
     started
-        Told the record as soon as it is committed, before the work begins.
+        Gets the record as soon as it is committed, before the work begins.
 
     Returns
     -------
@@ -114,12 +114,12 @@ def run_job(
 def _remember(
     progress: Callable[[int, int], None] | None, reached: list[tuple[int, int]]
 ) -> Callable[[int, int], None]:
-    def tell(done: int, total: int) -> None:
+    def report(done: int, total: int) -> None:
         reached[:] = [(done, total)]
         if progress is not None:
             progress(done, total)
 
-    return tell
+    return report
 
 
 def _attempt(job: Job, context: JobContext) -> tuple[JobOutcome, Mapping[str, int], str | None]:

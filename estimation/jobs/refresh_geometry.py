@@ -97,6 +97,15 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     geometry whose windows are all gone (refused since, or of another baseline now) is followed by an empty one. The
     current geometry is that of the newest baseline with windows. What was measured before and
     after an identity change of the wheelset is never merged, and what cannot be assigned to either side is left out.
+
+    Parameters
+    ----------
+    unit
+        Tables, geometries, alerts and the registry are read.
+    serial
+        Serial number of the wheelset.
+    context
+        Settings of the estimation and version of the numerics.
     """
     settings = context.settings.estimation
     records: list[GeometryRecord] = []

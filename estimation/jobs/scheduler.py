@@ -50,7 +50,7 @@ def serve_jobs(
     stop_event
         Set by whoever ends the service, see :func:`stop_on_signals`.
     holder
-        Name that a second scheduler is told, such as host and process number.
+        Name that the refusal of a second scheduler contains, such as host and process number.
     every_s
         Interval of a job where the deployment sets it apart from the job's default.
 
@@ -76,7 +76,17 @@ def serve_jobs(
 
 
 def build_scheduler(context: JobContext, jobs: Sequence[Job], every_s: Callable[[Job], float]) -> BackgroundScheduler:
-    """Return a scheduler, not started, that runs every job at once and then at its interval."""
+    """Return a scheduler, not started, that runs every job at once and then at its interval.
+
+    Parameters
+    ----------
+    context
+        What the jobs may touch.
+    jobs
+        What to run; jobs due at the same time run in this order.
+    every_s
+        Interval of a job, s.
+    """
     scheduler = BackgroundScheduler(
         jobstores={"default": MemoryJobStore()},
         executors={"default": ThreadPoolExecutor(1)},

@@ -90,7 +90,7 @@ def _unusable(
 def _filtered(
     integrated: IntegratedWindow, d: FloatArray, parameters: SignalParameters
 ) -> tuple[dict[str, FloatArray], BoolArray]:
-    """Return the signals of a motion by name, NaN outside the segments, and which samples of them count (n,)."""
+    """Return the named signals of a motion, NaN outside the segments, and which samples of them count (n,)."""
     n, dt = len(d), integrated.window.sample_interval_s
     signals = {item.name: np.full(n, np.nan) for item in fields(Motion) if item.name not in NOT_SIGNALS}
     valid = np.zeros(n, dtype=np.bool_)

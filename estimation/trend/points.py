@@ -12,9 +12,9 @@ from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, combined
 
-PREFERRED_AMPLITUDE = 3e-3  # m, EN 15302's headline
+PREFERRED_AMPLITUDE = 3e-3  # m, the reference amplitude of EN 15302
 WANTED_SHARE = 0.75  # of the latest intervals that must cover an amplitude
-LATEST = 8  # intervals: what a little worn wheelset did not reach long ago says nothing of what is told now
+LATEST = 8  # intervals: an amplitude that a little worn wheelset did not reach long ago may be covered now
 FEWEST_POINTS = 3
 SAME_AMPLITUDE = 1e-6  # m
 

@@ -184,7 +184,7 @@ def _scaled(estimate: Estimate, factor: float) -> Estimate:
 
 
 def probability_above(estimate: Estimate, limit: float) -> float | None:
-    """Return the probability that the true value lies above ``limit``; None where nothing is estimated.
+    """Return the probability that the true value is above ``limit``; None where nothing is estimated.
 
     The value is taken as normal with its standard deviation.
     """

@@ -52,7 +52,7 @@ class NormalMixture:
         return float(self.weight @ ndtr((self.mean - limit) / self.std))
 
     def quantile(self, probability: float) -> float:
-        """Return the value below which ``probability`` lies."""
+        """Return the quantile of ``probability``."""
         low, high = float(np.min(self.mean - 9 * self.std)), float(np.max(self.mean + 9 * self.std))
         return float(brentq(lambda value: self.above(value) - (1.0 - probability), low, high, xtol=1e-9 * (high - low)))
 

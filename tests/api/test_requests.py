@@ -184,7 +184,7 @@ def test_reads_have_a_strong_etag_and_an_unchanged_resource_is_304(client: httpx
     assert csv_tag != client.get("/v1/wheelsets/WS-000/geometry").headers["etag"]
 
 
-def test_another_method_is_405_and_what_a_body_is_not_is_told(client: httpx.Client) -> None:
+def test_another_method_is_405_and_a_wrong_body_is_named(client: httpx.Client) -> None:
     response = client.delete("/v1/wheelsets")
     assert response.status_code == 405
     assert response.headers["content-type"] == "application/problem+json"

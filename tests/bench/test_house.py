@@ -13,7 +13,9 @@ from bench.house import (
     documented_parameters,
     entered_files,
     import_faults,
+    loose_words,
     static_counts,
+    undocumented_functions,
 )
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -94,6 +96,16 @@ def test_what_is_reached_stays_reached() -> None:
     assert list(complex_functions(ROOT)) == []
     loose = next(static_counts(ROOT))
     assert int(loose.now) <= 6
+
+
+def test_every_parameter_of_a_public_function_of_estimation_is_documented() -> None:
+    undocumented, public = undocumented_functions(ROOT)
+    assert undocumented == ()
+    assert public > 100, "the count reads the functions of the tree"
+
+
+def test_no_loose_word_is_left_in_code_and_docs() -> None:
+    assert loose_words(ROOT) == {}
 
 
 def test_parameters_are_documented_in_their_section_alone() -> None:

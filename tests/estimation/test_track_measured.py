@@ -91,7 +91,7 @@ def test_one_measured_wheelset_lets_a_fleet_of_alike_ones_determine_the_track() 
     assert found.alignment.findings.stiffness_ratio_std > 0.1
 
 
-def test_what_was_measured_a_tenth_too_wide_is_believed_where_nothing_else_tells() -> None:
+def test_a_measurement_a_tenth_too_wide_is_accepted_without_other_information() -> None:
     passes = list(fleet_passes(alike=True))
     wide = estimated(passes, {passes[0].life: curve(stretched=1.1)})
     assert alignment_error(wide) > 1.2 * alignment_error(alike())

@@ -50,7 +50,7 @@ def test_a_vehicle_assumed_stiffness_too_soft_is_found_out_on_unknown_track() ->
     assert found[f"{RIGHT:g}"].value == pytest.approx(1.0, abs=0.02)
 
 
-def test_the_std_of_a_ratio_covers_its_error_and_is_what_geometry_is_told() -> None:
+def test_the_std_of_a_ratio_covers_its_error_and_reaches_the_geometry() -> None:
     """Without a std the intervals of the geometry would hold the ratio for certain."""
     one = iterated(0.8)
     truth = {f"{SOFT:g}": 1 / 0.8, f"{RIGHT:g}": 1.0}

@@ -155,7 +155,7 @@ def test_a_constraint_of_the_database_speaks_our_language(fleet: SqlStorage) -> 
         unit.windows.put(make.window(vehicle="V-9"), 1.0, 1)
 
 
-def test_a_writer_who_waits_too_long_is_told(tmp_path: Path) -> None:
+def test_a_writer_who_waits_too_long_gets_an_error(tmp_path: Path) -> None:
     path = tmp_path / "writer-lock"
     with (
         locks.single_writer(path, 1.0),

@@ -67,7 +67,7 @@ def gathered(listener: BusListener, count: int) -> FrameBatch:
     return concatenate(batches)
 
 
-def test_what_is_sent_is_heard(buses: tuple[can.BusABC, can.BusABC]) -> None:
+def test_what_is_sent_is_received(buses: tuple[can.BusABC, can.BusABC]) -> None:
     batch = Run(seconds=0.4).frames()
     listener = BusListener()
     notifier = can.Notifier(buses[1], [listener], timeout=0.1)

@@ -124,10 +124,27 @@ def wheel_asymmetry_finding(
     raised_by: Sequence[str] = (),
     not_assessable_reason: Reason | None = None,
 ) -> Finding:
-    """Return what the indicators say.
+    """Return the finding of one wheelset from the two indicators of its asymmetry.
 
     Breached when one of them is; it takes both to say that none is. Cleared when every indicator that raised the open
     alert (``raised_by``, from its evidence) is known and below its clear limit and no known one is above its own.
+
+    Parameters
+    ----------
+    rule
+        Limits in mm, probabilities and the smallest number of windows.
+    wheelset
+        Serial number.
+    asymmetry
+        Offset of the zero crossing of R and difference of the wheels' shapes, m, with their intervals.
+    windows
+        How many windows the geometry rests on.
+    measured_ns
+        Start of the newest of them, ns UTC.
+    raised_by
+        Names of the indicators that raised the open alert; empty where none is open.
+    not_assessable_reason
+        Why the geometry does not count at present; None where it does.
     """
     reason = not_assessable_reason or evidence.too_few_windows(windows, rule.minimum_windows)
     limits = {
@@ -170,7 +187,7 @@ def _cleared(over_clear: dict[str, float | None], blamed: list[str], wanted: flo
 
 
 def _beyond(value: Estimate, limit_mm: float) -> float | None:
-    """Return the probability that the size of the true value lies above the limit."""
+    """Return the probability that the size of the true value is above the limit."""
     if value.value is None or value.std is None:
         return None
     if value.std <= 0.0:

@@ -32,7 +32,17 @@ def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
 def new_events(
     unit: UnitOfWork, wheelsets: Sequence[WheelsetRecord], parameters: IdentityParameters
 ) -> dict[str, IdentityEvent]:
-    """Return what is found since its last identity change and reprofiling, of every wheelset in service."""
+    """Return the identity changes that the wheelsets in service show since their last change and reprofiling.
+
+    Parameters
+    ----------
+    unit
+        Geometries and alerts are read.
+    wheelsets
+        All wheelsets of a fleet; those without a mounting are left out.
+    parameters
+        Thresholds of the comparison.
+    """
     histories = {}
     for wheelset in wheelsets:
         if wheelset.mounting is None:

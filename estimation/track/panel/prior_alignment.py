@@ -32,7 +32,17 @@ class PriorAlignment:
 
 
 def prior_on_grid(evidence: TrackAlignment, grid: SectionGrid, cutoff_wavelength: float) -> PriorAlignment:
-    """Return ``evidence`` on the grid of the panel, high-passed at ``cutoff_wavelength`` (m) unless it was before."""
+    """Return the prior alignment on the grid of the panel.
+
+    Parameters
+    ----------
+    evidence
+        Alignment of the section, from a survey or an earlier version, on its own grid.
+    grid
+        Grid of the section.
+    cutoff_wavelength
+        Of the panel's high-pass, m; an alignment filtered at this wavelength is not filtered again.
+    """
     s = grid.s
     certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
     inside = np.interp(s, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9

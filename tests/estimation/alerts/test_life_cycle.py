@@ -72,7 +72,7 @@ def test_the_same_data_again_change_nothing() -> None:
     assert step(raised(), finding(100)) is None
 
 
-def test_a_repeat_with_newer_data_is_counted_and_told() -> None:
+def test_a_repeat_with_newer_data_is_counted_and_published() -> None:
     change = step(raised(), finding(200, value=0.45))
     assert change is not None
     assert change.events == (AlertEventKind.UPDATED,)
@@ -81,7 +81,7 @@ def test_a_repeat_with_newer_data_is_counted_and_told() -> None:
     assert change.alert.version == raised().version  # the store counts it
 
 
-def test_newer_data_that_say_the_same_are_counted_and_not_told() -> None:
+def test_newer_data_that_say_the_same_are_counted_and_not_published() -> None:
     change = step(raised(), finding(200))
     assert change is not None
     assert change.events == ()

@@ -146,16 +146,16 @@ def swapped_fleet(storage: Storage) -> None:
     stored(storage, "W3", third)
 
 
-def test_a_swap_raises_both_and_no_wear_alert_and_the_trend_begins_anew(storage: Storage) -> None:
+def test_a_swap_raises_both_and_no_wear_alert_and_the_trend_begins_again(storage: Storage) -> None:
     swapped_fleet(storage)
     run_jobs(storage, 8.2)
     alerts = {serial: open_alert(storage, serial, "identity") for serial in ("W1", "W2")}
     assert {serial: alert.evidence["partner"] for serial, alert in alerts.items()} == {"W1": "W2", "W2": "W1"}
     assert {alert.evidence["mistake"] for alert in alerts.values()} == {"swapped"}
     assert {kind for _, kind in feed_of(storage)} == {"identity"}  # 0.46 is over the limit of 0.40, but whose is it?
-    told_before = feed(storage)
+    feed_before = feed(storage)
     run_jobs(storage, 8.4)
-    assert feed(storage) == told_before
+    assert feed(storage) == feed_before
     with storage.read() as unit:
         trends = {serial: unit.trends.latest(serial) for serial in ("W1", "W2", "W3")}
         assert identity_change(unit, "W3") is None

@@ -165,7 +165,7 @@ def test_reprofiling_closes_wear_alerts_and_begins_again(storage: Storage) -> No
     assert len(latest.trend.value) == 2
 
 
-def test_an_exchange_closes_and_the_wheelset_is_judged_anew_where_it_runs(storage: Storage) -> None:
+def test_an_exchange_closes_and_the_wheelset_is_judged_again_where_it_runs(storage: Storage) -> None:
     register(storage, "W1")
     wear(storage, "W1", 100)
     run_windows(storage, "W1", 99.5, 20)

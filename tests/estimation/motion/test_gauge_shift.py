@@ -53,7 +53,7 @@ def shift_of(place: TrackAlignment, seen: Window | None = None) -> FloatArray:
     return found
 
 
-def test_the_shift_is_that_of_the_table_at_the_radius_difference_that_the_wheelset_felt() -> None:
+def test_the_shift_is_that_of_the_table_at_the_radius_difference_of_the_wheelset() -> None:
     m, found = wheelset_motion(), shift_of(known())
     true = (m.rolling_radius_left - m.rolling_radius_right)[::4]
     e = 2e-3 * np.sin(2 * np.pi * window().distance / 40.0)
