@@ -14,7 +14,7 @@ from bench.signals import score
 from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.track_relative import motion
+from estimation.motion.window_motion import motion
 from estimation.tables import bin_table
 from estimation.values.reasons import Reason
 from ingest.simulator.curves import Curve

@@ -16,7 +16,7 @@ from api.settings import Settings
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.track_relative import motion
+from estimation.motion.window_motion import motion
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import FloatArray

@@ -25,7 +25,7 @@ from scipy.signal import butter, sosfiltfilt
 from api.factory import open_store
 from api.settings import Settings
 from bench.decision_cases import UNIT, Case, estimated, merged, moved, received, score
-from estimation.filters.wander_removal import remove_wander
+from estimation.filters.smoothing_spline import remove_wander
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
@@ -135,7 +135,7 @@ def rms(parts: Sequence[FloatArray]) -> float:
 
 
 def smoother(values: FloatArray, distance: FloatArray, _dt: float) -> FloatArray:
-    """Return what ``estimation.filters.wander_removal`` leaves of ``values``."""
+    """Return what ``estimation.filters.smoothing_spline`` leaves of ``values``."""
     known = np.ones(len(values), dtype=np.bool_)
     return np.asarray(remove_wander(values[None, :], distance, known, CUT_OFF)[0])
 

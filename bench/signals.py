@@ -13,13 +13,13 @@ from rich.table import Table
 
 from bench.report import BenchRow
 from bench.signal_cases import AMPLITUDES, COURSES, Run, simulate, wheelsets
-from estimation.filters.wander_removal import remove_wander
+from estimation.filters.smoothing_spline import remove_wander
 from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.integration import integrate
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.track_relative import motion
 from estimation.motion.usable_samples import usable_samples
+from estimation.motion.window_motion import motion
 from estimation.tables import bin_table
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry

@@ -9,6 +9,9 @@ segment of u is then the smoothing spline
 which is what a Kalman filter over the segment and the Rauch-Tung-Striebel smoother back give, computed as one sparse
 least-squares problem. Of a wave of length l it leaves 1 / (1 + (l/L)^6): half at the cut-off L, 98.5 % at L/2, 1.5 %
 at 2 L. At the ends of a segment, where a filter would have to guess, the spline runs on as a parabola.
+
+``remove_wander`` is the high-pass of a segment: it also takes out what offsets and gaps of an acceleration integrate to.
+``docs/decisions/wander-smoother.md`` gives the reasons.
 """
 
 from __future__ import annotations
@@ -75,3 +78,61 @@ def _roughness(count: int, step: float, cutoff_wavelength: float) -> FloatArray:
     return np.asarray(
         (cutoff_wavelength / (2 * np.pi)) ** (2 * ORDER) * step ** (1 - 2 * ORDER) * difference.T @ difference
     )
+
+
+def remove_wander(
+    signals: FloatArray,
+    distance: FloatArray,
+    known: BoolArray,
+    cutoff_wavelength: float,
+    bridged: int = 0,
+) -> FloatArray:
+    """Return ``signals`` (m, n) without what varies more slowly along the track than ``cutoff_wavelength``.
+
+    Parameters
+    ----------
+    signals
+        (m, n), of one segment; values at samples that are not known are no part of the fit.
+    distance
+        (n,) m run since the start of the segment, not decreasing.
+    known
+        (n,) samples that were measured. After a gap the rates are off by an unknown constant and the
+        displacements by a straight line: both are taken out for every modelled gap.
+    cutoff_wavelength
+        m, of which half is left.
+    bridged
+        Gaps of up to so many samples are not modelled: straight lines bridge them well enough.
+    """
+    removed = np.concatenate([_line_and_parabola(len(distance)), _after_gaps(known, bridged)])
+    return subtract_smoothing_spline(signals, distance, known, cutoff_wavelength, removed)
+
+
+def _line_and_parabola(n: int) -> FloatArray:
+    """Return (2, n): in time, what the constants of the integration and a constant offset leave."""
+    t = np.linspace(-1.0, 1.0, n)
+    return np.stack([t, 1.5 * t * t - 0.5])
+
+
+def modelled_gaps(known: BoolArray, bridged: int) -> list[tuple[int, int]]:
+    """Return the gaps ``[first, behind)`` between known samples that are longer than ``bridged`` samples.
+
+    Parameters
+    ----------
+    known
+        (n,) samples that were measured.
+    bridged
+        Samples of the longest gap that is left out.
+    """
+    edges = np.flatnonzero(np.diff(known.astype(np.int8))) + 1
+    first, behind = edges[~known[edges]], edges[known[edges]]
+    behind = behind[behind > first[0]] if len(first) else behind
+    return [(int(a), int(b)) for a, b in zip(first, behind, strict=False) if a > 0 and b - a > bridged]
+
+
+def _after_gaps(known: BoolArray, bridged: int) -> FloatArray:
+    """Return (2 g, n): for each modelled gap a step and the line that rises after it."""
+    gaps = modelled_gaps(known, bridged)
+    t = np.arange(len(known))
+    steps = [(t >= behind).astype(np.float64) for _, behind in gaps]
+    lines = [np.maximum(t - 0.5 * (first - 1 + behind), 0.0) / len(known) for first, behind in gaps]
+    return np.array([*steps, *lines]).reshape(-1, len(known))

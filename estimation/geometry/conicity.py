@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
-from estimation.geometry.displacement_error import DisplacementError
+from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.intervals import jackknife_std, with_interval
 from estimation.values.quantities import Estimate

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
-from estimation.geometry.displacement_error import DisplacementError
-from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.geometry.uncertainty import DisplacementError, ParameterUncertainty
 from estimation.tables import least_squares
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import BoolArray, FloatArray

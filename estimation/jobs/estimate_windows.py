@@ -16,7 +16,7 @@ from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import UnitOfWork
-from estimation.tables.window import tabulate_window
+from estimation.tables.bin_table import tabulate_window
 from estimation.values.geometry import BinTable
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode

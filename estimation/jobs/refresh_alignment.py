@@ -18,9 +18,9 @@ from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
 from estimation.jobs.steps.store_alignment import Epoch, EpochPasses, WindowKey, store
-from estimation.motion.curves import straight_part
-from estimation.motion.gates import gate
+from estimation.motion.checks import gate
 from estimation.motion.joined_windows import following, joined
+from estimation.motion.usable_samples import straight_part
 from estimation.storage import UnitOfWork
 from estimation.track.epochs import epoch_digest, limit_batch, resampled
 from estimation.track.examination import examine

@@ -8,10 +8,8 @@ from dataclasses import asdict, dataclass, field
 from estimation.alerts.rules.book import RuleBook
 from estimation.estimators.catalogue import SHIPPED, estimator_named
 from estimation.geometry.estimate import GeometryParameters
-from estimation.motion.gates import Gates, WindowParameters
-from estimation.motion.parameters import SignalParameters
-from estimation.tables.bin_table import BinParameters
-from estimation.tables.window import bin_parameters
+from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
+from estimation.tables.bin_table import BinParameters, bin_parameters
 from estimation.track.settings import AlignmentSettings
 from estimation.trend.trend import TrendParameters
 from estimation.values.json_value import JsonValue

@@ -11,17 +11,48 @@ from scipy.ndimage import uniform_filter1d
 
 from estimation.motion.alignment_lookup import TRACKS
 from estimation.motion.integration import IntegratedWindow, bridged, mirrored
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.parameters import Gates, SignalParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment
-from estimation.values.windows import Window
+from estimation.values.windows import Window, WindowQuality
 
 LOOK_S = 1.0  # over which positions are compared with the speed
 JUMP = 0.5  # m
 JUMP_SHARE = 0.05  # of the distance run
 BACKWARDS = -0.3  # correlation of the lateral velocity with speed times yaw, 1 of an axle that rolls forward
 ONE_WAY = 0.98  # share of the samples that must lead one way
+
+
+def gate(quality: WindowQuality, track_section: str | None, gates: Gates) -> Reason | None:
+    """Return why a window of this quality is not looked at; None where it is.
+
+    Parameters
+    ----------
+    quality
+        What was counted of the window.
+    track_section
+        Code of its section; None where it is not known.
+    gates
+        Limits of the quality.
+    """
+    if quality.sensor_fault:
+        return Reason(ReasonCode.SENSOR_FAULT, "the sensor reports a fault")
+    if quality.coverage < gates.least_coverage:
+        return Reason(
+            ReasonCode.TOO_FEW_SAMPLES,
+            f"{quality.coverage:.0%} of the samples are there, {gates.least_coverage:.0%} are needed",
+        )
+    if quality.clipped > gates.most_clipped:
+        return Reason(
+            ReasonCode.CLIPPED,
+            f"{quality.clipped:.1%} of the samples are clipped, at most {gates.most_clipped:.0%} may be",
+        )
+    if track_section is None:
+        return Reason(ReasonCode.SECTION_UNKNOWN, "the track section is not known")
+    if quality.position_quality < gates.least_position_quality:
+        return Reason(ReasonCode.POSITION_UNKNOWN, "the position is not known well enough")
+    return None
 
 
 @dataclass(frozen=True, slots=True)

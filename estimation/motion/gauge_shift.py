@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimation.filters.local_cubic import local_cubic_kernel
-from estimation.filters.wander_removal import remove_wander
+from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.integration import IntegratedWindow, integrate
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_radius_difference import FusionParameters, fuse, motion_signals

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 from estimation.errors import ParameterError
+from estimation.vehicle.equations_of_motion import VehicleParameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,3 +54,21 @@ class SignalParameters:
     def curve_limits(self) -> CurveLimits:
         """What counts as straight."""
         return CurveLimits(self.sharpest_curvature, self.highest_cant, self.curve_margin)
+
+
+@dataclass(frozen=True, slots=True)
+class Gates:
+    """When a window may be estimated at all."""
+
+    least_coverage: float = 0.25
+    most_clipped: float = 0.1  # clipped samples are left out; more than this, and the rest is not trusted
+    least_position_quality: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class WindowParameters:
+    """What turns a window into motion: the vehicle, the filters, and the gates."""
+
+    vehicle: VehicleParameters = field(default_factory=VehicleParameters)
+    signals: SignalParameters = field(default_factory=SignalParameters)
+    gates: Gates = field(default_factory=Gates)

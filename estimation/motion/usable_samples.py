@@ -1,17 +1,123 @@
-"""Which samples of a window can be used, and what became of the others."""
+"""Which samples of a window can be used, and what became of the others; curves, which are left out, among them.
+
+In a curve the lateral accelerometers of wheelset and mass measure V^2 kappa - g theta, the acceleration that the cant
+leaves uncompensated. An offset of the sensor looks the same, but does not change within a minute. What cannot be
+detected: a window within a single curve, and a curve whose cant is that of the speed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.motion.curves import straight
 from estimation.motion.parameters import CurveLimits, SignalParameters
-from estimation.values.arrays import BoolArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackLayout
 from estimation.values.windows import Window
+
+GRID_STEP = 1.0  # m, to which a layout is refined before it is looked at
+
+
+def straight(distance: FloatArray, layout: TrackLayout, limits: CurveLimits) -> BoolArray:
+    """Return which places (n,) are on track that is straight within ``limits``; places off the layout do not.
+
+    Parameters
+    ----------
+    distance
+        (n,) m along the section; NaN where not known.
+    layout
+        Curvature and cant of the section.
+    limits
+        What counts as straight, and the margin from the rest.
+    """
+    grid = np.union1d(np.arange(layout.s[0], layout.s[-1], GRID_STEP), layout.s)
+    bent = (np.abs(np.interp(grid, layout.s, layout.curvature)) > limits.curvature) | (
+        np.abs(np.interp(grid, layout.s, layout.cant)) > limits.cant
+    )
+    near = np.concatenate([[0], np.cumsum(bent)])
+    with np.errstate(invalid="ignore"):
+        on_layout = (distance >= layout.s[0]) & (distance <= layout.s[-1])
+    at = np.where(np.isfinite(distance), distance, layout.s[0])
+    first = np.searchsorted(grid, at - limits.margin, side="left")
+    last = np.searchsorted(grid, at + limits.margin, side="right")
+    return np.asarray(on_layout & (near[last] == near[first]))
+
+
+MEAN_S = 5.0  # over which the motion of the wheelset averages out
+
+LEAST_SHARE = 0.5  # of the samples that a mean needs
+
+
+def detect_uncompensated_acceleration(
+    window: Window, usable: BoolArray, max_cant_deficiency_change: float
+) -> Reason | None:
+    """Return that the window shows a curve; None where it does not.
+
+    Parameters
+    ----------
+    window
+        Measured accelerations, (n,) each.
+    usable
+        (n,) samples that count.
+    max_cant_deficiency_change
+        m/s2, largest :func:`cant_deficiency_acceleration_range` of straight track.
+    """
+    spread = cant_deficiency_acceleration_range(window, usable)
+    if spread <= max_cant_deficiency_change:
+        return None
+    return Reason(
+        ReasonCode.CURVE_DETECTED,
+        f"a curve is detected and no layout is stored: the slow lateral acceleration changes by {spread:.2f} m/s2,"
+        f" at most {max_cant_deficiency_change:g} may be drift; register the layout of the section",
+    )
+
+
+def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> float:
+    """Return by how much the slow lateral acceleration of wheelset and mass together changes in a window, m/s2.
+
+    Parameters
+    ----------
+    window
+        Measured accelerations.
+    usable
+        (n,) samples that count.
+    """
+    size = round(MEAN_S / window.sample_interval_s)
+    count = len(usable) // size
+    known = usable[: count * size].reshape(count, size)
+    lateral = 0.5 * (window.lateral_acceleration + window.mass_lateral_acceleration)[: count * size].reshape(
+        count, size
+    )
+    enough = known.mean(axis=1) >= LEAST_SHARE
+    if not enough.any():
+        return 0.0
+    means = np.where(known, lateral, 0.0).sum(axis=1)[enough] / known.sum(axis=1)[enough]
+    return float(np.ptp(means))
+
+
+def straight_part(window: Window, layout: TrackLayout | None, parameters: SignalParameters) -> Window | Reason:
+    """Return the window with the samples in curves not valid, or why nothing is left.
+
+    Parameters
+    ----------
+    window
+        Samples, at positions as measured.
+    layout
+        Curves of the section; None where none is on file: then a window that shows a curve is refused.
+    parameters
+        What counts as straight.
+    """
+    if layout is None:
+        with np.errstate(invalid="ignore"):
+            running = np.asarray(window.valid & (window.speed >= parameters.least_speed_m_s))
+        return detect_uncompensated_acceleration(window, running, parameters.max_cant_deficiency_change) or window
+    left = window.valid & straight(window.distance, layout, parameters.curve_limits)
+    if not left.any() and window.valid.any():
+        return Reason(ReasonCode.IN_CURVES, "all of the window is in curves")
+    return replace(window, valid=left)
 
 
 def moving_samples(window: Window, parameters: SignalParameters) -> BoolArray:

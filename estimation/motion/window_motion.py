@@ -1,28 +1,161 @@
-"""One window to its motion relative to the track, or the reason why not: gates, checks, axes, position, gauge."""
+"""A window in; its band-limited motion relative to the track out, or the reason why not.
+
+Rates and displacements are running integrals of the accelerations. Offsets and drift make them wander; so from every
+signal the part that varies slowly *along the track* is taken out (``filters``). The filter is linear, takes segments of
+any length and speed, and is applied once to each side that is compared (y - d as a whole), so that it favours neither.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
+from estimation.filters.smoothing_spline import modelled_gaps, remove_wander
+from estimation.motion.alignment_lookup import alignment_at
 from estimation.motion.checks import (
     check_axis_signs,
     check_moving,
     direction,
+    gate,
     jumps_reason,
     position_jumps,
     to_wheelset_axes,
 )
-from estimation.motion.gates import WindowParameters, gate
 from estimation.motion.gauge_shift import gauge_shift
-from estimation.motion.integration import IntegratedWindow, integrate
-from estimation.motion.track_relative import motion
-from estimation.motion.usable_samples import moving_samples
-from estimation.values.motion import Motion
+from estimation.motion.integration import IntegratedSegment, IntegratedWindow, bridged, integrate
+from estimation.motion.parameters import SignalParameters, WindowParameters
+from estimation.motion.usable_samples import Usable, detect_uncompensated_acceleration, moving_samples, usable_samples
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.motion import NOT_SIGNALS, Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window
+
+NANOSECONDS = 1_000_000_000
+
+
+def motion(
+    window: Window,
+    track: TrackAlignment,
+    parameters: SignalParameters,
+    layout: TrackLayout | None = None,
+    gauge_shift: FloatArray | None = None,
+    earlier: IntegratedWindow | None = None,
+) -> Motion | Reason:
+    """Return the band-limited motion of ``window`` relative to ``track``, or why it cannot be had.
+
+    Parameters
+    ----------
+    window
+        Measured accelerations, speed and distance, (n,) each.
+    track
+        Alignment of the window's section; samples outside it are left out. Wavelengths that it does not hold are
+        taken out of the motion too.
+    parameters
+        Cut-off wavelength and gates.
+    layout
+        Curves of the section, which are left out; None where none is on file.
+    gauge_shift
+        (n,) m, by how much the gauge moves the wheelset, NaN where that cannot be said; None where it is not known.
+    earlier
+        The same accelerations and speeds, integrated before.
+    """
+    cutoff_wavelength = min(parameters.cutoff_wavelength, track.cutoff_wavelength)
+    d = alignment_at(window.distance, track, cutoff_wavelength)
+    if gauge_shift is not None:
+        d += gauge_shift  # it runs as it would at nominal gauge on a track that is aligned so
+    limits = parameters.curve_limits
+    usable = usable_samples(window, np.isfinite(d), layout, parameters.least_speed_m_s, limits)
+    refusal = _unusable(window, usable, layout, parameters)
+    if refusal is not None:
+        return refusal
+    dt = window.sample_interval_s
+    integrated = integrate(window, usable.samples, parameters, round(parameters.modelled_gap_s / dt), earlier)
+    signals, valid = _filtered(integrated, d, replace(parameters, cutoff_wavelength=cutoff_wavelength))
+    refusal = _too_little(valid, integrated, usable, parameters)
+    if refusal is not None:
+        return refusal
+    seconds = window.start_ns / NANOSECONDS + np.arange(len(valid)) * dt
+    block = np.floor(seconds / parameters.block_s).astype(np.int64)
+    signals["speed"] = np.where(window.speed > 0, window.speed, np.nan)
+    ratio = 1.0 if track.findings is None else track.findings.stiffness_ratio.get(window.vehicle, 1.0)
+    return Motion(**signals, valid=valid, block=block, band_limited=True, stiffness_ratio=ratio)
+
+
+def _unusable(
+    window: Window, usable: Usable, layout: TrackLayout | None, parameters: SignalParameters
+) -> Reason | None:
+    if not usable.samples.any():
+        return Reason(ReasonCode.NO_USABLE_SAMPLE, f"no sample can be used: {usable.causes}")
+    return (
+        detect_uncompensated_acceleration(window, usable.samples, parameters.max_cant_deficiency_change)
+        if layout is None
+        else None
+    )
+
+
+def _filtered(
+    integrated: IntegratedWindow, d: FloatArray, parameters: SignalParameters
+) -> tuple[dict[str, FloatArray], BoolArray]:
+    """Return the named signals of a motion, NaN outside the segments, and which samples of them count (n,)."""
+    n, dt = len(d), integrated.window.sample_interval_s
+    signals = {item.name: np.full(n, np.nan) for item in fields(Motion) if item.name not in NOT_SIGNALS}
+    valid = np.zeros(n, dtype=np.bool_)
+    trim, margin = round(parameters.trimmed_s / dt), round(parameters.gap_margin_s / dt)
+    for segment in integrated.segments:
+        part, known = segment.part, segment.known
+        fast = remove_wander(
+            _relative_to(d[part], segment),
+            segment.run,
+            known,
+            parameters.cutoff_wavelength,
+            parameters.bridged_samples,
+        )
+        for name, values in zip(_FILTERED, fast, strict=True):
+            signals[name][part] = values
+        valid[part.start + trim : part.stop - trim] = known[trim : len(known) - trim]
+        for first, behind in modelled_gaps(known, parameters.bridged_samples):
+            valid[max(part.start + first - margin, 0) : part.start + behind + margin] = False
+    return signals, valid
+
+
+_FILTERED = (
+    "displacement",
+    "lateral_velocity",
+    "lateral_acceleration",
+    "yaw",
+    "yaw_rate",
+    "yaw_acceleration",
+    "roll",
+    "roll_rate",
+    "suspension_deflection",
+    "suspension_deflection_rate",
+)
+
+
+def _too_little(
+    valid: BoolArray, integrated: IntegratedWindow, usable: Usable, parameters: SignalParameters
+) -> Reason | None:
+    lost = f"; lost: {usable.causes}" if usable.causes else ""
+    if not integrated.segments:
+        return Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of {parameters.shortest_segment_s:g} s{lost}")
+    if valid.mean() < parameters.least_used:
+        return Reason(
+            ReasonCode.TOO_FEW_USABLE,
+            f"{valid.mean():.0%} of the samples can be used, {parameters.least_used:.0%} are needed{lost}",
+        )
+    return None
+
+
+def _relative_to(d: FloatArray, segment: IntegratedSegment) -> FloatArray:
+    """Return accelerations, rates and displacements (10, m) of one segment in the order of ``_FILTERED``."""
+    y, ψ, φ, ym = segment.displacements
+    dy, dψ, dφ, dym = segment.rates
+    ddy, ddψ = segment.accelerations[:2]
+    along = bridged(d, np.isfinite(d))
+    return np.stack([y - along, dy, ddy, ψ, dψ, ddψ, φ, dφ, ym - y, dym - dy])
+
 
 NO_ALIGNMENT = Reason(ReasonCode.ALIGNMENT_UNKNOWN, "the alignment of the track section is not known yet")
 

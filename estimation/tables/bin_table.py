@@ -16,10 +16,15 @@ from itertools import pairwise
 import numpy as np
 
 from estimation.errors import ParameterError
+from estimation.motion.parameters import WindowParameters
+from estimation.motion.window_motion import window_motion
 from estimation.tables import least_squares
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.geometry import BinTable
 from estimation.values.motion import Motion
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.track import Correction, TrackAlignment, TrackLayout
+from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS, regression
 
@@ -190,3 +195,40 @@ def merge_with_mileage(
     for (before, _), (mileage, table) in pairwise(tables):
         state = merge(state, table, float(0.5 ** ((mileage - before) / half_life_km)))
     return state
+
+
+def tabulate_window(
+    window: Window,
+    track: TrackAlignment | None,
+    parameters: WindowParameters,
+    correction: Correction | None = None,
+    misplaced: Reason | None = None,
+    *,
+    mounted_reversed: bool = False,
+    layout: TrackLayout | None = None,
+) -> BinTable | Reason:
+    """Return the bin table of ``window`` on ``track``, or why the window is refused.
+
+    Parameters
+    ----------
+    window, track, parameters, correction, misplaced, mounted_reversed, layout
+        As :func:`~estimation.motion.window_motion.window_motion` takes them.
+    """
+    moved = window_motion(
+        window, track, parameters, correction, misplaced, mounted_reversed=mounted_reversed, layout=layout
+    )
+    if isinstance(moved, Reason):
+        return moved
+    table = tabulate(moved, bin_parameters(parameters))
+    return table if table.samples else Reason(ReasonCode.OUTSIDE_BINS, "no sample is inside the bins")
+
+
+def bin_parameters(parameters: WindowParameters) -> BinParameters:
+    """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion.
+
+    Parameters
+    ----------
+    parameters
+        Vehicle and filters, which go into the key of the tables.
+    """
+    return BinParameters(source=parameters.signals.source, band_limited=True, vehicle=parameters.vehicle)

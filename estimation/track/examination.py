@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from estimation.motion.checks import check_axis_signs, check_moving, jumps_reason, position_jumps, without_jumps
-from estimation.motion.gates import WindowParameters, gate
+from estimation.motion.checks import check_axis_signs, check_moving, gate, jumps_reason, position_jumps, without_jumps
 from estimation.motion.integration import integrate
+from estimation.motion.parameters import WindowParameters
 from estimation.motion.usable_samples import moving_samples
 from estimation.track.passes import Pass, passes
 from estimation.track.screening.screen import PassOutcome, PassStatus

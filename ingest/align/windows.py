@@ -16,10 +16,16 @@ from estimation.errors import ParameterError
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
-from ingest.align.clock import TickedValues
-from ingest.align.counts import AlignCounts
-from ingest.align.motion import NO_SECTION, GridMotion, VehicleMotion, vehicle_motion
-from ingest.align.samples import NodeSamples, node_samples, widened
+from ingest.align.clock import AlignCounts, TickedValues
+from ingest.align.samples import (
+    NO_SECTION,
+    GridMotion,
+    NodeSamples,
+    VehicleMotion,
+    node_samples,
+    vehicle_motion,
+    widened,
+)
 from ingest.catalogue import ACCELERATION, Catalogue, resolution
 
 MIN_PRESENCE = 0.2

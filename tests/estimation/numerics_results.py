@@ -18,7 +18,7 @@ from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.settings import JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
 from estimation.tables import bin_table
-from estimation.tables.window import tabulate_window
+from estimation.tables.bin_table import tabulate_window
 from estimation.track.panel.basis import PanelParameters
 from estimation.track.section import estimate_section
 from estimation.track.section_parameters import SectionParameters

@@ -8,8 +8,16 @@ from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 
-from estimation.alerts.rules import evidence
-from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, WindowCount
+from estimation.alerts.rules.rule import (
+    AlertRule,
+    Probability,
+    WheelsetFacts,
+    WindowCount,
+    estimate_evidence,
+    number_evidence,
+    too_few_windows,
+    unknown_evidence,
+)
 from estimation.trend.trend import probability_above
 from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Estimate, Status
@@ -138,7 +146,7 @@ def conicity_limit_finding(
     not_assessable_reason
         Why the data do not say how the wheelset is now (silent, sensor fault, reprofiled since); None where they do.
     """
-    reason = not_assessable_reason or conicity.reason or evidence.too_few_windows(windows, rule.minimum_windows)
+    reason = not_assessable_reason or conicity.reason or too_few_windows(windows, rule.minimum_windows)
     over = None if reason else probability_above(conicity, limit)
     clear_limit = limit - rule.clear_margin
     above_clear = probability_above(conicity, clear_limit)
@@ -151,13 +159,13 @@ def conicity_limit_finding(
         breached=None if over is None else over >= rule.raise_probability,
         cleared=None if over is None or above_clear is None else 1.0 - above_clear >= rule.clear_probability,
         severity=severity,
-        probability=evidence.number(over, 3),
+        probability=number_evidence(over, 3),
         evidence={
             "quantity": quantity,
-            "conicity": evidence.estimate(conicity),
+            "conicity": estimate_evidence(conicity),
             "windows": windows,
-            "limit": evidence.number(limit),
-            **evidence.unknown(reason),
+            "limit": number_evidence(limit),
+            **unknown_evidence(reason),
         },
         action="reprofile" if severity is Severity.CRITICAL else "plan_reprofiling",
         raise_limit=limit,

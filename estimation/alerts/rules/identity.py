@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from estimation.alerts.identity import IdentityEvent, IdentityParameters, Mistake
-from estimation.alerts.rules import evidence
-from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
+from estimation.alerts.rules.rule import AlertRule, WheelsetFacts, number_evidence
 from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.identity import AFTER, BEFORE, IDENTITY
 from estimation.values.json_value import JsonValue
@@ -63,8 +62,8 @@ def identity_finding(event: IdentityEvent | None, mounting: Mounting, standing: 
         "partner": event.partner,
         BEFORE: event.before_ns,
         AFTER: event.after_ns,
-        "jump": evidence.number(event.jump, 3),
-        "left": evidence.number(event.left, 3),
+        "jump": number_evidence(event.jump, 3),
+        "left": number_evidence(event.left, 3),
         "reason": _EXPLANATIONS[event.mistake],
         MOUNTED: mounted(mounting),
     }

@@ -8,8 +8,15 @@ from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 
-from estimation.alerts.rules import evidence
-from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts
+from estimation.alerts.rules.rule import (
+    AlertRule,
+    Probability,
+    WheelsetFacts,
+    estimate_evidence,
+    forecast_evidence,
+    number_evidence,
+    unknown_evidence,
+)
 from estimation.trend.trend import probability_within
 from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Status
@@ -80,17 +87,17 @@ def limit_forecast_finding(
         breached=None if within is None else within >= rule.raise_probability,
         cleared=None if within_clear is None else 1.0 - within_clear >= rule.clear_probability,
         severity=Severity.INFO if within is None or within < rule.clear_probability else Severity.WARNING,
-        probability=evidence.number(within, 2),
+        probability=number_evidence(within, 2),
         evidence={
             "quantity": trend.quantity,
-            "slope_per_1000_km": evidence.estimate(trend.slope_per_1000_km),
-            "current": evidence.estimate(trend.current),
-            "distance_to_limit_km": evidence.forecast(trend.distance_to_limit_km),
-            "date_of_limit_ns": evidence.forecast(trend.date_of_limit_ns, 6),
+            "slope_per_1000_km": estimate_evidence(trend.slope_per_1000_km),
+            "current": estimate_evidence(trend.current),
+            "distance_to_limit_km": forecast_evidence(trend.distance_to_limit_km),
+            "date_of_limit_ns": forecast_evidence(trend.date_of_limit_ns, 6),
             "within_km": rule.within_km,
-            "limit": evidence.number(trend.limit),
+            "limit": number_evidence(trend.limit),
             "points": points,
-            **evidence.unknown(reason),
+            **unknown_evidence(reason),
         },
         action="plan_reprofiling",
         raise_limit=rule.within_km,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,7 +13,9 @@ from annotated_types import Interval
 from estimation.alerts.identity import IdentityEvent
 from estimation.values.alerts import Alert, Finding
 from estimation.values.geometry import GeometryRecord
-from estimation.values.reasons import Reason
+from estimation.values.json_value import JsonValue
+from estimation.values.quantities import Estimate, Forecast
+from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord
 from estimation.values.windows import WindowRecord, WindowState
@@ -107,3 +110,56 @@ class AlertRule(ABC):
         now_ns
             Our time, nanoseconds UTC since the Unix epoch.
         """
+
+
+def number_evidence(value: float | None, digits: int = 4) -> float | None:
+    """Return the value with some significant digits; None where unknown or not finite."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(f"{value:.{digits}g}")
+
+
+def estimate_evidence(value: Estimate) -> dict[str, JsonValue]:
+    """Return an estimate with its interval and status, as the API writes it."""
+    return {
+        "value": number_evidence(value.value),
+        "std": number_evidence(value.std, 3),
+        "interval_95": None if value.low is None else [number_evidence(value.low), number_evidence(value.high)],
+        "n_windows": number_evidence(value.count),
+        "status": str(value.status),
+        "reason": text_of(value.reason),
+        "reason_code": code_of(value.reason),
+    }
+
+
+def unknown_evidence(reason: Reason | None) -> dict[str, JsonValue]:
+    """Return why a rule cannot decide, as sentence and code; both None where it can.
+
+    Parameters
+    ----------
+    reason
+        Why.
+    """
+    return {"unknown_because": text_of(reason), "unknown_because_code": code_of(reason)}
+
+
+def too_few_windows(windows: int, needed: int) -> Reason | None:
+    """Return that there are fewer windows than a rule needs; None where there are enough.
+
+    Parameters
+    ----------
+    windows, needed
+        How many there are, and the least number.
+    """
+    if windows >= needed:
+        return None
+    return Reason(ReasonCode.TOO_FEW_WINDOWS, f"{windows} windows, {needed} needed")
+
+
+def forecast_evidence(value: Forecast, digits: int = 3) -> dict[str, JsonValue]:
+    """Return the quantiles of a forecast."""
+    return {
+        "p10": number_evidence(value.p10, digits),
+        "p50": number_evidence(value.p50, digits),
+        "p90": number_evidence(value.p90, digits),
+    }

@@ -9,8 +9,16 @@ from typing import Annotated, ClassVar
 from annotated_types import Interval
 from scipy.special import betainc
 
-from estimation.alerts.rules import evidence
-from estimation.alerts.rules.rule import AlertRule, Probability, Share, WheelsetFacts, WindowCount
+from estimation.alerts.rules.rule import (
+    AlertRule,
+    Probability,
+    Share,
+    WheelsetFacts,
+    WindowCount,
+    number_evidence,
+    too_few_windows,
+    unknown_evidence,
+)
 from estimation.values.alerts import Finding, Severity
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowRecord
@@ -85,12 +93,12 @@ def sensor_fault_finding(
         breached=over >= rule.raise_probability if enough else None,
         cleared=below_clear >= rule.clear_probability if enough else None,
         severity=Severity.WARNING,
-        probability=evidence.number(over, 3) if enough else None,
+        probability=number_evidence(over, 3) if enough else None,
         evidence={
             "faulty_windows": k,
             "windows": n,
             "reasons": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
-            **evidence.unknown(evidence.too_few_windows(n, rule.minimum_windows)),
+            **unknown_evidence(too_few_windows(n, rule.minimum_windows)),
         },
         action="replace_sensor",
         raise_limit=rule.raise_share,

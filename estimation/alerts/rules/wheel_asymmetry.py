@@ -15,8 +15,16 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import ndtr
 
-from estimation.alerts.rules import evidence
-from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, WindowCount
+from estimation.alerts.rules.rule import (
+    AlertRule,
+    Probability,
+    WheelsetFacts,
+    WindowCount,
+    estimate_evidence,
+    number_evidence,
+    too_few_windows,
+    unknown_evidence,
+)
 from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import WheelsetGeometry
@@ -146,7 +154,7 @@ def wheel_asymmetry_finding(
     not_assessable_reason
         Why the geometry does not count at present; None where it does.
     """
-    reason = not_assessable_reason or evidence.too_few_windows(windows, rule.minimum_windows)
+    reason = not_assessable_reason or too_few_windows(windows, rule.minimum_windows)
     limits = {
         "offset": (asymmetry.offset, rule.offset_limit_mm, rule.offset_clear_mm),
         "shape": (asymmetry.shape, rule.shape_limit_mm, rule.shape_clear_mm),
@@ -158,11 +166,11 @@ def wheel_asymmetry_finding(
     leading = max((n for n, p in over.items() if p is not None), key=lambda n: over[n] or 0.0, default="offset")
     blamed = sorted({*breaching, *(name for name in raised_by if name in limits)})
     details: dict[str, JsonValue] = {
-        "offset_mm": evidence.estimate(_in_mm(asymmetry.offset)),
-        "shape_mm": evidence.estimate(_in_mm(asymmetry.shape)),
+        "offset_mm": estimate_evidence(_in_mm(asymmetry.offset)),
+        "shape_mm": estimate_evidence(_in_mm(asymmetry.shape)),
         "raised_by": [*blamed],
         "windows": windows,
-        **evidence.unknown(reason),
+        **unknown_evidence(reason),
     }
     return Finding(
         wheelset=wheelset,
@@ -170,7 +178,7 @@ def wheel_asymmetry_finding(
         breached=True if breaching else (False if len(known) == len(over) else None),
         cleared=_cleared(over_clear, blamed, rule.clear_probability),
         severity=Severity.WARNING,
-        probability=evidence.number(max(known), 3) if known else None,
+        probability=number_evidence(max(known), 3) if known else None,
         evidence=details,
         action="measure_wheel_diameters" if leading == "offset" else "measure_wheel_profiles",
         raise_limit=limits[leading][1],

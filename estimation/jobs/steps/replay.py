@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from estimation.motion.gates import WindowParameters
+from estimation.motion.parameters import WindowParameters
 from estimation.motion.window_motion import window_motion
 from estimation.storage import UnitOfWork
 from estimation.values.motion import Motion

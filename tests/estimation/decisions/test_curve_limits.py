@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plain_windows import DT, SPEED, layout, plain_window
 
-from estimation.motion.curves import (
+from estimation.motion.usable_samples import (
     cant_deficiency_acceleration_range,
     detect_uncompensated_acceleration,
     straight,

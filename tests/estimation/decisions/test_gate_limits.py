@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 from plain_windows import GOOD
 
-from estimation.motion.gates import Gates, WindowParameters, gate
+from estimation.motion.checks import gate
+from estimation.motion.parameters import Gates, WindowParameters
 from estimation.values.reasons import ReasonCode, code_of
 
 GATES = WindowParameters().gates

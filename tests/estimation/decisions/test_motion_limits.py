@@ -9,10 +9,10 @@ import pytest
 from plain_windows import DT, GOOD, SPEED, layout, plain_track, plain_window
 
 from estimation.errors import ParameterError
-from estimation.motion.gates import WindowParameters
+from estimation.motion.parameters import WindowParameters
 from estimation.motion.integration import segments
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.track_relative import motion
+from estimation.motion.window_motion import motion
 from estimation.motion.window_motion import NO_ALIGNMENT, window_motion
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.motion import Motion

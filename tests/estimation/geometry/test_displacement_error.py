@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.geometry.conicity import CurveEstimates, CurveParameters, CurveReplicates, curve_estimates
-from estimation.geometry.displacement_error import MOST_EXCESS, DisplacementError
+from estimation.geometry.uncertainty import MOST_EXCESS, DisplacementError
 from estimation.values.arrays import FloatArray
 
 WIDTH = 0.25e-3  # m

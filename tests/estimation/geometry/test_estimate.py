@@ -16,7 +16,7 @@ from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.tables import bin_table
-from estimation.tables.window import tabulate_window
+from estimation.tables.bin_table import tabulate_window
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from smooth_wheelset import alignment, mems_windows, run, track
 
-from estimation.filters.wander_removal import remove_wander
+from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.gauge_shift import gauge_shift
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.track_relative import motion
+from estimation.motion.window_motion import motion
 from estimation.values.arrays import FloatArray
 from estimation.values.motion import Motion
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings

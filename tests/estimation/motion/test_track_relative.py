@@ -9,9 +9,9 @@ import pytest
 from smooth_wheelset import alignment, mems_windows, run, track
 
 from estimation.errors import ParameterError
-from estimation.filters.wander_removal import remove_wander
+from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.track_relative import motion
+from estimation.motion.window_motion import motion
 from estimation.values.motion import Motion
 from estimation.values.reasons import Reason
 

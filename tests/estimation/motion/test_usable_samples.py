@@ -12,9 +12,9 @@ from smooth_wheelset import SmoothTable, alignment, mems_windows, run, track
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.alignment_lookup import deconvolved
-from estimation.motion.curves import straight, straight_part
 from estimation.motion.parameters import CurveLimits, SignalParameters
-from estimation.motion.track_relative import motion
+from estimation.motion.usable_samples import straight, straight_part
+from estimation.motion.window_motion import motion
 from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import FLEET, TrackAlignment, TrackLayout

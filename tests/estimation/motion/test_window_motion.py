@@ -12,7 +12,7 @@ from smooth_wheelset import alignment, track
 from estimation.geometry.estimate import estimate_geometry
 from estimation.motion.checks import direction
 from estimation.tables import bin_table
-from estimation.tables.window import tabulate_window
+from estimation.tables.bin_table import tabulate_window
 from estimation.values.reasons import Reason
 from estimation.values.windows import Window
 
