@@ -10,8 +10,8 @@ which is what a Kalman filter over the segment and the Rauch-Tung-Striebel smoot
 least-squares problem. Of a wave of length l it leaves 1 / (1 + (l/L)^6): half at the cut-off L, 98.5 % at L/2, 1.5 %
 at 2 L. At the ends of a segment, where a filter would have to guess, the spline runs on as a parabola.
 
-``remove_wander`` is the high-pass of a segment: it also takes out what offsets and gaps of an acceleration integrate to.
-``docs/decisions/wander-smoother.md`` gives the reasons.
+``remove_wander`` is the high-pass of a segment: it also takes out what offsets and gaps of an acceleration integrate
+to. ``docs/decisions/wander-smoother.md`` gives the reasons.
 """
 
 from __future__ import annotations
