@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from plain_windows import DT, SPEED, layout, plain_window
 
+from estimation.motion.parameters import SignalParameters
 from estimation.motion.usable_samples import (
     cant_deficiency_acceleration_range,
     detect_uncompensated_acceleration,
+    moving_samples,
     straight,
     straight_part,
+    usable_samples,
 )
-from estimation.motion.parameters import SignalParameters
-from estimation.motion.usable_samples import moving_samples, usable_samples
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackLayout

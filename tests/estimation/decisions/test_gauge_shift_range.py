@@ -9,7 +9,7 @@ import pytest
 from plain_windows import DT, SPEED, plain_track, plain_window
 
 from estimation.filters.local_cubic import local_cubic_kernel
-from estimation.filters.wander_removal import remove_wander
+from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.gauge_shift import gauge_shift
 from estimation.motion.integration import integrate
 from estimation.motion.parameters import SignalParameters

@@ -9,11 +9,9 @@ import pytest
 from plain_windows import DT, GOOD, SPEED, layout, plain_track, plain_window
 
 from estimation.errors import ParameterError
-from estimation.motion.parameters import WindowParameters
 from estimation.motion.integration import segments
-from estimation.motion.parameters import SignalParameters
-from estimation.motion.window_motion import motion
-from estimation.motion.window_motion import NO_ALIGNMENT, window_motion
+from estimation.motion.parameters import SignalParameters, WindowParameters
+from estimation.motion.window_motion import NO_ALIGNMENT, motion, window_motion
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
