@@ -13,6 +13,7 @@ import numpy as np
 
 from api.factory import SystemClock, open_store, raw_store
 from api.settings import Settings
+from bench.mems import HIGH, LOW, is_scored
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.parameters import SignalParameters
@@ -31,7 +32,6 @@ from ingest.receiver import Receiver
 from ingest.registry_file import load_registry
 from ingest.simulator.fleet import FleetReport
 
-LOW, HIGH = 1.0, 2.5  # mm of amplitude, as the bench
 UNIT = {name: "mm" if name.startswith("rolling") else "rad" for name in COMBINATIONS}
 
 
@@ -105,7 +105,13 @@ def score(cases: Sequence[Case], estimates: Sequence[WheelsetGeometry]) -> Score
     for case, estimate in zip(cases, estimates, strict=True):
         for amplitude, value in zip(1e3 * estimate.amplitude, estimate.conicity, strict=True):
             at = np.flatnonzero(np.isclose(case.amplitude_mm, amplitude))
-            if not len(at) or value.value is None or value.low is None or value.high is None:
+            if (
+                not is_scored(amplitude)
+                or not len(at)
+                or value.value is None
+                or value.low is None
+                or value.high is None
+            ):
                 continue
             true = case.conicity[at[0]]
             result.covered.append(bool(value.low <= true <= value.high))
