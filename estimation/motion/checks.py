@@ -233,12 +233,11 @@ def to_wheelset_axes(
     integrated, track
         As measured, and as on file.
     way
-        From :func:`direction`.
+        1 along the section, -1 against it, from :func:`direction`.
     mounted_reversed
         The wheelset's left wheel is on the vehicle's right-hand side.
     """
-    mounted = -1 if mounted_reversed else 1
-    if way * mounted < 0:
+    if (way < 0) != mounted_reversed:
         track = _turned(track)
     return mirrored(integrated) if mounted_reversed else integrated, track
 

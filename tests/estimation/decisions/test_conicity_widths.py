@@ -1,0 +1,275 @@
+"""Conicity, nonlinearity and zero crossing of curves whose answer is known, and the widths of their intervals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from estimation.contact.conicity import equivalent_conicity
+from estimation.geometry.conicity import (
+    CurveEstimates,
+    CurveParameters,
+    CurveReplicates,
+    at_reference_amplitude,
+    curve_estimates,
+    not_covered,
+    too_few_blocks,
+)
+from estimation.geometry.displacement_error import DisplacementError
+from estimation.values.arrays import FloatArray
+from estimation.values.intervals import jackknife_std
+from estimation.values.quantities import Estimate
+from estimation.values.reasons import ReasonCode, code_of
+
+WIDTH = 0.25e-3
+EDGES = (np.arange(-28, 30) - 0.5) * WIDTH
+CENTRE = 0.5 * (EDGES[:-1] + EDGES[1:])
+BINS = len(CENTRE)
+EXACT = DisplacementError(0.0, 0.0, 0.0)
+PARAMETERS = CurveParameters()
+CONE = 0.1  # tan gamma_e: rL - rR = 2 x 0.1 x
+GROUPS = 6
+AT_3 = PARAMETERS.amplitudes.index(3e-3)
+
+
+def line(slope: float, offset: float = 0.0) -> FloatArray:
+    """Return the quadratics (b, 3) over u of a straight curve, m."""
+    return np.column_stack([slope * (CENTRE - offset), np.full(BINS, slope * WIDTH), np.zeros(BINS)])
+
+
+def cubic(linear: float = 2 * CONE, third: float = 3e3) -> FloatArray:
+    """Return the quadratics that osculate a cubic at the centres."""
+    value = linear * CENTRE + third * CENTRE**3
+    slope = (linear + 3 * third * CENTRE**2) * WIDTH
+    return np.column_stack([value, slope, 3 * third * CENTRE * WIDTH**2])
+
+
+def curve(shape: FloatArray | None = None, *others: FloatArray, **changes: object) -> CurveReplicates:
+    whole = line(2 * CONE) if shape is None else shape
+    rows = np.stack([whole, *(others or (whole,) * GROUPS)])
+    made = CurveReplicates(
+        EDGES, rows, np.zeros((BINS, 0, 3)), np.ones(BINS, dtype=bool), EXACT, 8.0, band_limited=True
+    )
+    return replace(made, **changes)
+
+
+def estimates(item: CurveReplicates) -> CurveEstimates:
+    return curve_estimates(item, PARAMETERS)
+
+
+def std(estimate: Estimate) -> float:
+    assert estimate.std is not None
+    return estimate.std
+
+
+def value(estimate: Estimate) -> float:
+    assert estimate.value is not None
+    return estimate.value
+
+
+def test_the_amplitudes_of_en_15302_and_their_neighbours_are_published() -> None:
+    np.testing.assert_allclose(PARAMETERS.amplitudes, np.linspace(0.5e-3, 6e-3, 23), atol=1e-12)
+    assert PARAMETERS.reference_amplitude == 3e-3
+    assert (PARAMETERS.nonlinearity_low, PARAMETERS.nonlinearity_high) == (2e-3, 4e-3)
+
+
+def test_a_cone_has_its_conicity_at_every_amplitude_and_no_width() -> None:
+    found = estimates(curve())
+    for estimate in found.conicity:
+        assert value(estimate) == pytest.approx(CONE, rel=1e-4)
+        assert std(estimate) == pytest.approx(0.0, abs=1e-7)
+        assert estimate.count == 8.0
+    assert value(found.nonlinearity) == pytest.approx(0.0, abs=1e-7)
+    assert (found.reported_amplitude, found.at_reference) == (3e-3, found.conicity[AT_3])
+
+
+@pytest.mark.parametrize("groups", [4, 6])
+def test_the_spread_of_the_groups_is_the_interval_of_students_t(groups: int) -> None:
+    cones = CONE * (1.0 + 0.01 * np.cos(np.arange(groups)))
+    found = estimates(curve(line(2 * CONE), *(line(2 * cone) for cone in cones))).at_reference
+    expected = np.sqrt((groups - 1) / groups * ((cones - cones.mean()) ** 2).sum())
+    assert std(found) == pytest.approx(expected, rel=1e-3)
+    assert found.high is not None
+    assert found.high - value(found) == pytest.approx(stats.t.ppf(0.975, groups - 1) * expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("error", "conicity", "width"),
+    [
+        (DisplacementError(0.0, 0.0, 0.02), CONE, CONE - CONE / 1.02),  # a stretch
+        (DisplacementError(0.0, 0.05, 0.0), CONE / 0.95, CONE / 0.95 - CONE),  # what was taken back
+        (DisplacementError(0.1e-3, 0.0, 0.0), CONE, 0.0),  # a straight line has nothing to be rounded
+    ],
+)
+def test_an_error_of_the_displacement_stretches_a_cone(error: DisplacementError, conicity: float, width: float) -> None:
+    found = estimates(curve(error=error)).at_reference
+    assert value(found) == pytest.approx(conicity, rel=1e-4)
+    assert std(found) == pytest.approx(width, rel=1e-3, abs=1e-7)
+
+
+def test_uncertain_parameters_add_up() -> None:
+    sensitivity = np.stack([line(0.006), line(-0.008)], axis=1)
+    found = estimates(curve(sensitivity=sensitivity)).at_reference
+    assert std(found) == pytest.approx(np.hypot(0.003, 0.004), rel=1e-3)
+
+
+def test_four_fifths_of_what_is_systematic_at_one_end_of_the_nonlinearity_is_not_at_the_other() -> None:
+    """A stretch changes the conicity of a cone alike at 2 and 4 mm; NP is their difference over 2 mm."""
+    found = estimates(curve(error=DisplacementError(0.0, 0.0, 0.02))).nonlinearity
+    change = CONE - CONE / 1.02
+    assert std(found) == pytest.approx(0.8 * np.sqrt(2.0) * change / 2.0, rel=1e-3)
+
+
+def test_the_nonlinearity_is_the_change_of_conicity_over_two_millimetres() -> None:
+    third = np.array([3.0, 2.0, 2.5, 3.2, 3.9, 3.4]) * 1e3
+    item = curve(cubic(), *(cubic(third=each) for each in third))
+    found = estimates(item)
+    low, high = (PARAMETERS.amplitudes.index(a) for a in (2e-3, 4e-3))
+    change = value(found.conicity[high]) - value(found.conicity[low])
+    assert change > 0.01
+    assert value(found.nonlinearity) == pytest.approx(change / 2.0)
+    x, rows = nodes(item)
+    conicity = np.stack([equivalent_conicity(x, row, (2e-3, 4e-3)) for row in rows])
+    jackknife = float(jackknife_std((conicity[:, 1] - conicity[:, 0]) / 2.0))
+    others = systematic_rows(item, (2e-3, 4e-3)) - conicity[0]
+    assert std(found.nonlinearity) == pytest.approx(np.hypot(jackknife, 0.4 * np.sqrt((others**2).sum())), rel=1e-6)
+
+
+def nodes(item: CurveReplicates) -> tuple[FloatArray, list[FloatArray]]:
+    """Return edges and centres (2 b + 1,) and every replicate there: the mean of both bins at an edge."""
+    x, rows = [], []
+    for replicate in item.difference:
+        places, values = [], []
+        for b, (r, slope, bend) in enumerate(replicate):
+            left = r + slope * -0.5 + bend * 0.25
+            if b:
+                before = replicate[b - 1]
+                left = 0.5 * (left + before[0] + before[1] * 0.5 + before[2] * 0.25)
+            places += [EDGES[b], CENTRE[b]]
+            values += [left, r]
+        last = replicate[-1]
+        x = np.array([*places, EDGES[-1]])
+        rows.append(np.array([*values, last[0] + last[1] * 0.5 + last[2] * 0.25]))
+    return np.asarray(x), rows
+
+
+def systematic_rows(item: CurveReplicates, amplitudes: tuple[float, ...]) -> FloatArray:
+    """Return the conicities (r, a) of a curve with each systematic error in turn."""
+    at, rows = nodes(item)
+    error, row = item.error, rows[0]
+    x = (1.0 - error.excess) * at
+    shifted = []
+    for k in range(item.sensitivity.shape[1]):
+        _, (further,) = nodes(replace(item, difference=item.sensitivity[None, :, k]))
+        shifted.append(equivalent_conicity(x, row + further, amplitudes))
+    coarse = np.interp(at, CENTRE, item.difference[0, :, 0])
+    a = np.array(amplitudes)
+    low, here, high = (equivalent_conicity(x, row, a + step) for step in (-0.25e-3, 0.0, 0.25e-3))
+    bend = (low - 2.0 * here + high) / (0.25e-3) ** 2
+    return np.stack(
+        [
+            *shifted,
+            equivalent_conicity(at, row, amplitudes),
+            equivalent_conicity((1.0 + error.scale) * x, row, amplitudes),
+            equivalent_conicity(x, error.rounded(x, row), amplitudes),
+            equivalent_conicity(x, coarse, amplitudes),
+            here + 0.5 * bend * error.resolution(WIDTH) ** 2,
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    "error",
+    [EXACT, DisplacementError(0.15e-3, 0.01, 0.004, 0.0, 0.3e-3)],
+)
+def test_the_width_at_every_amplitude_is_the_sum_over_all_that_is_uncertain(error: DisplacementError) -> None:
+    shape = cubic() + np.column_stack([0.2e-3 * (CENTRE > 1.6e-3), np.zeros(BINS), np.zeros(BINS)])
+    replicates = [shape + line(0.002 * np.sin(k)) for k in range(GROUPS)]
+    item = curve(shape, *replicates, error=error, sensitivity=np.stack([line(0.004), cubic(0.002, 100.0)], axis=1))
+    amplitudes = (1e-3, 1.75e-3, 3e-3, 5e-3)
+    at, rows = nodes(item)
+    conicity = np.stack([equivalent_conicity((1.0 - error.excess) * at, row, amplitudes) for row in rows])
+    others = systematic_rows(item, amplitudes) - conicity[0]
+    expected = np.hypot(jackknife_std(conicity), np.sqrt((others**2).sum(axis=0)))
+    found = estimates(item)
+    for a, wanted, true in zip(amplitudes, expected, conicity[0], strict=True):
+        estimate = found.conicity[PARAMETERS.amplitudes.index(a)]
+        assert value(estimate) == pytest.approx(true, rel=1e-9)
+        assert std(estimate) == pytest.approx(wanted, rel=1e-6)
+
+
+def usable(low: int, high: int) -> dict[str, object]:
+    """Return that bins from ``low`` to ``high`` beside the middle can be used."""
+    at = np.arange(BINS) - BINS // 2
+    return {"usable": (at >= low) & (at <= high)}
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "code"),
+    [(-2, 2, None), (-2, 1, ReasonCode.TOO_FEW_BINS), (-1, 3, ReasonCode.AMPLITUDE_NOT_COVERED)],
+)
+def test_a_curve_needs_five_bins_around_zero(low: int, high: int, code: ReasonCode | None) -> None:
+    found = estimates(curve(**usable(low, high)))
+    assert code_of(found.at_reference.reason) is code
+    if code is None:
+        assert value(found.at_reference) == pytest.approx(CONE, rel=1e-4)
+        assert found.reported_amplitude == pytest.approx(0.5e-3)
+    else:
+        assert found.reported_amplitude == 3e-3
+
+
+@pytest.mark.parametrize(("groups", "code"), [(4, None), (3, ReasonCode.TOO_FEW_BLOCKS)])
+def test_an_interval_needs_four_groups(groups: int, code: ReasonCode | None) -> None:
+    found = estimates(curve(line(2 * CONE), *(line(2 * CONE),) * groups))
+    for estimate in (found.at_reference, found.nonlinearity, *found.conicity):
+        assert code_of(estimate.reason) is code
+        assert estimate.count == 8.0
+    assert code_of(too_few_blocks(3)) is ReasonCode.TOO_FEW_BLOCKS
+    assert "3 blocks of data, 4" in str(too_few_blocks(3))
+
+
+def test_the_run_of_bins_ends_at_the_first_that_cannot_be_used_on_each_side() -> None:
+    every = np.ones(BINS, dtype=bool)
+    middle = BINS // 2
+    holed = every.copy()
+    holed[[middle - 9, middle + 14]] = False  # up to 2.125 mm to the left and 3.375 mm to the right
+    found = estimates(curve(usable=holed))
+    covered = [a for a, estimate in zip(found.amplitude, found.conicity, strict=True) if estimate.value is not None]
+    assert max(covered) == pytest.approx(2e-3)
+    assert found.reported_amplitude == pytest.approx(2e-3)
+    assert code_of(found.conicity[-1].reason) is ReasonCode.AMPLITUDE_NOT_COVERED
+    assert code_of(found.nonlinearity.reason) is ReasonCode.AMPLITUDE_NOT_COVERED
+    holed = every.copy()
+    holed[middle] = False
+    assert code_of(estimates(curve(usable=holed)).at_reference.reason) is ReasonCode.TOO_FEW_BINS
+
+
+def test_a_bin_of_which_a_replicate_is_not_finite_cannot_be_used() -> None:
+    broken = line(2 * CONE)
+    broken[BINS // 2 + 9, 2] = np.nan
+    found = estimates(curve(line(2 * CONE), *(line(2 * CONE),) * 5, broken))
+    assert found.reported_amplitude == pytest.approx(2e-3)
+
+
+def test_the_reference_is_three_millimetres_or_the_largest_covered_below() -> None:
+    unknown = Estimate.unknown(not_covered(1e-3), 8.0)
+    amplitude = np.array([2e-3, 3e-3 + 1e-12, 4e-3])
+    some = estimates(curve()).conicity[:3]
+    assert at_reference_amplitude(amplitude, some, PARAMETERS) == (some[1], 3e-3 + 1e-12)
+    found = at_reference_amplitude(amplitude, (some[0], unknown, some[2]), PARAMETERS)
+    assert found == (some[0], 2e-3)
+    none, at = at_reference_amplitude(amplitude, (unknown, unknown, some[2]), PARAMETERS)
+    assert (code_of(none.reason), at, none.count) == (ReasonCode.AMPLITUDE_NOT_COVERED, 3e-3, 8.0)
+
+
+def test_the_zero_crossing_moves_with_the_scale_and_is_not_in_band_limited_signals() -> None:
+    shape = line(2 * CONE, 0.5e-3)
+    found = estimates(curve(shape, band_limited=False, error=DisplacementError(0.0, 0.0, 0.02))).zero_crossing
+    assert value(found) == pytest.approx(0.5e-3)
+    assert std(found) == pytest.approx(0.02 * 0.5e-3, rel=1e-6)
+    assert code_of(estimates(curve(shape)).zero_crossing.reason) is ReasonCode.OFFSET_NOT_OBSERVABLE
+    never = estimates(curve(line(2 * CONE, 20e-3), band_limited=False)).zero_crossing
+    assert code_of(never.reason) is ReasonCode.NO_ZERO_CROSSING

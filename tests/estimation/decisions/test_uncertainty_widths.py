@@ -1,0 +1,98 @@
+"""What is not known of the vehicle and of the track, as standard deviations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plain_windows import plain_track
+
+from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.values.track import FLEET, GaugeShift, TrackAlignment, TrackFindings
+from estimation.vehicle.regressors import LATERAL_TARGETS, YAW_TARGETS
+
+UNCERTAIN = ParameterUncertainty()
+S = np.arange(1001.0)
+GAUGE = 2e-3 * np.sin(2 * np.pi * S / 40.0)
+GAUGE_STD = 2e-3 / np.sqrt(2.0)
+SHIFT = GaugeShift(np.array([-1e-3, 1e-3]), np.array([-1e-3, 1e-3]), np.zeros((2, 2)))
+
+
+def findings(*wheelsets: str, std: float = 0.01) -> TrackFindings:
+    return TrackFindings({}, std, dict.fromkeys(wheelsets, SHIFT))
+
+
+def track(found: TrackFindings | None = None, **changes: object) -> TrackAlignment:
+    return plain_track(gauge_deviation=GAUGE, findings=found, **changes)
+
+
+def test_the_defaults_are_half_of_the_95_percent_limits() -> None:
+    """Creep coefficients +-20 %, springs and dampers +-10 %, masses +-5 %."""
+    limits = {
+        "lateral_creep": 0.2,
+        "longitudinal_creep": 0.2,
+        "spin_creep": 0.2,
+        "mass": 0.05,
+        "load": 0.05,
+        "yaw_inertia": 0.05,
+        "lateral_stiffness": 0.1,
+        "lateral_damping": 0.1,
+        "yaw_stiffness": 0.1,
+    }
+    np.testing.assert_allclose(2.0 * UNCERTAIN.lateral(), [limits[name] for name in LATERAL_TARGETS[1:]])
+    np.testing.assert_allclose(2.0 * UNCERTAIN.yaw(), [limits[name] for name in YAW_TARGETS[1:]])
+    assert (UNCERTAIN.ratio, UNCERTAIN.displacement, UNCERTAIN.jump_position_std) == (None, 0.0, 0.0)
+
+
+def test_an_estimated_ratio_stands_for_creep_and_stiffness_of_the_yaw_equation_alone() -> None:
+    known = replace(UNCERTAIN, ratio=0.03)
+    np.testing.assert_allclose(known.yaw(), [0.0, 0.03, 0.025, 0.1])
+    np.testing.assert_array_equal(known.lateral(), UNCERTAIN.lateral())
+
+
+@pytest.mark.parametrize(
+    ("found", "gauge_known", "share"),
+    [
+        (None, True, 0.5),  # contact jumps move by half the gauge deviation
+        (findings(), True, 0.5),
+        (findings("W2"), True, 0.5),
+        (findings("W1"), True, 0.22),
+        (findings("W1"), False, 0.32),
+        (findings("W2"), False, 0.5),
+    ],
+)
+def test_where_contact_jumps_are_is_known_to_a_share_of_the_gauge(
+    found: TrackFindings | None, share: float, *, gauge_known: bool
+) -> None:
+    left = UNCERTAIN.on([track(found, gauge_known=gauge_known)], "W1").jump_position_std
+    assert left == pytest.approx(share * GAUGE_STD, rel=0.005)
+
+
+def test_without_a_serial_the_findings_of_any_wheelset_count() -> None:
+    assert UNCERTAIN.on([track(findings("W2"))]).jump_position_std == pytest.approx(0.22 * GAUGE_STD, rel=0.005)
+    assert UNCERTAIN.on([track(findings())]).jump_position_std == pytest.approx(0.5 * GAUGE_STD, rel=0.005)
+
+
+def test_of_several_tracks_the_worst_counts() -> None:
+    quiet = replace(track(), gauge_deviation=np.zeros(1001))
+    left = UNCERTAIN.on([replace(quiet, scale_std=0.01), replace(track(), scale_std=0.002)])
+    assert left.displacement == 0.01
+    assert left.jump_position_std == pytest.approx(0.5 * GAUGE_STD, rel=0.005)
+    unchanged = replace(UNCERTAIN, ratio=0.02, displacement=0.03, jump_position_std=1e-4)
+    assert unchanged.on([]) == unchanged
+
+
+def test_a_ratio_is_known_where_every_track_found_it() -> None:
+    one, other = track(findings("W1", std=0.01)), track(findings("W1", std=0.02))
+    assert UNCERTAIN.on([one, other], "W1").ratio == 0.02
+    assert UNCERTAIN.on([one, track()], "W1").ratio is None
+    assert replace(UNCERTAIN, ratio=0.05).on([one, track()], "W1").ratio == 0.05
+
+
+def test_a_recording_has_found_nothing_of_a_wheelset_that_it_does_not_name() -> None:
+    of_another = findings("W2")
+    assert UNCERTAIN.on([track(of_another)], "W1").ratio is None
+    assert UNCERTAIN.on([track(of_another)], "W2").ratio == 0.01
+    assert UNCERTAIN.on([track(of_another)]).ratio == 0.01
+    assert UNCERTAIN.on([track(of_another, source=FLEET)], "W1").ratio == 0.01
