@@ -1,18 +1,20 @@
-"""The numbers that docs/decisions quotes. Run: ``python -m bench.decisions [DEMO_FOLDER]``.
+"""The numbers that docs/decisions quotes. Run: ``python -m bench.decisions [DEMO_FOLDER] [--write-docs]``.
 
 The scenario is ``mems`` (four wheelsets, ten minutes, MEMS sensors), of three seeds, through recordings, receiver and
-windows. With a folder of ``treadwatch demo`` the forgetting is measured on its fleet too.
+windows. With a folder of ``treadwatch demo`` the forgetting is measured on its fleet too. ``--write-docs`` writes what
+is printed to ``docs/results/decisions.md`` too.
 """
 
 from __future__ import annotations
 
+import argparse
+import io
 import json
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +27,7 @@ from scipy.signal import butter, sosfiltfilt
 from api.factory import open_store
 from api.settings import Settings
 from bench.decision_cases import UNIT, Case, estimated, merged, moved, received, score
+from bench.results_page import write_page
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
@@ -41,6 +44,7 @@ from ingest.simulator.fleet import run_fleet
 from ingest.simulator.scenario_file import load_scenario
 
 SEEDS = (15302, 1, 2)
+TITLE = "Figures of the decision records"
 LENGTHS_S = (20.0, 60.0, 300.0)
 CUT_OFF = SignalParameters().cutoff_wavelength
 WELL_FILLED = 1000  # samples in a bin
@@ -48,7 +52,23 @@ CREEP = ("longitudinal_creep_coefficient", "lateral_creep_coefficient", "lateral
 
 
 def main() -> None:
-    """Print everything."""
+    """Print everything, and write it as a page of results if asked."""
+    parser = argparse.ArgumentParser("python -m bench.decisions", description="Print the numbers of docs/decisions.")
+    parser.add_argument("demo", nargs="?", type=Path, help="folder of treadwatch demo, for the half life of forgetting")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/results/decisions.md too")
+    options = parser.parse_args()
+    printed = io.StringIO()
+    with redirect_stdout(printed):
+        measure(options.demo)
+    print(printed.getvalue(), end="")
+    if options.write_docs:
+        command = "python -m bench.decisions --write-docs"
+        block = f"```\n{printed.getvalue()}```"
+        print(f"wrote {write_page('decisions', TITLE, command, [block])}")
+
+
+def measure(demo: Path | None) -> None:
+    """Print every measurement; that of forgetting only with the folder of a demo."""
     with tempfile.TemporaryDirectory(prefix="treadwatch-decisions-") as folder:
         reports = [
             run_fleet(replace(load_scenario("mems"), seed=seed), Path(folder) / f"seed-{seed}") for seed in SEEDS
@@ -61,8 +81,8 @@ def main() -> None:
     groups(cases)
     parameters(cases)
     published_bins(cases)
-    if len(sys.argv) > 1:
-        half_lives(Path(sys.argv[1]))
+    if demo is not None:
+        half_lives(demo)
 
 
 def window_lengths(by_length: dict[float, list[Case]]) -> None:

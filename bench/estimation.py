@@ -93,8 +93,8 @@ def gauge_rows() -> Iterator[BenchRow]:
     truth = case.truth["contact_angle_sum"][enough]
     yield BenchRow(
         "gauge varying by 2 mm, unknown: contact angle sum",
-        f"{published} of {int(enough.sum())} bins published (the rest say that the data cannot say, or that a jump "
-        f"crosses); the paper's algorithm is off by {np.nanmedian(np.abs(printed / truth - 1)):.0f} times the truth",
+        f"{published} of {int(enough.sum())} bins published (the rest are unobservable, or crossed by a jump)"
+        f"; the paper's algorithm is off by {np.nanmedian(np.abs(printed / truth - 1)):.0f} times the truth",
         "shown",
         met=True,
     )
