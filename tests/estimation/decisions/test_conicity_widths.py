@@ -18,7 +18,7 @@ from estimation.geometry.conicity import (
     not_covered,
     too_few_blocks,
 )
-from estimation.geometry.displacement_error import DisplacementError
+from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import FloatArray
 from estimation.values.intervals import jackknife_std
 from estimation.values.quantities import Estimate

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation.geometry.displacement_error import DisplacementError
+from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import BoolArray, FloatArray
 
 WIDTH = 0.25e-3
