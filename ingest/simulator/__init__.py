@@ -1,1 +1,1 @@
-"""Vehicles that talk CAN."""
+"""Simulated vehicles that send CAN frames."""

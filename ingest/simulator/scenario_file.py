@@ -15,19 +15,16 @@ from ingest.input_file import InputTable, Text, field_error, read_toml
 from ingest.simulator.campaign import MARGIN
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario import Scenario
-from ingest.simulator.scenario_schema import (
-    BusTable,
+from ingest.simulator.scenario_schema.fleet import (
     DrawnFleetTable,
     DynamicsTable,
     FleetTable,
-    PositionTable,
-    SectionTable,
-    SensorsTable,
-    SessionsTable,
-    SpeedTable,
     VehicleErrorsTable,
     VehicleTable,
 )
+from ingest.simulator.scenario_schema.measurement import BusTable, PositionTable, SensorsTable
+from ingest.simulator.scenario_schema.running import SessionsTable, SpeedTable
+from ingest.simulator.scenario_schema.track import SectionTable
 
 MAX_SEED = 2**53
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from alignment_job import DAY_NS, counts, in_force, put, register, report
 from sqlalchemy import update
-from test_refresh_alignment import DAY_NS, counts, in_force, put, register, report
 
 from estimation.contact.profiles import MeasuredProfiles, Profile, wheel_profile
 from estimation.values.quantities import Status

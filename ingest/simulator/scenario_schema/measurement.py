@@ -1,0 +1,102 @@
+"""What is measured and sent, with its errors: sensors, positions, bus."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
+from ingest.simulator.scenario import BusPlan, PositionErrors
+from ingest.simulator.scenario_schema.units import MICRO_G
+from ingest.simulator.sensors import FULL_RATE_HZ, Channel, SensorNode, ideal_node
+
+
+def _divides_full_rate(rate: int) -> int:
+    if FULL_RATE_HZ % rate:
+        raise field_error(f"{rate} Hz does not divide {FULL_RATE_HZ} Hz")
+    return rate
+
+
+class SensorsTable(InputTable):
+    """``[sensors]``."""
+
+    kind: Text = "mems"
+    rate_hz: Annotated[int, Field(ge=1, le=FULL_RATE_HZ), AfterValidator(_divides_full_rate)] = 250
+    anti_alias: bool = True
+    lateral_noise_ug_per_root_hz: NotNegative = 100.0
+    lateral_offset_mg: NotNegative = 20.0
+    lateral_drift_ug_per_root_s: NotNegative = 20.0
+    lateral_limit_g: Positive = 50.0
+    mass_noise_ug_per_root_hz: NotNegative = 100.0
+    mass_offset_mg: NotNegative = 10.0
+    mass_drift_ug_per_root_s: NotNegative = 20.0
+    mass_limit_g: Positive = 2.0
+    angular_noise_rad_s2_per_root_hz: NotNegative = 2e-3
+    angular_offset_rad_s2: NotNegative = 0.05
+    angular_drift_rad_s2_per_root_s: NotNegative = 2e-4
+    angular_limit_rad_s2: Positive = 100.0
+
+    @model_validator(mode="after")
+    def _check_kind(self) -> Self:
+        if self.kind not in ("mems", "ideal"):
+            raise field_error(f"{self.kind!r} is neither 'mems' nor 'ideal'", "kind")
+        if self.kind == "ideal":
+            for key in self.model_fields_set - {"kind", "rate_hz"}:
+                raise field_error("unknown key of ideal sensors; known here: kind, rate_hz", key)
+        return self
+
+    def plan(self) -> SensorNode:
+        """Return the sensor node in SI units."""
+        if self.kind == "ideal":
+            return ideal_node(self.rate_hz)
+        lateral = Channel(
+            noise_density=MICRO_G * self.lateral_noise_ug_per_root_hz,
+            offset=1e3 * MICRO_G * self.lateral_offset_mg,
+            drift=MICRO_G * self.lateral_drift_ug_per_root_s,
+            limit=1e6 * MICRO_G * self.lateral_limit_g,
+        )
+        mass = Channel(
+            noise_density=MICRO_G * self.mass_noise_ug_per_root_hz,
+            offset=1e3 * MICRO_G * self.mass_offset_mg,
+            drift=MICRO_G * self.mass_drift_ug_per_root_s,
+            limit=1e6 * MICRO_G * self.mass_limit_g,
+        )
+        angular = Channel(
+            noise_density=self.angular_noise_rad_s2_per_root_hz,
+            offset=self.angular_offset_rad_s2,
+            drift=self.angular_drift_rad_s2_per_root_s,
+            limit=self.angular_limit_rad_s2,
+        )
+        return SensorNode(lateral, angular, angular, mass, rate_hz=self.rate_hz, anti_alias=self.anti_alias)
+
+
+class PositionTable(InputTable):
+    """``[position]``."""
+
+    largest_offset_m: float = Field(default=0.0, ge=0.0, le=1000.0)
+    largest_scale_percent: float = Field(default=0.0, ge=0.0, le=10.0)
+
+    def plan(self) -> PositionErrors:
+        """Return the position errors in SI units."""
+        return PositionErrors(offset=self.largest_offset_m, scale=self.largest_scale_percent / 100.0)
+
+
+class BusTable(InputTable):
+    """``[bus]``."""
+
+    lost_frames_percent: float = Field(default=0.0, ge=0.0, le=50.0)
+    bursts_per_hour: float = Field(default=0.0, ge=0.0, le=3600.0)
+    burst_s: float = Field(default=0.5, ge=0.0, le=60.0)
+    jitter_us: float = Field(default=0.0, ge=0.0, le=1000.0)
+    recorder_clock_offset_s: float = Field(default=0.0, ge=-86400.0, le=86400.0)
+
+    def plan(self) -> BusPlan:
+        """Return the errors of the bus in SI units."""
+        return BusPlan(
+            lost_share=self.lost_frames_percent / 100.0,
+            burst_per_hour=self.bursts_per_hour,
+            burst=self.burst_s,
+            jitter=1e-6 * self.jitter_us,
+            recorder_offset=self.recorder_clock_offset_s,
+        )

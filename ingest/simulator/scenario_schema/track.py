@@ -1,0 +1,156 @@
+"""The section that the vehicles run on: profiles, survey, curves, the recipe of its irregularities."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
+from ingest.simulator.curves import Curve
+from ingest.simulator.scenario import SectionPlan
+from ingest.simulator.scenario_schema.profile_names import RailName
+from ingest.simulator.scenario_schema.units import MM
+from ingest.simulator.track import TrackRecipe
+
+MIN_CURVE_RADIUS = 150.0  # m
+
+
+def _curve_radius(radius: float) -> float:
+    if abs(radius) < MIN_CURVE_RADIUS:
+        raise field_error(f"{radius:g} m is no radius; at least {MIN_CURVE_RADIUS:g} m, negative to the right")
+    return radius
+
+
+class CurveTable(InputTable):
+    """``[[section.curves]]``."""
+
+    start_m: NotNegative
+    length_m: Positive
+    radius_m: Annotated[float, Field(ge=-1e6, le=1e6), AfterValidator(_curve_radius)]
+    cant_mm: float = Field(default=0.0, ge=-200.0, le=200.0)
+    transition_m: Positive = 80.0
+
+    @model_validator(mode="after")
+    def _check_transitions(self) -> Self:
+        if self.length_m <= 2.0 * self.transition_m:
+            raise field_error(f"{self.length_m:g} m is no longer than both transitions", "length_m")
+        return self
+
+    def plan(self) -> Curve:
+        """Return the curve in SI units."""
+        return Curve(
+            start=self.start_m,
+            length=self.length_m,
+            radius=self.radius_m,
+            cant=MM * self.cant_mm,
+            transition=self.transition_m,
+        )
+
+
+class SectionTable(InputTable):
+    """``[section]``."""
+
+    code: Text
+    number: int = Field(ge=1, le=65534)
+    name: Text
+    rail_profile: RailName = "56E1"
+    rail_inclination_1_in: float = Field(default=20.0, ge=5.0)
+    nominal_gauge_mm: float = Field(default=1435.0, ge=500.0, le=2000.0)
+    survey_alignment_std_mm: NotNegative = 0.0
+    survey_gauge_std_mm: NotNegative = 0.0
+    surveyed: bool = True
+    gauge_surveyed: bool = False
+    latitude_deg: float = Field(default=51.5, ge=-90.0, le=90.0)
+    longitude_deg: float = Field(default=-0.2, ge=-180.0, le=180.0)
+    file: Text | None = None
+    length_m: Positive | None = None
+    interval_m: Positive = 0.25
+    shortest_wavelength_m: Positive = 3.0
+    longest_wavelength_m: Positive = 70.0
+    alignment_std_mm: float = Field(default=2.0, ge=0.0, le=50.0)
+    gauge_std_mm: float = Field(default=0.0, ge=0.0, le=20.0)
+    gauge_offset_mm: float = Field(default=0.0, ge=-20.0, le=40.0)
+    curves: list[CurveTable] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _check_recipe(self) -> Self:
+        if self.file is not None:
+            for key in _RECIPE_KEYS:
+                if key in self.model_fields_set:
+                    raise field_error("cannot be given beside 'file'", key)
+            return self
+        if self.length_m is None:
+            raise field_error("is missing", "length_m")
+        if self.shortest_wavelength_m < 4.0 * self.interval_m:
+            raise field_error(
+                f"{self.shortest_wavelength_m:g} m is shorter than four intervals", "shortest_wavelength_m"
+            )
+        if not self.shortest_wavelength_m < self.longest_wavelength_m <= self.length_m:
+            raise field_error(
+                f"{self.longest_wavelength_m:g} m must be greater than {self.shortest_wavelength_m:g} m, "
+                f"and at most the section's {self.length_m:g} m",
+                "longest_wavelength_m",
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_curves(self) -> Self:
+        length = math.inf if self.length_m is None else self.length_m
+        for index, curve in enumerate(self.curves):
+            for key, value in (("start_m", curve.start_m), ("length_m", curve.length_m)):
+                if value > length:
+                    raise field_error(f"{value:g} m; the section has {length:g} m", "curves", index, key)
+        return self
+
+    def plan(self, folder: Path) -> SectionPlan:
+        """Return the section in SI units.
+
+        Parameters
+        ----------
+        folder
+            Folder of the scenario file: a relative ``file`` starts here.
+        """
+        return SectionPlan(
+            code=self.code,
+            number=self.number,
+            name=self.name,
+            rail_profile=self.rail_profile,
+            inclination=1.0 / self.rail_inclination_1_in,
+            nominal_gauge=MM * self.nominal_gauge_mm,
+            recipe=self._recipe(),
+            file=None if self.file is None else folder / self.file,
+            survey_alignment_std=MM * self.survey_alignment_std_mm,
+            survey_gauge_std=MM * self.survey_gauge_std_mm,
+            surveyed=self.surveyed,
+            gauge_surveyed=self.gauge_surveyed,
+            latitude=self.latitude_deg,
+            longitude=self.longitude_deg,
+        )
+
+    def _recipe(self) -> TrackRecipe | None:
+        if self.length_m is None:
+            return None
+        return TrackRecipe(
+            length=self.length_m,
+            interval=self.interval_m,
+            alignment_std=MM * self.alignment_std_mm,
+            gauge_std=MM * self.gauge_std_mm,
+            gauge_offset=MM * self.gauge_offset_mm,
+            wavelengths=(self.shortest_wavelength_m, self.longest_wavelength_m),
+            curves=tuple(curve.plan() for curve in self.curves),
+        )
+
+
+_RECIPE_KEYS = (
+    "length_m",
+    "interval_m",
+    "shortest_wavelength_m",
+    "longest_wavelength_m",
+    "alignment_std_mm",
+    "gauge_std_mm",
+    "gauge_offset_mm",
+    "curves",
+)
