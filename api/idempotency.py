@@ -60,5 +60,5 @@ def idempotent_post(request: Request, key: str | None, body: BaseModel | None = 
     body
         Its validated body.
     """
-    asked = [request.method, request.scope["path"], None if body is None else body.model_dump(mode="json")]
-    return IdempotentPost(key, hashlib.sha256(orjson.dumps(asked)).hexdigest())
+    request_parts = [request.method, request.scope["path"], None if body is None else body.model_dump(mode="json")]
+    return IdempotentPost(key, hashlib.sha256(orjson.dumps(request_parts)).hexdigest())

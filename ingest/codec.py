@@ -161,8 +161,8 @@ class FrameCounts:
     clipped_values: int = 0
 
     def __add__(self, other: FrameCounts) -> FrameCounts:
-        mine, theirs = asdict(self), asdict(other)
-        return FrameCounts(**{name: mine[name] + theirs[name] for name in mine})
+        own, others = asdict(self), asdict(other)
+        return FrameCounts(**{name: own[name] + others[name] for name in own})
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,8 +31,8 @@ def _said(base_url: str, section: dict[str, Any]) -> str:
     if newest["source"] == "recorded" and newest["status"] != "estimated":
         return f"{head}: the gauge alone is on file, and the fleet has not found the alignment"
     if newest["source"] == "recorded":
-        said = f", {report['recording']}" if report and report["recording"] else ""
-        return f"{head}: alignment on file, version {newest['version']}{said}"
+        verdict = f", {report['recording']}" if report and report["recording"] else ""
+        return f"{head}: alignment on file, version {newest['version']}{verdict}"
     filed = {one["status"] for one in versions if one["source"] == "recorded"}
     how = "the surveyed alignment is not used" if "estimated" in filed else "not surveyed"
     how = "the gauge alone is on file" if filed == {"unestimated"} else how

@@ -100,13 +100,13 @@ class PaperAlgorithm:
         samples = np.column_stack([features, output])[order]
         stops = np.searchsorted(index[order], np.arange(len(count)) + 1)
         for b in np.unique(index):
-            mine = samples[stops[b - 1] if b else 0 : stops[b]]
-            taken = min(max(self.threshold - int(count[b]), 0), len(mine))
-            waiting[b, count[b] : count[b] + taken] = mine[:taken]
-            count[b] += len(mine)
+            in_bin = samples[stops[b - 1] if b else 0 : stops[b]]
+            taken = min(max(self.threshold - int(count[b]), 0), len(in_bin))
+            waiting[b, count[b] : count[b] + taken] = in_bin[:taken]
+            count[b] += len(in_bin)
             if taken and count[b] >= self.threshold:
                 theta[b], covariance[b], squares[b] = _start(waiting[b])
-            rest = np.ascontiguousarray(mine[taken:])
+            rest = np.ascontiguousarray(in_bin[taken:])
             if len(rest) and np.isfinite(theta[b, 0]):
                 X, z = np.ascontiguousarray(rest[:, :REGRESSORS]), np.ascontiguousarray(rest[:, REGRESSORS])
                 theta[b], covariance[b], squares[b] = _recurse(

@@ -77,10 +77,10 @@ def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> Se
     groups = group_of(motion.block[keep], GROUPS)
     gram, cross = state.gram.copy(), state.cross.copy()
     for group in np.unique(groups):
-        mine = groups == group
-        weighted = weight * functions[mine].T
-        gram[group] += weighted @ functions[mine]
-        cross[group] += weighted @ targets[mine]
+        in_group = groups == group
+        weighted = weight * functions[in_group].T
+        gram[group] += weighted @ functions[in_group]
+        cross[group] += weighted @ targets[in_group]
     return replace(
         state,
         gram=gram,

@@ -170,10 +170,10 @@ def _on_one_grid(
     """Return surveyed and measured alignment, high-passed, zero where unknown, their joint variance, the step."""
     step = float(fleet.s[1] - fleet.s[0])
     inside = _known(recorded, fleet.s)
-    lying = np.isfinite(recorded.alignment)
+    surveyed = np.isfinite(recorded.alignment)
     if not inside.any():
         return None
-    r = np.interp(fleet.s, recorded.s[lying], recorded.alignment[lying])
+    r = np.interp(fleet.s, recorded.s[surveyed], recorded.alignment[surveyed])
     if np.isfinite(fleet.cutoff_wavelength) and not np.isfinite(recorded.cutoff_wavelength):
         weights = local_cubic_kernel(fleet.cutoff_wavelength, step)
         inside = valid_support(inside, weights)
@@ -232,15 +232,15 @@ def _laid(r: FloatArray, f: FloatArray, variance: FloatArray, lag: float) -> Flo
     moved = np.full(len(r), lag)
     known = (r != 0.0).astype(np.float64)
     for _ in range(ALIGNING_STEPS):
-        laid = np.interp(index - moved, index, r, left=0.0, right=0.0)
+        shifted = np.interp(index - moved, index, r, left=0.0, right=0.0)
         seen = (np.interp(index - moved, index, known, left=0.0, right=0.0) > 1.0 - 1e-9) & (f != 0.0)
-        slope = -np.gradient(laid)
+        slope = -np.gradient(shifted)
         design = np.stack([slope, slope * u]) * (seen / np.sqrt(variance))
-        rest = np.where(seen, f - laid, 0.0) / np.sqrt(variance)
+        rest = np.where(seen, f - shifted, 0.0) / np.sqrt(variance)
         step = np.linalg.solve(design @ design.T + 1e-9 * np.eye(2), design @ rest)
         moved = moved + np.clip(step[0] + step[1] * u, -2.0, 2.0)
-    laid = np.interp(index - moved, index, r, left=0.0, right=0.0)
-    return np.asarray(np.where(np.interp(index - moved, index, known, left=0.0, right=0.0) > 1.0 - 1e-9, laid, 0.0))
+    shifted = np.interp(index - moved, index, r, left=0.0, right=0.0)
+    return np.asarray(np.where(np.interp(index - moved, index, known, left=0.0, right=0.0) > 1.0 - 1e-9, shifted, 0.0))
 
 
 def _misfit(r: FloatArray, f: FloatArray, variance: FloatArray) -> float:

@@ -61,8 +61,8 @@ class AlignCounts:
     self_test_failures: int = 0
 
     def __add__(self, other: AlignCounts) -> AlignCounts:
-        mine, theirs = asdict(self), asdict(other)
-        return AlignCounts(**{name: mine[name] + theirs[name] for name in mine})
+        own, others = asdict(self), asdict(other)
+        return AlignCounts(**{name: own[name] + others[name] for name in own})
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,9 +74,9 @@ def _run_child(arguments: list[str], path: Path, limits: ReadLimits) -> dict[str
     try:
         answer: dict[str, Any] = json.loads(done.stdout.decode().rpartition("\n")[2])
     except ValueError as error:
-        said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+        message = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
         reason = (
-            f"reading was ended by the system (exit {done.returncode}): it needs more than the limits allow. {said}"
+            f"reading was ended by the system (exit {done.returncode}): it needs more than the limits allow. {message}"
         )
         raise LogFileError(reason.strip(), file=path) from error
     if "error" in answer:

@@ -156,9 +156,9 @@ def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campa
     scenario, records = _on_the_rails(scenario, track, vehicle, campaigns)
     plan = scenario.vehicle(vehicle)
     written = []
-    for campaign, mine in zip(campaigns, records, strict=True):
+    for campaign, axle_records in zip(campaigns, records, strict=True):
         run = vehicle_run(scenario, track, plan, campaign)
-        batch = vehicle_frames(default_catalogue(), scenario, run, mine)
+        batch = vehicle_frames(default_catalogue(), scenario, run, axle_records)
         truths = tuple(
             wheelset_truth(
                 plan, axle, campaign, run.odometer, truth_of(contact_of(scenario, track, item, run.odometer))
@@ -186,8 +186,8 @@ def _on_the_rails(
         else:
             raise no_wear_left(scenario, vehicle, axle)
         scenario = tried
-        for mine, record_ in zip(records, found, strict=True):
-            mine.append(record_)
+        for axle_records, record_ in zip(records, found, strict=True):
+            axle_records.append(record_)
     return scenario, records
 
 

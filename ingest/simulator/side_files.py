@@ -77,12 +77,12 @@ def write_truth(folder: Path, scenario: Scenario, truths: Sequence[WheelsetTruth
     wheelsets: list[JsonValue] = []
     for vehicle in scenario.vehicles:
         for axle, plan in enumerate(vehicle.wheelsets, start=1):
-            mine = sorted(
+            runs = sorted(
                 (item for item in truths if item.vehicle == vehicle.code and item.axle == axle),
                 key=lambda item: item.campaign,
             )
-            if mine:
-                campaigns: list[JsonValue] = [_campaign(scenario, vehicle, plan, item) for item in mine]
+            if runs:
+                campaigns: list[JsonValue] = [_campaign(scenario, vehicle, plan, item) for item in runs]
                 head: dict[str, JsonValue] = {"serial": plan.serial, "vehicle": vehicle.code, "axle": axle}
                 wheelsets.append(head | {"campaigns": campaigns})
     content: dict[str, JsonValue] = {

@@ -80,12 +80,12 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     share = np.zeros(n)
     share[enough] = 1.0 / state.passes[enough]
     for g in range(p.groups):
-        mine = np.flatnonzero((group == g) & (state.passes > 0))
-        G = stacked[:, mine]
-        per_pass = 1.0 / state.passes[mine]
+        in_group = np.flatnonzero((group == g) & (state.passes > 0))
+        G = stacked[:, in_group]
+        per_pass = 1.0 / state.passes[in_group]
         root = G * np.sqrt(per_pass).astype(np.float32)
         normal[g] = linalg.block_diag(*state.gram[g]) - root @ root.T
-        right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[mine]).astype(np.float32)
+        right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[in_group]).astype(np.float32)
     reason = _too_little(state)
     curves_fixed = reason is not None and not state.has_alignment and bool(enough.any()) and bool(_measured(state))
     curves = _curves(normal, right, state, curves_fixed=curves_fixed, std=std)

@@ -51,8 +51,8 @@ def misplaced(links: Sequence[Link], journey_of: IntArray, middle: FloatArray, t
     linked = np.unique([(link.first, link.second) for link in links])
     found: dict[int, float] = {}
     for journey, together in sorted({(int(journey_of[i]), int(group[i])) for i in linked}):
-        mine = [int(i) for i in linked if journey_of[i] == journey and group[i] == together]
-        parts = _parts(sorted(mine, key=lambda i: (middle[i], i)), offset, middle, tolerance)
+        members = [int(i) for i in linked if journey_of[i] == journey and group[i] == together]
+        parts = _parts(sorted(members, key=lambda i: (middle[i], i)), offset, middle, tolerance)
         main = max(parts, key=len)
         for part in parts:
             if part is not main:
