@@ -261,10 +261,10 @@ def long_files(root: Path) -> Iterator[str]:
             yield f"{path}: {lines} lines"
 
 
-def undocumented_functions(root: Path) -> tuple[tuple[str, ...], int]:
+def undocumented_functions(root: Path, packages: Sequence[str] = ("estimation",)) -> tuple[tuple[str, ...], int]:
     """Return the public functions whose docstring leaves out a parameter, and how many there are with parameters."""
     found, public = [], 0
-    for path, text in _sources(root, ["estimation"]):
+    for path, text in _sources(root, packages):
         for function in ast.parse(text).body:
             if not isinstance(function, ast.FunctionDef) or function.name.startswith("_"):
                 continue

@@ -273,7 +273,17 @@ def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> 
 
 
 def mountings_on(connection: Connection, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
-    """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start."""
+    """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start.
+
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    vehicle
+        Code.
+    from_ns, to_ns
+        Interval of the vehicle's clock, ns UTC, its end excluded.
+    """
     statement = (
         select(MOUNTINGS)
         .where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.from_ns < to_ns)

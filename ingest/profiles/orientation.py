@@ -31,7 +31,16 @@ _LARGEST_GAP = 10.0  # mm between neighbours
 
 
 def oriented(points: FilePoints, kind: ProfileKind, name: str) -> Profile:
-    """Return the profile that the points of a file are.
+    """Return the profile that the points of a file describe, in the axes of :class:`Profile`.
+
+    Parameters
+    ----------
+    points
+        Points in mm in the order of the file, and whether the file fixes their axes.
+    kind
+        ``"wheel"`` or ``"rail"``.
+    name
+        Name of the profile.
 
     Raises
     ------

@@ -53,7 +53,18 @@ class _Ticks:
 def vehicle_frames(
     catalogue: Catalogue, scenario: Scenario, run: VehicleRun, records: Sequence[SensorRecord | None]
 ) -> FrameBatch:
-    """Return all frames of the vehicle's bus over ``run``, in time order; ``records`` by axle, None where none is.
+    """Return all frames of the vehicle's bus over a run, in time order.
+
+    Parameters
+    ----------
+    catalogue
+        Messages and signals of the bus, and its sample interval.
+    scenario
+        Sensors, errors of the bus, seed.
+    run
+        Where and how fast the vehicle runs.
+    records
+        What the node of each axle measured, by axle; None for a node that has failed.
 
     Raises
     ------

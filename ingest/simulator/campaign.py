@@ -67,6 +67,17 @@ def scenario_track(scenario: Scenario) -> TrackTruth:
 def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, campaign: int) -> VehicleRun:
     """Return where and how fast ``vehicle`` runs in ``campaign`` (from 0).
 
+    Parameters
+    ----------
+    scenario
+        Speeds, sessions, position errors, seed.
+    track
+        The true track.
+    vehicle
+        The vehicle.
+    campaign
+        Number of the campaign, from 0.
+
     Raises
     ------
     ScenarioError
@@ -126,6 +137,19 @@ def wheelset_motion(
 
     ``table`` is its contact geometry where that is at hand already; made here otherwise.
 
+    Parameters
+    ----------
+    scenario
+        Section, wear, errors of the vehicle's parameters.
+    track
+        The true track.
+    run
+        Where and how fast the vehicle runs.
+    axle
+        Number of the axle, from 0.
+    table
+        Contact geometry of the wheelset, if it has been computed already; None to compute it here.
+
     Raises
     ------
     DerailmentError
@@ -147,13 +171,37 @@ def wheelset_motion(
 
 
 def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> ContactTable:
-    """Return the contact geometry of a wheelset when the odometer of its vehicle stands at ``odometer``, m."""
+    """Return the contact geometry of a wheelset at one mileage of its vehicle.
+
+    Parameters
+    ----------
+    scenario
+        Section and the range of displacements.
+    track
+        The true track, whose gauge deviations the table covers.
+    plan
+        Wheel profile and course of wear.
+    odometer
+        Of the vehicle, m.
+    """
     gauges, limit = gauge_grid(track), displacement_limit(scenario)
     return worn_contact(plan, wear_at(plan, odometer), scenario.section, gauges, limit)
 
 
 def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> SensorRecord:
-    """Return what the node of the wheelset at ``axle`` (from 0) measures of ``motion``."""
+    """Return what the node of the wheelset at ``axle`` (from 0) measures of ``motion``.
+
+    Parameters
+    ----------
+    scenario
+        Sensors and seed.
+    run
+        Where and how fast the vehicle runs.
+    axle
+        Number of the axle, from 0.
+    motion
+        True motion of the wheelset over the run.
+    """
     order = scenario.vehicles.index(run.vehicle)
     offsets = draw_offsets(scenario.sensors, np.random.default_rng(seed_of(scenario, _OFFSETS, order, axle)))
     rng = np.random.default_rng(seed_of(scenario, _SENSOR, order, axle, run.campaign))

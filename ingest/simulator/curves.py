@@ -80,7 +80,23 @@ def laid_out(curves: Sequence[Curve], s: FloatArray) -> Curves:
 def path_motion(
     p: VehicleParameters, curves: Curves, s: FloatArray, distance: FloatArray, speed: FloatArray, step: float
 ) -> PathMotion:
-    """Return what ``curves`` on grid ``s`` do at ``distance`` (n,), passed with ``speed`` (n,), every ``step`` s."""
+    """Return the accelerations that curved track forces on a wheelset, and those that its sensors measure of the path.
+
+    Parameters
+    ----------
+    p
+        Parameters of the vehicle.
+    curves
+        Curvature (m,), 1/m, and cant (m,), m, on the grid ``s``.
+    s
+        (m,) m along the section.
+    distance
+        (n,) m along the section at each sample.
+    speed
+        (n,) m/s.
+    step
+        Interval of the samples, s.
+    """
     curvature = np.interp(distance, s, curves.curvature)
     tilt = np.interp(distance, s, curves.cant) / (2.0 * p.half_contact_distance)
     tilt_rate = np.gradient(tilt, step)

@@ -92,7 +92,17 @@ def vehicle_parameters(scenario: Scenario, vehicle: str) -> VehicleParameters:
 
 
 def no_wear_left(scenario: Scenario, vehicle: str, axle: int) -> ScenarioError:
-    """Return the error of a wheelset that derails with every share of its wear."""
+    """Return the error of a wheelset that derails with every share of its wear.
+
+    Parameters
+    ----------
+    scenario
+        The scenario with its least wear tried.
+    vehicle
+        Code of the vehicle.
+    axle
+        Number of the axle, from 0.
+    """
     serial = scenario.vehicle(vehicle).wheelsets[axle].serial
     shares = ", ".join(f"{share:.0%}" for share in WEAR_SHARES)
     return ScenarioError(

@@ -229,7 +229,26 @@ def _write(
 def simulate_campaign(
     scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, campaign: int
 ) -> tuple[FrameBatch, tuple[WheelsetTruth, ...]]:
-    """Return all frames of one campaign (from 0) of one vehicle, and what is true of its wheelsets."""
+    """Return all frames of one campaign of one vehicle, and the truth of its wheelsets.
+
+    Parameters
+    ----------
+    scenario
+        The scenario.
+    track
+        The true track.
+    vehicle
+        The vehicle.
+    campaign
+        Number of the campaign, from 0.
+
+    Raises
+    ------
+    ScenarioError
+        The track is too short for the run, or the sensors' rate is not the one of the bus.
+    DerailmentError
+        A wheelset leaves the range of its contact geometry.
+    """
     run = vehicle_run(scenario, track, vehicle, campaign)
     records: list[SensorRecord | None] = []
     truths: list[WheelsetTruth] = []

@@ -159,6 +159,21 @@ def simulate_wheelset(
     psi', ym, ym' in SI; without it wheelset and mass start at rest relative to the track, on its centre line. Two runs
     of the same input give the same bits.
 
+    Parameters
+    ----------
+    parameters
+        Of the vehicle, Eq. 1-5.
+    table
+        Contact geometry on uniform grids of y - d and gauge deviation.
+    track
+        Alignment, gauge deviation and curves along the track.
+    speed
+        (n,) m/s every ``STEP`` s.
+    start
+        Distance at the first sample, m.
+    initial
+        (6,) y, y', psi, psi', ym, ym' in SI at the first sample; None to start at rest relative to the track.
+
     Raises
     ------
     ParameterError

@@ -84,7 +84,19 @@ class SensorRecord:
 
 
 def measure(motion: WheelsetMotion, node: SensorNode, rng: np.random.Generator, offsets: FloatArray) -> SensorRecord:
-    """Return what ``node`` gives of ``motion``; ``offsets`` (4,) are the constants drawn for this sensor."""
+    """Return the record of a sensor node: noise, offset, drift, limits and the filter before decimation applied.
+
+    Parameters
+    ----------
+    motion
+        True motion of n samples every ``STEP`` s.
+    node
+        Channels and rate of the node.
+    rng
+        Source of noise and drift.
+    offsets
+        (4,) constant offsets of this sensor, m/s^2 and rad/s^2, in the order of ``ACCELERATIONS``.
+    """
     n, stride = len(motion), node.stride
     size = -(-n // stride)
     values, clipped = np.empty((size, 4)), np.zeros((size, 4), dtype=np.bool_)

@@ -45,7 +45,19 @@ def iso_time(t_ns: int) -> str:
 
 
 def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: TrackTruth) -> Path:
-    """Write the registry and, if there is one, the surveyed track into ``folder``; return the registry's path."""
+    """Write the registry and, if there is one, the surveyed track into ``folder``; return the registry's path.
+
+    Parameters
+    ----------
+    folder
+        Where to.
+    scenario
+        Fleet, section and what of it is surveyed.
+    track
+        The true track, for its length.
+    survey
+        The track with the errors of the survey.
+    """
     section = scenario.section
     track_file = f"{section.code.lower()}.csv"
     length = track.length if section.recipe is None else section.recipe.length
@@ -73,7 +85,17 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
 
 
 def write_truth(folder: Path, scenario: Scenario, truths: Sequence[WheelsetTruth]) -> Path:
-    """Write what is true of every wheelset and campaign into ``folder``; return the file's path."""
+    """Write what is true of every wheelset and campaign into ``folder``; return the file's path.
+
+    Parameters
+    ----------
+    folder
+        Where to.
+    scenario
+        Names and plans of the wheelsets.
+    truths
+        Of all wheelsets and campaigns, in any order.
+    """
     wheelsets: list[JsonValue] = []
     for vehicle in scenario.vehicles:
         for axle, plan in enumerate(vehicle.wheelsets, start=1):
@@ -98,6 +120,15 @@ def surveyed(scenario: Scenario, track: TrackTruth, seed: np.random.SeedSequence
     """Return the track as a recording car would put it on file: the truth and white survey errors, curves as built.
 
     The errors are those of the survey's standard deviations, smoothed over some 2 m as a chord does.
+
+    Parameters
+    ----------
+    scenario
+        Standard deviations of the survey.
+    track
+        The true track.
+    seed
+        Of the survey's errors.
     """
     rng = np.random.default_rng(seed)
     section = scenario.section
@@ -252,5 +283,19 @@ def _numbers(values: FloatArray, decimals: int) -> list[JsonValue]:
 def wheelset_truth(
     plan: VehiclePlan, axle: int, campaign: int, odometer: float, geometry: GeometryTruth
 ) -> WheelsetTruth:
-    """Return the truth of the wheelset at ``axle`` (from 0) in ``campaign`` (from 0)."""
+    """Return the truth of one wheelset in one campaign.
+
+    Parameters
+    ----------
+    plan
+        The vehicle.
+    axle
+        Number of the axle, from 0.
+    campaign
+        Number of the campaign, from 0.
+    odometer
+        Of the vehicle, m.
+    geometry
+        Contact geometry and conicity of the wheelset at that mileage.
+    """
     return WheelsetTruth(plan.code, axle + 1, campaign + 1, wear_at(plan.wheelsets[axle], odometer), geometry)

@@ -26,9 +26,18 @@ ALIGNMENT_LEVEL = {"low": 2.119e-7, "high": 6.125e-7}  # A, m2 rad/m
 
 
 def density(kind: Irregularity, wavenumber: FloatArray, level: float = ALIGNMENT_LEVEL["low"]) -> FloatArray:
-    """Return the one-sided density (n,), m2/(rad/m), at angular ``wavenumber`` (n,), rad/m.
+    """Return the one-sided power spectral density (n,), m2/(rad/m), of an irregularity.
 
     Alignment: S = A Wc^2 / ((W^2 + Wr^2)(W^2 + Wc^2)). Gauge, as cross level: the same times W^2 / (W^2 + Ws^2).
+
+    Parameters
+    ----------
+    kind
+        Alignment or gauge.
+    wavenumber
+        (n,) angular wavenumber, rad/m.
+    level
+        A, m2 rad/m.
     """
     w2 = np.asarray(wavenumber, dtype=np.float64) ** 2
     S = level * CRITICAL_WAVENUMBER**2 / ((w2 + LOW_WAVENUMBER**2) * (w2 + CRITICAL_WAVENUMBER**2))
@@ -36,7 +45,17 @@ def density(kind: Irregularity, wavenumber: FloatArray, level: float = ALIGNMENT
 
 
 def standard_deviation(kind: Irregularity, wavelengths: tuple[float, float], level: float) -> float:
-    """Return the standard deviation, m, of the density over ``wavelengths`` (shortest, longest), m."""
+    """Return the standard deviation, m, of the density over a band.
+
+    Parameters
+    ----------
+    kind
+        Alignment or gauge.
+    wavelengths
+        Shortest and longest, m.
+    level
+        A, m2 rad/m.
+    """
     low, high = _band(wavelengths)
     variance, _ = scipy.integrate.quad(lambda w: float(density(kind, np.array(w), level)), low, high)
     return math.sqrt(variance)
@@ -55,6 +74,21 @@ def synthesise(
 
     Every wavenumber line inside the band carries the amplitude of the density and a random phase. The mean is
     removed and the standard deviation set on the stretch that is returned.
+
+    Parameters
+    ----------
+    kind
+        Alignment or gauge.
+    length
+        Of the track, m.
+    interval
+        Between points, m.
+    target_std
+        Standard deviation of the result, m.
+    wavelengths
+        Shortest and longest, m.
+    rng
+        Source of the phases.
 
     Raises
     ------

@@ -78,6 +78,19 @@ def look_up(table: FloatArray, grid: Grid, x: float, e: float, out: FloatArray) 
     """Interpolate ``table`` (n, g, 7) at (x, e) into ``out`` (7,); return whether x is inside the grid.
 
     Outside, the edge cell is continued linearly in x; e is held at the edge.
+
+    Parameters
+    ----------
+    table
+        (n, g, 7) contact geometry at the nodes, in the order rL, rR, dL, dR, phi, phi_x, phi_e; m and rad.
+    grid
+        The grids of the table.
+    x
+        Displacement y - d, m.
+    e
+        Gauge deviation, m.
+    out
+        (7,) written.
     """
     n, g, width = table.shape
     fx = (x - grid.x0) * grid.per_x
@@ -101,7 +114,19 @@ def look_up(table: FloatArray, grid: Grid, x: float, e: float, out: FloatArray) 
 
 @_compiled
 def track_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) -> None:
-    """Write alignment, its slope, gauge deviation, its slope at distance ``s`` into ``out`` (4,)."""
+    """Write alignment, its slope, gauge deviation, its slope at distance ``s`` into ``out`` (4,).
+
+    Parameters
+    ----------
+    coefficients
+        (m, 8) of the cubic splines of alignment and gauge deviation in each interval, m.
+    grid
+        The grid of distance.
+    s
+        Distance, m.
+    out
+        (4,) written: m and m/m.
+    """
     i = min(max(int((s - grid.s0) / grid.interval), 0), len(coefficients) - 1)
     h = s - grid.s0 - i * grid.interval
     c = coefficients[i]
@@ -129,6 +154,31 @@ def derivatives(
 
     ``forced`` (3,) is added to the accelerations; ``contact[7]`` is the roll rate. Return whether y - d is inside
     the contact table.
+
+    Parameters
+    ----------
+    c
+        Parameters of the vehicle.
+    table
+        (n, g, 7) contact geometry at the nodes.
+    coefficients
+        (m, 8) splines of the track.
+    grid
+        The grids of both.
+    speed
+        m/s.
+    s
+        Distance, m.
+    state
+        (6,) y, y', psi, psi', ym, ym' in SI.
+    forced
+        (3,) accelerations of y, psi and ym that the path forces, m/s^2 and rad/s^2.
+    rates
+        (6,) written.
+    contact
+        (8,) written: the looked-up values, then the roll rate, rad/s.
+    track
+        (4,) written: alignment, its slope, gauge deviation, its slope.
     """
     track_at(coefficients, grid, s, track)
     inside = look_up(table, grid, state[0] - track[0], track[2], contact)
@@ -146,14 +196,38 @@ def derivatives(
 
 @_compiled
 def at_rest(c: Constants, state: FloatArray, rates: FloatArray) -> None:
-    """Write the time derivative of ``state`` (6,) of a wheelset that stands, with the mass swinging on its spring."""
+    """Write the time derivative of ``state`` (6,) of a wheelset that stands, with the mass swinging on its spring.
+
+    Parameters
+    ----------
+    c
+        Parameters of the vehicle.
+    state
+        (6,) y, y', psi, psi', ym, ym' in SI.
+    rates
+        (6,) written.
+    """
     rates[:] = 0.0
     rates[4], rates[5] = state[5], -(c.ky * (state[4] - state[0]) + c.fy * state[5]) / c.suspended
 
 
 @_compiled
 def equations(c: Constants, speed: float, state: FloatArray, contact: FloatArray, rates: FloatArray) -> None:
-    """Write the time derivative of ``state`` (6,) by Eq. 1-5 into ``rates`` (6,), with ``contact`` (8,) known."""
+    """Write the time derivative of ``state`` (6,) by Eq. 1-5 into ``rates`` (6,), with ``contact`` (8,) known.
+
+    Parameters
+    ----------
+    c
+        Parameters of the vehicle.
+    speed
+        m/s, above ``STANDSTILL``.
+    state
+        (6,) y, y', psi, psi', ym, ym' in SI.
+    contact
+        (8,) rolling radii, contact angles, roll and its slopes, roll rate; m and rad.
+    rates
+        (6,) written.
+    """
     y, v, psi, psi_rate, ym, vm = state[0], state[1], state[2], state[3], state[4], state[5]
     roll, roll_rate, per_speed = contact[4], contact[7], 1.0 / speed
     S, R = contact[0] + contact[1], contact[0] - contact[1]
@@ -184,7 +258,19 @@ def equations(c: Constants, speed: float, state: FloatArray, contact: FloatArray
 
 @_compiled
 def advance(state: FloatArray, h: float, rates: FloatArray, out: FloatArray) -> None:
-    """Write ``state`` + ``h`` ``rates`` into ``out``, all (6,)."""
+    """Write ``state`` + ``h`` ``rates`` into ``out``, all (6,).
+
+    Parameters
+    ----------
+    state
+        (6,) y, y', psi, psi', ym, ym' in SI.
+    h
+        Time step, s.
+    rates
+        (6,) time derivative of the state.
+    out
+        (6,) written.
+    """
     for k in range(STATES):
         out[k] = state[k] + h * rates[k]
 
@@ -206,9 +292,40 @@ def runge_kutta(
     contact: FloatArray,
     track: FloatArray,
 ) -> None:
-    """Advance ``state`` by ``h`` s from distance ``s``; ``stages[0]`` holds the rates now.
+    """Advance the state by one step of the classical Runge-Kutta method of 4th order.
 
     Speed rises by ``slope``, what is ``forced`` (3,) by ``forced_slope`` (3,); ``forced`` is left as it is at the end.
+
+    Parameters
+    ----------
+    c
+        Parameters of the vehicle.
+    table
+        (n, g, 7) contact geometry at the nodes.
+    coefficients
+        (m, 8) splines of the track.
+    grid
+        The grids of both.
+    speed
+        At the beginning of the step, m/s.
+    slope
+        By which the speed rises, m/s^2.
+    s
+        Distance at the beginning, m.
+    h
+        Time step, s.
+    state
+        (6,) changed to the state at the end.
+    forced
+        (3,) accelerations that the path forces at the beginning; changed to those at the end.
+    forced_slope
+        (3,) by which they rise, per s.
+    stages
+        (5, 6) work space; the first row holds the rates at the beginning.
+    contact
+        (8,) work space.
+    track
+        (4,) work space.
     """
     k1, k2, k3, k4, trial = stages[0], stages[1], stages[2], stages[3], stages[4]
     middle, after = speed + 0.5 * slope * h, speed + slope * h
@@ -239,10 +356,35 @@ def integrate(
     state: FloatArray,
     out: FloatArray,
 ) -> int:
-    """Integrate over ``speed`` (n,) and ``distance`` (n,) every ``step`` s; fill ``out`` (17, n); change ``state``.
+    """Integrate the equations of motion over a course; return how many samples left the contact table.
 
     ``path`` (n, 3) are the accelerations that the path forces. Step i is divided into ``parts[i]`` sub-steps. Return
     how many samples left the contact table.
+
+    Parameters
+    ----------
+    c
+        Parameters of the vehicle.
+    table
+        (n, g, 7) contact geometry at the nodes.
+    coefficients
+        (m, 8) splines of the track.
+    grid
+        The grids of both.
+    speed
+        (k,) m/s at every sample.
+    distance
+        (k,) m at every sample.
+    path
+        (k, 3) accelerations of y, psi and ym that the path forces, m/s^2 and rad/s^2.
+    step
+        Interval of the samples, s.
+    parts
+        (k - 1,) sub-steps of each step.
+    state
+        (6,) at the first sample; changed to that at the last.
+    out
+        (17, k) written, in the order of ``OUTPUTS``.
     """
     stages, contact, track, forced = np.empty((5, STATES)), np.empty(LOOKED_UP + 1), np.empty(4), np.empty(FORCED)
     outside = 0
@@ -272,7 +414,23 @@ def integrate(
 def write_sample(
     state: FloatArray, rates: FloatArray, contact: FloatArray, track: FloatArray, out: FloatArray, i: int
 ) -> None:
-    """Write sample ``i`` of every output into ``out`` (17, n), in the order of ``OUTPUTS``."""
+    """Write sample ``i`` of every output into ``out`` (17, n), in the order of ``OUTPUTS``.
+
+    Parameters
+    ----------
+    state
+        (6,) y, y', psi, psi', ym, ym' in SI.
+    rates
+        (6,) time derivative of the state.
+    contact
+        (8,) looked-up values and roll rate.
+    track
+        (4,) alignment, its slope, gauge deviation, its slope.
+    out
+        (17, n) written in one column.
+    i
+        The column.
+    """
     for k in range(STATES):
         out[k, i] = state[k]
     out[6, i], out[7, i], out[8, i] = rates[1], rates[3], rates[5]
@@ -285,6 +443,17 @@ def sub_steps(speed: FloatArray, step: float, rate_at_1: float, limit: float) ->
     """Return into how many parts (n - 1,) each step is divided, so that (creep rate x sub-step) <= ``limit``.
 
     ``rate_at_1`` is the creep rate at 1 m/s; it falls with speed.
+
+    Parameters
+    ----------
+    speed
+        (n,) m/s.
+    step
+        Interval of the samples, s.
+    rate_at_1
+        Creep rate at 1 m/s, 1/s; it falls with speed.
+    limit
+        Of creep rate times sub-step.
     """
     slowest = np.maximum(np.minimum(speed[1:], speed[:-1]), STANDSTILL)
     return np.maximum(1, np.ceil(rate_at_1 * step / (limit * slowest))).astype(np.int64)
