@@ -256,6 +256,7 @@ def test_a_bin_of_which_a_replicate_is_not_finite_cannot_be_used() -> None:
 
 def test_the_reference_is_three_millimetres_or_the_largest_covered_below() -> None:
     unknown = Estimate.unknown(not_covered(1e-3), 8.0)
+    assert "amplitude 1 mm" in str(unknown.reason)
     amplitude = np.array([2e-3, 3e-3 + 1e-12, 4e-3])
     some = estimates(curve()).conicity[:3]
     assert at_reference_amplitude(amplitude, some, PARAMETERS) == (some[1], 3e-3 + 1e-12)
