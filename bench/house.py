@@ -18,7 +18,8 @@ files entered by one frame
     are estimated, geometry, trend and alerts are refreshed, and the REST API is asked for all three
     (``bench/frame_trace.py``). Not counted, because the frame's data do not pass through them: the alignment job,
     values (``estimation/values``, files of which only special methods run) and infrastructure (``INFRASTRUCTURE``: the
-    command line, settings, transactions, records of job runs, logs, HTTP without content).
+    command line, settings, transactions, records of job runs, logs, HTTP without content). Two rows: to the geometry,
+    the answer that the frame's own data end in, and to trend and alerts besides.
 undocumented parameters
     Public module-level functions of ``estimation`` with more than two parameters whose docstring's section
     "Parameters" does not name each of them.
@@ -63,6 +64,7 @@ FEW_PARAMETERS = 2
 STARTS = 5
 ALIGNMENT_JOB = "refresh_alignment"
 API_START = "start of the REST API"
+TO_GEOMETRY = ("ingest", "estimate_windows", "refresh_geometry", "/v1/wheelsets/{serial}/geometry")
 LOOSE_WORDS = (
     *("told", "felt", "heard", "lies", "settle", "settles", "settled", "settling", "anew", "nought", "unless told"),
     *("by name", "passed over", "overtaken", "strays", "stray", "hurried", "spoken", "dealt to"),
@@ -75,10 +77,12 @@ OWN_FILES = ("bench/house.py", "tests/bench/test_house.py", "fleet_db/former_rea
 
 INFRASTRUCTURE = re.compile(
     r"""(
-      api/(cli|commands/.*|factory|settings|rules_file|logs|metrics|services|job_runner|app|openapi_document)\.py
+      api/(cli|commands/.*|terminal/.*|factory|settings|rules_file|logs|metrics|services|job_runner|app|openapi_document)\.py
     | api/(problems|times|contract|cursors|parameters|middleware)\.py
     | fleet_db/(changes|locks|migrate|session|storage|rows|packing|fields|atomic_files)\.py
     | fleet_db/stores/jobs\.py
+    | ingest/input_file\.py
+    | estimation/estimators/catalogue\.py
     | estimation/(errors|settings|jobs/job|jobs/settings|jobs/scheduler|jobs/catalogue|rules/loading)\.py
     )""",
     re.VERBOSE,
@@ -109,7 +113,7 @@ def main(arguments: Sequence[str]) -> int:
     root = given.root.resolve()
     counts = [*static_counts(root)]
     if not given.static:
-        counts += [frame_count(root), *start_counts(root)]
+        counts += [*frame_counts(root), *start_counts(root)]
     table = Table("what", "before", "now", "reach", title="treadwatch house", title_justify="left")
     for count in counts:
         table.add_row(count.what, count.before, count.now, count.reach)
@@ -295,11 +299,14 @@ def loose_words(root: Path) -> Counter[str]:
     return Counter(word.lower() for text in texts for word in WORD.findall(text))
 
 
-def frame_count(root: Path) -> Count:
-    """Return the files that one frame enters, by package."""
-    files = entered_files(trace(root))
-    places = tuple(f"{file}  ({stages})" for file, stages in files.items())
-    return Count("files entered by one frame, from log to REST answer", "81", str(len(files)), "<= 45", places)
+def frame_counts(root: Path) -> Iterator[Count]:
+    """Yield the files that one frame enters, to the geometry and to all answers."""
+    traced = trace(root)
+    to_geometry = {stage: files for stage, files in traced.items() if stage in TO_GEOMETRY}
+    for name, before, stages in (("its geometry", "58", to_geometry), ("geometry, trend and alerts", "81", traced)):
+        files = entered_files(stages)
+        places = tuple(f"{file}  ({entered})" for file, entered in files.items())
+        yield Count(f"files entered by one frame, from log to {name}", before, str(len(files)), "<= 45", places)
 
 
 def trace(root: Path) -> dict[str, dict[str, list[str]]]:

@@ -10,6 +10,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Insert, Select, Table, Update, and_, bindparam, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
+from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.models import Base
 
 
@@ -115,3 +116,27 @@ def _insert_new(table: Table, dialect: str) -> Insert:
 @cache
 def _update(table: Table, names: tuple[str, ...]) -> Update:
     return update(table).where(key_given(table)).values({name: bindparam(name) for name in names})
+
+
+def reason_columns(reason: Reason | None) -> dict[str, str | None]:
+    """Return the values of the columns ``reason`` (empty where there is none) and ``reason_code`` (then null).
+
+    Parameters
+    ----------
+    reason
+        What to store.
+    """
+    if reason is None:
+        return {"reason": "", "reason_code": None}
+    return {"reason": reason.text, "reason_code": reason.code.value}
+
+
+def stored_reason(row: Any) -> Reason | None:  # noqa: ANN401 - a row of any table with both columns
+    """Return the reason of a row; None where it has none.
+
+    Parameters
+    ----------
+    row
+        With the columns ``reason`` and ``reason_code``.
+    """
+    return None if row.reason_code is None else Reason(ReasonCode(row.reason_code), row.reason)

@@ -11,9 +11,8 @@ from sqlalchemy import Connection, Row, select, update
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
 from fleet_db.models import ChunkRow
-from fleet_db.reason_columns import reason_columns, stored_reason
 from fleet_db.receipts import ChunkRecord, ChunkState
-from fleet_db.rows import insert_new, table_of
+from fleet_db.rows import insert_new, reason_columns, stored_reason, table_of
 
 CHUNKS = table_of(ChunkRow)
 

@@ -14,8 +14,7 @@ from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import GeometryRow, WheelsetBinRow, WindowBinTableRow
 from fleet_db.packed_values import pack_geometry, unpack_geometry
-from fleet_db.reason_columns import reason_columns
-from fleet_db.rows import nan_if_null, null_if_nan, table_of
+from fleet_db.rows import nan_if_null, null_if_nan, reason_columns, table_of
 from fleet_db.session import to_json
 
 BINS = table_of(WheelsetBinRow)

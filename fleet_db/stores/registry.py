@@ -24,8 +24,7 @@ from fleet_db.models import (
     WindowRow,
 )
 from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
-from fleet_db.reason_columns import reason_columns
-from fleet_db.rows import table_of, upsert
+from fleet_db.rows import reason_columns, table_of, upsert
 
 MOUNTINGS = table_of(MountingRow)
 MEASURED = table_of(MeasuredProfilesRow)

@@ -32,8 +32,7 @@ from fleet_db.models import (
     WindowRow,
 )
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
-from fleet_db.reason_columns import reason_columns, stored_reason
-from fleet_db.rows import null_if_nan, table_of, upsert
+from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, upsert
 
 LAYOUTS = table_of(TrackLayoutRow)
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)

@@ -11,8 +11,7 @@ from estimation.values.trend import TrendRecord
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import TrendRow
 from fleet_db.packed_values import pack_trend, unpack_trend
-from fleet_db.reason_columns import reason_columns
-from fleet_db.rows import null_if_nan, table_of
+from fleet_db.rows import null_if_nan, reason_columns, table_of
 
 TRENDS = table_of(TrendRow)
 NEWEST_FIRST = (TRENDS.c.recorded_ns.desc(), TRENDS.c.trend_id.desc())

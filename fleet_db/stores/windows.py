@@ -14,8 +14,17 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window, WindowQuality, WindowRecord, WindowState
 from fleet_db.changes import Changes
 from fleet_db.models import WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
-from fleet_db.reason_columns import reason_columns, stored_reason
-from fleet_db.rows import insert_new, key_given, key_of, nan_if_null, null_if_nan, replace, table_of
+from fleet_db.rows import (
+    insert_new,
+    key_given,
+    key_of,
+    nan_if_null,
+    null_if_nan,
+    reason_columns,
+    replace,
+    stored_reason,
+    table_of,
+)
 from fleet_db.telemetry import WindowFiles, window_digest
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
