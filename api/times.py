@@ -41,7 +41,7 @@ def from_rfc3339(text: object) -> int:
         raise ValueError("must be a time that exists") from None
     t_ns = (since.days * 86400 + since.seconds) * _NS + int((decimals or "").ljust(9, "0"))
     if not -_INT64 <= t_ns < _INT64:
-        raise ValueError("must lie between the years 1678 and 2261")
+        raise ValueError("must be between the years 1678 and 2261")
     return t_ns
 
 

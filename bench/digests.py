@@ -1,6 +1,6 @@
 """Show that a change of the code changes no number: ``python bench/digests.py [--write FILE] [--against FILE]``.
 
-Two small simulated fleets, one on a surveyed track and one on a track that nobody has surveyed with positions off by
+Two small simulated fleets, one on a surveyed track and one on a track without a survey with positions off by
 20 m, go through the command line (``simulate``, ``ingest``, ``estimate``) campaign by campaign. Every result is then
 read over the REST API of ``treadwatch serve``. Nothing of the code is imported, so that the same file runs at commits
 whose modules have other names: set ``PYTHONPATH`` to the checkout that is to be measured (default: the one that holds

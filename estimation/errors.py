@@ -90,7 +90,7 @@ class ParameterError(InputError):
 
 
 class NotFoundError(TreadwatchError):
-    """No such thing: ``kind`` and ``key`` say which."""
+    """No such thing: ``kind`` and ``key`` name it."""
 
     def __init__(self, kind: str, key: str) -> None:
         self.kind = kind

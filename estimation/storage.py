@@ -79,7 +79,7 @@ class BinTables(Protocol):
 
 
 class Geometries(Protocol):
-    """Geometry estimates, append-only; reads give what was believed at ``as_of_ns`` (recorded time).
+    """Geometry estimates, append-only; reads give the state recorded at ``as_of_ns``.
 
     ``change`` counts what happened to the inputs of a wheelset's geometry. A job that reads inputs in one transaction
     and stores in another reads it with the inputs and passes it to ``mark_current`` with the results, so that a change

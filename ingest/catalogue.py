@@ -1,6 +1,6 @@
 """The signal catalogue: a DBC file, read once, as a plan for the vectorised codec.
 
-cantools reads the file; after that it is not asked again. The conventions on top of DBC are few: the name of a message
+cantools reads the file; it is not used after that. The conventions on top of DBC are few: the name of a message
 ends with its node (``ACCELERATION_3``), ``GenMsgCycleTime`` of SYNC is the sampling interval, and ``InvalidRawValue``
 is the raw value that says "not available".
 """

@@ -86,7 +86,7 @@ def nearest(study: PairStudy) -> dict[tuple[TrackInformation, str], int]:
 
 
 def sentences_of(studies: Sequence[PairStudy]) -> list[str]:
-    """Return one sentence for each pair and information on the track: which estimator comes nearest, by how much."""
+    """Return one sentence for each pair and information on the track: the most accurate estimator, by how much."""
     sentences = []
     for study in studies:
         for track in TrackInformation:

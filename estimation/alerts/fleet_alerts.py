@@ -1,8 +1,8 @@
 """Fleet alerts: many new alerts of one kind in one fleet become one that stands for them. Pure functions.
 
-A fleet alert says nothing that its members do not say. It is as severe as the worst open member, unknown where all of
-them are, closed when the last of them closes, and its evidence lists them. Its times are those of its members, thus
-of the data. ``version`` is left to the store.
+A fleet alert contains nothing that its members do not contain. It is as severe as the worst open member, unknown where
+all of them are, closed when the last of them closes, and its evidence lists them. Its times are those of its members,
+thus of the data. ``version`` is left to the store.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """What happens to an alert: pure functions from (alert, fact) to the alert afterwards and the events to record.
 
 Life of an alert. A breach opens it (``pending`` until the on-delay is over, then ``active`` and raised). The same again
-updates it. Data that no longer say anything make it ``unknown``. Beyond the clear limit, for the off-delay, it is
-cleared and with that closed. A reprofiling or an exchange closes it with its reason. A closed alert never changes; a
+updates it. Data from which nothing follows any more make it ``unknown``. Beyond the clear limit, for the off-delay, it
+is cleared and with that closed. A reprofiling or an exchange closes it with its reason. A closed alert never changes; a
 later breach opens a new one.
 
 Times of an alert are those of the data that moved it, so that the same data give the same alerts whenever they are
@@ -44,7 +44,7 @@ def transition(
     open_alert
         The open alert, or None.
     finding
-        What the rule says now.
+        The present finding of the rule.
     now_ns
         Our time; only acknowledgements that have run out depend on it.
     fleet
@@ -134,7 +134,7 @@ def _raised(alert: Alert, stored: Alert, finding: Finding) -> Transition | None:
 
 
 def _unknown(alert: Alert, finding: Finding) -> Alert:
-    """Keep the numbers that raised it, and say why they are no longer known."""
+    """Keep the numbers that raised it, with the reason why they are no longer known."""
     why = {name: finding.evidence.get(name) for name in ("unknown_because", "unknown_because_code")}
     evidence = {**alert.evidence, **why}
     return replace(alert, condition=Condition.UNKNOWN, evidence=evidence)
@@ -168,7 +168,7 @@ def _seen_again(alert: Alert, finding: Finding) -> Alert:
 
 
 def _refreshed(alert: Alert, finding: Finding) -> Alert:
-    """Take over what the finding says; a rise in severity ends the acknowledgement."""
+    """Take over the values of the finding; a rise in severity ends the acknowledgement."""
     after = replace(
         alert,
         severity=finding.severity,

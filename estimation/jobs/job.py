@@ -32,7 +32,7 @@ class JobContext:
     progress
         Called with (done, total) between batches; a screen's or a test's, never needed.
     stopping
-        Says whether the process has been asked to stop.
+        Returns whether a stop of the process was requested.
     settings
         Settings of all jobs.
     """
@@ -45,7 +45,7 @@ class JobContext:
     stopping: Callable[[], bool] | None = None
 
     def checkpoint(self, done: int, total: int) -> None:
-        """Tell the progress; to be called between two batches, with everything before it committed.
+        """Report the progress; to be called between two batches, with everything before it committed.
 
         Raises
         ------
@@ -83,7 +83,7 @@ def run_job(
     context
         What it may touch.
     trigger
-        Who asked.
+        What started the run.
     started
         Gets the record as soon as it is committed, before the work begins.
 

@@ -1,6 +1,6 @@
 """Job: new windows of a section improve its alignment, which corrects their positions.
 
-Each section is done in epochs: the windows of which nobody has looked where they were, a bounded number, become passes;
+Each section is done in epochs: windows that have not been placed yet, a bounded number, become passes;
 these and the alignment in force become the next version. So a run costs its new windows and not the history. Windows of
 an epoch that identifies nothing stay, and are looked at again together with those that come.
 """

@@ -24,7 +24,7 @@ def gauge_shift(
     parameters: SignalParameters,
     earlier: IntegratedWindow | None = None,
 ) -> FloatArray | None:
-    """Return by how much the gauge moves the wheelset (n,), m, NaN where that cannot be said.
+    """Return by how much the gauge moves the wheelset (n,), m, NaN where that is not known.
 
     None where nothing is known of it: on constant gauge, or of a wheelset of which the section has no findings.
 

@@ -61,7 +61,7 @@ class Gates:
     """When a window may be estimated at all."""
 
     least_coverage: float = 0.25
-    most_clipped: float = 0.1  # clipped samples are left out; more than this, and the rest is not trusted
+    most_clipped: float = 0.1  # clipped samples are left out; with more than this the window is refused
     least_position_quality: float = 0.1
 
 

@@ -57,7 +57,7 @@ def motion(
     layout
         Curves of the section, which are left out; None where none is on file.
     gauge_shift
-        (n,) m, by how much the gauge moves the wheelset, NaN where that cannot be said; None where it is not known.
+        (n,) m, by how much the gauge moves the wheelset, NaN where the table does not reach; None without a table.
     earlier
         The same accelerations and speeds, integrated before.
     """

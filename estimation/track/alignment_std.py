@@ -21,7 +21,7 @@ from estimation.values.track import FLEET, TrackAlignment
 def merged_alignment(
     section: str, iterated: IterationResult, prior: TrackAlignment | None, p: SectionParameters
 ) -> TrackAlignment:
-    """Return the solution as an alignment, NaN where it is not known; places that nobody passed stay as they were.
+    """Return the solution as an alignment, NaN where it is not known; places without a pass stay as they were.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Passes put where they were: odometer offsets and scale errors found from what the passes have in common.
 
-What every wheelset feels at a place is mostly the track. So each journey (the windows of one vehicle on one run over
-the section) is shifted and stretched until its lateral displacement agrees with the mean of the others: first by
-correlation, then by least squares on the slope of the alignment that the panel has found. Where the whole fleet is
-is nobody's to say: the mean journey keeps its place.
+The motion of every wheelset at a place is mostly that of the track. So each journey (the windows of one vehicle on one
+run over the section) is shifted and stretched until its lateral displacement agrees with the mean of the others: first
+by correlation, then by least squares on the slope of the alignment that the panel has found. Where the whole fleet is
+is not observable: the mean journey keeps its place.
 
 A worn and a new wheelset answer the track with different lags, so the offset of a journey and the slope of its
 wheelsets' curves trade off; a vehicle whose wheelsets differ in wear separates them.
@@ -183,7 +183,7 @@ def _peak(
 def register(
     found: FloatArray, reference: FloatArray, grid: SectionGrid, parameters: PositionParameters
 ) -> tuple[Correction, float]:
-    """Return how ``found`` (n,) must be moved to lie on ``reference`` (n,), and the mean correlation of its pieces.
+    """Return how ``found`` (n,) must be moved onto ``reference`` (n,), and the mean correlation of its pieces.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def _fitted(correction: Correction, lags: Sequence[tuple[float, float]]) -> Corr
     line = np.zeros(2)
     for _ in range(10):
         design = np.stack([weights, weights * u])
-        ridge = np.diag([0.0, 1e-6 * float(u @ u) + 1e4])  # a short journey says little of its scale
+        ridge = np.diag([0.0, 1e-6 * float(u @ u) + 1e4])  # a short journey hardly determines its scale
         line = np.linalg.solve(design @ np.stack([np.ones(len(u)), u]).T + ridge, design @ lag)
         error = np.abs(lag - line[0] - line[1] * u)
         weights = 1.0 / (1.0 + (error / max(float(np.median(error)), 0.1)) ** 2)
@@ -229,7 +229,7 @@ def _fitted(correction: Correction, lags: Sequence[tuple[float, float]]) -> Corr
 
 
 def _centred(corrections: Mapping[Journey, Correction]) -> dict[Journey, Correction]:
-    """Return the corrections less their mean: the fleet as a whole stays where it said it was."""
+    """Return the corrections less their mean: the fleet as a whole stays at its reported positions."""
     offset = float(np.mean([c.offset for c in corrections.values()]))
     scale = float(np.mean([c.scale for c in corrections.values()]))
     return {j: replace(c, offset=c.offset - offset, scale=c.scale - scale) for j, c in corrections.items()}

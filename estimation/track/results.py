@@ -129,7 +129,7 @@ def _json(value: object) -> JsonValue:
 
 
 def nothing(reason: Reason, evidence: tuple[str, ...] = ()) -> AlignmentReport:
-    """Return the report of passes that say nothing, for this reason.
+    """Return the report of passes from which nothing follows, for this reason.
 
     Parameters
     ----------

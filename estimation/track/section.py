@@ -38,7 +38,7 @@ from estimation.values.track import Correction, TrackAlignment
 
 @dataclass(frozen=True, slots=True)
 class SectionEstimate:
-    """What the passes of an epoch and the evidence say; ``alignment`` is None where that is nothing."""
+    """What follows from the passes of an epoch and the prior alignment; ``alignment`` is None where nothing does."""
 
     alignment: TrackAlignment | None
     report: AlignmentReport
@@ -146,7 +146,7 @@ def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Pane
 def _find_outliers(
     residuals: Mapping[Journey, float], corrections: Mapping[Journey, Correction], p: SectionParameters
 ) -> dict[Journey, Reason]:
-    """Return the journeys that are not where they say, or not on this section, with the reason."""
+    """Return the journeys that are not at their reported positions, or not on this section, with the reason."""
     found = {}
     for journey, value in residuals.items():
         others = [rest for other, rest in residuals.items() if other != journey and np.isfinite(rest)]

@@ -42,5 +42,5 @@ class SectionGrid:
         return (len(self.kernel) + len(self.difference_kernel)) // 2
 
     def contains(self, points: IntArray) -> BoolArray:
-        """Return which grid points (m,) lie on the section (m,)."""
+        """Return which grid points (m,) are on the section (m,)."""
         return np.asarray((points >= 0) & (points < self.points))

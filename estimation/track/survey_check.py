@@ -32,7 +32,7 @@ UNITS = {
 }
 SAME_UNIT = 1.12  # a factor this near to that of a unit is that unit
 ALIGNING_STEPS = 5
-MEMORY = 60.0  # m: how far samples of a high-passed alignment know of each other
+MEMORY = 60.0  # m: correlation length of a high-passed alignment
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class SurveyCheckParameters:
 
     largest_offset: float = 60.0  # m, searched both ways
     log10_chance: float = -6.0  # of as much in common with another section, over all offsets
-    least_samples: float = 20.0  # independent ones, below which nothing is said
+    least_samples: float = 20.0  # independent ones, below which the survey is not assessed
     most_factor: float = 1.25  # and its inverse the least, besides what the fleet leaves open
     largest_shift: float = 3.0  # m, besides the uncertainty of the fleet's place
     most_misfit: float = 1.5  # times what the standard deviations allow, besides chance
@@ -50,13 +50,13 @@ class SurveyCheckParameters:
 
 @dataclass(frozen=True, slots=True)
 class SurveyCheck:
-    """What the fleet says of a recorded alignment; numbers are NaN where nothing can be said."""
+    """The check of a surveyed alignment by the fleet; numbers are NaN where it cannot be assessed."""
 
     usable: bool
-    reason: str  # why not; or why nothing can be said
+    reason: str  # why not; or why it cannot be assessed
     scale: float  # surveyed over measured, without its sign
     shift: float  # m: what is surveyed at s was measured at s + shift
-    sign: int  # 1; -1 where left and right are exchanged; 0 where nothing can be said
+    sign: int  # 1; -1 where left and right are exchanged; 0 where it cannot be assessed
     misfit: float  # rms of the difference at its place now, over what the standard deviations allow
     correlation: float  # at the best shift
     samples: float  # independent ones
@@ -78,8 +78,8 @@ def check_survey(
     fleet
         Found by the fleet alone, high-passed at its ``cutoff_wavelength``, with its std; NaN where not known.
     place_std
-        How well the fleet as a whole knows its place along the section, m: the scatter of its journeys' positions
-        over the root of their number. A shift that it explains is nobody's fault.
+        Std of the position of the fleet as a whole along the section, m: the scatter of its journeys' positions
+        over the root of their number. A shift within it is not held against the survey.
     parameters
         Limits.
     """

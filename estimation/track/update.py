@@ -41,7 +41,7 @@ class UpdateOutcome(StrEnum):
         return self in {UpdateOutcome.NEW_VERSION, UpdateOutcome.SURVEY_EXTENDED}
 
     @property
-    def positions_trusted(self) -> bool:
+    def positions_valid(self) -> bool:
         """Whether measured positions are used unless they are far off: on a survey."""
         return self in {UpdateOutcome.SURVEY_KEPT, UpdateOutcome.SURVEY_EXTENDED}
 
@@ -50,7 +50,7 @@ class UpdateOutcome(StrEnum):
 class AlignmentUpdate:
     """What the passes of an epoch make of a section.
 
-    ``alignment`` is in force from now on, None where nobody knows any; ``pass_outcomes`` are of the passes in their
+    ``alignment`` is in force from now on, None where there is none; ``pass_outcomes`` are of the passes in their
     order. ``survey`` is what the fleet finds of the survey in force, where it was checked and could be.
     """
 
@@ -161,7 +161,7 @@ def _with_gauge_shifts(kept: AlignmentUpdate, survey: TrackAlignment, settings: 
 
 
 def _place_std(estimate: SectionEstimate) -> float:
-    """Return how well the fleet knows its place: the scatter of its journeys over the root of their number, m."""
+    """Return the std of the position of the fleet: the scatter of its journeys over the root of their number, m."""
     offsets = [correction.offset for correction in estimate.corrections.values()]
     return float(np.std(offsets) / np.sqrt(len(offsets))) if offsets else 0.0
 

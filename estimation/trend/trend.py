@@ -38,7 +38,7 @@ class TrendParameters:
     minimum_span_km: float = 1.0
     horizon_km: float = 500_000.0
     horizon_years: float = 10.0
-    smallest_std: float = 1e-6  # a std below it is a claim nobody can make
+    smallest_std: float = 1e-6  # a std below it is not credible
 
 
 def refresh(

@@ -28,7 +28,7 @@ MOST_KNOTS = 8
 PAIRS_LIMIT = 500  # points up to which all pairs enter the pilot slope
 OUTLIER_SHARE = 0.05
 OUTLIER_WIDTH = 10.0
-POINTS_FOR_OUTLIERS = 5  # with fewer, nobody can say which one is wrong
+POINTS_FOR_OUTLIERS = 5  # with fewer, an outlier cannot be identified
 SCATTER_NODES = 12
 EXTRA_SCATTER = 1.0  # half-Cauchy scale of tau, in median standard deviations
 BEND_NODES = np.array([0.01, 0.15, 0.4, 1.0])  # change of slope over the observed span, in slopes
@@ -48,7 +48,7 @@ class NormalMixture:
     std: FloatArray  # (m,)
 
     def above(self, limit: float) -> float:
-        """Return the probability of lying above ``limit``."""
+        """Return the probability of a value above ``limit``."""
         return float(self.weight @ ndtr((self.mean - limit) / self.std))
 
     def quantile(self, probability: float) -> float:

@@ -35,7 +35,7 @@ class Condition(StrEnum):
     PENDING = "pending"  # seen, on-delay not over
     ACTIVE = "active"
     CLEARED = "cleared"
-    UNKNOWN = "unknown"  # the data no longer say; never to be read as healthy
+    UNKNOWN = "unknown"  # no longer assessable; never to be read as healthy
 
 
 class CloseReason(StrEnum):
@@ -74,7 +74,7 @@ class AlertEventKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What one rule says of one wheelset at one time; ``breached`` None means the data cannot say."""
+    """The result of one rule for one wheelset at one time; ``breached`` is None where the data do not decide."""
 
     wheelset: str
     kind: str  # of the rule

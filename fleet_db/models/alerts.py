@@ -20,7 +20,7 @@ class AlertRow(Base):
 
     __tablename__ = "alerts"
     __table_args__ = (
-        CheckConstraint("kind <> ''", name="kind_named"),  # the rules know their kinds
+        CheckConstraint("kind <> ''", name="kind_named"),  # the rules define the kinds
         one_of("severity", Severity),
         one_of("condition", Condition),
         CheckConstraint("version > 0", name="version_positive"),

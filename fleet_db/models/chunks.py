@@ -10,7 +10,7 @@ from fleet_db.receipts import ChunkState
 
 
 class ChunkRow(Base):
-    """The receipt of one recording. ``vehicle`` is what the sender said: a recording of an unknown one is kept too."""
+    """The receipt of one recording. ``vehicle`` is the sender's: a recording of an unknown one is kept too."""
 
     __tablename__ = "chunks"
     __table_args__ = (

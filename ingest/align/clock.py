@@ -56,7 +56,7 @@ class AlignCounts:
     conflicting_frames: int = 0  # another payload at the same instant: both are invalid
     samples_lost: int = 0  # by the nodes' sample counters
     counter_resets: int = 0
-    counter_mismatches: int = 0  # more frames than the node says it sent: invalid
+    counter_mismatches: int = 0  # more frames than the node counted as sent: invalid
     emergencies: int = 0
     self_test_failures: int = 0
 

@@ -44,7 +44,7 @@ COUNTER_VALUES = 1 << 32
 
 @dataclass(frozen=True, slots=True)
 class NodeSamples:
-    """Samples of one node; ``clipped`` and ``invalid`` say of each sample what its sensor said."""
+    """Samples of one node; ``clipped`` and ``invalid`` mark samples as their sensor reported them."""
 
     block: SampleBlock
     clipped: BoolArray  # (n,) a raw value on its limit, or the clipping bit of its second
@@ -152,7 +152,7 @@ def _from_status(
 
 
 def _spans(tick: IntArray, after: IntArray, until: IntArray) -> BoolArray:
-    """Return which ticks (n,) lie in any of the spans ``(after, until]``."""
+    """Return which ticks (n,) are in any of the spans ``(after, until]``."""
     if len(after) == 0:
         return np.zeros(len(tick), dtype=np.bool_)
     edges = np.zeros(len(tick) + 1, dtype=np.int64)
@@ -187,7 +187,7 @@ NO_SECTION = -1
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A quantity of the vehicle node at the instants of its frames; NaN where it said "not available"."""
+    """A quantity of the vehicle node at the instants of its frames; NaN where the node sent "not available"."""
 
     tick: IntArray  # (n,) strictly increasing
     values: FloatArray  # (n, m)

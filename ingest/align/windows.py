@@ -70,7 +70,7 @@ class MountedWindow:
 
 @dataclass(frozen=True, slots=True)
 class RegistryLookup:
-    """What the registry knows of a vehicle over some time: who ran where, and what sections are called."""
+    """What the registry contains of a vehicle over some time: which wheelset ran where, and the codes of sections."""
 
     vehicle: VehicleRecord
     mountings: tuple[Mounting, ...]
@@ -216,7 +216,7 @@ def _section_and_distance(
 ) -> tuple[str | None, FloatArray]:
     """Return the one section of the window and the distance of the wheelset along it (n,), NaN off the section.
 
-    The section is the one that most good samples lie on (the lower number of two), if the registry knows it. A
+    The section is the one of most good samples (the lower number of two), if it is registered. A
     wheelset that has not yet reached the section of the reference point is off it.
     """
     nowhere = np.full(len(motion.distance), np.nan)

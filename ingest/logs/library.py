@@ -1,7 +1,7 @@
 """Log files through python-can, in a child process that may only use so much memory, time and disk.
 
 The child is where a hostile or broken file can do its worst: loop, inflate, exhaust memory. The parent gets plain
-arrays back, never pickled objects, or one line that says what is wrong.
+arrays back, never pickled objects, or one line with the error.
 """
 
 from __future__ import annotations

@@ -163,7 +163,7 @@ def wheelset_motion(
     motion = simulate_wheelset(parameters, table, track, run.speed, start)
     if motion.outside:
         raise DerailmentError(
-            f"{plan.serial} derails in campaign {run.campaign + 1}: {motion.outside} samples lie beyond "
+            f"{plan.serial} derails in campaign {run.campaign + 1}: {motion.outside} samples are beyond "
             f"{1e3 * table.lateral_displacement[-1]:.1f} mm",
             field=f"vehicles.{run.vehicle.code}",
         )
@@ -246,5 +246,5 @@ def _stopping(plan: SpeedRange, t: FloatArray) -> FloatArray:
     """Return the speed (n,) that the next and the last stop allow; infinite where there are none."""
     if plan.stop_every <= 0.0:
         return np.full(len(t), np.inf)
-    from_stop = np.abs((t % plan.stop_every) - 0.5 * plan.stop_every)  # stops lie in the middle of each round
+    from_stop = np.abs((t % plan.stop_every) - 0.5 * plan.stop_every)  # stops are in the middle of each period
     return np.asarray(plan.braking * np.maximum(from_stop - 0.5 * plan.stop, 0.0))

@@ -87,9 +87,9 @@ def run_fleet(
     out
         Folder, made where missing; recordings are ``<vehicle>/<vehicle>__<start, UTC>.blf``.
     vehicles
-        Codes of the vehicles to simulate; all unless given. The registry always names all.
+        Codes of the vehicles to simulate; all by default. The registry always names all.
     workers
-        Processes; as many as cores (at most the recordings) unless given. With 1 everything runs in this process.
+        Processes; by default as many as cores, at most the recordings. With 1 everything runs in this process.
     progress
         Called after each recording.
 

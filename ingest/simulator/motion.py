@@ -57,7 +57,8 @@ class WheelsetMotion:
     """The true motion of a wheelset and its suspended mass, every ``STEP`` s; all arrays (n,), SI.
 
     ``outside`` counts samples whose lateral displacement left the contact table: there the motion means nothing.
-    Displacements and yaw are relative to the path as built; ``path_accelerations`` is what sensors feel of its curves.
+    Displacements and yaw are relative to the path as built; ``path_accelerations`` is what sensors measure of its
+    curves.
     """
 
     t: FloatArray  # s, from 0

@@ -100,7 +100,7 @@ def read_track(path: Path, interval: float | None = None) -> TrackTruth:
     """Read a recorded track (CSV with header ``s_m, alignment_mm, gauge_deviation_mm``, and curves where it has them).
 
     Distances must increase; uneven spacing is resampled by cubic spline every ``interval`` m (the median spacing
-    unless given).
+    by default).
 
     Raises
     ------

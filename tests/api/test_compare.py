@@ -101,7 +101,7 @@ def test_a_baseline_that_wins_is_named() -> None:
     assert "no estimator estimates half of the amplitudes" in nothing
 
 
-def test_where_nobody_comes_near_nobody_wins() -> None:
+def test_without_an_accurate_estimator_none_wins() -> None:
     scores = tuple(score(name, Track.NONE, (0.12, 0.1 if name == SHIPPED else 0.2)) for name in NAMES)
     (said,) = sentences_of([paired(scores, {Track.KNOWN: "x", Track.FLEET: "y"})])[2:]
     assert "none comes near; the nearest are locally linear bins" in said

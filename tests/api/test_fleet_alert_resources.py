@@ -29,7 +29,7 @@ def items(client: httpx.Client, path: str) -> list[dict[str, Any]]:
     return found
 
 
-def storm(service: Service) -> Alert:
+def alarm_flood(service: Service) -> Alert:
     """Raise alerts of seven wheelsets at once, or find them raised, and return their fleet alert."""
     with service.storage.write() as unit:
         found = [Transition(api_fleet.alert(s, KIND, "=beta"), (AlertEventKind.RAISED,)) for s in MEMBERS]
@@ -39,9 +39,9 @@ def storm(service: Service) -> Alert:
     return fleet_alert
 
 
-def test_a_storm_is_one_item_of_the_feed_that_leads_to_its_members_and_back(service: Service) -> None:
+def test_an_alarm_flood_is_one_item_of_the_feed_that_leads_to_its_members_and_back(service: Service) -> None:
     before = feed(service, None)["next_cursor"]
-    fleet_alert = storm(service)
+    fleet_alert = alarm_flood(service)
     (item,) = feed(service, before)["items"]
     served = item["alert"]
     assert (item["event"], served["id"], served["wheelset"]) == ("raised", fleet_alert.alert_id, None)
@@ -59,7 +59,7 @@ def test_a_storm_is_one_item_of_the_feed_that_leads_to_its_members_and_back(serv
 
 
 def test_lists_distinguish_fleet_alerts_from_those_of_wheelsets(service: Service) -> None:
-    number = storm(service).alert_id
+    number = alarm_flood(service).alert_id
     client = service.client
     assert [alert["id"] for alert in items(client, "/v1/alerts?scope=fleet&open=true")] == [number]
     of_wheelsets = items(client, f"/v1/alerts?scope=wheelset&kind={KIND}&fleet=%3Dbeta&open=true&limit=1000")
@@ -72,7 +72,7 @@ def test_lists_distinguish_fleet_alerts_from_those_of_wheelsets(service: Service
 
 
 def test_pages_of_members_join_and_keep_their_cursor_to_themselves(service: Service) -> None:
-    path = f"/v1/alerts?fleet_alert={storm(service).alert_id}&limit=3"
+    path = f"/v1/alerts?fleet_alert={alarm_flood(service).alert_id}&limit=3"
     seen: list[str] = []
     while path is not None:
         body = service.client.get(path).json()
@@ -84,7 +84,7 @@ def test_pages_of_members_join_and_keep_their_cursor_to_themselves(service: Serv
 
 
 def test_a_fleet_alert_is_acknowledged_like_any_other_and_members_stay_out_of_the_feed(service: Service) -> None:
-    fleet_alert = storm(service)
+    fleet_alert = alarm_flood(service)
     (first, *_) = items(service.client, f"/v1/alerts?fleet_alert={fleet_alert.alert_id}")
     before = feed(service, None)["next_cursor"]
     for path in (first["links"]["self"], f"/v1/alerts/{fleet_alert.alert_id}"):
@@ -104,7 +104,7 @@ def test_a_fleet_alert_is_acknowledged_like_any_other_and_members_stay_out_of_th
 
 
 def test_metrics_count_the_members_and_not_their_fleet_alert(service: Service) -> None:
-    storm(service)
+    alarm_flood(service)
     lines = service.client.get("/metrics").text.splitlines()
     wanted = f'treadwatch_alerts_open{{fleet="=beta",kind="{KIND}",severity="warning"}} '
     assert [float(line.removeprefix(wanted)) for line in lines if line.startswith(wanted)] == [len(MEMBERS)]

@@ -126,7 +126,7 @@ def test_a_trend_has_its_points_its_slope_and_its_forecast(client: httpx.Client)
 
 
 @pytest.mark.parametrize("resource", ["geometry", "trend"])
-def test_as_of_gives_what_was_believed_then(client: httpx.Client, resource: str) -> None:
+def test_as_of_gives_what_was_recorded_then(client: httpx.Client, resource: str) -> None:
     path = f"/v1/wheelsets/WS-000/{resource}"
     latest = client.get(path)
     link = latest.json()["links"]["as_recorded"]

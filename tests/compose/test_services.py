@@ -99,7 +99,7 @@ def _environment(given: Mapping[str, str]) -> dict[str, str]:
 
 @pytest.fixture
 def deployment(empty_postgres_url: str, tmp_path: Path) -> Deployment:
-    """Return the deployment on a database that nobody has migrated."""
+    """Return the deployment on a database that has not been migrated."""
     return Deployment(empty_postgres_url, tmp_path)
 
 

@@ -57,7 +57,7 @@ def made(found: Sequence[Window], *, mounted_reversed: bool = False) -> list[Pas
 
 
 @cache
-def honest(seed: int = 1) -> tuple[Pass, ...]:
+def valid_passes(seed: int = 1) -> tuple[Pass, ...]:
     """Return the passes of all runs."""
     return tuple(item for number in range(len(RUNS)) for item in made(windows(number, seed)))
 

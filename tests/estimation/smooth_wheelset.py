@@ -118,7 +118,7 @@ GOOD = WindowQuality(
 
 
 def mems_windows(m: WheelsetMotion, seed: int, density: float = 1e-3, length_s: int = 60) -> list[Window]:
-    """Cut the motion into windows at 250 Hz as white, offset, drifting sensors would feel it."""
+    """Cut the motion into windows at 250 Hz as white, offset, drifting sensors would measure it."""
     rng = np.random.default_rng(seed)
     dt = 4e-3
     clean = (m.lateral_acceleration, m.yaw_acceleration, m.roll_acceleration, m.mass_lateral_acceleration)

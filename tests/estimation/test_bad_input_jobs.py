@@ -72,7 +72,7 @@ def run_jobs(storage: Storage) -> None:
     assert [run.outcome for run in runs] == ["succeeded"] * len(runs), runs
 
 
-def honest() -> dict[str, Sequence[Window]]:
+def valid_windows() -> dict[str, Sequence[Window]]:
     return {f"W{number}": windows(number) for number in range(len(RUNS))}
 
 
@@ -126,9 +126,9 @@ def _all_reversed(found: Sequence[Window]) -> Sequence[Window]:
 
 @pytest.fixture(scope="module")
 def without(new_sqlite_storage: Callable[[], Storage]) -> dict[str, GeometryRecord]:
-    """Return the geometries of the honest fleet alone on unknown track."""
+    """Return the geometries of the valid windows alone on unknown track."""
     storage = new_sqlite_storage()
-    deployed(storage, honest())
+    deployed(storage, valid_windows())
     return geometries(storage)
 
 
@@ -136,7 +136,7 @@ def without(new_sqlite_storage: Callable[[], Storage]) -> dict[str, GeometryReco
 def without_on_record(new_sqlite_storage: Callable[[], Storage]) -> dict[str, GeometryRecord]:
     """Return those on a recorded track."""
     storage = new_sqlite_storage()
-    deployed(storage, honest(), surveyed())
+    deployed(storage, valid_windows(), surveyed())
     return geometries(storage)
 
 
@@ -149,7 +149,7 @@ def test_bad_passes_are_refused_with_their_reason_and_the_others_stay_as_they_we
     bad = bad_windows()
     if recorded is None:  # on a recording nothing is asked of a pass that says nothing against it
         bad["B3"] = (_short_pass(), "too short for wavelengths up to 30 m")
-    deployed(sqlite_storage, honest() | {name: items for name, (items, _) in bad.items()}, recorded)
+    deployed(sqlite_storage, valid_windows() | {name: items for name, (items, _) in bad.items()}, recorded)
     for name, (items, said) in bad.items():
         records = states(sqlite_storage, name)
         assert len(records) == len(items)
@@ -164,7 +164,7 @@ def test_of_a_window_whose_position_jumps_what_fits_helps_the_track_and_nothing_
 ) -> None:
     first = windows(1)[0]
     jumping = replace(first, distance=first.distance + 15.0 * (np.arange(len(first.valid)) > len(first.valid) // 2))
-    deployed(sqlite_storage, honest() | {"B": (jumping,)})
+    deployed(sqlite_storage, valid_windows() | {"B": (jumping,)})
     (record,) = states(sqlite_storage, "B")
     assert record.state is WindowState.REFUSED
     assert "the position jumps once against the speed, by 15.0 m" in str(record.reason)
@@ -188,7 +188,7 @@ def test_a_wrong_recording_is_not_used_and_the_fleet_finds_the_track_itself(
     sqlite_storage: Storage, without: dict[str, GeometryRecord], kind: str
 ) -> None:
     spoil, said = WRONG[kind]
-    deployed(sqlite_storage, honest(), spoil(surveyed()))
+    deployed(sqlite_storage, valid_windows(), spoil(surveyed()))
     with sqlite_storage.read() as unit:
         report, in_force = unit.tracks.report("S1"), unit.tracks.in_force("S1")
     assert report is not None
@@ -200,8 +200,8 @@ def test_a_wrong_recording_is_not_used_and_the_fleet_finds_the_track_itself(
     same(geometries(sqlite_storage), without)
 
 
-def test_an_honest_recording_is_used(sqlite_storage: Storage) -> None:
-    deployed(sqlite_storage, honest(), surveyed())
+def test_a_correct_survey_is_used(sqlite_storage: Storage) -> None:
+    deployed(sqlite_storage, valid_windows(), surveyed())
     with sqlite_storage.read() as unit:
         report = unit.tracks.report("S1")
     assert report is not None

@@ -93,7 +93,7 @@ def deployed(storage: Storage, lives: Mapping[str, Sequence[Sequence[Window]]], 
     run_jobs(storage)
 
 
-def honest() -> dict[str, list[tuple[Window, ...]]]:
+def valid_windows() -> dict[str, list[tuple[Window, ...]]]:
     return {name: [visit(name, number) for number in range(VISITS)] for name in WHEELS}
 
 
@@ -120,7 +120,7 @@ def recorded(request: pytest.FixtureRequest) -> bool:
 @pytest.fixture(scope="module")
 def without(new_sqlite_storage: Callable[[], Storage], recorded: bool) -> Storage:  # noqa: FBT001 - a fixture
     storage = new_sqlite_storage()
-    deployed(storage, honest(), recorded=recorded)
+    deployed(storage, valid_windows(), recorded=recorded)
     return storage
 
 
@@ -156,7 +156,7 @@ def test_nothing_is_said_against_those_who_are_what_they_are(without: Storage, *
 def test_two_swapped_wheelsets_are_reported_and_not_averaged(
     sqlite_storage: Storage, without: Storage, *, recorded: bool
 ) -> None:
-    lives = honest()
+    lives = valid_windows()
     lives["A"], lives["B"] = (lives[one][:EVENT] + lives[other][EVENT:] for one, other in (("A", "B"), ("B", "A")))
     deployed(sqlite_storage, lives, recorded=recorded)
     assert mistakes(sqlite_storage) == {"A": ("swapped", "B"), "B": ("swapped", "A")}
@@ -176,7 +176,7 @@ def test_two_swapped_wheelsets_are_reported_and_not_averaged(
 def test_a_wheelset_turned_round_is_reported_and_as_before_when_that_is_on_file(
     sqlite_storage: Storage, without: Storage, *, recorded: bool
 ) -> None:
-    lives = honest()
+    lives = valid_windows()
     lives["A"] = [visit("A", number, turned=number >= EVENT) for number in range(VISITS)]
     deployed(sqlite_storage, lives, recorded=recorded)
     assert mistakes(sqlite_storage) == {"A": ("reversed", None)}

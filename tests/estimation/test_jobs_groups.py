@@ -18,10 +18,10 @@ FIRST = 1_704_691_800 // 20
 
 @given(start=st.integers(0, 10**9), groups=st.integers(4, 64))
 def test_blocks_in_a_row_are_dealt_evenly(start: int, groups: int) -> None:
-    dealt = bin_table.group_of(np.arange(start, start + 3 * groups), groups)
-    assert dealt.min() >= 0
-    assert dealt.max() < groups
-    count = np.bincount(dealt, minlength=groups)
+    assigned = bin_table.group_of(np.arange(start, start + 3 * groups), groups)
+    assert assigned.min() >= 0
+    assert assigned.max() < groups
+    count = np.bincount(assigned, minlength=groups)
     assert count.max() <= 4
     whole = start // groups * groups  # a whole round has each group once
     assert sorted(bin_table.group_of(np.arange(whole, whole + groups), groups)) == list(range(groups))

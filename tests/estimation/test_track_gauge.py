@@ -98,8 +98,8 @@ def test_a_gauge_that_does_not_vary_is_not_made_up() -> None:
     assert alignment_error(found, 0.0) < 0.02e-3
 
 
-def test_a_recorded_gauge_says_where_the_passes_lie() -> None:
-    """Nobody knows the alignment, and every odometer is 6 m off."""
+def test_a_recorded_gauge_fixes_the_positions_of_the_passes() -> None:
+    """The alignment is unknown, and every odometer is 6 m off."""
     recorded = np.interp(GRID - 6.0, GRID, true_gauge())
     nothing = np.zeros(PANEL.grid.points)
     known = PriorAlignment(

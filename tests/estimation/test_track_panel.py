@@ -63,7 +63,7 @@ def test_the_local_fit_takes_out_cubics_and_halves_the_cut_off() -> None:
     assert np.abs(high_pass(fast, weights)[m:-m]).max() == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_sample_is_trusted_when_all_within_reach_are_valid() -> None:
+def test_a_sample_counts_when_all_within_reach_are_valid() -> None:
     weights = np.ones(5) / 5
     valid = np.ones(20, dtype=bool)
     valid[10] = False

@@ -55,7 +55,7 @@ def test_offsets_and_scales_are_found_by_correlation_and_refined_by_the_panel() 
     assert np.sqrt((fine**2).mean()) < 0.5 * np.sqrt((coarse**2).mean())
 
 
-def test_passes_that_lie_right_are_left_where_they_are() -> None:
+def test_passes_at_their_places_are_not_moved() -> None:
     grouped = journeys(fleet_passes(), POSITIONS)
     corrections = correlate_positions(grouped, PANEL.grid, POSITIONS)
     assert max(abs(c.offset) for c in corrections.values()) < 1.0

@@ -90,7 +90,7 @@ def test_a_shifted_recording_is_found_and_measured(shift: float) -> None:
 
 
 def place_std(journeys: int, reach: float = 20.0) -> float:
-    """Return how well so many journeys know where they lie, whose positions are off by up to ``reach`` m, alike."""
+    """Return the position std of so many journeys, whose positions are off by up to ``reach`` m, alike."""
     return reach / np.sqrt(3.0) / np.sqrt(journeys)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from section_runs import SETTINGS, honest, made, mirror_mounted, turned_windows, windows
+from section_runs import SETTINGS, made, mirror_mounted, turned_windows, valid_passes, windows
 from smooth_wheelset import GOOD, alignment, track
 
 from estimation.track.examination import examine
@@ -42,9 +42,9 @@ def reasons(
 
 
 @pytest.mark.parametrize("known", [None, KNOWN], ids=["unknown track", "known track"])
-def test_honest_passes_are_all_used(known: TrackAlignment | None) -> None:
+def test_valid_passes_are_all_used(known: TrackAlignment | None) -> None:
     for seed in (1, 2):
-        found = list(honest(seed))
+        found = list(valid_passes(seed))
         reasons(found, set(), alignment(track(seed)) if known is not None else None)
 
 
@@ -62,7 +62,7 @@ BAD: dict[str, tuple[Callable[[Pass], Pass], str]] = {
 @pytest.mark.parametrize("known", [None, KNOWN], ids=["unknown track", "known track"])
 def test_a_bad_journey_is_refused_with_its_reason(kind: str, known: TrackAlignment | None) -> None:
     spoil, wanted = BAD[kind]
-    found = list(honest())
+    found = list(valid_passes())
     bad = {i for i, item in enumerate(found) if item.vehicle == "V2"}
     status = PassStatus.TOO_SHORT if kind == "too short" else PassStatus.REFUSED
     for reason in reasons([spoil(item) if i in bad else item for i, item in enumerate(found)], bad, known, status):
@@ -70,7 +70,7 @@ def test_a_bad_journey_is_refused_with_its_reason(kind: str, known: TrackAlignme
 
 
 def test_a_position_that_jumps_between_windows_is_refused_where_it_leaves_its_journey() -> None:
-    found = list(honest())
+    found = list(valid_passes())
     for metres in (12.0, -30.0):
         bad = {next(i for i, item in enumerate(found) if item.vehicle == "V3" and item.start_ns > 0)}
         moved = [replace(item, at=item.at + metres) if i in bad else item for i, item in enumerate(found)]
@@ -87,7 +87,7 @@ def solved(used: Sequence[Pass]) -> PanelSolution:
 @settings(max_examples=6, deadline=None)
 @given(kind=st.sampled_from(sorted(BAD)), number=st.integers(0, 5), place=st.integers(0, 12))
 def test_a_bad_pass_leaves_the_solution_of_the_others_as_it_was(kind: str, number: int, place: int) -> None:
-    found = list(honest())
+    found = list(valid_passes())
     bad = replace(BAD[kind][0](found[2 * number]), life=ProfileLife("BAD"), vehicle="BAD")
     before = solved(screen(found).used)
     screened = screen([*found[:place], bad, *found[place:]])
@@ -99,27 +99,29 @@ def test_a_bad_pass_leaves_the_solution_of_the_others_as_it_was(kind: str, numbe
 
 def test_two_that_contradict_each_other_are_both_refused_and_a_known_alignment_decides() -> None:
     spoil = BAD["another section"][0]
-    first, second = honest()[0], spoil(honest()[2])
+    first, second = valid_passes()[0], spoil(valid_passes()[2])
     assert [o.status for o in screen([first, second]).outcomes] == [PassStatus.REFUSED] * 2
     assert [o.status for o in screen([first, second], KNOWN).outcomes] == [PassStatus.USED, PassStatus.REFUSED]
     assert "1 of 2 journeys" in screen([first, second]).outcomes[0].reason.text
 
 
 def test_one_alone_and_nothing_are_left_to_the_panel() -> None:
-    assert screen([honest()[0]]).used == (honest()[0],)
+    assert screen([valid_passes()[0]]).used == (valid_passes()[0],)
     assert screen([]).used == ()
 
 
 def test_an_alignment_that_most_contradict_does_not_decide() -> None:
     wrong = replace(KNOWN, alignment=KNOWN.alignment[::-1])
-    screened = screen(list(honest()), wrong)
+    screened = screen(list(valid_passes()), wrong)
     assert screened.known_contradicted
-    assert len(screened.used) == len(honest())
+    assert len(screened.used) == len(valid_passes())
 
 
 def test_chance_agrees_as_often_as_it_says() -> None:
     """Passes of two places far apart: the probability of their agreement is uniform, as far as it can be counted."""
-    signals = [one for seed in (1, 2) for item in honest(seed) if (one := filter_pass(item, 30.0, 1.0)) is not None]
+    signals = [
+        one for seed in (1, 2) for item in valid_passes(seed) if (one := filter_pass(item, 30.0, 1.0)) is not None
+    ]
     found = []
     for k, one in enumerate(signals):
         for other in signals[k + 1 :]:
@@ -131,7 +133,7 @@ def test_chance_agrees_as_often_as_it_says() -> None:
 
 
 def test_an_agreement_finds_shift_and_factor() -> None:
-    item = filter_pass(replace(honest()[0], at=honest()[0].at + 7.0), 30.0, 0.5)
+    item = filter_pass(replace(valid_passes()[0], at=valid_passes()[0].at + 7.0), 30.0, 0.5)
     assert item is not None
     d = alignment_segment(KNOWN, item.first - 100, item.last + 100, 30.0, 0.5)
     assert d is not None
@@ -142,7 +144,7 @@ def test_an_agreement_finds_shift_and_factor() -> None:
 
 
 def test_the_other_direction_gives_the_same_alignment_and_the_same_wheelset() -> None:
-    both = [*honest(), *made(turned_windows(0)), *made(turned_windows(2))]
+    both = [*valid_passes(), *made(turned_windows(0)), *made(turned_windows(2))]
     assert {item.side for item in both} == {1, -1}
     assert all(np.all(np.diff(item.at) > 0) for item in both)
     screened = screen(both, KNOWN)
@@ -196,7 +198,7 @@ def test_windows_without_a_pass_say_why() -> None:
     assert "the position jumps" in refusal(replace(WINDOW, distance=stuck))
 
 
-def test_honest_windows_are_examined_without_a_word() -> None:
+def test_valid_windows_are_examined_without_a_reason() -> None:
     for number in range(6):
         for window in (*windows(number), *turned_windows(0)):
             examined = examine(window, SETTINGS.windows)

@@ -1,4 +1,4 @@
-"""Recordings with something wrong with them: those of an honest vehicle with other frames in them."""
+"""Recordings with something wrong with them: those of a sound vehicle with other frames in them."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ JUMPING = ("X-JUMP", message(kinds.POSITION, kinds.VEHICLE_NODE, jumping))
 
 @dataclass(frozen=True)
 class Edited:
-    """A recording of an honest vehicle, with other frames, as that of another."""
+    """A recording of a sound vehicle, with other frames, as that of another."""
 
     path: Path
     vehicle: str

@@ -107,7 +107,7 @@ def asked(found: Deployment, path: str) -> Any:  # noqa: ANN401 - JSON
 
 
 def geometries(found: Deployment) -> dict[str, Any]:
-    """Return what the API says of the honest wheelsets' geometry, but for when and from which version of the track."""
+    """Return the valid wheelsets' geometry as the API serves it, without its time and its version of the track."""
     document = {}
     for serial in SERIALS:
         full = asked(found, f"/v1/wheelsets/{serial}/geometry")
@@ -128,13 +128,13 @@ def received(found: Deployment, *recordings: Sequence[Recording | Edited]) -> No
 def test_bad_recordings_are_refused_by_name_and_the_others_stay_as_they_were(
     deploy: Deploy, report: FleetReport, tmp_path: Path, *, surveyed: bool
 ) -> None:
-    honest = first_campaign(report)
-    source = honest[0]
+    valid = first_campaign(report)
+    source = valid[0]
     alone = deploy(registry_with(report.registry, tmp_path / "alone", {}, surveyed=surveyed))
-    received(alone, honest)
+    received(alone, valid)
     vehicles = dict.fromkeys([*WRONG, STANDING[0], JUMPING[0]], source.vehicle)
     among = deploy(registry_with(report.registry, tmp_path / "among", vehicles, surveyed=surveyed))
-    received(among, [edited(source.path, name, change, tmp_path) for name, (change, _) in WRONG.items()], honest)
+    received(among, [edited(source.path, name, change, tmp_path) for name, (change, _) in WRONG.items()], valid)
     (stood,) = among.receive([edited(source.path, *STANDING, tmp_path)])  # type: ignore[list-item] - path and vehicle are all
     assert (stood.counts["windows"], stood.counts["windows_standing"]) == (0, 6)  # parked trains fill no store
     for name, (_, reason) in WRONG.items():

@@ -27,7 +27,7 @@ name = "Unknown fleet"
 [section]
 code = "U-1"
 number = 1
-name = "Nobody's section"
+name = "Section without a survey"
 length_m = 2400.0
 surveyed = false
 [speed]

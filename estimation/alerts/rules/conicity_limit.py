@@ -94,7 +94,7 @@ class ConicityLimitRule(AlertRule):
         return sorted((b for b in self.bands if b.vehicle_class == vehicle_class), key=lambda b: b.up_to_km_h)
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
-        """Return what the conicity says of the limit: that of the trend, or of the geometry where there is no trend."""
+        """Return the finding on the limit, by the conicity of the trend, or of the geometry where there is no trend."""
         limit = None if facts.vehicle is None else self.limit_for(facts.vehicle)
         if facts.geometry is None or limit is None:
             return None
@@ -125,7 +125,7 @@ def conicity_limit_finding(
     quantity: str = "equivalent_conicity",
     not_assessable_reason: Reason | None = None,
 ) -> Finding:
-    """Return what the conicity says of the limit.
+    """Return the finding on the limit by the conicity.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def conicity_limit_finding(
     quantity
         What the conicity is, with its amplitude where it is not 3 mm.
     not_assessable_reason
-        Why the data do not say how the wheelset is now (silent, sensor fault, reprofiled since); None where they do.
+        Why the data do not describe the present wheelset (silent, sensor fault, reprofiled since); None where they do.
     """
     reason = not_assessable_reason or conicity.reason or too_few_windows(windows, rule.minimum_windows)
     over = None if reason else probability_above(conicity, limit)

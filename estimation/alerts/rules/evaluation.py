@@ -1,4 +1,4 @@
-"""All rules over one wheelset: what its stored facts say now, and which open alerts dated records have superseded."""
+"""All rules over one wheelset: findings of its stored facts, and open alerts that dated records have superseded."""
 
 from __future__ import annotations
 

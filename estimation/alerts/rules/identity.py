@@ -44,7 +44,7 @@ class IdentityRule(AlertRule):
 
 
 def identity_finding(event: IdentityEvent | None, mounting: Mounting, standing: Alert | None) -> Finding | None:
-    """Return what the geometries say of a wheelset's identity; None where they say nothing against it.
+    """Return the finding on a wheelset's identity; None where the geometries agree with it.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ class LimitForecastRule(AlertRule):
     minimum_points: Annotated[int, Interval(ge=2, le=1_000_000)] = 3
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
-        """Return what the trend says; None without one of the present profile."""
+        """Return the finding of the trend; None without a trend of the present profile."""
         if facts.geometry is None or facts.current_trend is None:
             return None
         return limit_forecast_finding(
@@ -60,7 +60,7 @@ def limit_forecast_finding(
     *,
     not_assessable_reason: Reason | None = None,
 ) -> Finding:
-    """Return what the trend says of the distance to its limit.
+    """Return the finding on the distance that is left to the limit of the trend.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def limit_forecast_finding(
     measured_ns
         Time of the newest data behind the trend.
     not_assessable_reason
-        Why the data do not say how the wheelset is now; None where they do.
+        Why the data do not describe the present wheelset; None where they do.
     """
     points = len(trend.value)
     reason = not_assessable_reason or (trend.reason if trend.status is not Status.ESTIMATED else None)

@@ -1,4 +1,4 @@
-"""Rule: too many of a wheelset's latest windows come from a sensor that cannot be trusted."""
+"""Rule: too many of a wheelset's latest windows come from a faulty sensor."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class SensorFaultRule(AlertRule):
     invalid_share: Share = 0.2
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
-        """Return what the latest windows of the mounting say of the sensor."""
+        """Return the finding of the latest windows of the mounting."""
         mounting = facts.wheelset.mounting
         if mounting is None:
             return None
@@ -65,7 +65,7 @@ def faulty(rule: SensorFaultRule, window: WindowRecord) -> str:
 def sensor_fault_finding(
     rule: SensorFaultRule, wheelset: str, windows: Sequence[WindowRecord], measured_ns: int
 ) -> Finding:
-    """Return what the latest windows say of the sensor.
+    """Return the finding of the latest windows on the sensor.
 
     With k faulty ones of n, the probability that the share of faulty windows exceeds a limit is that of a
     Beta(k + 1, n - k + 1), the posterior of a flat prior.

@@ -58,7 +58,7 @@ class WheelAsymmetryRule(AlertRule):
     minimum_windows: WindowCount = 3
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
-        """Return what the current geometry says; None without one."""
+        """Return the finding of the current geometry; None without one."""
         if facts.geometry is None:
             return None
         return wheel_asymmetry_finding(
@@ -134,8 +134,9 @@ def wheel_asymmetry_finding(
 ) -> Finding:
     """Return the finding of one wheelset from the two indicators of its asymmetry.
 
-    Breached when one of them is; it takes both to say that none is. Cleared when every indicator that raised the open
-    alert (``raised_by``, from its evidence) is known and below its clear limit and no known one is above its own.
+    Breached when one of them is; not breached when both are known not to be. Cleared when every indicator that raised
+    the open alert (``raised_by``, from its evidence) is known and below its clear limit and no known one is above its
+    own.
 
     Parameters
     ----------

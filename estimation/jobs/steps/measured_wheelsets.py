@@ -1,4 +1,4 @@
-"""Which wheelsets of an epoch have freshly measured profiles, and what these say on the section."""
+"""Which wheelsets of an epoch have freshly measured profiles, and the curves of these on the section."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from estimation.values.windows import WindowRecord
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Curves by the life of a wheelset, and what to say of measurements that cannot be used."""
+    """Curves by the life of a wheelset, and a note on each measurement that cannot be used."""
 
     curves: Mapping[ProfileLife, MeasuredCurve] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -30,7 +30,7 @@ def measured(
     lives: Sequence[ProfileLife],
     within_km: float,
 ) -> Measured:
-    """Return what profiles say that were measured within ``within_km`` of the windows, by the lathe's last visit.
+    """Return the curves of profiles that were measured within ``within_km`` of the windows, by the lathe's last visit.
 
     Parameters
     ----------

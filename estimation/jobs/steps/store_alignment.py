@@ -142,7 +142,7 @@ def _positions(
         uncorrected = WindowPosition(record.wheelset, record.start_ns, record.content_digest, version)
         if key in refusals and (key in epoch.passes.refused or update.alignment is not None):
             # on a survey a window needs no pass, unless its pass contradicts the survey
-            accepted = update.outcome.positions_trusted and key not in contradicted
+            accepted = update.outcome.positions_valid and key not in contradicted
             found.append(uncorrected if accepted else replace(uncorrected, reason=refusals[key]))
         elif update.alignment is not None and key in journey_of:
             found.append(_corrected(uncorrected, journey_of[key], update, outliers, settings))
@@ -167,7 +167,7 @@ def _corrected(
     settings: AlignmentSettings,
 ) -> WindowPosition:
     correction = update.estimate.corrections.get(journey)
-    if update.outcome.positions_trusted:
+    if update.outcome.positions_valid:
         far = correction is not None and _largest(correction) > settings.trusted_offset
         return uncorrected if correction is None or not far else _moved(uncorrected, correction)
     if journey in outliers:

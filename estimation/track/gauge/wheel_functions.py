@@ -31,7 +31,7 @@ from estimation.values.track import GaugeShift
 KNOT_STEP = 0.125e-3  # m
 KNOTS: FloatArray = np.asarray(np.arange(-80, 81) * KNOT_STEP, dtype=np.float64)  # m
 ROUGHNESS = 1e-5  # relative to the data
-INLIER_MISFIT = 0.5e-3  # m of misfit: further off lie impacts and what the filter makes of them
+INLIER_MISFIT = 0.5e-3  # m of misfit: further off are impacts and their filtered traces
 DIFFERENCES = np.linspace(-6e-3, 6e-3, 161)  # m
 GAUGES: FloatArray = np.asarray(np.arange(-32, 33) * 0.25e-3, dtype=np.float64)  # m
 REACH = np.arange(-440, 441) * 25e-6  # m of x in which R is looked for

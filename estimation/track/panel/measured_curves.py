@@ -1,4 +1,4 @@
-"""What a measured profile says of a wheelset's h(R) = y - d: its contact geometry on the section's rail, inverted."""
+"""A wheelset's h(R) = y - d from measured profiles: its contact geometry on the section's rail, inverted."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from estimation.values.arrays import FloatArray, frozen_array
 
 REACH = 8e-3  # m of lateral displacement
 STEP = 0.05e-3  # m
-ROOM = 0.2e-3  # m that a measured profile says nothing of beyond what its contact table covers
+ROOM = 0.2e-3  # m beyond the contact table within which a measured profile has no weight
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class MeasuredCurve:
 def measured_curve(
     name: str, left: Profile, right: Profile, std: float, *, rail: str, inclination: float, gauge: float
 ) -> MeasuredCurve:
-    """Return what the measured profiles of a wheelset say on a track.
+    """Return the curve of the measured profiles of a wheelset on a track.
 
     Parameters
     ----------

@@ -95,7 +95,7 @@ def update(state: PanelState, passes: Sequence[GriddedPass]) -> PanelState:
 
 
 def _add(sums: PanelState, w: int, rows: PassRows, weight: float) -> None:
-    """Add the rows of one pass of wheelset ``w`` to sums that nobody else holds."""
+    """Add the rows of one pass of wheelset ``w`` in place, to sums that have no other owner."""
     at, y, R = rows.points, rows.displacement, rows.difference
     for group, B_there, y_there in _by_group(rows, sums.panel):
         sums.gram[group, w] += weight * (B_there @ B_there.T)

@@ -94,7 +94,7 @@ def add_prior(state: PanelState, known: PriorAlignment, noise: float, most_weigh
 
 
 def fleet_step(state: PanelState, solution: PanelSolution, known: PriorAlignment) -> float | None:
-    """Return by how much the fleet as a whole is to be moved to lie on the evidence, m; None where they do not meet.
+    """Return by how much the fleet as a whole is to be moved onto the prior alignment, m; None where they do not meet.
 
     Journeys move towards the alignment of all, most of which they have made themselves: as a whole they would come
     nearer by the share of the evidence in it, round by round, while stiffness ratios make up for what is left.

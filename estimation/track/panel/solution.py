@@ -61,7 +61,7 @@ class PanelSolution:
 
 
 def result(state: PanelState, *, std: bool = True) -> PanelSolution:
-    """Return what the passes so far say of the section and of the wheelsets that passed it; quicker without std.
+    """Return alignment and curves as the passes so far determine them; quicker without std.
 
     Parameters
     ----------

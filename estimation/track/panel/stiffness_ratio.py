@@ -1,4 +1,4 @@
-"""What the passes say of the vehicles themselves: yaw stiffness over creep coefficient, which scales part of R.
+"""The parameters of the vehicles from the passes: yaw stiffness over creep coefficient, which scales part of R.
 
 R = rL - rR is measured as a sum of a rolling part, -(2 l r0/V) psi', that no uncertain parameter scales, and of the
 stiffness term E = -(r0/(l f11)) (k_psi psi + I psi''), which is proportional to yaw stiffness over creep coefficient.

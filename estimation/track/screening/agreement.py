@@ -21,7 +21,7 @@ from estimation.values.track import TrackAlignment
 
 CORRELATION_LENGTH = 60.0  # m: over which samples of a high-passed signal are correlated
 PIECE = 1000.0  # m
-LEAST_SAMPLES = 8.0  # independent ones, below which nothing is said
+LEAST_SAMPLES = 8.0  # independent ones, below which two passes are not compared
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class Agreement:
     """What two have in common at the offset at which they have most."""
 
     correlation: float  # 0 to 1, the largest canonical one
-    log10_chance: float  # of as much between different places, over all offsets searched; 0 where nothing can be said
+    log10_chance: float  # of as much between different places, over all offsets searched; 0 where they are not compared
     shift: float  # m: the true position of the first less its own, by the second
     factor: float  # y of the first over d of the second, 1 where both are in one unit and of one sign
     samples: float  # independent ones

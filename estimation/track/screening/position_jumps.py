@@ -1,4 +1,4 @@
-"""Where passes lie against each other, from the shifts at which they agree; and which do not lie with their journey.
+"""Relative positions of passes, from the shifts at which they agree; and which are displaced within their journey.
 
 The passes of a journey share one odometer, whose error grows slowly. Where the position of a vehicle jumped, the passes
 behind the jump are displaced against those before it; the longer part is used.

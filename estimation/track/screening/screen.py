@@ -32,7 +32,7 @@ class PassStatus(StrEnum):
 
     USED = "used"
     REFUSED = "refused"
-    TOO_SHORT = "too_short"  # for the filter: of no use here, and nothing is said against it
+    TOO_SHORT = "too_short"  # for the filter: of no use here, but not refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ class _AgainstKnown:
 def _against_known(
     filtered: Mapping[int, FilteredPass], known: TrackAlignment | None, p: ScreeningParameters
 ) -> _AgainstKnown:
-    """Return which passes agree with the known alignment and which contradict it; some it says nothing of."""
+    """Return which passes agree with the known alignment and which contradict it; some are not comparable."""
     if known is None or known.status is not Status.ESTIMATED:
         return _AgainstKnown({}, {})
     reach = int(p.positions.largest_offset / p.step)

@@ -34,7 +34,7 @@ WHEELSETS = [f"W{number}" for number in range(1, 9)]
 
 
 @given(st.lists(st.integers(0, 100), max_size=14), st.integers(1, 5), st.integers(1, 40))
-def test_a_storm_is_any_stretch_that_holds_too_many(hours: list[int], more_than: int, within: int) -> None:
+def test_a_flood_is_any_span_that_holds_too_many(hours: list[int], more_than: int, within: int) -> None:
     found = in_flood([hour * HOUR_NS for hour in hours], AlarmFloodRule(more_than, float(within)))
     for i, hour in enumerate(hours):
         starts = [start for start in hours if start <= hour <= start + within]
@@ -42,7 +42,7 @@ def test_a_storm_is_any_stretch_that_holds_too_many(hours: list[int], more_than:
         assert found[i] == any(crowd > more_than for crowd in crowds)
 
 
-def test_the_shipped_storm_is_more_than_five_within_a_day() -> None:
+def test_the_shipped_flood_is_more_than_five_within_a_day() -> None:
     assert in_flood([0] * 5, AlarmFloodRule()) == [False] * 5
     assert in_flood([0] * 5 + [24 * HOUR_NS], AlarmFloodRule()) == [True] * 6
     assert in_flood([0] * 5 + [24 * HOUR_NS + 1], AlarmFloodRule()) == [False] * 6
@@ -231,7 +231,7 @@ def test_what_was_raised_before_stays_raised(storage: Storage) -> None:
     assert [event for event in news if event[1] is None] == [(CLEARED, None), (CLOSED, None)]
 
 
-def test_who_falls_silent_within_the_storm_joins_it(storage: Storage) -> None:
+def test_a_wheelset_that_falls_silent_within_the_flood_joins_it(storage: Storage) -> None:
     fleet_of(storage, dict.fromkeys(WHEELSETS[:6], 1.0) | dict.fromkeys(WHEELSETS[6:], 1.9))
     evaluate(storage, 8.5)
     (fleet_alert,) = open_of_fleet(storage)
@@ -244,7 +244,7 @@ def test_who_falls_silent_within_the_storm_joins_it(storage: Storage) -> None:
     assert (fleet_alert.occurrence_count, fleet_alert.acknowledged_by) == (8, "j.smith")
 
 
-def test_the_operator_sets_what_a_storm_is(storage: Storage) -> None:
+def test_the_operator_sets_what_a_flood_is(storage: Storage) -> None:
     fleet_of(storage, {"W1": 1.0, "W2": 1.0, "W3": 3.0})
     book = replace(RuleBook(), alarm_flood=AlarmFloodRule(more_than=2, within_hours=49.0)).with_rules(
         NoDataRule(days=5.0)

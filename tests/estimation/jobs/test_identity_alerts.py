@@ -61,7 +61,7 @@ def exchanged(first: Sequence[Observation], second: Sequence[Observation], day: 
 
 
 def fleet(rng: np.random.Generator) -> list[list[Observation]]:
-    """Return wheelsets whose conicities lie 0.03 apart, every other one with wheels of unequal shape."""
+    """Return wheelsets whose conicities are 0.03 apart, every other one with wheels of unequal shape."""
     return [life(f"W{i}", 0.12 + 0.03 * i, 0.03 * (i % 2), rng) for i in range(6)]
 
 
@@ -71,7 +71,7 @@ def test_wear_and_noise_are_never_taken_for_a_mistake() -> None:
         assert identity_events(histories) == {}
 
 
-def test_a_swap_is_found_in_both_and_in_nobody_else() -> None:
+def test_a_swap_is_found_in_both_and_in_no_other_wheelset() -> None:
     for seed in range(40):
         rng = np.random.default_rng(seed)
         lives = fleet(rng)

@@ -1,4 +1,4 @@
-"""Band-limited motion: exact where it must be, near the truth with real sensors, honest about gaps."""
+"""Band-limited motion: exact where it must be, near the truth with real sensors, NaN in gaps."""
 
 from __future__ import annotations
 

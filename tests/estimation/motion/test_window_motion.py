@@ -46,7 +46,7 @@ def reason(window: Window) -> str:
     return refusal.text
 
 
-def test_what_speaks_against_itself_is_refused_with_its_reason() -> None:
+def test_a_window_that_contradicts_itself_is_refused_with_its_reason() -> None:
     window = windows(1)[0]
     n = len(window.valid)
     assert "stands or runs too slowly" in reason(replace(window, speed=np.zeros(n)))
@@ -58,6 +58,6 @@ def test_what_speaks_against_itself_is_refused_with_its_reason() -> None:
 
 
 @pytest.mark.parametrize("number", range(6))
-def test_honest_windows_lead_one_way(number: int) -> None:
+def test_valid_windows_lead_one_way(number: int) -> None:
     assert {direction(window) for window in windows(number)} == {1}
     assert {direction(window) for window in turned_windows(number % 2 * 2)} == {-1}

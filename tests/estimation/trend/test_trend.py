@@ -111,7 +111,7 @@ def test_too_little_is_unestimated_and_says_why(points: list[TrendPoint], params
     assert (trend.current.value is None) == (not points)
 
 
-def test_two_points_make_an_honest_trend() -> None:
+def test_two_points_make_a_trend_with_its_uncertainty() -> None:
     trend = refresh([TrendPoint(0.0, START_NS, 0.1, 0.005), TrendPoint(1e5, START_NS + 10**16, 0.2, 0.005)], 0.4)
     slope = trend.slope_per_1000_km
     assert trend.status is Status.ESTIMATED

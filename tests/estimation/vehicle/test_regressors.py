@@ -18,7 +18,7 @@ from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 
-BELIEVED = VehicleParameters()
+ASSUMED = VehicleParameters()
 STIFFER = 1.25  # times as stiff in yaw as assumed
 WHEEL = GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.zeros((3, 2)))
 
@@ -26,13 +26,13 @@ WHEEL = GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.
 @cache
 def stiff_run() -> WheelsetMotion:
     """Return a run of a vehicle that is stiffer in yaw than its registry says."""
-    truth = replace(BELIEVED, yaw_stiffness=STIFFER * BELIEVED.yaw_stiffness)
+    truth = replace(ASSUMED, yaw_stiffness=STIFFER * ASSUMED.yaw_stiffness)
     return simulate_wheelset(truth, SmoothTable(0.12), track(1), np.full(40_000, 20.0), 10.0)
 
 
 def difference_left(motion: Motion, m: WheelsetMotion) -> float:
     """Return the error of rL - rR by the yaw equation, contact angles given, over its std."""
-    equation = regression(motion, BELIEVED)
+    equation = regression(motion, ASSUMED)
     angles, c = equation.yaw.T
     by_equation = (equation.yaw_targets[:, 0] - (m.contact_angle_left + m.contact_angle_right) * angles) / c
     true = m.rolling_radius_left - m.rolling_radius_right
@@ -52,8 +52,8 @@ def test_the_stiffness_ratio_learnt_of_a_vehicle_puts_its_radius_difference_righ
 def test_the_stiffness_ratio_goes_with_one_over_the_creep_coefficient() -> None:
     """Softer creep and stiffer springs answer alike: the ratio means both."""
     motion = ideal(run(20))
-    softer = replace(BELIEVED, longitudinal_creep_coefficient=BELIEVED.longitudinal_creep_coefficient / STIFFER)
-    ours, theirs = regression(replace(motion, stiffness_ratio=STIFFER), BELIEVED), regression(motion, softer)
+    softer = replace(ASSUMED, longitudinal_creep_coefficient=ASSUMED.longitudinal_creep_coefficient / STIFFER)
+    ours, theirs = regression(replace(motion, stiffness_ratio=STIFFER), ASSUMED), regression(motion, softer)
     for name in ("lateral", "lateral_targets", "yaw", "yaw_targets"):
         np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-12)
 
@@ -61,9 +61,9 @@ def test_the_stiffness_ratio_goes_with_one_over_the_creep_coefficient() -> None:
 @pytest.mark.parametrize("ratio", [1.0, 1.2])
 def test_sensitivity_to_longitudinal_creep_is_the_derivative_of_the_radius_difference(ratio: float) -> None:
     motion = replace(ideal(run(20)), stiffness_ratio=ratio)
-    base = regression(motion, BELIEVED)
+    base = regression(motion, ASSUMED)
     step = 1e-6
-    changed = replace(BELIEVED, longitudinal_creep_coefficient=BELIEVED.longitudinal_creep_coefficient * (1 + step))
+    changed = replace(ASSUMED, longitudinal_creep_coefficient=ASSUMED.longitudinal_creep_coefficient * (1 + step))
     moved = regression(motion, changed)
     value, other = (one.yaw_targets[:, 0] / one.yaw[:, 1] for one in (base, moved))
     expected = base.yaw_targets[:, YAW_TARGETS.index("longitudinal_creep")] / base.yaw[:, 1]
