@@ -15,7 +15,6 @@ from estimation.values.reasons import Reason, ReasonCode, combined
 PREFERRED_AMPLITUDE = 3e-3  # m, the reference amplitude of EN 15302
 WANTED_SHARE = 0.75  # of the latest intervals that must cover an amplitude
 LATEST = 8  # intervals: an amplitude that a little worn wheelset did not reach long ago may be covered now
-FEWEST_POINTS = 3
 SAME_AMPLITUDE = 1e-6  # m
 
 
@@ -32,8 +31,8 @@ class TrendPoints:
 def conicity_points(records: Sequence[GeometryRecord]) -> TrendPoints:
     """Return the equivalent conicity of each interval, at one amplitude.
 
-    The amplitude is 3 mm where three quarters of the latest eight intervals cover it, and three in all; else the
-    largest smaller one that as many cover; else the one that most of them cover. Conicity depends on amplitude, so
+    The amplitude is 3 mm where three quarters of the latest eight intervals cover it; else the largest smaller one
+    that as many cover; else the one that most of them cover. Conicity depends on amplitude, so
     values at different amplitudes are never mixed in one trend.
 
     Parameters
@@ -63,12 +62,7 @@ def _amplitude(covered: Sequence[Mapping[int, Estimate]]) -> int:
     keys = [key for key in keys if key <= _PREFERRED] or keys
     counts = {key: sum(key in c for c in covered) for key in keys}
     latest = covered[-LATEST:]
-    enough = [
-        key
-        for key in keys
-        if sum(key in c for c in latest) >= WANTED_SHARE * len(latest)
-        and counts[key] >= min(FEWEST_POINTS, WANTED_SHARE * len(covered))
-    ]
+    enough = [key for key in keys if sum(key in c for c in latest) >= WANTED_SHARE * len(latest)]
     return max(enough) if enough else max(counts, key=lambda key: (counts[key], key))
 
 

@@ -262,6 +262,8 @@ def test_the_reference_is_three_millimetres_or_the_largest_covered_below() -> No
     assert at_reference_amplitude(amplitude, some, PARAMETERS) == (some[1], 3e-3 + 1e-12)
     found = at_reference_amplitude(amplitude, (some[0], unknown, some[2]), PARAMETERS)
     assert found == (some[0], 2e-3)
+    for beyond, reported in ((0.9e-9, 3e-3 + 0.9e-9), (1.1e-9, 2e-3)):  # rounding is less than a nanometre
+        assert at_reference_amplitude(np.array([2e-3, 3e-3 + beyond, 4e-3]), some, PARAMETERS)[1] == reported
     none, at = at_reference_amplitude(amplitude, (unknown, unknown, some[2]), PARAMETERS)
     assert (code_of(none.reason), at, none.count) == (ReasonCode.AMPLITUDE_NOT_COVERED, 3e-3, 8.0)
 
