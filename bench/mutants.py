@@ -167,7 +167,7 @@ def _of_path(entry: dict[str, Any]) -> Iterator[Mutant]:
     operators += [(name.removeprefix("core/"), get_operator(name)()) for name in OPERATORS]
     for name, operator in operators:
         for occurrence, line in enumerate(_positions(source, operator)):
-            if "raise " in lines[line - 1] or lines[line - 1].lstrip().startswith(("assert ", '"""', "@")):
+            if "raise " in lines[line - 1] or lines[line - 1].lstrip().startswith(("assert ", '"""', "@", "*,")):
                 continue  # what is a mistake of ours has no test of its own; a decorator decides nothing
             changed = MutationVisitor.mutate_code(source, operator, occurrence)
             if changed is not None and changed != source:

@@ -1,0 +1,224 @@
+"""What two signals have in common, against canonical correlations and chances worked out the slow way."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from estimation.filters.local_cubic import local_cubic_kernel
+from estimation.track.passes import Pass
+from estimation.track.profile_life import ProfileLife
+from estimation.track.screening.agreement import (
+    NOTHING,
+    Agreement,
+    FilteredPass,
+    _pieces,
+    agreement,
+    alignment_segment,
+    filter_pass,
+)
+from estimation.track.screening.disagreement import disagreement
+from estimation.track.screening.parameters import ScreeningParameters
+from estimation.values.arrays import FloatArray
+from estimation.values.quantities import Status
+from estimation.values.reasons import ReasonCode
+from estimation.values.track import TrackAlignment
+
+
+def smooth(seed: int, n: int, width: int = 3) -> FloatArray:
+    noise = np.random.default_rng(seed).standard_normal(n + 8 * width)
+    weights = np.exp(-0.5 * (np.arange(-4 * width, 4 * width + 1) / width) ** 2)
+    return np.convolve(noise, weights, "same")[4 * width : 4 * width + n]
+
+
+def correlations(X: FloatArray, Z: FloatArray) -> FloatArray:
+    """Return the canonical correlations of centred signals."""
+    bases = [np.linalg.qr((signals - signals.mean(axis=1, keepdims=True)).T)[0] for signals in (X, Z)]
+    return np.asarray(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False))
+
+
+def autocorrelation(x: FloatArray, lag: int) -> float:
+    x = x - x.mean()
+    return float(x[:-lag] @ x[lag:] / (x @ x))
+
+
+def by_hand(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> Agreement:
+    n = X.shape[1] - abs(lag)
+    X, Z = (X[:, :n], Z[:, lag:]) if lag >= 0 else (X[:, -lag:], Z[:, :n])
+    rho = correlations(X, Z)
+    far = min(int(60.0 / step), n - 1)
+    widths = [
+        1.0 + 2.0 * sum(autocorrelation(a, k) * autocorrelation(b, k) for k in range(1, far + 1)) for a in X for b in Z
+    ]
+    width = max(*widths, 1.0, 1.0)
+    samples = n / width
+    wilks = -(samples - 0.5 * (len(X) + len(Z) + 3)) * float(np.log1p(-(rho**2)).sum())
+    chance = chi2.logsf(wilks, len(X) * len(Z)) / np.log(10.0) + np.log10(max(2 * reach / width, 1.0))
+    targets = [one - one.mean() for one in (*X[1:], *Z)]
+    factor = np.linalg.lstsq(np.stack(targets).T, X[0] - X[0].mean(), rcond=None)[0][len(X) - 1]
+    return Agreement(float(rho[0]), min(float(chance), 0.0), lag * step, float(factor), samples)
+
+
+def near(found: Agreement, expected: Agreement) -> bool:
+    pairs = zip(
+        (found.correlation, found.log10_chance, found.shift, found.factor, found.samples),
+        (expected.correlation, expected.log10_chance, expected.shift, expected.factor, expected.samples),
+        strict=True,
+    )
+    return all(one == pytest.approx(other, rel=1e-6, abs=1e-9) for one, other in pairs)
+
+
+def pair(n: int, lag: int, noise: float, *, rows: int = 2, first: int = 0, step: float = 0.5) -> list[FilteredPass]:
+    """Return two signals, the first of which is ``lag`` samples further along by the second."""
+    d, R, Q = smooth(1, n + 100), 0.7 * smooth(2, n), 0.9 * smooth(3, n)
+    own, other = d[50 : 50 + n], d[50 - lag : 50 - lag + n]
+    y = 1.5 * own + 0.3 * R + noise * smooth(4, n)
+    z = other + 0.2 * Q + noise * smooth(5, n)
+    return [
+        FilteredPass(first, np.stack([y, R]), step),
+        FilteredPass(first, np.stack([z, Q]) if rows == 2 else z[None, :], step),
+    ]
+
+
+@pytest.mark.parametrize("lag", [-9, 0, 14])
+@pytest.mark.parametrize("rows", [1, 2])
+def test_an_agreement_is_the_canonical_correlation_with_its_chance(lag: int, rows: int) -> None:
+    first, second = pair(240, lag, 0.4, rows=rows)
+    found = agreement(first, second, 12.0, 30.0)
+    assert near(found, by_hand(first.signals, second.signals, lag, 24, 0.5))
+    assert found.shift == 0.5 * lag
+    assert -60.0 < found.log10_chance < -1.0
+
+
+def test_no_more_than_a_quarter_of_what_is_shared_is_searched() -> None:
+    first, second = pair(240, 0, 0.4)
+    assert near(agreement(first, second, 500.0, 30.0), by_hand(first.signals, second.signals, 0, 60, 0.5))
+
+
+def test_what_is_shared_is_compared_and_thirty_metres_are_needed() -> None:
+    first, second = pair(240, 0, 0.3)
+    cut = FilteredPass(60, second.signals[:, 60:], 0.5)
+    assert near(agreement(first, cut, 12.0, 30.0), by_hand(first.signals[:, 60:], cut.signals, 0, 24, 0.5))
+    assert near(agreement(cut, first, 12.0, 30.0), by_hand(cut.signals, first.signals[:, 60:], 0, 24, 0.5))
+    assert agreement(first, cut, 12.0, 90.0) != NOTHING
+    assert agreement(first, cut, 12.0, 90.5) == NOTHING
+    assert (cut.last, cut.length) == (239, 89.5)
+
+
+def test_eight_independent_samples_are_needed() -> None:
+    said = set()
+    for n in range(40, 100, 6):
+        first, second = pair(n, 0, 1.0)
+        found = agreement(first, second, 0.0, 1.0)
+        expected = by_hand(first.signals, second.signals, 0, 0, 0.5)
+        assert near(found, expected if expected.samples >= 8.0 else NOTHING)
+        said |= {"few"} if 5.0 < expected.samples < 8.0 else set()
+        said |= {"enough"} if 8.0 <= expected.samples < 11.0 else set()
+    assert said == {"few", "enough"}
+
+
+def test_long_stretches_are_compared_in_three_pieces_of_a_kilometre() -> None:
+    assert _pieces(2000, 1.0) == [slice(0, 2000)]
+    assert _pieces(2001, 1.0) == [slice(0, 1000), slice(500, 1500), slice(1001, 2001)]
+    assert _pieces(4000, 0.5) == [slice(0, 4000)]
+    assert _pieces(5000, 0.5) == [slice(0, 2000), slice(1500, 3500), slice(3000, 5000)]
+
+
+def test_of_three_pieces_neither_the_best_nor_the_worst_counts() -> None:
+    one = pair(4200, 3, 1.0, step=1.0)
+    for order in itertools.permutations((0.2, 1.5, 6.0)):
+        noise = np.concatenate([np.full(1400, size) for size in order])
+        second = FilteredPass(0, one[1].signals + noise * np.stack([smooth(8, 4200), smooth(9, 4200)]), 1.0)
+        parts = [slice(0, 1000), slice(1600, 2600), slice(3200, 4200)]
+        by_piece = [agreement(*(FilteredPass(0, item.signals[:, part], 1.0) for item in (one[0], second)), 40.0, 30.0)
+                    for part in parts]  # fmt: skip
+        usual = sorted(by_piece, key=lambda item: item.log10_chance)[1]
+        found = agreement(one[0], second, 40.0, 30.0)
+        assert found.log10_chance == usual.log10_chance
+        middle = by_piece[1]
+        assert found.shift == (middle.shift if middle.log10_chance <= usual.log10_chance else usual.shift)
+
+
+S = np.arange(0.0, 400.0, 2.0)
+
+
+def track(alignment: FloatArray, cutoff: float = np.inf) -> TrackAlignment:
+    n = len(S)
+    zero = np.zeros(n)
+    return TrackAlignment(
+        "S", 1, S, alignment, zero + 1e-4, zero, zero, np.ones(n, dtype=np.int64), Status.ESTIMATED,
+        cutoff_wavelength=cutoff,
+    )  # fmt: skip
+
+
+def a_pass(n: int, side: int = 1) -> Pass:
+    return Pass(ProfileLife("W"), "V", 0, 7.3 + np.arange(n) * 1.0, smooth(1, n), smooth(2, n), side)
+
+
+def test_a_pass_is_filtered_where_the_filter_fits_and_needs_twice_its_length() -> None:
+    weights = local_cubic_kernel(30.0, 1.0)
+    k = len(weights)
+    assert filter_pass(a_pass(2 * k + 1), 30.0, 1.0) is None
+    item = a_pass(2 * k + 2, side=-1)
+    found = filter_pass(item, 30.0, 1.0)
+    assert found is not None
+    grid = np.arange(8, 8 + 2 * k + 1) * 1.0
+    y, R = (np.interp(grid, item.at, values) for values in (item.displacement, -item.difference))
+    expected = np.stack([one[k // 2 : -(k // 2)] - np.convolve(one, weights, "valid") for one in (y, R)])
+    assert found.first == 8 + k // 2
+    np.testing.assert_allclose(found.signals, expected, atol=1e-9)
+
+
+def test_the_longest_known_stretch_of_an_alignment_is_taken() -> None:
+    d = smooth(3, len(S))
+    d[[20, 150]] = np.nan
+    found = alignment_segment(track(d, cutoff=120.0), 0, 390, 30.0, 1.0)
+    assert found is not None
+    assert (found.first, found.last) == (42, 298)
+    at = np.arange(42.0, 299.0)
+    known = np.isfinite(d)
+    np.testing.assert_allclose(found.signals[0], np.interp(at, S[known], d[known]))
+    raw = alignment_segment(track(d), 0, 390, 30.0, 1.0)
+    assert raw is not None
+    weights = local_cubic_kernel(30.0, 1.0)
+    reach = len(weights) // 2
+    whole = np.interp(at, S[known], d[known])
+    assert raw.first == 42 + reach
+    np.testing.assert_allclose(raw.signals[0], whole[reach:-reach] - np.convolve(whole, weights, "valid"), atol=1e-9)
+    assert alignment_segment(track(d), 60, 60 + 2 * len(weights) - 1, 30.0, 1.0) is None
+    assert alignment_segment(track(d), 60, 60 + 2 * len(weights), 30.0, 1.0) is not None
+    beyond = alignment_segment(track(d, cutoff=120.0), 250, 600, 30.0, 1.0)
+    assert beyond is not None
+    assert (beyond.first, beyond.last) == (302, 398)
+    assert alignment_segment(track(d, cutoff=120.0), 600, 900, 30.0, 1.0) is None
+    lonely = np.where(np.arange(len(S)) == 5, 1.0, np.nan)
+    assert alignment_segment(track(lonely), 0, 390, 30.0, 1.0) is None
+
+
+GOOD = Agreement(0.8, -20.0, 0.0, 1.0, 60.0)
+LIMITS = ScreeningParameters()
+
+
+@pytest.mark.parametrize(
+    ("changes", "usual", "code"),
+    [
+        ({}, 1.0, None),
+        ({"log10_chance": -6.01}, 1.0, None),
+        ({"log10_chance": -5.99}, 1.0, ReasonCode.OTHER_SECTION),
+        ({"factor": -0.9}, 1.0, ReasonCode.MIRRORED),
+        ({"factor": -0.9}, -1.0, None),
+        ({"factor": 0.41}, 1.0, None),
+        ({"factor": 0.39}, 1.0, ReasonCode.SCALE_DIFFERS),
+        ({"factor": 2.49}, 1.0, None),
+        ({"factor": 2.51}, 1.0, ReasonCode.SCALE_DIFFERS),
+        ({"factor": 2.51}, 2.0, None),
+        ({"factor": 0.41}, 2.0, ReasonCode.SCALE_DIFFERS),
+    ],
+)
+def test_why_two_signals_are_not_of_one_place(changes: dict[str, float], usual: float, code: ReasonCode | None) -> None:
+    reason = disagreement(replace(GOOD, **changes), usual, LIMITS, "others")
+    assert (None if reason is None else reason.code) is code

@@ -1,0 +1,143 @@
+"""Which journeys are outliers, how much a wheelset counts, how wide the std of an alignment is, when rounds end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimation.track.alignment_std import _scale_std
+from estimation.track.iteration import IterationParameters, _largest_move, _ratio_change
+from estimation.track.panel.stiffness_ratio import Ratio
+from estimation.track.passes import Pass
+from estimation.track.profile_life import ProfileLife
+from estimation.track.residuals import Residuals, _MeanSquare
+from estimation.track.results import SectionResults, nothing
+from estimation.track.section import _find_outliers
+from estimation.track.section_parameters import SectionParameters
+from estimation.track.settings import AlignmentSettings
+from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.track import Correction, TrackFindings
+
+P = SectionParameters()
+
+
+def outliers(values: list[float], offsets: dict[int, float] | None = None) -> dict[int, ReasonCode]:
+    """Return by index the journeys that are outliers."""
+    journeys = {("V", k): value for k, value in enumerate(values)}
+    corrections = {journey: Correction((offsets or {}).get(journey[1], 0.0)) for journey in journeys}
+    return {journey[1]: reason.code for journey, reason in _find_outliers(journeys, corrections, P).items()}
+
+
+DISAGREES = ReasonCode.JOURNEY_DISAGREES
+
+
+def test_a_journey_may_be_off_by_twice_the_median_of_the_others() -> None:
+    others = [0.3e-3, 0.4e-3, 0.5e-3]
+    assert outliers([0.79e-3, *others]) == {}
+    assert outliers([0.81e-3, *others]) == {0: DISAGREES}
+
+
+def test_a_journey_may_be_off_by_four_tenths_of_a_millimetre() -> None:
+    assert outliers([0.39e-3, 1e-5, 1e-5]) == {}
+    assert outliers([0.41e-3, 1e-5, 1e-5]) == {0: DISAGREES}
+
+
+def test_one_journey_alone_agrees_with_itself() -> None:
+    assert outliers([9e-3]) == {}
+    assert outliers([9e-3, float("nan")]) == {1: ReasonCode.JOURNEY_INDETERMINATE}
+
+
+def test_a_journey_may_be_off_by_45_metres() -> None:
+    for metres, code in ((44.9, None), (45.1, ReasonCode.OFFSET_TOO_LARGE), (-45.1, ReasonCode.OFFSET_TOO_LARGE)):
+        assert outliers([1e-4, 1e-4], {0: metres}).get(0) is code
+
+
+def life(number: int) -> ProfileLife:
+    return ProfileLife(f"W{number}")
+
+
+def weights(*values: float) -> dict[int, float]:
+    found = Residuals({}, {life(k): value for k, value in enumerate(values)}).weights()
+    return {int(one.wheelset[1:]): weight for one, weight in found.items()}
+
+
+def test_a_wheelset_counts_less_by_the_fourth_power_beyond_one_and_a_half_times_the_median() -> None:
+    median, usual = 0.2e-3, 0.3e-3
+    # below a quarter of a pass: beyond usual times the fourth root of four
+    assert weights(0.1e-3, median, 1.41 * usual) == {}
+    found = weights(0.1e-3, median, 1.42 * usual)
+    assert found == {2: pytest.approx(1.42**-4)}
+    more = weights(0.1e-3, 0.1e-3, median, 1.01 * usual, 2.0 * usual)
+    assert more == {3: pytest.approx(1.01**-4), 4: pytest.approx(2.0**-4)}
+    assert set(weights(0.1e-3, 0.1e-3, median, 0.99 * usual, 2.0 * usual)) == {4}
+
+
+def test_what_sensors_leave_open_is_usual() -> None:
+    assert weights(0.01e-3, 0.01e-3, 1.41 * 0.12e-3) == {}
+    assert weights(0.01e-3, 0.01e-3, 1.42 * 0.12e-3) == {2: pytest.approx(1.42**-4)}
+    assert weights(float("nan"), float("nan")) == {}
+    assert weights(float("nan"), 0.01e-3, 0.01e-3, 1.0e-3) == {3: pytest.approx((0.12 / 1.0) ** 4)}
+
+
+def test_a_residual_is_a_root_mean_square() -> None:
+    sums = _MeanSquare()
+    assert np.isnan(sums.rms)
+    sums.add(np.array([1.0, 2.0]))
+    sums.add(np.array([4.0]))
+    assert sums.rms == pytest.approx(np.sqrt(7.0))
+
+
+def test_the_scale_is_known_less_where_the_gauge_had_to_be_found() -> None:
+    findings = TrackFindings({}, 0.0, {})
+    assert _scale_std(SectionResults(findings, None, None), P) == pytest.approx(0.009)
+    found = SectionResults(findings, np.zeros(3), np.zeros(3))
+    assert _scale_std(found, P) == pytest.approx(np.sqrt(0.009**2 + 0.035**2))
+
+
+def test_the_shipped_figures_of_an_alignment() -> None:
+    assert (P.systematic, P.systematic_per_gauge, P.cutoff_wavelength) == (0.02e-3, (0.025, 0.055), 120.0)
+    assert P.gauge_std == 1e-3
+    iteration = IterationParameters()
+    assert (iteration.rounds, iteration.position_tolerance, iteration.ratio_tolerance) == (8, 0.1, 0.01)
+    assert (iteration.gauge_tolerance, iteration.pass_std, iteration.most_weight) == (0.3e-3, 0.15e-3, 1000.0)
+    assert (iteration.gauge_trial, iteration.gauge_searches, iteration.wheel_rounds) == (2, 2, 2)
+    assert iteration.gauge_explains == 0.1
+    settings = AlignmentSettings()
+    assert (settings.most_windows, settings.most_wheelsets, settings.pass_step) == (480, 48, 0.2)
+    assert (settings.trusted_offset, settings.measured_km) == (5.0, 1000.0)
+
+
+def test_the_largest_change_of_a_ratio_counts_and_a_new_one_was_one() -> None:
+    before = {"A": Ratio(1.1, 0.0), "B": Ratio(0.9, 0.0)}
+    assert _ratio_change(before, {"A": Ratio(1.12, 0.0), "B": Ratio(0.85, 0.0)}) == pytest.approx(0.05)
+    assert _ratio_change(before, {"C": Ratio(1.2, 0.0)}) == pytest.approx(0.2)
+    assert _ratio_change(before, {}) == 0.0
+
+
+def test_the_largest_move_is_at_the_ends_of_a_journey() -> None:
+    at = np.array([100.0, 600.0])
+    item = Pass(life(1), "V", 0, at, np.zeros(2), np.zeros(2))
+    early = replace(item, at=at - 50.0)
+    journey = ("V", 0)
+    grouped = {journey: [item, early]}
+    for after, expected in (
+        (Correction(1.5), 1.5),
+        (Correction(-1.5), 1.5),
+        (Correction(0.0, 0.01, 50.0), 5.5),
+        (Correction(0.0, 0.01, 600.0), 5.5),
+    ):
+        assert _largest_move(grouped, {journey: Correction()}, {journey: after}) == pytest.approx(expected)
+
+
+def test_a_report_of_nothing_claims_nothing() -> None:
+    report = nothing(Reason(ReasonCode.NO_PASS, "no pass"), ("survey version 1",))
+    assert report.status is Status.UNESTIMATED
+    assert not report.converged
+    assert (report.rounds, report.passes, report.wheelsets, report.covered) == (0, 0, 0, 0.0)
+    stored = report.as_json()
+    assert (stored["reason"], stored["reason_code"]) == ("no pass", "no_pass")
+    assert stored["alignment_std_m"] is None
+    assert stored["evidence"] == ["survey version 1"]

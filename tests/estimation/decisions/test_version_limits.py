@@ -1,0 +1,229 @@
+"""By how much two versions of an alignment may differ, each just inside and just outside."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimation.track.results import nothing
+from estimation.track.section import SectionEstimate
+from estimation.track.settings import AlignmentSettings
+from estimation.track.update import UpdateOutcome, _place_std, better
+from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
+from estimation.values.arrays import FloatArray
+from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.track import FLEET, RECORDED, Correction, GaugeShift, TrackAlignment, TrackFindings
+
+N = 1000
+S = np.arange(float(N))
+WAVE = 2e-3 * np.sin(2 * np.pi * S / 50.0)  # m
+OTHER = np.cos(2 * np.pi * S / 50.0) * np.sqrt(2.0)  # rms 1, orthogonal to the wave
+SETTINGS = AlignmentSettings()
+
+
+def made(**changes: object) -> TrackAlignment:
+    plain = TrackAlignment(
+        section="S",
+        version=1,
+        s=S,
+        alignment=WAVE,
+        alignment_std=np.full(N, 1e-4),
+        gauge_deviation=np.zeros(N),
+        gauge_deviation_std=np.zeros(N),
+        passes=np.ones(N, dtype=np.int64),
+        status=Status.ESTIMATED,
+        source=FLEET,
+    )
+    return replace(plain, **changes)  # type: ignore[arg-type]
+
+
+def again(old: TrackAlignment, **changes: object) -> bool:
+    return requires_reestimation(old, replace(old, **changes), SETTINGS)  # type: ignore[arg-type]
+
+
+def test_the_same_again_changes_nothing() -> None:
+    assert not again(made())
+    assert not again(made(findings=TrackFindings({"V": 1.1}, 0.0, {})))
+
+
+def test_what_an_alignment_is_of_decides() -> None:
+    assert again(made(), source=RECORDED)
+    assert again(made(), cutoff_wavelength=120.0)
+    assert again(made(), gauge_known=False)
+    assert again(made(), s=S + 1.0)
+    shorter = {
+        name: getattr(made(), name)[:-1]
+        for name in ("s", "alignment", "alignment_std", "gauge_deviation", "gauge_deviation_std", "passes")
+    }
+    assert again(made(), **shorter)
+
+
+def without(points: int) -> FloatArray:
+    return np.where(np.arange(N) < points, np.nan, WAVE)
+
+
+def test_two_in_a_hundred_of_the_section_may_be_known_or_not() -> None:
+    assert not again(made(), alignment=without(19))
+    assert not again(made(alignment=without(19)), alignment=WAVE)
+    assert again(made(), alignment=without(21))
+    assert again(made(alignment=without(21)), alignment=WAVE)
+    assert not again(made(alignment=without(N)), alignment=without(N))
+
+
+@pytest.mark.parametrize(("std", "limit"), [(1e-4, 1e-4), (0.01e-3, 0.05e-3)])
+def test_an_alignment_differs_from_its_std_on_or_from_what_the_geometry_shows(std: float, limit: float) -> None:
+    old = made(alignment_std=np.full(N, std))
+    assert not again(old, alignment=WAVE + 0.99 * limit * OTHER)
+    assert again(old, alignment=WAVE + 1.01 * limit * OTHER)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_stretch_of_half_a_percent_does_not_average_out(sign: float) -> None:
+    assert not again(made(), alignment=WAVE * (1.0 + sign * 0.0049))
+    assert again(made(), alignment=WAVE * (1.0 + sign * 0.0051))
+
+
+def test_much_more_certain_is_another_alignment() -> None:
+    assert not again(made(), alignment_std=np.full(N, 0.71e-4))
+    assert again(made(), alignment_std=np.full(N, 0.69e-4))
+    assert not again(made(alignment_std=np.full(N, 0.049e-3)), alignment_std=np.full(N, 1e-6))
+    assert again(made(alignment_std=np.full(N, 0.051e-3)), alignment_std=np.full(N, 1e-6))
+
+
+def test_a_scale_that_becomes_known_is_another_alignment() -> None:
+    assert not again(made(scale_std=0.02), scale_std=0.0141)
+    assert again(made(scale_std=0.02), scale_std=0.0139)
+    assert not again(made(scale_std=0.0099), scale_std=0.0)
+    assert again(made(scale_std=0.0101), scale_std=0.0)
+
+
+def test_gauge_differs_from_three_tenths_of_a_millimetre() -> None:
+    assert not again(made(), gauge_deviation=0.29e-3 * OTHER)
+    assert again(made(), gauge_deviation=0.31e-3 * OTHER)
+
+
+@pytest.mark.parametrize(("std", "limit"), [(0.0, 0.02), (0.009, 0.02), (0.02, 0.04)])
+def test_a_stiffness_ratio_differs_by_two_percent_or_twice_its_std(std: float, limit: float) -> None:
+    old = made(findings=TrackFindings({"V": 1.1}, std, {}))
+    for ratio, differs in ((1.1 + limit - 1e-4, False), (1.1 + limit + 1e-4, True), (1.1 - limit - 1e-4, True)):
+        assert again(old, findings=TrackFindings({"V": ratio}, 0.0, {})) is differs
+    assert again(old, findings=TrackFindings({}, 0.0, {})) is (limit < 0.1)
+    assert not again(old, findings=None)
+
+
+def test_a_vehicle_without_a_ratio_is_as_assumed() -> None:
+    for ratio, differs in ((1.019, False), (1.021, True), (0.979, True)):
+        assert again(made(), findings=TrackFindings({"V": ratio}, 0.0, {})) is differs
+
+
+def shift_of(size: float) -> GaugeShift:
+    """Return a shift of ``size`` times the gauge deviation, whatever R."""
+    gauge = np.array([-5e-3, 0.0, 5e-3])
+    return GaugeShift(np.array([-2e-3, 0.0, 2e-3]), gauge, np.tile(size * gauge, (3, 1)))
+
+
+def test_a_survey_gains_the_shift_of_a_wheelset() -> None:
+    shifts = TrackFindings({}, 0.0, {"W": shift_of(0.3)})
+    assert again(made(source=RECORDED), findings=shifts)
+    assert again(made(source=RECORDED, findings=TrackFindings({}, 0.0, {})), findings=shifts)
+    assert not again(made(source=RECORDED, findings=shifts), findings=shifts)
+    assert not again(made(), findings=shifts)
+
+
+def test_a_shift_differs_by_fifteen_in_a_hundred_of_the_gauge() -> None:
+    gauge = 1e-3 * OTHER
+    old = made(gauge_deviation=gauge, findings=TrackFindings({}, 0.0, {"W": shift_of(0.3), "X": shift_of(0.3)}))
+    for size, changed in ((0.3 + 0.149, False), (0.3 + 0.151, True), (0.3 - 0.149, False), (0.3 - 0.151, True)):
+        new = replace(old, findings=TrackFindings({}, 0.0, {"W": shift_of(size), "Y": shift_of(9.0)}))
+        assert gauge_shift_changed(old, new, SETTINGS) is changed
+    assert not gauge_shift_changed(replace(old, findings=None), old, SETTINGS)
+    assert not gauge_shift_changed(old, replace(old, findings=None), SETTINGS)
+
+
+def test_a_shift_is_compared_where_passes_are() -> None:
+    grid, gauge = np.linspace(-4e-3, 4e-3, 81), np.array([-5e-3, 0.0, 5e-3])
+    for bound, changed in ((1.05e-3, False), (0.5e-3, True)):
+        table = np.where(np.abs(grid) > bound, 0.6, 0.0)[:, None] * gauge
+        old = made(gauge_deviation=1e-3 * OTHER, findings=TrackFindings({}, 0.0, {"W": shift_of(0.0)}))
+        new = replace(old, findings=TrackFindings({}, 0.0, {"W": GaugeShift(grid, gauge, table)}))
+        assert gauge_shift_changed(old, new, SETTINGS) is changed
+
+
+def test_what_was_found_before_is_carried_over_with_its_std() -> None:
+    before = made(findings=TrackFindings({"V": 1.1, "U": 1.2}, 0.03, {"W": shift_of(0.1)}), gauge_deviation=WAVE)
+    found = made(findings=TrackFindings({"V": 1.0}, 0.01, {"X": shift_of(0.2)}), gauge_deviation=WAVE)
+    kept = carry_over_findings(found, before).findings
+    assert kept is not None
+    assert kept.stiffness_ratio == {"V": 1.0, "U": 1.2}
+    assert kept.stiffness_ratio_std == 0.03
+    assert set(kept.gauge_shifts) == {"W", "X"}
+    same = made(findings=TrackFindings({"V": 1.1}, 0.03, {}))
+    alone = carry_over_findings(found, same).findings
+    assert alone is not None
+    assert alone.stiffness_ratio_std == 0.01
+    no_shift = made(findings=TrackFindings({}, 0.01, {}), gauge_deviation=WAVE)
+    none = carry_over_findings(no_shift, before).findings
+    assert none is not None
+    assert none.gauge_shifts == {}
+    assert carry_over_findings(found, None) is found
+    assert carry_over_findings(found, made()) is found
+    assert carry_over_findings(made(), before).findings is None
+
+
+@pytest.mark.parametrize(("correlation", "kept"), [(0.79, False), (0.81, True), (-0.81, False), (1.0, True)])
+def test_shifts_stay_with_a_gauge_that_correlates_by_four_fifths(correlation: float, *, kept: bool) -> None:
+    wave = np.sin(2 * np.pi * S / 50.0) * np.sqrt(2.0)
+    for size in (1e-3, 4e-3):
+        gauge = size * (correlation * wave + np.sqrt(1.0 - correlation**2) * OTHER)
+        before = made(findings=TrackFindings({}, 0.0, {"W": shift_of(0.1)}), gauge_deviation=1e-3 * wave)
+        found = made(findings=TrackFindings({}, 0.0, {"X": shift_of(0.2)}), gauge_deviation=gauge)
+        findings = carry_over_findings(found, before).findings
+        assert findings is not None
+        assert ("W" in findings.gauge_shifts) is kept
+    flat = made(findings=TrackFindings({}, 0.0, {"X": shift_of(0.2)}))
+    of_flat = carry_over_findings(flat, replace(before, gauge_deviation=np.zeros(N))).findings
+    assert of_flat is not None
+    assert "W" not in of_flat.gauge_shifts
+
+
+def survey(**changes: object) -> TrackAlignment:
+    return replace(made(source=RECORDED), **changes)  # type: ignore[arg-type]
+
+
+def test_a_fleet_replaces_a_survey_at_half_its_std() -> None:
+    assert better(made(alignment_std=np.full(N, 0.49e-4)), survey())
+    assert not better(made(alignment_std=np.full(N, 0.51e-4)), survey())
+    good = np.where(S < 0.4 * N, 9e-4, 0.4e-4)  # the median counts
+    assert better(made(alignment_std=good), survey())
+
+
+def test_a_fleet_replaces_a_survey_only_where_it_covers_all_of_it() -> None:
+    sharp = made(alignment_std=np.full(N, 1e-5), cutoff_wavelength=120.0)
+    assert not better(sharp, survey())
+    assert better(sharp, survey(cutoff_wavelength=120.0))
+    assert better(sharp, survey(cutoff_wavelength=60.0))
+    assert not better(replace(sharp, gauge_known=False), survey(cutoff_wavelength=120.0))
+    assert better(replace(sharp, gauge_known=False), survey(cutoff_wavelength=120.0, gauge_known=False))
+    hole = np.where(S == 5.0, np.nan, 1e-5)
+    assert not better(replace(sharp, alignment_std=hole), survey(cutoff_wavelength=120.0))
+
+
+def test_a_fleet_knows_its_place_by_the_scatter_of_its_journeys() -> None:
+    corrections = {("V", k): Correction(offset) for k, offset in enumerate((1.0, 3.0, 5.0, 7.0))}
+    estimate = SectionEstimate(None, nothing(Reason(ReasonCode.NO_PASS, "no pass")), {}, corrections, None)
+    assert _place_std(estimate) == pytest.approx(np.sqrt(5.0) / 2.0)
+    assert _place_std(replace(estimate, corrections={})) == 0.0
+
+
+def test_which_outcomes_make_a_version_and_trust_positions() -> None:
+    assert {one for one in UpdateOutcome if one.makes_version} == {
+        UpdateOutcome.NEW_VERSION,
+        UpdateOutcome.SURVEY_EXTENDED,
+    }
+    assert {one for one in UpdateOutcome if one.positions_trusted} == {
+        UpdateOutcome.SURVEY_KEPT,
+        UpdateOutcome.SURVEY_EXTENDED,
+    }
