@@ -83,6 +83,7 @@ class AlignmentReport(Representation):
     alignment_std_mm: float | None = Field(description="Median along the section.")
     evidence: list[str] = Field(description="What was known besides the passes.")
     recording: str | None = Field(description="Check of the surveyed alignment against the fleet.")
+    recording_code: ReasonCode | None = Field(description="Null where the survey was not checked.")
     refused_windows: dict[str, int] = Field(description="Windows without a pass, by the sentence of the reason.")
     refused_windows_by_code: dict[ReasonCode, int] = Field(description="Windows without a pass, by reason.")
     parameters: dict[str, JsonValue] = Field(description="Settings that shaped it; empty where none were kept.")
@@ -201,6 +202,7 @@ _AS_STORED: dict[str, Any] = {
     "moved_m": None,
     "evidence": [],
     "recording": None,
+    "recording_code": None,
     "refused_windows": {},
     "parameters": {},
     "refused_windows_by_code": {},

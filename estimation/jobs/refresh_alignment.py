@@ -28,7 +28,7 @@ from estimation.track.passes import Pass
 from estimation.track.profile_life import ProfileLife, profile_life
 from estimation.track.update import UpdateOutcome, update_alignment
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import TrackAlignment, TrackSectionRecord
+from estimation.values.track import TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.windows import Window, WindowRecord
 
 _COUNTED = {
@@ -78,7 +78,7 @@ class _Waiting:
     lives: Sequence[ProfileLife]
     in_force: TrackAlignment | None
     looked_at: str | None  # digest of the last report
-    verdict: str | None  # on the survey, while the version of the report that holds it is in force
+    verdict: Reason | None  # on the survey, while the version of the report that holds it is in force
     measured: Measured
 
 
@@ -122,16 +122,21 @@ def _waiting(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext)
     in_force = unit.tracks.alignment(section.code)
     report = unit.tracks.report(section.code)
     current = report is not None and in_force is not None and report.version == in_force.version
-    verdict = report.report.get("recording") if current and report is not None else None
     chosen_records, chosen_lives = [record for record, _ in chosen], [life for _, life in chosen]
     return _Waiting(
         records=chosen_records,
         lives=chosen_lives,
         in_force=in_force,
         looked_at=report.input_digest if report is not None else None,
-        verdict=verdict if isinstance(verdict, str) else None,
+        verdict=_verdict(report) if current and report is not None else None,
         measured=measured(unit, section, chosen_records, chosen_lives, settings.measured_km),
     )
+
+
+def _verdict(report: TrackReport) -> Reason | None:
+    """Return what the report holds of the survey; None where the survey was not checked."""
+    code, text = report.report.get("recording_code"), report.report.get("recording")
+    return None if code is None else Reason(ReasonCode(str(code)), str(text))
 
 
 def _passes(context: JobContext, waiting: _Waiting) -> EpochPasses:

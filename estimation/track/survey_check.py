@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import TrackAlignment
 
 UNITS = {
@@ -33,6 +34,7 @@ UNITS = {
 SAME_UNIT = 1.12  # a factor this near to that of a unit is that unit
 ALIGNING_STEPS = 5
 MEMORY = 60.0  # m: correlation length of a high-passed alignment
+NOT_ASSESSABLE = Reason(ReasonCode.SURVEY_NOT_ASSESSABLE, "the fleet does not know enough of the section")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +55,7 @@ class SurveyCheck:
     """The check of a surveyed alignment by the fleet; numbers are NaN where it cannot be assessed."""
 
     usable: bool
-    reason: str  # why not; or why it cannot be assessed
+    reason: Reason | None  # why not; or why it cannot be assessed
     scale: float  # surveyed over measured, without its sign
     shift: float  # m: what is surveyed at s was measured at s + shift
     sign: int  # 1; -1 where left and right are exchanged; 0 where it cannot be assessed
@@ -86,7 +88,7 @@ def check_survey(
     p = parameters or SurveyCheckParameters()
     both = _on_one_grid(recorded, fleet)
     if both is None:
-        return _nothing("the fleet does not know enough of the section")
+        return _nothing(NOT_ASSESSABLE)
     r, f, variance, step = both
     reach = int(p.largest_offset / step)
     score, factor = _by_lag(r, f, 1.0 / variance, reach)
@@ -95,13 +97,13 @@ def check_survey(
     memory = _memory(r, f, step)
     samples = np.count_nonzero(f) * step / memory
     if samples < p.least_samples:
-        return _nothing("the fleet does not know enough of the section")
+        return _nothing(NOT_ASSESSABLE)
     explained = min(float(score[k] ** 2), 1.0 - 1e-12)
     chance = float(chi2.logsf(-(samples - 3.0) * np.log1p(-explained), 1)) / np.log(10.0)
     chance += float(np.log10(max(2.0 * p.largest_offset / memory, 1.0)))
     found = SurveyCheck(
         usable=True,
-        reason="",
+        reason=None,
         scale=float(np.abs(factor[k])),
         shift=shift,
         sign=int(np.sign(factor[k])),
@@ -110,44 +112,45 @@ def check_survey(
         samples=samples,
     )
     if chance > p.log10_chance:
-        return _refused(found, _unrelated(found))
-    reasons = _misplaced(found, 1.0 + 4.0 * fleet.scale_std, 3.0 * place_std, p)
-    if reasons:
-        return _refused(found, "; ".join(reasons))
+        return _refused(found, Reason(ReasonCode.SURVEY_UNRELATED, _unrelated(found)))
+    misplaced = combined(_misplaced(found, 1.0 + 4.0 * fleet.scale_std, 3.0 * place_std, p))
+    if misplaced is not None:
+        return _refused(found, misplaced)
     left = _misfit(_laid(r, f, variance, shift / step), f, variance)
     limit = p.most_misfit * float(np.sqrt(chi2.isf(p.chance, samples) / samples))
     if left > limit:
-        return _refused(
-            found, f"it differs {left:.1f} times as much as its standard deviation allows, {limit:.1f} is much"
-        )
+        text = f"it differs {left:.1f} times as much as its standard deviation allows, {limit:.1f} is much"
+        return _refused(found, Reason(ReasonCode.SURVEY_DIFFERS, text))
     return found
 
 
-def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: SurveyCheckParameters) -> list[str]:
+def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: SurveyCheckParameters) -> list[Reason]:
     """Return what is wrong with the unit, the sides and the place of a recording.
 
     ``open_scale`` is the factor that the fleet leaves open, ``place_known``, m, the uncertainty of its place.
     """
     reasons = []
     if not 1.0 / (p.most_factor * open_scale) <= found.scale <= p.most_factor * open_scale:
-        reasons.append(_unit(found.scale))
+        reasons.append(Reason(ReasonCode.SURVEY_UNIT, _unit(found.scale)))
     if found.sign < 0:
-        reasons.append("left and right are exchanged: it is the mirror image of what the fleet has measured")
+        text = "left and right are exchanged: it is the mirror image of what the fleet has measured"
+        reasons.append(Reason(ReasonCode.SURVEY_MIRRORED, text))
     if abs(found.shift) > p.largest_shift + place_known:
         within = f", and the fleet knows its place within {place_known:.1f} m" if place_known > 0.0 else ""
         direction = "back" if found.shift > 0.0 else "along"
-        reasons.append(f"it is {abs(found.shift):.1f} m too far {direction}{within}")
+        text = f"it is {abs(found.shift):.1f} m too far {direction}{within}"
+        reasons.append(Reason(ReasonCode.SURVEY_DISPLACED, text))
     return reasons
 
 
-def _nothing(reason: str) -> SurveyCheck:
+def _nothing(reason: Reason) -> SurveyCheck:
     nan = float("nan")
     return SurveyCheck(
         usable=True, reason=reason, scale=nan, shift=nan, sign=0, misfit=nan, correlation=nan, samples=0.0
     )
 
 
-def _refused(found: SurveyCheck, reason: str) -> SurveyCheck:
+def _refused(found: SurveyCheck, reason: Reason) -> SurveyCheck:
     return replace(found, usable=False, reason=reason)
 
 

@@ -21,9 +21,11 @@ from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.track.survey_check import check_survey
 from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
+from estimation.values.reasons import Reason, ReasonCode, prefixed
 from estimation.values.track import RECORDED, TrackAlignment, TrackSectionRecord
 
 BETTER_SHARE = 0.5  # of the survey's std that a fleet's alignment must reach to replace it
+CONFIRMED = Reason(ReasonCode.SURVEY_CONFIRMED, "agrees with what the fleet has measured")
 
 
 class UpdateOutcome(StrEnum):
@@ -58,7 +60,7 @@ class AlignmentUpdate:
     estimate: SectionEstimate
     alignment: TrackAlignment | None
     pass_outcomes: tuple[PassOutcome, ...]
-    survey: str | None = None
+    survey: Reason | None = None
 
 
 def update_alignment(
@@ -112,7 +114,7 @@ class _Epoch:
         outcome: UpdateOutcome,
         estimate: SectionEstimate,
         alignment: TrackAlignment | None,
-        survey: str | None = None,
+        survey: Reason | None = None,
     ) -> AlignmentUpdate:
         """Return the update with the outcomes of the passes."""
         return AlignmentUpdate(outcome, estimate, alignment, self.screened.outcomes, survey)
@@ -133,15 +135,16 @@ def _without_surveyed_alignment(epoch: _Epoch, in_force: TrackAlignment | None) 
 
 def _with_survey(epoch: _Epoch, survey: TrackAlignment, *, survey_checked: bool) -> AlignmentUpdate:
     """Return the survey kept, or the fleet's alignment where that contradicts it or knows far more."""
-    verdict = None
+    verdict: Reason | None = None
     if not survey_checked:
         without_survey = epoch.estimate(None)
         if without_survey.alignment is not None:
             check = check_survey(survey, without_survey.alignment, place_std=_place_std(without_survey))
-            if not check.usable:
-                refusal = f"not used: {check.reason}"
+            if check.reason is None:
+                verdict = CONFIRMED
+            elif not check.usable:
+                refusal = prefixed("not used: ", check.reason)
                 return epoch.update(UpdateOutcome.NEW_VERSION, without_survey, without_survey.alignment, survey=refusal)
-            verdict = None if check.reason else "agrees with what the fleet has measured"
     estimate = epoch.estimate(survey)
     if estimate.alignment is not None and better(estimate.alignment, survey):
         return epoch.update(UpdateOutcome.NEW_VERSION, estimate, estimate.alignment, survey=verdict)

@@ -72,7 +72,7 @@ def test_a_wrong_unit_is_named(factor: float, said: str, *, of_std: bool) -> Non
         std = good.alignment_std * (factor if of_std else 1.0)
         verdict = check_survey(replace(good, alignment=factor * good.alignment, alignment_std=std), fleet(seed))
         assert not verdict.usable
-        assert said in verdict.reason
+        assert said in str(verdict.reason)
         assert verdict.scale == pytest.approx(factor, rel=0.05)
 
 
@@ -82,7 +82,7 @@ def test_a_shifted_recording_is_found_and_measured(shift: float) -> None:
         good = recording(seed, 0.1e-3)
         verdict = check_survey(replace(good, s=good.s + shift), fleet(seed))
         assert not verdict.usable
-        assert f"{abs(verdict.shift):.1f} m too far {'along' if shift > 0 else 'back'}" in verdict.reason
+        assert f"{abs(verdict.shift):.1f} m too far {'along' if shift > 0 else 'back'}" in str(verdict.reason)
         assert verdict.shift == pytest.approx(-shift, abs=0.3)
         assert verdict.misfit > 2.0
         excused = check_survey(replace(good, s=good.s + shift), fleet(seed), place_std=4.0)
@@ -114,7 +114,7 @@ def test_with_uncertain_positions_a_shift_of_10_m_takes_many_journeys_to_be_foun
         off = fleet_off * place_std(journeys)
         verdict = check_survey(replace(good, s=good.s + 10.0), fleet(seed, offset=off), place_std=place_std(journeys))
         assert verdict.usable is not found
-        assert ("too far along" in verdict.reason) is found
+        assert ("too far along" in str(verdict.reason)) is found
 
 
 def test_mirrored_and_foreign_recordings_are_refused() -> None:
@@ -123,17 +123,17 @@ def test_mirrored_and_foreign_recordings_are_refused() -> None:
         mirrored = check_survey(replace(good, alignment=-good.alignment), found)
         assert not mirrored.usable
         assert mirrored.sign == -1
-        assert "mirror image" in mirrored.reason
+        assert "mirror image" in str(mirrored.reason)
         for other in (recording(seed + 50, 0.05e-3), replace(good, alignment=good.alignment[::-1])):
             verdict = check_survey(other, found)
             assert not verdict.usable
-            assert "no more in common" in verdict.reason
+            assert "no more in common" in str(verdict.reason)
 
 
 def test_a_recording_that_claims_too_much_is_refused() -> None:
     verdict = check_survey(replace(recording(1, 0.5e-3), alignment_std=recording(1, 0.05e-3).alignment_std), fleet(1))
     assert not verdict.usable
-    assert "standard deviation" in verdict.reason
+    assert "standard deviation" in str(verdict.reason)
 
 
 def test_a_fleet_that_knows_too_little_says_nothing_against_a_recording() -> None:
@@ -147,4 +147,4 @@ def test_a_fleet_that_knows_too_little_says_nothing_against_a_recording() -> Non
     ):  # fmt: skip
         assert verdict.usable
         assert verdict.sign == 0
-        assert "does not know enough" in verdict.reason
+        assert "does not know enough" in str(verdict.reason)

@@ -161,13 +161,14 @@ def _then_one_jumps(among: Deployment, jumping: Sequence[Edited]) -> None:
 
 
 Spoil = Callable[[float, float], tuple[float, float]]
-SPOILT: Mapping[str, tuple[Spoil, str]] = {
+SPOILT: Mapping[str, tuple[Spoil, str, str]] = {
     "a thousand times": (
         lambda s, d: (s, 1e3 * d),
         "times what the fleet has measured: millimetres were taken for metres",
+        "survey_unit",
     ),
-    "10 m along": (lambda s, d: (s + 10.0, d), "m too far along"),
-    "left is right": (lambda s, d: (s, -d), "mirror image"),
+    "10 m along": (lambda s, d: (s + 10.0, d), "m too far along", "survey_displaced"),
+    "left is right": (lambda s, d: (s, -d), "mirror image", "survey_mirrored"),
 }
 
 
@@ -175,7 +176,7 @@ SPOILT: Mapping[str, tuple[Spoil, str]] = {
 def test_a_track_file_that_the_fleet_contradicts_is_not_used_and_the_api_says_why(
     deploy: Deploy, report: FleetReport, tmp_path: Path, kind: str
 ) -> None:
-    spoil, reason = SPOILT[kind]
+    spoil, reason, code = SPOILT[kind]
     registry = registry_with(report.registry, tmp_path / "spoilt", {}, surveyed=True)
     (file,) = registry.parent.glob("*.csv")
     head, *rows = csv.reader(file.read_text(encoding="utf-8").splitlines())
@@ -189,6 +190,7 @@ def test_a_track_file_that_the_fleet_contradicts_is_not_used_and_the_api_says_wh
     document = asked(found, "/v1/track-sections/U-1/alignment-report")
     assert document["recording"].startswith("not used: ")
     assert reason in document["recording"]
+    assert document["recording_code"] == code
     assert track_of(found).startswith(
         "the surveyed alignment is not used; the fleet has found its alignment, now version 2"
     )

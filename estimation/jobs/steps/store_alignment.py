@@ -16,7 +16,7 @@ from estimation.track.settings import AlignmentSettings
 from estimation.track.update import AlignmentUpdate
 from estimation.track.versions import requires_reestimation
 from estimation.values.json_value import JsonValue
-from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.track import Correction, TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.windows import WindowPosition, WindowRecord, WindowState
 
@@ -96,7 +96,8 @@ def _report(unit: UnitOfWork, epoch: Epoch, update: AlignmentUpdate, version: in
     found = update.estimate.report
     extra: dict[str, JsonValue] = {
         "evidence": [*found.evidence, *epoch.notes],
-        "recording": update.survey,
+        "recording": text_of(update.survey),
+        "recording_code": code_of(update.survey),
         "refused_windows": _counted([reason.text for reason in epoch.passes.refused.values()]),
         "refused_windows_by_code": _counted([reason.code for reason in epoch.passes.refused.values()]),
         "parameters": context.settings.alignment_parameters(),
