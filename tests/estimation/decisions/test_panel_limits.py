@@ -95,7 +95,7 @@ def test_a_place_needs_three_passes(most: float, outcome: tuple[Status, ReasonCo
     passes = np.where(np.arange(N) == 7, most, 2.5)
     made = replace(state(spread(0.95)), passes=passes)  # sums of three, so that the rest is diverse enough
     assert report(made) == outcome
-    solution: PanelSolution = result(made, std=False)
+    solution: PanelSolution = result(made)
     published = (np.arange(N) == 7) & (most >= 3.0)
     np.testing.assert_array_equal(np.isfinite(solution.alignment), published)
     np.testing.assert_array_equal(np.isfinite(solution.alignment_std), published)
