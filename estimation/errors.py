@@ -126,7 +126,7 @@ class DamagedError(StorageError):
 
 
 class MigrationError(StorageError):
-    """The database is at another migration head than this code; ``known`` says whether an upgrade leads from there."""
+    """The database is at another migration head than this code; ``known`` is whether an upgrade leads from there."""
 
     def __init__(self, found: str | None, expected: str, *, known: bool = True) -> None:
         self.found = found

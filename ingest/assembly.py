@@ -88,7 +88,7 @@ class Recordings:
         Raises
         ------
         LogFileError
-            The file is no log that can be read, or its SYNC comes at another rate than the catalogue says.
+            The file is no log that can be read, or its SYNC comes at another rate than in the catalogue.
         """
         batch = merge([read_log(path)])
         check_sync_rate(batch, self.catalogue.sample_interval_ns)

@@ -38,7 +38,7 @@ def count_by_identifier(
     Returns
     -------
     counts
-        (2049,) good frames by identifier, shifted by one: their cumulative sum says where each identifier starts.
+        (2049,) good frames by identifier, shifted by one: their cumulative sum is where each identifier starts.
     wrong
         Frames with a known identifier and another length.
     unknown

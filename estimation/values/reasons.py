@@ -11,7 +11,7 @@ from typing import Self
 class ReasonCode(StrEnum):
     """Why a value is missing, restricted or no longer valid; stored and served beside its sentence.
 
-    A code never changes its meaning. ``meaning`` says what the code stands for, and what to do where that is known.
+    A code never changes its meaning. ``meaning`` is what the code stands for, and what to do where that is known.
     """
 
     meaning: str

@@ -76,7 +76,7 @@ class WindowState(StrEnum):
 class WindowPosition:
     """Where a window was along its section: true position = measured + offset + scale (measured - middle).
 
-    ``reason`` says why that is not known, None where it is. ``content_digest`` is of the samples that were looked at.
+    ``reason`` is why that is not known, None where it is. ``content_digest`` is of the samples that were looked at.
     """
 
     wheelset: str

@@ -82,7 +82,7 @@ class SyncClock:
 
         A frame belongs to the SYNC before it. Recorders jitter: one stamped just before a SYNC that came in time
         belongs to that. Where a SYNC is lost, its instant follows from the one before, over at most ``SYNC_REACH``
-        cycles; the number of the next SYNC says how many were lost, so that a frame that is stamped late, with none
+        cycles; the number of the next SYNC shows how many were lost, so that a frame that is stamped late, with none
         lost, is still taken for what it is.
         """
         if len(self.t_ns) == 0:

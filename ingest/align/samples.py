@@ -106,7 +106,7 @@ def _of_node(messages: Mapping[int, TickedValues], kind: str, node: int) -> Tick
 
 
 def _emergencies(messages: Mapping[int, TickedValues], node: int) -> IntArray:
-    """Return the ticks of emergencies; error code 0 says that an error is over."""
+    """Return the ticks of emergencies; error code 0 means that an error is over."""
     emergency = _of_node(messages, EMERGENCY, node)
     if emergency is None:
         return np.empty(0, np.int64)
@@ -284,7 +284,7 @@ def _between(
 ) -> tuple[FloatArray, FloatArray]:
     """Return linear values (n,) between neighbours at most ``reach`` apart, and their slope; NaN elsewhere.
 
-    ``joined`` (k,) says of each frame whether it may be joined to the next.
+    ``joined`` (k,) is whether a frame may be joined to the next.
     """
     if len(tick) == 0:
         return np.full(len(grid), np.nan), np.full(len(grid), np.nan)

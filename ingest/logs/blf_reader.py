@@ -1,6 +1,6 @@
 """Read BLF files: strict, bounded and vectorised.
 
-Nothing is read half: a file that is shorter or longer than its header says, an object without size, a container that
+Nothing is read half: a file that is shorter or longer than its header states, an object without size, a container that
 does not inflate to just the size it declares, an object that is cut off, all raise and name the byte where it is.
 A file is a header and a chain of objects; objects of type 10 are containers, whose inflated contents, joined, are again
 a chain of objects: the frames. Every object begins with ``LOBJ``, its header size, header version, size and type.

@@ -30,7 +30,7 @@ def read_log(path: Path, limits: ReadLimits = DEFAULT_LIMITS) -> FrameBatch:
     Raises
     ------
     LogFileError
-        The file is no such log, its contents are not what its suffix says, it is truncated or corrupt, or reading it
+        The file is no such log, its contents are not of its suffix's format, it is truncated or corrupt, or reading it
         would cost more than the limits allow. Names the file, and the byte or line.
     """
     expected = format_of(path)

@@ -19,7 +19,7 @@ _TO_MILLIMETRES = 1000.0
 
 
 def parse_simpack(text: str, file: str) -> FilePoints:
-    """Return the points of a .prw or .prr file, transformed as its keywords say; mm, z down.
+    """Return the points of a .prw or .prr file, transformed by its keywords; mm, z down.
 
     Parameters
     ----------

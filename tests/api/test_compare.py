@@ -103,9 +103,9 @@ def test_a_baseline_that_wins_is_named() -> None:
 
 def test_without_an_accurate_estimator_none_wins() -> None:
     scores = tuple(score(name, Track.NONE, (0.12, 0.1 if name == SHIPPED else 0.2)) for name in NAMES)
-    (said,) = sentences_of([paired(scores, {Track.KNOWN: "x", Track.FLEET: "y"})])[2:]
-    assert "none comes near; the nearest are locally linear bins" in said
-    assert "win" not in said
+    (sentence,) = sentences_of([paired(scores, {Track.KNOWN: "x", Track.FLEET: "y"})])[2:]
+    assert "none comes near; the nearest are locally linear bins" in sentence
+    assert "win" not in sentence
 
 
 def test_each_wheelset_has_one_who_is_nearest() -> None:
@@ -119,9 +119,9 @@ def test_who_estimates_next_to_nothing_does_not_win() -> None:
         score(name, Track.KNOWN, (0.001,), 2) if name == "paper" else score(name, Track.KNOWN, (0.02,))
         for name in NAMES
     )
-    said = sentences_of([paired(scores, {Track.FLEET: "the passes are too alike", Track.NONE: "none"})])
-    assert "the paper's algorithm" not in said[0]
-    assert said[1] == "P8/113A, track from the fleet: nothing is estimated: the passes are too alike."
+    lines = sentences_of([paired(scores, {Track.FLEET: "the passes are too alike", Track.NONE: "none"})])
+    assert "the paper's algorithm" not in lines[0]
+    assert lines[1] == "P8/113A, track from the fleet: nothing is estimated: the passes are too alike."
     figures = as_json([paired(scores)], "tiny")
     assert json.loads(json.dumps(figures, allow_nan=False)) == figures
 

@@ -33,7 +33,7 @@ def alarm_flood(service: Service) -> Alert:
     """Raise alerts of seven wheelsets at once, or find them raised, and return their fleet alert."""
     with service.storage.write() as unit:
         found = [Transition(api_fleet.alert(s, KIND, "=beta"), (AlertEventKind.RAISED,)) for s in MEMBERS]
-        if next((one for one in unit.alerts.all_open(MEMBERS[0]) if one.kind is KIND), None) is None:
+        if next((one for one in unit.alerts.all_open(MEMBERS[0]) if one.kind == KIND), None) is None:
             raise_in_fleet(unit, "=beta", found, RuleBook(), api_fleet.RECORDED)
         (fleet_alert,) = [alert for alert in unit.alerts.open_in_fleet("=beta") if alert.wheelset is None]
     return fleet_alert

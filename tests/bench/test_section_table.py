@@ -40,14 +40,14 @@ def test_nothing_is_outside_where_everything_covers_as_it_should() -> None:
     assert row.met
 
 
-@pytest.mark.parametrize(("kind", "covered", "said"), [
+@pytest.mark.parametrize(("kind", "covered", "expected"), [
     ("nonlinearity", 198, "NP 99.0 %"), ("difference", 180, "R bins 90.0 %"), ("other_bins", 200, "D bins 100.0 %"),
 ])  # fmt: skip
 def test_a_kind_that_covers_too_often_or_too_rarely_is_named_and_does_not_decide(
-    kind: str, covered: int, said: str
+    kind: str, covered: int, expected: str
 ) -> None:
     (row,) = summaries([case(**{kind: covered})])
-    assert row.outside == (said,)
+    assert row.outside == (expected,)
     assert row.met
 
 

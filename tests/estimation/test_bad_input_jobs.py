@@ -98,14 +98,14 @@ def states(storage: Storage, name: str) -> Sequence[WindowRecord]:
 
 
 def bad_windows() -> dict[str, tuple[Sequence[Window], str]]:
-    """Return by vehicle windows with something wrong with them, and what must be said of each."""
+    """Return by vehicle windows with something wrong with them, and the expected reason of each."""
     first = windows(1)[0]
     n = len(first.valid)
     elsewhere = tuple(replace(w, distance=o.distance) for w, o in zip(windows(1, 2), windows(1), strict=True))
     return {
         "B0": (elsewhere, "not of this section"),
         "B1": (mirror_mounted(windows(1)), "axes point against the direction"),
-        "B2": ((replace(first, speed=np.zeros(n), distance=np.full(n, 500.0)),), "stands or crawls"),
+        "B2": ((replace(first, speed=np.zeros(n), distance=np.full(n, 500.0)),), "stands or runs too slowly"),
         "B4": ((replace(first, valid=np.arange(n) < 1200),), "stretch of 10 s"),
         "B5": ((replace(first, speed=first.speed * 0.7),), "against the speed"),
         "B6": (_all_reversed(windows(3)), "mirror image"),
@@ -150,11 +150,11 @@ def test_bad_passes_are_refused_with_their_reason_and_the_others_stay_as_they_we
     if recorded is None:  # on a recording nothing is asked of a pass that says nothing against it
         bad["B3"] = (_short_pass(), "too short for wavelengths up to 30 m")
     deployed(sqlite_storage, valid_windows() | {name: items for name, (items, _) in bad.items()}, recorded)
-    for name, (items, said) in bad.items():
+    for name, (items, expected) in bad.items():
         records = states(sqlite_storage, name)
         assert len(records) == len(items)
         assert {record.state for record in records} == {WindowState.REFUSED}, (name, records)
-        assert all(said in str(record.reason) for record in records), (name, [r.reason for r in records])
+        assert all(expected in str(record.reason) for record in records), (name, [r.reason for r in records])
     assert len(without) == len(RUNS)
     same(geometries(sqlite_storage), without)
 
@@ -187,14 +187,14 @@ WRONG = {
 def test_a_wrong_recording_is_not_used_and_the_fleet_finds_the_track_itself(
     sqlite_storage: Storage, without: dict[str, GeometryRecord], kind: str
 ) -> None:
-    spoil, said = WRONG[kind]
+    spoil, expected = WRONG[kind]
     deployed(sqlite_storage, valid_windows(), spoil(surveyed()))
     with sqlite_storage.read() as unit:
         report, in_force = unit.tracks.report("S1"), unit.tracks.in_force("S1")
     assert report is not None
     verdict = str(report.report["recording"])
     assert verdict.startswith("not used: ")
-    assert said in verdict
+    assert expected in verdict
     assert in_force is not None
     assert (in_force.source, in_force.version) == (FLEET, 2)
     same(geometries(sqlite_storage), without)

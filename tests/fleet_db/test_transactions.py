@@ -69,7 +69,7 @@ def process(code: str, storage: SqlStorage, *arguments: str) -> Iterator[subproc
             running.kill()
 
 
-def said(running: subprocess.Popen[str]) -> str:
+def line_of(running: subprocess.Popen[str]) -> str:
     assert running.stdout is not None
     return running.stdout.readline().strip()
 
@@ -94,7 +94,7 @@ def test_an_exception_leaves_nothing(fleet: SqlStorage) -> None:
 
 def test_a_writer_killed_in_the_middle_leaves_nothing_and_blocks_nobody(fleet: SqlStorage) -> None:
     with process(WRITE_AND_HANG, fleet) as running:
-        assert said(running) == "in the middle"
+        assert line_of(running) == "in the middle"
         assert counts(fleet) == (0, 0, 0)
         running.send_signal(signal.SIGKILL)
         assert running.wait(30) == -signal.SIGKILL
@@ -180,7 +180,7 @@ def test_a_second_scheduler_is_refused(fleet: SqlStorage) -> None:
 
 def test_a_killed_scheduler_lets_the_next_one_in(fleet: SqlStorage) -> None:
     with process(LOCK_AND_HANG, fleet) as running:
-        assert said(running) == "locked"
+        assert line_of(running) == "locked"
         with pytest.raises(AlreadyRunningError, match="the first, process 1"), fleet.scheduler_lock("second"):
             pass
         running.kill()

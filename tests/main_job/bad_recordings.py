@@ -87,7 +87,10 @@ def _stood(batch: FrameBatch) -> FrameBatch:
 WRONG: Mapping[str, tuple[Change, str]] = {
     "X-ELSE": (message(kinds.POSITION, kinds.VEHICLE_NODE, elsewhere), "not of this section"),
     "X-BACK": (_turned, "the axes point against the direction of running"),
-    "X-CRAWL": (message(kinds.MOTION, kinds.VEHICLE_NODE, crawling), "the vehicle stands or crawls: at most 2.0 m/s"),
+    "X-CRAWL": (
+        message(kinds.MOTION, kinds.VEHICLE_NODE, crawling),
+        "the vehicle stands or runs too slowly: at most 2.0 m/s",
+    ),
     "X-SHORT": (first_seconds, "no uninterrupted run of 10 s"),
 }
 STANDING = ("X-STOP", _stood)

@@ -55,8 +55,8 @@ def no_data_finding(
     Returns
     -------
     Finding
-        Its ``measured_ns`` is when the silence began to count, not the time of asking, so that asking again says
-        the same.
+        Its ``measured_ns`` is when the silence began to count, not the time of the evaluation, so that another
+        evaluation says the same.
     """
     since = max(in_service_since_ns, last_usable_ns if last_usable_ns is not None else in_service_since_ns)
     silent_days = (now_ns - since) / DAY_NS

@@ -1,7 +1,7 @@
 """The gauge deviation along a section by search: at every place the one at which the passes agree, and smooth.
 
 With h(R, e) of every wheelset known, each gauge deviation puts every pass at a place on the track; at the right one all
-passes say the same of the alignment there. Their disagreement has several minima over e, so all of a grid are looked
+passes agree on the alignment there. Their disagreement has several minima over e, so all of a grid are looked
 at, and the best smooth way through them along the section is found by dynamic programming.
 """
 

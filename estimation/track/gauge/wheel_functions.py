@@ -2,7 +2,7 @@
 
 With x = y - d and e the gauge deviation, the left wheel sits at x - e/2 against its rail and the right one at -x - e/2,
 positive towards the flange, so R(x, e) = rho_L(x - e/2) - rho_R(-x - e/2): linear in hat functions of the two. Solved
-for x it says where the wheelset runs at a given R and e.
+for x it gives where the wheelset runs at a given R and e.
 """
 
 from __future__ import annotations

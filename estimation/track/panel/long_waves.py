@@ -48,12 +48,12 @@ def long_wave_alignment(
         curve = solution.curve_of(item.life)
         if item.empty or curve is None:
             continue
-        own = high_pass(unfiltered_residual(item, curve, panel), weights)
+        pass_residual = high_pass(unfiltered_residual(item, curve, panel), weights)
         inside = valid_support(item.certain, weights) & panel.grid.contains(item.points)
         at = item.points[inside]
         weight = panel.known.weight_of(item.life)
-        total[at] += weight * own[inside]
-        square[at] += weight * own[inside] ** 2
+        total[at] += weight * pass_residual[inside]
+        square[at] += weight * pass_residual[inside] ** 2
         count[at] += weight
     shared = np.where(count > 0.0, count, 1.0)
     mean = total / shared

@@ -109,9 +109,9 @@ def fleet_step(state: PanelState, solution: PanelSolution, known: PriorAlignment
         The evidence on the grid.
     """
     weight = solution.passes - state.passes
-    met = (weight > 0) & (state.passes > 0) & np.isfinite(solution.alignment)
-    own = np.where(met, state.passes, 1)
-    of_passes = (solution.passes * np.nan_to_num(solution.alignment) - weight * known.alignment) / own
-    slope = np.where(met, np.gradient(np.where(met, of_passes, 0.0), state.panel.grid.step), 0.0)
+    observed = (weight > 0) & (state.passes > 0) & np.isfinite(solution.alignment)
+    passes_of_fleet = np.where(observed, state.passes, 1)
+    of_passes = (solution.passes * np.nan_to_num(solution.alignment) - weight * known.alignment) / passes_of_fleet
+    slope = np.where(observed, np.gradient(np.where(observed, of_passes, 0.0), state.panel.grid.step), 0.0)
     square = float(slope @ slope)
-    return float(slope @ np.where(met, of_passes - known.alignment, 0.0)) / square if square > 0.0 else None
+    return float(slope @ np.where(observed, of_passes - known.alignment, 0.0)) / square if square > 0.0 else None

@@ -2,7 +2,7 @@
 
 The displacement of a wheelset at a place is y = d + h(R), h near to a straight line. So two passes of one place have a
 combination of (y, R) each that is the same in both, d, whatever their wear; two passes of different places have not.
-The largest canonical correlation between them over the offsets that are searched says which, and its significance is
+The largest canonical correlation between them over the offsets that are searched decides, and its significance is
 that of Wilks' lambda with the number of independent samples that their autocorrelations leave (Bartlett).
 """
 

@@ -152,13 +152,13 @@ def test_silence_makes_it_unknown_and_never_cleared() -> None:
 
 
 @given(st.lists(st.sampled_from([True, None]), max_size=12))
-def test_no_run_of_breaches_and_silence_ever_closes(said: list[bool | None]) -> None:
+def test_no_run_of_breaches_and_silence_ever_closes(breaches: list[bool | None]) -> None:
     alert = raised()
-    for i, breached in enumerate(said):
+    for i, breached in enumerate(breaches):
         change = step(alert, finding(200 + i, breached=breached))
         alert = alert if change is None else change.alert
     assert alert.closed_ns is None
-    assert alert.condition is (Condition.ACTIVE if not said or said[-1] else Condition.UNKNOWN)
+    assert alert.condition is (Condition.ACTIVE if not breaches or breaches[-1] else Condition.UNKNOWN)
 
 
 def test_rising_severity_ends_the_acknowledgement() -> None:

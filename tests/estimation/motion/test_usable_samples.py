@@ -1,4 +1,4 @@
-"""Curves, stops and gaps: what is left out, that nothing of it leaks into the rest, and what is said of it."""
+"""Curves, stops and gaps: what is left out, that nothing of it leaks into the rest, and the reason that is given."""
 
 from __future__ import annotations
 
