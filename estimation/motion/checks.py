@@ -9,9 +9,9 @@ from functools import lru_cache
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from estimation.motion.alignment_lookup import TRACKS
 from estimation.motion.integration import IntegratedWindow, bridged, mirrored
 from estimation.motion.parameters import Gates, SignalParameters
+from estimation.motion.track_lookup import TRACKS
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment

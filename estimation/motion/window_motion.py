@@ -12,7 +12,6 @@ from dataclasses import fields, replace
 import numpy as np
 
 from estimation.filters.smoothing_spline import modelled_gaps, remove_wander
-from estimation.motion.alignment_lookup import alignment_at
 from estimation.motion.checks import (
     check_axis_signs,
     check_moving,
@@ -22,9 +21,9 @@ from estimation.motion.checks import (
     position_jumps,
     to_wheelset_axes,
 )
-from estimation.motion.gauge_shift import gauge_shift
 from estimation.motion.integration import IntegratedSegment, IntegratedWindow, bridged, integrate
 from estimation.motion.parameters import SignalParameters, WindowParameters
+from estimation.motion.track_lookup import alignment_at, gauge_shift
 from estimation.motion.usable_samples import Usable, detect_uncompensated_acceleration, moving_samples, usable_samples
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.motion import NOT_SIGNALS, Motion

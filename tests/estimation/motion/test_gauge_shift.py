@@ -10,8 +10,8 @@ import pytest
 from smooth_wheelset import alignment, mems_windows, run, track
 
 from estimation.filters.smoothing_spline import remove_wander
-from estimation.motion.gauge_shift import gauge_shift
 from estimation.motion.parameters import SignalParameters
+from estimation.motion.track_lookup import gauge_shift
 from estimation.motion.window_motion import motion
 from estimation.values.arrays import FloatArray
 from estimation.values.motion import Motion

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from smooth_wheelset import SmoothTable, alignment, mems_windows, run, track
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.motion.alignment_lookup import deconvolved
 from estimation.motion.parameters import CurveLimits, SignalParameters
+from estimation.motion.track_lookup import deconvolved
 from estimation.motion.usable_samples import straight, straight_part
 from estimation.motion.window_motion import motion
 from estimation.values.motion import Motion
