@@ -186,7 +186,7 @@ def test_windows_without_a_pass_say_why() -> None:
         replace(WINDOW, speed=np.zeros(n), distance=np.full(n, WINDOW.distance[0]))
     )
     assert "stands or runs too slowly: at most 2.0 m/s" in refusal(replace(WINDOW, speed=np.full(n, 2.0)))
-    assert "no sample with a position" in refusal(replace(WINDOW, distance=np.full(n, np.nan)))
+    assert "no sample has a position" in refusal(replace(WINDOW, distance=np.full(n, np.nan)))
     assert "13.0% of the samples are clipped" in refusal(replace(WINDOW, quality=replace(GOOD, clipped=0.13)))
     assert "the sensor reports a fault" in refusal(replace(WINDOW, quality=replace(GOOD, sensor_fault=True)))
     assert "the position is not known well enough" in refusal(
