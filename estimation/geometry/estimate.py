@@ -143,8 +143,8 @@ def _replicates(table: BinTable, bins: BinParameters) -> _Replicates:
     vehicle = bins.vehicle
     per_metre = vehicle.half_contact_distance * vehicle.longitudinal_creep_coefficient / vehicle.nominal_radius
     return _Replicates(
-        lateral.theta.reshape(-1, b, REGRESSORS, len(LATERAL_TARGETS)),
-        yaw.theta.reshape(-1, b, REGRESSORS, len(YAW_TARGETS)),
+        lateral.theta.reshape(len(weight), b, REGRESSORS, len(LATERAL_TARGETS)),
+        yaw.theta.reshape(len(weight), b, REGRESSORS, len(YAW_TARGETS)),
         np.sqrt(yaw.residual_variance[:b]) / per_metre,
         (table.weight > 0).sum(axis=0).astype(np.float64),
     )
@@ -157,7 +157,7 @@ def _leave_one_out(groups: FloatArray, present: BoolArray) -> FloatArray:
 
 def _solve(packed: FloatArray, weight: FloatArray, targets: int) -> least_squares.Solution:
     size = packed.shape[-1]
-    return least_squares.solve(packed.reshape(-1, size), weight.reshape(-1), REGRESSORS, targets)
+    return least_squares.solve(packed.reshape(weight.size, size), weight.ravel(), REGRESSORS, targets)
 
 
 def _jumps(replicates: _Replicates, too_few: BoolArray, parameters: GeometryParameters) -> BoolArray:
