@@ -27,7 +27,7 @@ from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.intervals import NORMAL_95
 from estimation.values.quantities import Estimate
-from estimation.values.track import FLEET
+from estimation.values.track import AlignmentSource
 from ingest.simulator.scenario import Scenario
 
 SEARCHED = 0.6e-3  # m
@@ -146,7 +146,7 @@ def _stored(storage: Storage, scenario: Scenario, truth_file: Path) -> _Stored:
         alignment, report = unit.tracks.alignment(section), unit.tracks.report(section)
         windows = {str(state): count for state, count in unit.windows.counts().items()}
     known = alignment is not None and bool(np.isfinite(alignment.alignment).any())
-    fleet = known and alignment is not None and alignment.source == FLEET
+    fleet = known and alignment is not None and alignment.source == AlignmentSource.FLEET
     return _Stored(
         wheelsets=tuple(wheelsets),
         windows=windows,

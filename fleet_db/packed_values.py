@@ -15,7 +15,7 @@ from estimation.contact.profiles import Profile
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinValues, WheelsetGeometry
 from estimation.values.json_value import JsonValue
-from estimation.values.track import RECORDED, GaugeShift, TrackAlignment, TrackFindings, TrackLayout
+from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings, TrackLayout
 from estimation.values.trend import WearTrend
 from fleet_db.fields import fields_of, from_json, to_json, value_of
 from fleet_db.packing import Array, pack, unpack
@@ -24,7 +24,7 @@ VERSION = 1
 TREND, GEOMETRY, LAYOUT, BIN_TABLE = "wear_trend", "wheelset_geometry", "track_layout", "bin_table"
 WHEEL_PAIR, ALIGNMENT = "wheel_pair", "track_alignment"
 SURVEYED, ESTIMATED = 1, 2  # versions of a packed alignment: the first has no source, cut-off, scale and gauge
-SURVEY = (RECORDED, np.inf, 0, True)  # these four of a surveyed alignment
+SURVEY = (AlignmentSource.RECORDED, np.inf, 0, True)  # these four of a surveyed alignment
 FORMER_STATUSES = {  # of a bin, as they were stored before they were codes
     "too few samples": "too_few_samples",
     "a contact jump crosses the bin": "contact_jump",

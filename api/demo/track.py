@@ -6,6 +6,8 @@ import urllib.parse
 from typing import Any
 
 from api.demo.table import get, get_if_any
+from estimation.values.quantities import Status
+from estimation.values.track import AlignmentSource
 
 
 def track_lines(base_url: str) -> list[str]:
@@ -28,14 +30,14 @@ def _said(base_url: str, section: dict[str, Any]) -> str:
         reason = f": {report['reason']}" if report and report["reason"] else ""
         return f"{head}: not surveyed, and the fleet has not estimated its alignment yet{reason}"
     newest = versions[-1]
-    if newest["source"] == "recorded" and newest["status"] != "estimated":
+    if newest["source"] == AlignmentSource.RECORDED and newest["status"] != Status.ESTIMATED:
         return f"{head}: the gauge alone is on file, and the fleet has not found the alignment"
-    if newest["source"] == "recorded":
+    if newest["source"] == AlignmentSource.RECORDED:
         verdict = f", {report['recording']}" if report and report["recording"] else ""
         return f"{head}: alignment on file, version {newest['version']}{verdict}"
-    filed = {one["status"] for one in versions if one["source"] == "recorded"}
-    how = "the surveyed alignment is not used" if "estimated" in filed else "not surveyed"
-    how = "the gauge alone is on file" if filed == {"unestimated"} else how
+    filed = {one["status"] for one in versions if one["source"] == AlignmentSource.RECORDED}
+    how = "the surveyed alignment is not used" if Status.ESTIMATED in filed else "not surveyed"
+    how = "the gauge alone is on file" if filed == {Status.UNESTIMATED} else how
     return f"{head}: {how}; the fleet has found its alignment, {_found(newest, report)}"
 
 

@@ -13,7 +13,7 @@ from api.times import Timestamp, to_rfc3339
 from estimation.track.convergence import Iterated
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of, text_of
-from estimation.values.track import AlignmentRecord, TrackAlignment, TrackReport, TrackSectionRecord
+from estimation.values.track import AlignmentRecord, AlignmentSource, TrackAlignment, TrackReport, TrackSectionRecord
 
 MM = 1000.0
 
@@ -98,7 +98,7 @@ class AlignmentVersion(Representation):
     section: str
     version: int
     status: Status
-    source: str = Field(description="`recorded` or `fleet`.", examples=["fleet"])
+    source: AlignmentSource = Field(examples=["fleet"])
     cut_off_m: float | None = Field(description="Longer wavelengths are not in it; null where all are.")
     scale_std_1: float | None = Field(description="Relative, of a common stretch that it leaves open.")
     gauge_known: bool

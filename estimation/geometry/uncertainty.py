@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.track import RECORDED, TrackAlignment, TrackFindings
+from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
 
 JUMP_SHARE_UNCORRECTED = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
 
@@ -72,7 +72,7 @@ class ParameterUncertainty:
 
 def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings | None:
     """Return what has been found on ``track``; windows on a recording do not wait for findings of their wheelset."""
-    if track.findings is None or wheelset is None or track.source != RECORDED:
+    if track.findings is None or wheelset is None or track.source != AlignmentSource.RECORDED:
         return track.findings
     return track.findings if wheelset in track.findings.gauge_shifts else None
 

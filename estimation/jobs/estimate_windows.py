@@ -20,7 +20,7 @@ from estimation.tables.bin_table import tabulate_window
 from estimation.values.geometry import BinTable
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import FLEET, AlignmentRecord, Correction, TrackAlignment, TrackLayout
+from estimation.values.track import AlignmentRecord, AlignmentSource, Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import WindowPosition, WindowRecord, WindowState
 
 
@@ -34,7 +34,7 @@ def run(context: JobContext) -> Mapping[str, int]:
         counts["requeued"] = _requeue(unit, settings, in_force)
         total = unit.windows.counts().get(WindowState.PENDING, 0)
     done = 0
-    waiting = [code for code, record in in_force.items() if record.source == FLEET]
+    waiting = [code for code, record in in_force.items() if record.source == AlignmentSource.FLEET]
     while batch := _compute(context, settings, waiting):
         with context.storage.write() as unit:
             for work, outcome in batch:

@@ -15,7 +15,7 @@ from estimation.track.section_grid import SectionGrid
 from estimation.track.section_parameters import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
-from estimation.values.track import FLEET, TrackAlignment
+from estimation.values.track import AlignmentSource, TrackAlignment
 
 
 def merged_alignment(
@@ -58,7 +58,7 @@ def merged_alignment(
         gauge_deviation_std=gauge_std,
         passes=np.rint(found.passes + known.passes).astype(np.int64),
         status=Status.ESTIMATED,
-        source=FLEET,
+        source=AlignmentSource.FLEET,
         cutoff_wavelength=p.cutoff_wavelength,
         scale_std=float(np.hypot(_scale_std(results, p), profiles.scale_std)),
         gauge_known=known.gauge_known and results.gauge is None,

@@ -22,7 +22,7 @@ from estimation.track.settings import AlignmentSettings
 from estimation.track.survey_check import check_survey
 from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
 from estimation.values.reasons import Reason, ReasonCode, prefixed
-from estimation.values.track import RECORDED, TrackAlignment, TrackSectionRecord
+from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
 
 BETTER_SHARE = 0.5  # of the survey's std that a fleet's alignment must reach to replace it
 CONFIRMED = Reason(ReasonCode.SURVEY_CONFIRMED, "agrees with what the fleet has measured")
@@ -92,7 +92,7 @@ def update_alignment(
     parameters = replace(settings.section, panel=replace(settings.section.panel, length=section.length_m))
     screened = screen(passes, in_force, replace(settings.screening, positions=parameters.positions))
     epoch = _Epoch(section.code, screened, parameters, measured)
-    if in_force is not None and in_force.source == RECORDED and np.isfinite(in_force.alignment).any():
+    if in_force is not None and in_force.source == AlignmentSource.RECORDED and np.isfinite(in_force.alignment).any():
         update = _with_survey(epoch, in_force, survey_checked=survey_checked)
         return update if update.outcome.makes_version else _with_gauge_shifts(update, in_force, settings)
     return _without_surveyed_alignment(epoch, in_force)
@@ -122,7 +122,7 @@ class _Epoch:
 
 def _without_surveyed_alignment(epoch: _Epoch, in_force: TrackAlignment | None) -> AlignmentUpdate:
     """Return the next version of the fleet; a survey of the gauge alone is a prior."""
-    surveyed = in_force is not None and in_force.source == RECORDED
+    surveyed = in_force is not None and in_force.source == AlignmentSource.RECORDED
     cutoff = epoch.parameters.cutoff_wavelength
     usable = in_force is not None and (surveyed or in_force.cutoff_wavelength == cutoff)
     estimate = epoch.estimate(in_force if usable else None)

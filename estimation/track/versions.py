@@ -8,7 +8,7 @@ import numpy as np
 
 from estimation.track.settings import AlignmentSettings
 from estimation.values.arrays import FloatArray
-from estimation.values.track import RECORDED, GaugeShift, TrackAlignment, TrackFindings
+from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings
 
 SAME_GAUGE = 0.8  # correlation of two estimates of one gauge
 
@@ -76,7 +76,7 @@ def _met(old: TrackAlignment, new: TrackAlignment) -> bool:
 
     Where the alignment is the fleet's own, windows wait until their wheelset has been met.
     """
-    if new.source != RECORDED or new.findings is None:
+    if new.source != AlignmentSource.RECORDED or new.findings is None:
         return False
     return bool(new.findings.gauge_shifts.keys() - (old.findings.gauge_shifts.keys() if old.findings else set()))
 

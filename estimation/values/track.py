@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -12,9 +13,12 @@ from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 
-RECORDED = "recorded"
 
-FLEET = "fleet"
+class AlignmentSource(StrEnum):
+    """Where an alignment comes from."""
+
+    RECORDED = "recorded"  # a survey, as registered
+    FLEET = "fleet"  # estimated from passes
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +88,7 @@ class TrackAlignment:
     gauge_deviation_std: FloatArray  # (n,) m
     passes: IntArray  # (n,) passes behind each value; 0 for a recording car
     status: Status
-    source: str = RECORDED  # or FLEET
+    source: AlignmentSource = AlignmentSource.RECORDED
     cutoff_wavelength: float = np.inf  # m; longer wavelengths are not in ``alignment``
     scale_std: float = 0.0  # relative, of a common scale error of y - d that the alignment leaves open
     gauge_known: bool = True  # False: from the passes alone, or zero for want of knowledge; see its std
@@ -139,7 +143,7 @@ class AlignmentRecord:
     section: str
     version: int
     status: Status
-    source: str
+    source: AlignmentSource
     same_since: int
     cut_off_m: float  # inf where every wavelength is known
     scale_std: float

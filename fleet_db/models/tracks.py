@@ -6,7 +6,7 @@ from sqlalchemy import CheckConstraint, ForeignKey, ForeignKeyConstraint, Index,
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.quantities import Status
-from estimation.values.track import FLEET, RECORDED
+from estimation.values.track import AlignmentSource
 from fleet_db.models.base import (
     Base,
     Count,
@@ -60,7 +60,7 @@ class TrackVersionRow(Base):
 
     __tablename__ = "track_versions"
     __table_args__ = (
-        one_of("source", (RECORDED, FLEET)),
+        one_of("source", AlignmentSource),
         CheckConstraint("same_since <= version", name="same_since_before"),
         ForeignKeyConstraint(["section", "version"], ["track_alignments.section", "track_alignments.version"]),
     )

@@ -13,8 +13,8 @@ from sqlalchemy import Connection, Row, Select, and_, delete, exists, func, inse
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.quantities import Status
 from estimation.values.track import (
-    RECORDED,
     AlignmentRecord,
+    AlignmentSource,
     TrackAlignment,
     TrackLayout,
     TrackReport,
@@ -38,7 +38,7 @@ LAYOUTS = table_of(TrackLayoutRow)
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
 REPORTS, POSITIONS, WINDOWS = table_of(TrackReportRow), table_of(WindowPositionRow), table_of(WindowRow)
 SAME_VERSION = and_(VERSIONS.c.section == ALIGNMENTS.c.section, VERSIONS.c.version == ALIGNMENTS.c.version)
-SOURCE = func.coalesce(VERSIONS.c.source, RECORDED)
+SOURCE = func.coalesce(VERSIONS.c.source, AlignmentSource.RECORDED)
 RECORDS = select(
     ALIGNMENTS.c.section,
     ALIGNMENTS.c.version,
@@ -260,7 +260,7 @@ def _alignment_record(row: Any) -> AlignmentRecord:  # noqa: ANN401 - a row of R
         section=row.section,
         version=row.version,
         status=Status(row.status),
-        source=row.source,
+        source=AlignmentSource(row.source),
         same_since=row.same_since,
         cut_off_m=np.inf if row.cut_off_m is None else row.cut_off_m,
         scale_std=0.0 if row.scale_std is None else row.scale_std,

@@ -14,7 +14,7 @@ from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobOutcome, JobTrigger
-from estimation.values.track import FLEET, TrackAlignment, TrackReport, TrackSectionRecord
+from estimation.values.track import AlignmentSource, TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.trend import TrendRecord, WearTrend
 from estimation.values.windows import Window, WindowQuality
 
@@ -237,7 +237,14 @@ def populate(storage: Storage) -> None:
         status = Status.ESTIMATED
         known = TrackAlignment("S-1", 0, np.arange(4) * 0.5, deviations, std, -deviations, std, passes, status)
         unit.tracks.add_alignment(known)
-        found = replace(known, section="S-3", source=FLEET, cutoff_wavelength=60.0, scale_std=0.0125, gauge_known=False)
+        found = replace(
+            known,
+            section="S-3",
+            source=AlignmentSource.FLEET,
+            cutoff_wavelength=60.0,
+            scale_std=0.0125,
+            gauge_known=False,
+        )
         for version, same_since in ((1, None), (2, 1), (3, 1)):
             found = replace(found, alignment=found.alignment * 0.5)
             unit.tracks.add_alignment(found, same_since=same_since, recorded_ns=RECORDED + version)

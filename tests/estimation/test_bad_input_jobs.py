@@ -17,7 +17,7 @@ from estimation.storage import Storage
 from estimation.values.geometry import GeometryRecord
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobTrigger
-from estimation.values.track import FLEET, TrackAlignment, TrackSectionRecord
+from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
 from estimation.values.windows import Window, WindowRecord, WindowState
 
 LENGTH = 2900.0
@@ -196,7 +196,7 @@ def test_a_wrong_recording_is_not_used_and_the_fleet_finds_the_track_itself(
     assert verdict.startswith("not used: ")
     assert expected in verdict
     assert in_force is not None
-    assert (in_force.source, in_force.version) == (FLEET, 2)
+    assert (in_force.source, in_force.version) == (AlignmentSource.FLEET, 2)
     same(geometries(sqlite_storage), without)
 
 

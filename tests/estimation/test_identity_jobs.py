@@ -14,7 +14,7 @@ from test_bad_input_jobs import run_jobs
 from estimation.storage import Storage
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
-from estimation.values.track import FLEET, RECORDED, TrackAlignment, TrackSectionRecord
+from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
@@ -150,7 +150,7 @@ def test_nothing_is_said_against_those_who_are_what_they_are(without: Storage, *
     assert mistakes(without) == {}
     with without.read() as unit:
         versions = unit.tracks.versions("S1", None, 10)
-    assert {one.source for one in versions} == {RECORDED if recorded else FLEET}
+    assert {one.source for one in versions} == {AlignmentSource.RECORDED if recorded else AlignmentSource.FLEET}
 
 
 def test_two_swapped_wheelsets_are_reported_and_not_averaged(

@@ -14,7 +14,7 @@ from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.track.settings import AlignmentSettings
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
-from estimation.values.track import FLEET
+from estimation.values.track import AlignmentSource
 from estimation.values.windows import WindowState
 from fleet_db.models import TrackAlignmentRow
 from fleet_db.rows import table_of
@@ -27,7 +27,7 @@ def test_an_epoch_becomes_a_version_once_and_its_windows_are_estimated_on_it(sto
     first = counts(storage, "refresh_alignment")
     assert (first["versions"], first["windows"]) == (1, 12)
     found = in_force(storage)
-    assert (found.version, found.source, found.gauge_known) == (1, FLEET, False)
+    assert (found.version, found.source, found.gauge_known) == (1, AlignmentSource.FLEET, False)
     latest = report(storage)
     assert (latest.version, latest.made, latest.status) == (1, True, Status.ESTIMATED)
     assert counts(storage, "estimate_windows")["estimated"] == 12

@@ -17,7 +17,7 @@ from estimation.storage import Storage
 from estimation.track.survey_check import SurveyCheck, check_survey
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
-from estimation.values.track import FLEET, RECORDED, TrackAlignment
+from estimation.values.track import AlignmentSource, TrackAlignment
 from fleet_db.storage import SqlStorage
 from ingest.registry_file import load_registry
 from ingest.registry_schema import FORMAT
@@ -38,14 +38,14 @@ def test_a_recording_is_kept_unless_the_fleet_contradicts_it(
     latest = report(storage)
     assert latest.report["recording_code"] == code
     if code == "survey_confirmed":
-        assert (in_force(storage).version, in_force(storage).source) == (1, RECORDED)
+        assert (in_force(storage).version, in_force(storage).source) == (1, AlignmentSource.RECORDED)
         assert latest.report["recording"] == "agrees with what the fleet has measured"
         with storage.read() as unit:
             position = unit.tracks.position("W0", windows(0)[0].start_ns)
         assert position is not None
         assert (position.offset_m, position.scale, position.reason) == (0.0, 0.0, None)
     else:
-        assert (in_force(storage).version, in_force(storage).source) == (2, FLEET)
+        assert (in_force(storage).version, in_force(storage).source) == (2, AlignmentSource.FLEET)
         assert str(latest.report["recording"]).startswith("not used: ")
         with storage.write() as unit:  # what is registered again at the next start does not come back
             assert unit.tracks.add_alignment(surveyed(factor)) == 1
@@ -110,7 +110,12 @@ def test_what_a_recorded_gauge_does_to_wheelsets_becomes_a_version_of_the_record
     assert counts(storage, "estimate_windows")["estimated"] == 20  # on a surveyed section no window waits
     assert counts(storage, "refresh_alignment")["versions"] == 1
     found = in_force(storage)
-    assert (found.version, found.source, found.gauge_known, found.cutoff_wavelength) == (2, RECORDED, True, np.inf)
+    assert (found.version, found.source, found.gauge_known, found.cutoff_wavelength) == (
+        2,
+        AlignmentSource.RECORDED,
+        True,
+        np.inf,
+    )
     for name in ("s", "alignment", "alignment_std", "gauge_deviation", "gauge_deviation_std", "passes"):
         np.testing.assert_array_equal(getattr(found, name), getattr(gauged(), name))
     assert found.findings is not None
@@ -138,7 +143,7 @@ def test_what_a_recorded_gauge_does_to_wheelsets_becomes_a_version_of_the_record
     with storage.read() as unit:
         record = unit.tracks.in_force("S1")
     assert record is not None
-    assert (record.version, record.same_since, record.source) == (3, 3, RECORDED)
+    assert (record.version, record.same_since, record.source) == (3, 3, AlignmentSource.RECORDED)
 
 
 def test_nothing_is_made_of_a_recorded_gauge_that_hardly_varies(sqlite_storage: SqlStorage) -> None:
@@ -184,7 +189,7 @@ def test_of_a_section_whose_gauge_alone_is_on_file_the_fleet_finds_the_alignment
     register(storage)
     load_gauge(storage, tmp_path)
     on_file = in_force(storage)
-    assert (on_file.version, on_file.source, on_file.status) == (1, RECORDED, Status.UNESTIMATED)
+    assert (on_file.version, on_file.source, on_file.status) == (1, AlignmentSource.RECORDED, Status.UNESTIMATED)
     assert on_file.gauge_known
     assert np.isnan(on_file.alignment).all()
     put(storage, [0])
@@ -199,7 +204,12 @@ def test_of_a_section_whose_gauge_alone_is_on_file_the_fleet_finds_the_alignment
     put(storage, range(1, 6))
     assert counts(storage, "refresh_alignment")["versions"] == 1
     found = in_force(storage)
-    assert (found.version, found.source, found.status, found.gauge_known) == (2, FLEET, Status.ESTIMATED, True)
+    assert (found.version, found.source, found.status, found.gauge_known) == (
+        2,
+        AlignmentSource.FLEET,
+        Status.ESTIMATED,
+        True,
+    )
     np.testing.assert_allclose(found.gauge_deviation, np.interp(found.s, on_file.s, on_file.gauge_deviation), atol=1e-9)
     assert report(storage).report["evidence"] == ["recorded version 1"]
     load_gauge(storage, tmp_path)
@@ -223,7 +233,7 @@ def test_a_track_file_that_comes_later_lets_the_windows_be_looked_at_again(
     assert counts(storage, "estimate_windows")["estimated"] == 12
     load_survey(storage, tmp_path)
     assert counts(storage, "refresh_alignment")["windows"] == 12
-    assert in_force(storage).source == RECORDED
+    assert in_force(storage).source == AlignmentSource.RECORDED
     with storage.read() as unit:
         positions = [unit.tracks.position(f"W{number}", windows(number)[0].start_ns) for number in range(6)]
     for position, offset in zip(positions, offsets, strict=True):
@@ -237,5 +247,5 @@ def test_a_track_file_that_comes_later_lets_the_windows_be_looked_at_again(
     load_gauge(storage, tmp_path)
     assert counts(storage, "refresh_alignment")["versions"] == 1
     found = in_force(storage)
-    assert (found.version, found.source, found.gauge_known) == (4, FLEET, True)
+    assert (found.version, found.source, found.gauge_known) == (4, AlignmentSource.FLEET, True)
     assert counts(storage, "estimate_windows")["estimated"] == 12

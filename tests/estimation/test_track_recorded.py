@@ -10,7 +10,7 @@ import pytest
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.survey_check import check_survey
 from estimation.values.quantities import Status
-from estimation.values.track import FLEET, TrackAlignment
+from estimation.values.track import AlignmentSource, TrackAlignment
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 
 LENGTH, STEP, CUT_OFF = 4000.0, 0.5, 30.0
@@ -39,7 +39,7 @@ def fleet(seed: int, *, offset: float = 0.0, stretch: float = 0.0) -> TrackAlign
     measured = 0.98 * d[0] + FLEET_STD * d[1] / d[1].std()
     reach = len(weights) // 2
     measured[:reach] = measured[-reach:] = np.nan
-    return replace(lying(grid, measured, FLEET_STD), source=FLEET, cutoff_wavelength=CUT_OFF)
+    return replace(lying(grid, measured, FLEET_STD), source=AlignmentSource.FLEET, cutoff_wavelength=CUT_OFF)
 
 
 def recording(seed: int, std: float, spacing: float = 0.25) -> TrackAlignment:

@@ -14,7 +14,7 @@ from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import AlignmentUpdate, UpdateOutcome, update_alignment
 from estimation.values.quantities import Status
-from estimation.values.track import RECORDED, TrackAlignment, TrackSectionRecord
+from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
 
 RECORD = TrackSectionRecord("S", 1, "Section", "56E1", 0.05, 1.435, LENGTH)
 SETTINGS = AlignmentSettings(section=SectionParameters(panel=PanelParameters(basis_count=21)))
@@ -41,7 +41,7 @@ def test_the_gauge_shift_of_wheelsets_is_found_on_a_surveyed_gauge() -> None:
     assert found.outcome is UpdateOutcome.SURVEY_EXTENDED
     first_version = found.alignment
     assert first_version is not None
-    assert first_version.source == RECORDED
+    assert first_version.source == AlignmentSource.RECORDED
     np.testing.assert_array_equal(first_version.alignment, place.alignment)
     np.testing.assert_array_equal(first_version.gauge_deviation, place.gauge)
     assert first_version.findings is not None

@@ -20,7 +20,7 @@ from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.section_parameters import SectionParameters
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.track import FLEET, TrackAlignment
+from estimation.values.track import AlignmentSource, TrackAlignment
 
 SECTION = SectionParameters(panel=PARAMETERS)
 
@@ -63,7 +63,7 @@ def test_positions_and_alignment_converge_together() -> None:
     assert {one.rounds for one in ended.values()} == {found.report.rounds}
     assert found.report.evidence == ()
     assert all(journey.used for journey in found.report.journeys)
-    assert known(found).source == FLEET
+    assert known(found).source == AlignmentSource.FLEET
     fleet_offset = np.mean([OFFSETS[c] for c in OFFSETS])  # the position of the fleet as a whole is not known
     assert error(known(found), -fleet_offset) < 0.12
     json.dumps(found.report.as_json(), allow_nan=False)

@@ -9,7 +9,7 @@ import numpy as np
 from estimation.track.settings import AlignmentSettings
 from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
 from estimation.values.quantities import Status
-from estimation.values.track import FLEET, RECORDED, GaugeShift, TrackAlignment, TrackFindings
+from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings
 
 
 def test_only_what_matters_is_another_alignment() -> None:
@@ -28,7 +28,7 @@ def test_only_what_matters_is_another_alignment() -> None:
         zero,
         np.full(n, 5),
         Status.ESTIMATED,
-        FLEET,
+        AlignmentSource.FLEET,
         60.0,
         0.0,
         False,  # noqa: FBT003 - the gauge is not known
@@ -53,7 +53,7 @@ def test_only_what_matters_is_another_alignment() -> None:
     assert not requires_reestimation(estimated, replace(old, findings=TrackFindings({"A": 0.975}, 0.01, {})), settings)
     assert requires_reestimation(estimated, replace(old, findings=TrackFindings({"A": 0.99}, 0.01, {})), settings)
     assert requires_reestimation(estimated, replace(old, findings=TrackFindings({"B": 1.0}, 0.01, {})), settings)
-    recorded = replace(old, source=RECORDED, gauge_known=True)
+    recorded = replace(old, source=AlignmentSource.RECORDED, gauge_known=True)
     wheel = GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.zeros((3, 2)))
     with_one = replace(recorded, findings=TrackFindings({}, 0.01, {"A1": wheel}))
     with_two = replace(recorded, findings=TrackFindings({}, 0.01, {"A1": wheel, "A2": wheel}))
@@ -88,7 +88,7 @@ def test_what_was_found_of_those_who_stayed_away_is_kept() -> None:
     zero, gauge = np.zeros(n), 1e-3 * rng.standard_normal(n)
     wheel = GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.zeros((3, 2)))
     base = TrackAlignment(
-        "S1", 1, np.arange(n) * 1.0, zero, zero, gauge, zero, np.full(n, 5), Status.ESTIMATED, FLEET
+        "S1", 1, np.arange(n) * 1.0, zero, zero, gauge, zero, np.full(n, 5), Status.ESTIMATED, AlignmentSource.FLEET
     )  # fmt: skip
     before = replace(base, findings=TrackFindings({"A": 0.9, "B": 1.1}, 0.02, {"A1": wheel, "B1": wheel}))
     again = replace(base, gauge_deviation=gauge + 0.3e-3 * rng.standard_normal(n))

@@ -23,7 +23,7 @@ from sqlalchemy import Engine
 
 from estimation.errors import MigrationError, ParameterError, StorageError
 from estimation.values.reasons import ReasonCode
-from estimation.values.track import RECORDED
+from estimation.values.track import AlignmentSource
 from fleet_db.migrate import SCRIPTS, check_head, head, upgrade
 from fleet_db.models import Base
 from fleet_db.packed_values import pack_alignment
@@ -193,7 +193,7 @@ def test_a_database_of_the_first_version_keeps_its_tracks(empty_url: str, engine
         assert make.same(unit.tracks.alignment("S-7"), replace(make.alignment(4), version=1))
         record = unit.tracks.in_force("S-7")
         assert record is not None
-        assert (record.source, record.same_since, record.gauge_known) == (RECORDED, 1, True)
+        assert (record.source, record.same_since, record.gauge_known) == (AlignmentSource.RECORDED, 1, True)
         assert unit.tracks.add_alignment(make.alignment(4)) == 1
         assert unit.tracks.report("S-7") is None
 

@@ -21,7 +21,7 @@ from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import FLEET, GaugeShift, TrackFindings
+from estimation.values.track import AlignmentSource, GaugeShift, TrackFindings
 from estimation.values.trend import WearTrend
 from fleet_db.fields import fields_of, from_json, to_json, value_of
 from fleet_db.packed_values import (
@@ -123,7 +123,12 @@ def test_what_the_passes_of_a_section_found_comes_back_exactly(wheelsets: int) -
     shifts = gauge_shifts(wheelsets)
     found = TrackFindings({"V1": 1.01, "V2": 0.93}, 0.004, shifts)
     alignment = replace(
-        make.alignment(1), source=FLEET, cutoff_wavelength=120.0, scale_std=0.01, gauge_known=False, findings=found
+        make.alignment(1),
+        source=AlignmentSource.FLEET,
+        cutoff_wavelength=120.0,
+        scale_std=0.01,
+        gauge_known=False,
+        findings=found,
     )
     back = unpack_alignment(pack_alignment(alignment), 0, where="here")
     assert back.findings is not None
@@ -158,13 +163,13 @@ def test_what_the_first_release_stored_is_still_read() -> None:
     shifts = gauge_shifts(2)
     surveyed = make.alignment(1)
     of_fleet = replace(
-        surveyed, source=FLEET, cutoff_wavelength=120.0, scale_std=0.01, gauge_known=False,
+        surveyed, source=AlignmentSource.FLEET, cutoff_wavelength=120.0, scale_std=0.01, gauge_known=False,
         findings=TrackFindings({"V1": 1.01, "V2": 0.93}, 0.004, shifts),
     )  # fmt: skip
     assert make.same(unpack_geometry(stored("wheelset_geometry"), where="here"), make.geometry(1))
     assert make.same(unpack_trend(stored("wear_trend"), where="here"), make.trend(1))
     assert make.same(unpack_alignment(stored("surveyed"), 0, where="here"), surveyed)
-    assert unpack_alignment(stored("of_fleet"), 0, where="here").source == FLEET
+    assert unpack_alignment(stored("of_fleet"), 0, where="here").source == AlignmentSource.FLEET
     assert make.same(
         unpack_wheel_pair(stored("wheel_pair"), where="here"), (make.wheel("left", 1), make.wheel("right", 2))
     )

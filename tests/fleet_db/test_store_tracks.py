@@ -12,9 +12,8 @@ from estimation.errors import ConflictError
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import (
-    FLEET,
-    RECORDED,
     AlignmentRecord,
+    AlignmentSource,
     GaugeShift,
     TrackAlignment,
     TrackFindings,
@@ -35,7 +34,13 @@ def of_fleet(seed: int) -> TrackAlignment:
     d, std = made.alignment.copy(), made.alignment_std.copy()
     d[0] = std[0] = np.nan
     return replace(
-        made, alignment=d, alignment_std=std, source=FLEET, cutoff_wavelength=62.5, scale_std=0.0125, gauge_known=False
+        made,
+        alignment=d,
+        alignment_std=std,
+        source=AlignmentSource.FLEET,
+        cutoff_wavelength=62.5,
+        scale_std=0.0125,
+        gauge_known=False,
     )
 
 
@@ -50,10 +55,10 @@ def test_where_an_alignment_came_from_comes_back_with_it_and_a_recording_is_pack
     fleet = of_fleet(1)
     assert make.same(unpack_alignment(pack_alignment(fleet), 0, where="here"), fleet)
     recorded = make.alignment(1)
-    assert unpack_alignment(pack_alignment(recorded), 0, where="here").source == RECORDED
+    assert unpack_alignment(pack_alignment(recorded), 0, where="here").source == AlignmentSource.RECORDED
     assert b"" != pack_alignment(recorded) != pack_alignment(replace(recorded, cutoff_wavelength=60.0))
     with_findings = unpack_alignment(pack_alignment(replace(recorded, findings=FOUND)), 0, where="here")
-    assert (with_findings.source, with_findings.findings is not None) == (RECORDED, True)
+    assert (with_findings.source, with_findings.findings is not None) == (AlignmentSource.RECORDED, True)
     assert make.same(replace(with_findings, findings=None), recorded)
 
 
@@ -78,7 +83,7 @@ def test_a_recording_registered_again_does_not_come_before_what_the_fleet_has_fo
         "S-7",
         3,
         Status.ESTIMATED,
-        FLEET,
+        AlignmentSource.FLEET,
         same_since=2,
         cut_off_m=62.5,
         scale_std=0.0125,
@@ -89,8 +94,8 @@ def test_a_recording_registered_again_does_not_come_before_what_the_fleet_has_fo
     )
     assert newest == with_findings
     assert found[0] == replace(
-        with_findings, version=1, source=RECORDED, same_since=1, cut_off_m=np.inf, scale_std=0.0, gauge_known=True,
-        alignment_std_m=None, recorded_ns=None,
+        with_findings, version=1, source=AlignmentSource.RECORDED, same_since=1, cut_off_m=np.inf, scale_std=0.0,
+        gauge_known=True, alignment_std_m=None, recorded_ns=None,
     )  # fmt: skip
 
 
@@ -113,7 +118,7 @@ def test_a_recording_registered_again_does_not_come_before_itself_with_what_the_
         assert unit.tracks.add_alignment(recorded) == 1
         newest = unit.tracks.in_force("S-7")
         assert newest is not None
-        assert (newest.version, newest.source, newest.same_since) == (2, RECORDED, 2)
+        assert (newest.version, newest.source, newest.same_since) == (2, AlignmentSource.RECORDED, 2)
         in_force = unit.tracks.alignment("S-7")
         assert in_force is not None
         assert in_force.findings is not None

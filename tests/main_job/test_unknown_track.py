@@ -11,7 +11,7 @@ import pytest
 from tiny_fleet import Deployment, deployment, true_conicity
 
 from estimation.values.quantities import Status
-from estimation.values.track import FLEET
+from estimation.values.track import AlignmentSource
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.fleet import FleetReport, run_fleet
 from ingest.simulator.scenario import Scenario
@@ -95,7 +95,7 @@ def test_conicity_comes_out_without_a_survey_and_journeys_are_put_where_they_ran
         versions = unit.tracks.versions("U-1", None, 10)
         track_report = unit.tracks.report("U-1")
         geometries = {one.serial: unit.geometries.current(one.serial) for one in unit.registry.wheelsets()}
-    assert [one.source for one in versions] == [FLEET] * len(versions)
+    assert [one.source for one in versions] == [AlignmentSource.FLEET] * len(versions)
     assert track_report is not None
     assert track_report.status is Status.ESTIMATED
     errors = []

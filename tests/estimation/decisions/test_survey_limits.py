@@ -23,7 +23,8 @@ from estimation.track.survey_check import (
 )
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
-from estimation.values.track import FLEET, TrackAlignment
+from estimation.values.reasons import ReasonCode, code_of
+from estimation.values.track import AlignmentSource, TrackAlignment
 
 N = 1500
 S = np.arange(float(N))
@@ -43,7 +44,9 @@ def track(alignment: FloatArray, std: float = STD, **changes: object) -> TrackAl
 
 
 def checked(recorded: FloatArray, *, place_std: float = 0.0, std: float = STD, scale_std: float = 0.0) -> SurveyCheck:
-    return check_survey(track(recorded, std), track(D, std, source=FLEET, scale_std=scale_std), place_std=place_std)
+    return check_survey(
+        track(recorded, std), track(D, std, source=AlignmentSource.FLEET, scale_std=scale_std), place_std=place_std
+    )
 
 
 def moved(metres: float) -> FloatArray:
@@ -52,7 +55,7 @@ def moved(metres: float) -> FloatArray:
 
 def test_a_survey_that_is_right_is_used_with_its_figures() -> None:
     found = checked(moved(2.0))
-    assert (found.usable, found.reason, found.sign) == (True, "", 1)
+    assert (found.usable, found.reason, found.sign) == (True, None, 1)
     assert found.shift == pytest.approx(2.0, abs=0.05)
     assert found.scale == pytest.approx(1.0, abs=0.02)
     difference = (moved(2.0) - D)[: N - 2]
@@ -65,7 +68,8 @@ def test_a_survey_may_be_shifted_by_three_metres_and_what_the_fleet_leaves_open(
         assert checked(moved(sign * (limit - 0.15)), place_std=place_std, std=1e-3).usable
         refused = checked(moved(sign * (limit + 0.15)), place_std=place_std, std=1e-3)
         assert not refused.usable
-        assert ("too far back" if sign > 0 else "too far along") in refused.reason
+        assert code_of(refused.reason) is ReasonCode.SURVEY_DISPLACED
+        assert ("too far back" if sign > 0 else "too far along") in str(refused.reason)
 
 
 @pytest.mark.parametrize(("scale_std", "most"), [(0.0, 1.25), (0.05, 1.5)])
@@ -82,7 +86,7 @@ def test_a_survey_may_be_scaled_by_a_quarter_and_what_the_fleet_leaves_open(scal
 def test_a_survey_with_left_and_right_exchanged_is_refused() -> None:
     found = checked(-D)
     assert (found.usable, found.sign) == (False, -1)
-    assert found.reason.startswith("left and right are exchanged")
+    assert code_of(found.reason) is ReasonCode.SURVEY_MIRRORED
 
 
 def test_a_survey_may_misfit_by_half_more_than_its_std_allows() -> None:
@@ -100,7 +104,7 @@ def test_a_survey_may_misfit_by_half_more_than_its_std_allows() -> None:
 def test_two_sections_have_no_more_in_common_than_chance() -> None:
     found = checked(2e-3 * smooth(77, N, width=6))
     assert not found.usable
-    assert found.reason.startswith("it has no more in common")
+    assert code_of(found.reason) is ReasonCode.SURVEY_UNRELATED
     assert found.correlation < 0.6
 
 
@@ -113,7 +117,7 @@ def test_the_chance_of_what_two_have_in_common_is_a_millionth() -> None:
         lags = 2.0 * 60.0 / (N / found.samples)
         chance = chi2.logsf(-(found.samples - 3.0) * np.log1p(-(found.correlation**2)), 1) / np.log(10.0)
         chance += np.log10(max(lags, 1.0))
-        assert ("no more in common" in found.reason) is bool(chance > -6.0)
+        assert (code_of(found.reason) is ReasonCode.SURVEY_UNRELATED) is bool(chance > -6.0)
         verdicts.append(chance)
     assert min(abs(one + 6.0) for one in verdicts if one > -6.0) < 3.0
     assert min(abs(one + 6.0) for one in verdicts if one < -6.0) < 3.0
@@ -122,11 +126,11 @@ def test_the_chance_of_what_two_have_in_common_is_a_millionth() -> None:
 def test_twenty_independent_samples_and_two_lengths_of_correlation_are_needed() -> None:
     samples = {}
     for n in range(60, 600, 20):
-        d, base = D[:n], track(D[:n], source=FLEET)
+        d, base = D[:n], track(D[:n], source=AlignmentSource.FLEET)
         found = check_survey(track(d), base)
         memory = _memory(np.where(d == 0, 0, d), d, 1.0)
         said = n >= 120 and n / memory >= 20.0
-        assert bool(found.reason) is not said
+        assert code_of(found.reason) is (None if said else ReasonCode.SURVEY_NOT_ASSESSABLE)
         assert found.usable
         assert np.isnan(found.scale) is not said or not said
         samples[n] = n / memory
@@ -134,14 +138,14 @@ def test_twenty_independent_samples_and_two_lengths_of_correlation_are_needed() 
     assert any(20.0 <= one < 30.0 for one in samples.values())
     wide = 2e-3 * np.random.default_rng(3).standard_normal(130)
     for n, said in ((119, False), (121, True)):
-        assert (check_survey(track(wide[:n]), track(wide[:n], source=FLEET)).reason == "") is said
+        assert (check_survey(track(wide[:n]), track(wide[:n], source=AlignmentSource.FLEET)).reason is None) is said
 
 
 def test_a_survey_is_filtered_as_the_fleet_is() -> None:
     weights = local_cubic_kernel(120.0, 1.0)
     reach = len(weights) // 2
     whole = D + 1e-2 * np.sin(2 * np.pi * S / 900.0)
-    fleet = track(high_pass(whole, weights), source=FLEET)
+    fleet = track(high_pass(whole, weights), source=AlignmentSource.FLEET)
     raw = track(whole, cutoff_wavelength=np.inf)
     assert check_survey(raw, fleet).usable
     assert check_survey(raw, fleet).misfit == pytest.approx(0.0, abs=1e-6)
@@ -170,7 +174,9 @@ def test_a_unit_is_named_where_the_factor_is_near_to_it(factor: float, words: st
 
 
 def found_with(**changes: object) -> SurveyCheck:
-    plain = SurveyCheck(usable=True, reason="", scale=1.0, shift=0.0, sign=1, misfit=1.0, correlation=1.0, samples=50.0)
+    plain = SurveyCheck(
+        usable=True, reason=None, scale=1.0, shift=0.0, sign=1, misfit=1.0, correlation=1.0, samples=50.0
+    )
     return replace(plain, **changes)  # type: ignore[arg-type]
 
 
@@ -183,7 +189,7 @@ def test_the_limits_of_unit_sides_and_place() -> None:
         assert bool(_misplaced(found_with(shift=shift), 1.0, 0.0, P)) is wrong
         assert bool(_misplaced(found_with(shift=2.0 * shift), 1.0, 3.0, P)) is wrong
     assert len(_misplaced(found_with(sign=-1, shift=9.0, scale=9.0), 1.0, 0.0, P)) == 3
-    assert "within 1.0 m" in _misplaced(found_with(shift=9.0), 1.0, 1.0, P)[0]
+    assert "within 1.0 m" in _misplaced(found_with(shift=9.0), 1.0, 1.0, P)[0].text
 
 
 def test_correlation_and_factor_at_every_lag() -> None:
@@ -238,6 +244,7 @@ def test_what_only_one_knows_is_not_compared() -> None:
     assert found.misfit == pytest.approx(0.0, abs=1e-6)
     assert found.samples == pytest.approx(checked(D).samples * 1101 / N, rel=0.2)
     elsewhere = replace(track(D), s=S + 5000.0)
-    assert check_survey(elsewhere, track(D, source=FLEET)).reason == "the fleet does not know enough of the section"
+    nothing_shared = check_survey(elsewhere, track(D, source=AlignmentSource.FLEET))
+    assert code_of(nothing_shared.reason) is ReasonCode.SURVEY_NOT_ASSESSABLE
     unknown = replace(track(D), alignment_std=np.full(N, np.nan))
-    assert check_survey(unknown, track(D, source=FLEET)).samples == 0.0
+    assert check_survey(unknown, track(D, source=AlignmentSource.FLEET)).samples == 0.0

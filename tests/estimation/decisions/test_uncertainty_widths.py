@@ -9,7 +9,7 @@ import pytest
 from plain_windows import plain_track
 
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.track import FLEET, GaugeShift, TrackAlignment, TrackFindings
+from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings
 from estimation.vehicle.regressors import LATERAL_TARGETS, YAW_TARGETS
 
 UNCERTAIN = ParameterUncertainty()
@@ -95,4 +95,4 @@ def test_a_recording_has_found_nothing_of_a_wheelset_that_it_does_not_name() -> 
     assert UNCERTAIN.on([track(of_another)], "W1").ratio is None
     assert UNCERTAIN.on([track(of_another)], "W2").ratio == 0.01
     assert UNCERTAIN.on([track(of_another)]).ratio == 0.01
-    assert UNCERTAIN.on([track(of_another, source=FLEET)], "W1").ratio == 0.01
+    assert UNCERTAIN.on([track(of_another, source=AlignmentSource.FLEET)], "W1").ratio == 0.01

@@ -15,7 +15,7 @@ from estimation.track.versions import carry_over_findings, gauge_shift_changed, 
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import FLEET, RECORDED, Correction, GaugeShift, TrackAlignment, TrackFindings
+from estimation.values.track import AlignmentSource, Correction, GaugeShift, TrackAlignment, TrackFindings
 
 N = 1000
 S = np.arange(float(N))
@@ -35,7 +35,7 @@ def made(**changes: object) -> TrackAlignment:
         gauge_deviation_std=np.zeros(N),
         passes=np.ones(N, dtype=np.int64),
         status=Status.ESTIMATED,
-        source=FLEET,
+        source=AlignmentSource.FLEET,
     )
     return replace(plain, **changes)  # type: ignore[arg-type]
 
@@ -50,7 +50,7 @@ def test_the_same_again_changes_nothing() -> None:
 
 
 def test_what_an_alignment_is_of_decides() -> None:
-    assert again(made(), source=RECORDED)
+    assert again(made(), source=AlignmentSource.RECORDED)
     assert again(made(), cutoff_wavelength=120.0)
     assert again(made(), gauge_known=False)
     assert again(made(), s=S + 1.0)
@@ -127,9 +127,9 @@ def shift_of(size: float) -> GaugeShift:
 
 def test_a_survey_gains_the_shift_of_a_wheelset() -> None:
     shifts = TrackFindings({}, 0.0, {"W": shift_of(0.3)})
-    assert again(made(source=RECORDED), findings=shifts)
-    assert again(made(source=RECORDED, findings=TrackFindings({}, 0.0, {})), findings=shifts)
-    assert not again(made(source=RECORDED, findings=shifts), findings=shifts)
+    assert again(made(source=AlignmentSource.RECORDED), findings=shifts)
+    assert again(made(source=AlignmentSource.RECORDED, findings=TrackFindings({}, 0.0, {})), findings=shifts)
+    assert not again(made(source=AlignmentSource.RECORDED, findings=shifts), findings=shifts)
     assert not again(made(), findings=shifts)
 
 
@@ -190,7 +190,7 @@ def test_shifts_stay_with_a_gauge_that_correlates_by_four_fifths(correlation: fl
 
 
 def survey(**changes: object) -> TrackAlignment:
-    return replace(made(source=RECORDED), **changes)  # type: ignore[arg-type]
+    return replace(made(source=AlignmentSource.RECORDED), **changes)  # type: ignore[arg-type]
 
 
 def test_a_fleet_replaces_a_survey_at_half_its_std() -> None:

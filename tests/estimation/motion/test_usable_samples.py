@@ -17,7 +17,7 @@ from estimation.motion.usable_samples import straight, straight_part
 from estimation.motion.window_motion import motion
 from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import FLEET, TrackAlignment, TrackLayout
+from estimation.values.track import AlignmentSource, TrackAlignment, TrackLayout
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.curves import Curve
@@ -198,7 +198,7 @@ def fleet_alignment(cutoff_wavelength: float) -> TrackAlignment:
     high = high_pass(known.alignment, weights)
     reach = len(weights) // 2
     high[:reach] = high[-reach:] = np.nan
-    return replace(known, alignment=high, source=FLEET, cutoff_wavelength=cutoff_wavelength)
+    return replace(known, alignment=high, source=AlignmentSource.FLEET, cutoff_wavelength=cutoff_wavelength)
 
 
 def test_an_alignment_without_long_waves_serves_as_well_as_a_whole_one() -> None:

@@ -13,7 +13,7 @@ from smooth_wheelset import SmoothTable, ideal, run, track
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.motion import Motion
 from estimation.values.quantities import Status
-from estimation.values.track import FLEET, GaugeShift, TrackAlignment, TrackFindings
+from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
@@ -105,7 +105,14 @@ def test_a_geometry_is_as_sure_of_the_ratio_as_the_least_sure_of_its_alignments(
         ({"findings": TrackFindings({"V1": 1.1}, 0.01, {})}, 0.5),
         ({"findings": TrackFindings({"V1": 1.1}, 0.01, {"W2": WHEEL})}, 0.5),
         ({"findings": TrackFindings({"V1": 1.1}, 0.01, {"W1": WHEEL})}, 0.22),
-        ({"findings": TrackFindings({"V1": 1.1}, 0.01, {"W1": WHEEL}), "gauge_known": False, "source": FLEET}, 0.32),
+        (
+            {
+                "findings": TrackFindings({"V1": 1.1}, 0.01, {"W1": WHEEL}),
+                "gauge_known": False,
+                "source": AlignmentSource.FLEET,
+            },
+            0.32,
+        ),
     ],
 )
 def test_contact_jumps_are_as_far_off_as_the_gauge_is_left_in(change: dict[str, Any], share: float) -> None:
@@ -120,7 +127,7 @@ def test_a_recording_has_taught_nothing_of_a_wheelset_that_it_has_not_met() -> N
     surveyed = replace(track_of(0.01), findings=TrackFindings({"V1": 1.1}, 0.01, {"W1": WHEEL}))
     assert ParameterUncertainty().on([surveyed], "W1").ratio == 0.01
     assert ParameterUncertainty().on([surveyed], "W2").ratio is None
-    assert ParameterUncertainty().on([replace(surveyed, source=FLEET)], "W2").ratio == 0.01
+    assert ParameterUncertainty().on([replace(surveyed, source=AlignmentSource.FLEET)], "W2").ratio == 0.01
 
 
 def test_a_learnt_ratio_stands_for_creep_and_yaw_stiffness_in_the_yaw_equation_alone() -> None:
