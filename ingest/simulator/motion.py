@@ -13,18 +13,8 @@ from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.equations_of_motion import VehicleParameters, creep_rate
 from ingest.simulator.curves import path_motion
-from ingest.simulator.stepping import (
-    FORCED,
-    LOOKED_UP,
-    OUTPUTS,
-    STATES,
-    Constants,
-    Grid,
-    integrate,
-    sub_steps,
-    time_derivative,
-    uniform_spacing,
-)
+from ingest.simulator.rates import FORCED, LOOKED_UP, STATES, Constants, Grid
+from ingest.simulator.stepping import OUTPUTS, integrate, sub_steps, time_derivative, uniform_spacing
 from ingest.simulator.track import TrackTruth
 
 STEP = 1e-3  # s

@@ -1,24 +1,17 @@
-"""The stepping loop: Eq. 1-5 integrated by Runge-Kutta of 4th order, compiled.
+"""The stepping loop: the equations of motion integrated by Runge-Kutta of 4th order, compiled.
 
-One call runs one wheelset with its suspended mass over a given course of speed and distance. The contact geometry is
-looked up bilinearly in (y - d, gauge deviation); the slopes of the roll angle are tabulated at the same nodes, so
-that roll rate is the chain rule phi' = phi_x (y' - d') + phi_e e', and roll acceleration is its time derivative.
+One call runs one wheelset with its suspended mass over a given course of speed and distance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from estimation.values.arrays import FloatArray, IntArray
+from ingest.simulator.rates import FORCED, LOOKED_UP, STANDSTILL, STATES, Constants, Grid, compiled, derivatives
 
-STANDSTILL = 0.05  # m/s: below it the wheels stick, and only the suspended mass moves
-FORCED = 3  # accelerations that the path forces: y, psi, ym
-STATES = 6  # y, y', psi, psi', ym, ym'
-LOOKED_UP = 7  # rL, rR, dL, dR, phi, phi_x, phi_e
 OUTPUTS = (
     "lateral_displacement",
     "lateral_velocity",
@@ -39,224 +32,8 @@ OUTPUTS = (
     "contact_angle_right",
 )
 
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
-
-class Constants(NamedTuple):
-    """The parameters of Eq. 1-5 by their symbols, as the compiled code takes them."""
-
-    f11: float
-    f22: float
-    f23: float
-    f33: float
-    fy: float
-    f_psi: float
-    inertia: float
-    pitch_inertia: float
-    half: float
-    mass: float
-    suspended: float
-    ky: float
-    k_psi: float
-    load: float
-    r0: float
-
-
-class Grid(NamedTuple):
-    """Uniform grids: first node and reciprocal spacing of y - d, of gauge deviation, and of distance."""
-
-    x0: float
-    per_x: float
-    e0: float
-    per_e: float
-    s0: float
-    interval: float
-
-
-@_compiled
-def look_up(table: FloatArray, grid: Grid, x: float, e: float, out: FloatArray) -> bool:
-    """Interpolate ``table`` (n, g, 7) at (x, e) into ``out`` (7,); return whether x is inside the grid.
-
-    Outside, the edge cell is continued linearly in x; e is held at the edge.
-
-    Parameters
-    ----------
-    table
-        (n, g, 7) contact geometry at the nodes, in the order rL, rR, dL, dR, phi, phi_x, phi_e; m and rad.
-    grid
-        The grids of the table.
-    x
-        Displacement y - d, m.
-    e
-        Gauge deviation, m.
-    out
-        (7,) written.
-    """
-    n, g, width = table.shape
-    fx = (x - grid.x0) * grid.per_x
-    inside = bool(0.0 <= fx <= n - 1)
-    i = min(max(int(fx), 0), n - 2)
-    wx = fx - i
-    if g == 1:
-        for k in range(width):
-            out[k] = (1.0 - wx) * table[i, 0, k] + wx * table[i + 1, 0, k]
-        return inside
-    fe = min(max((e - grid.e0) * grid.per_e, 0.0), g - 1.0)
-    j = min(int(fe), g - 2)
-    we = fe - j
-    w00, w01, w10, w11 = (1.0 - wx) * (1.0 - we), (1.0 - wx) * we, wx * (1.0 - we), wx * we
-    for k in range(width):
-        out[k] = (
-            w00 * table[i, j, k] + w01 * table[i, j + 1, k] + w10 * table[i + 1, j, k] + w11 * table[i + 1, j + 1, k]
-        )
-    return inside
-
-
-@_compiled
-def track_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) -> None:
-    """Write alignment, its slope, gauge deviation, its slope at distance ``s`` into ``out`` (4,).
-
-    Parameters
-    ----------
-    coefficients
-        (m, 8) of the cubic splines of alignment and gauge deviation in each interval, m.
-    grid
-        The grid of distance.
-    s
-        Distance, m.
-    out
-        (4,) written: m and m/m.
-    """
-    i = min(max(int((s - grid.s0) / grid.interval), 0), len(coefficients) - 1)
-    h = s - grid.s0 - i * grid.interval
-    c = coefficients[i]
-    out[0] = ((c[0] * h + c[1]) * h + c[2]) * h + c[3]
-    out[1] = (3.0 * c[0] * h + 2.0 * c[1]) * h + c[2]
-    out[2] = ((c[4] * h + c[5]) * h + c[6]) * h + c[7]
-    out[3] = (3.0 * c[4] * h + 2.0 * c[5]) * h + c[6]
-
-
-@_compiled
-def derivatives(
-    c: Constants,
-    table: FloatArray,
-    coefficients: FloatArray,
-    grid: Grid,
-    speed: float,
-    s: float,
-    state: FloatArray,
-    forced: FloatArray,
-    rates: FloatArray,
-    contact: FloatArray,
-    track: FloatArray,
-) -> bool:
-    """Write the time derivative of ``state`` (6,) into ``rates`` (6,); ``contact`` (8,) and ``track`` (4,) are filled.
-
-    ``forced`` (3,) is added to the accelerations; ``contact[7]`` is the roll rate. Return whether y - d is inside
-    the contact table.
-
-    Parameters
-    ----------
-    c
-        Parameters of the vehicle.
-    table
-        (n, g, 7) contact geometry at the nodes.
-    coefficients
-        (m, 8) splines of the track.
-    grid
-        The grids of both.
-    speed
-        m/s.
-    s
-        Distance, m.
-    state
-        (6,) y, y', psi, psi', ym, ym' in SI.
-    forced
-        (3,) accelerations of y, psi and ym that the path forces, m/s^2 and rad/s^2.
-    rates
-        (6,) written.
-    contact
-        (8,) written: the looked-up values, then the roll rate, rad/s.
-    track
-        (4,) written: alignment, its slope, gauge deviation, its slope.
-    """
-    track_at(coefficients, grid, s, track)
-    inside = look_up(table, grid, state[0] - track[0], track[2], contact)
-    if speed < STANDSTILL:
-        contact[7] = 0.0
-        at_rest(c, state, rates)
-    else:
-        contact[7] = contact[5] * (state[1] - speed * track[1]) + contact[6] * speed * track[3]
-        equations(c, speed, state, contact, rates)
-        rates[1] += forced[0]
-        rates[3] += forced[1]
-    rates[5] += forced[2]
-    return inside
-
-
-@_compiled
-def at_rest(c: Constants, state: FloatArray, rates: FloatArray) -> None:
-    """Write the time derivative of ``state`` (6,) of a wheelset that stands, with the mass swinging on its spring.
-
-    Parameters
-    ----------
-    c
-        Parameters of the vehicle.
-    state
-        (6,) y, y', psi, psi', ym, ym' in SI.
-    rates
-        (6,) written.
-    """
-    rates[:] = 0.0
-    rates[4], rates[5] = state[5], -(c.ky * (state[4] - state[0]) + c.fy * state[5]) / c.suspended
-
-
-@_compiled
-def equations(c: Constants, speed: float, state: FloatArray, contact: FloatArray, rates: FloatArray) -> None:
-    """Write the time derivative of ``state`` (6,) by Eq. 1-5 into ``rates`` (6,), with ``contact`` (8,) known.
-
-    Parameters
-    ----------
-    c
-        Parameters of the vehicle.
-    speed
-        m/s, above ``STANDSTILL``.
-    state
-        (6,) y, y', psi, psi', ym, ym' in SI.
-    contact
-        (8,) rolling radii, contact angles, roll and its slopes, roll rate; m and rad.
-    rates
-        (6,) written.
-    """
-    y, v, psi, psi_rate, ym, vm = state[0], state[1], state[2], state[3], state[4], state[5]
-    roll, roll_rate, per_speed = contact[4], contact[7], 1.0 / speed
-    S, R = contact[0] + contact[1], contact[0] - contact[1]
-    A, D = contact[2] + contact[3], contact[2] - contact[3]
-    slip = v + 0.5 * S * roll_rate - speed * psi
-    suspension = c.ky * (ym - y) + c.fy * (vm - v)
-    force = (
-        -(2.0 * c.f22 * per_speed) * slip
-        - 2.0 * c.f11 * (1.0 - S / (2.0 * c.r0)) * psi
-        - (2.0 * c.f23 * per_speed) * (psi_rate - speed * D / (2.0 * c.r0))
-        - c.load * (0.5 * D + roll)
-        + suspension
-    )
-    moment = (
-        -(c.pitch_inertia * speed / c.r0) * roll_rate
-        - (c.half * c.f11 / c.r0) * R
-        + (2.0 * c.f23 * per_speed) * slip
-        - 2.0 * c.half * c.half * c.f11 * psi_rate * per_speed
-        + c.f33 * D / c.r0
-        + 0.5 * c.half * c.load * A * psi
-        - 2.0 * c.f33 * psi_rate * per_speed
-        - c.k_psi * psi
-        - c.f_psi * psi_rate
-    )
-    rates[0], rates[1], rates[2] = v, force / c.mass, psi_rate
-    rates[3], rates[4], rates[5] = moment / c.inertia, vm, -suspension / c.suspended
-
-
-@_compiled
+@compiled
 def advance(state: FloatArray, h: float, rates: FloatArray, out: FloatArray) -> None:
     """Write ``state`` + ``h`` ``rates`` into ``out``, all (6,).
 
@@ -275,7 +52,7 @@ def advance(state: FloatArray, h: float, rates: FloatArray, out: FloatArray) -> 
         out[k] = state[k] + h * rates[k]
 
 
-@_compiled
+@compiled
 def runge_kutta(
     c: Constants,
     table: FloatArray,
@@ -342,7 +119,7 @@ def runge_kutta(
         state[k] += h / 6.0 * (k1[k] + 2.0 * k2[k] + 2.0 * k3[k] + k4[k])
 
 
-@_compiled
+@compiled
 def integrate(
     c: Constants,
     table: FloatArray,
@@ -410,7 +187,7 @@ def integrate(
     return outside
 
 
-@_compiled
+@compiled
 def write_sample(
     state: FloatArray, rates: FloatArray, contact: FloatArray, track: FloatArray, out: FloatArray, i: int
 ) -> None:

@@ -97,14 +97,14 @@ def test_the_same_data_are_counted_once() -> None:
 
 
 @pytest.mark.parametrize("edge", [0.05, 0.5, 0.8, 0.95, 0.99])
-def test_readers_are_told_where_a_probability_crosses_a_band(edge: float) -> None:
+def test_an_update_is_published_where_a_probability_crosses_a_band(edge: float) -> None:
     alert = raised(probability=edge - 0.002)
     assert moved(alert, finding(2, probability=edge - 0.001)).events == NO_EVENT
     assert moved(alert, finding(2, probability=edge + 0.001)).events == UPDATED
     assert moved(raised(probability=edge + 0.001), finding(2, probability=edge + 0.002)).events == NO_EVENT
 
 
-def test_readers_are_told_of_what_matters() -> None:
+def test_an_update_is_published_of_what_matters() -> None:
     alert = raised()
     for change in ({"severity": Severity.CRITICAL}, {"evidence": {"x": 2}}, {"action": "other"}, {"raise_limit": 3.0}):
         assert moved(alert, finding(2, **change)).events == UPDATED

@@ -248,9 +248,9 @@ def test_the_interval_with_both_in_it_is_left_out() -> None:
 
 def test_a_geometry_needs_three_windows_to_speak() -> None:
     before, after = turned(6.0, 0.0)
-    for windows, heard in ((2, False), (3, True)):
+    for windows, counted in ((2, False), (3, True)):
         few = replace(after, geometry=replace(after.geometry, windows=windows))
-        assert ("A" in identity_events(history(before, few), bare())) is heard
+        assert ("A" in identity_events(history(before, few), bare())) is counted
 
 
 def test_the_even_part_alone_may_show_the_jump() -> None:

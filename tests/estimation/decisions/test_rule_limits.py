@@ -40,7 +40,7 @@ OTHER = Reason(ReasonCode.SENSOR_FAULTY, "faulty")
 
 
 def above(probability: float, limit: float, std: float) -> Estimate:
-    """Return an estimate that lies above a limit with a probability."""
+    """Return an estimate that is above a limit with a probability."""
     return known(limit + std * float(stats.norm.ppf(probability)), std)
 
 
@@ -166,7 +166,7 @@ def test_a_near_limit_is_a_warning_from_four_in_five() -> None:
 
 
 def test_a_forecast_clears_where_the_limit_is_beyond_30_000_km_with_four_in_five() -> None:
-    # 0.2 lies a quarter of the way from p10 to p50
+    # 0.2 is a quarter of the way from p10 to p50
     assert forecast(at_km(20_000.0, 59_000.0, 90_000.0)).cleared is False
     assert forecast(at_km(20_000.0, 61_000.0, 90_000.0)).cleared is True
     assert forecast(at_km(26_000.0, 40_000.0, 90_000.0)).cleared is False
@@ -279,7 +279,7 @@ def test_an_alert_remembers_which_indicator_raised_it() -> None:
     assert rule.find(facts_of(geometry=None), 0) is None
 
 
-def test_silence_is_told_after_seven_days_and_critical_after_28() -> None:
+def test_silence_is_reported_after_seven_days_and_critical_after_28() -> None:
     rule = NoDataRule()
     at = {days: no_data_finding(rule, "W", 0, 0, round(days * DAY_NS)) for days in (6.99, 7.01, 27.99, 28.01)}
     assert [one.breached for one in at.values()] == [False, True, True, True]
