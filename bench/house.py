@@ -303,7 +303,7 @@ def frame_counts(root: Path) -> Iterator[Count]:
     """Yield the files that one frame enters, to the geometry and to all answers."""
     traced = trace(root)
     to_geometry = {stage: files for stage, files in traced.items() if stage in TO_GEOMETRY}
-    for name, before, stages in (("its geometry", "58", to_geometry), ("geometry, trend and alerts", "81", traced)):
+    for name, before, stages in (("its geometry", "62", to_geometry), ("geometry, trend and alerts", "84", traced)):
         files = entered_files(stages)
         places = tuple(f"{file}  ({entered})" for file, entered in files.items())
         yield Count(f"files entered by one frame, from log to {name}", before, str(len(files)), "<= 45", places)
