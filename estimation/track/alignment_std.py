@@ -47,7 +47,7 @@ def merged_alignment(
     gauge_std = known.gauge_std if results.gauge_std is None else results.gauge_std
     profiles = _profile_uncertainty(iterated)
     of_gauge = p.systematic_per_gauge[results.gauge is not None] * float(np.std(gauge))
-    std = _std(found, shared, iterated, (p.systematic, of_gauge, profiles.std))
+    std = _std(found, shared, iterated.solution.common_std, (p.systematic, of_gauge, profiles.std))
     return TrackAlignment(
         section=section,
         version=0,
@@ -67,10 +67,9 @@ def merged_alignment(
 
 
 def _std(
-    found: LongWaveAlignment, shared: FloatArray, iterated: IterationResult, systematic: tuple[float, float, float]
+    found: LongWaveAlignment, shared: FloatArray, of_curves: FloatArray, systematic: tuple[float, float, float]
 ) -> FloatArray:
     """Return the std (n,), m: of the curves, of the passes, and systematic terms, m, by the passes' share."""
-    of_curves = iterated.solution.common_std
     common = np.where(np.isfinite(of_curves), of_curves, 0.0)
     std = np.hypot(common * found.passes / shared, found.pass_std / np.sqrt(shared))
     first, second, third = systematic

@@ -154,6 +154,15 @@ def with_curve(item: Observation, extra: Callable[[FloatArray], FloatArray]) -> 
     return replace(item.geometry, rolling_radius_difference=replace(radius, value=radius.value + extra(AT)))
 
 
+def test_four_bins_of_the_even_part_are_needed() -> None:
+    def two_steps(x: FloatArray) -> FloatArray:
+        return 4e-5 * np.where(np.abs(x) < 0.5e-3, 1.0, -1.0)
+
+    for left, explained in ((4, True), (3, False)):
+        after = seen(1, lambda x: -two_steps(x), known=-left * 0.25e-3 < AT)
+        assert (reversed_between(seen(0, two_steps), after, bare()) is not None) is explained
+
+
 def test_bins_that_differ_are_not_compared() -> None:
     before, after = turned(4.0, 0.0)
     shifted = replace(after, geometry=replace(after.geometry, bin_edges=EDGES + 1e-4))
@@ -194,6 +203,21 @@ def test_a_swap_jumps_by_two_and_leaves_little(jump: float, left: float, *, expl
             ("A", "B", Mistake.SWAPPED),
             ("B", "A", Mistake.SWAPPED),
         ]
+
+
+def test_the_worse_of_both_wheelsets_decides_on_a_swap() -> None:
+    size = 1e-5 / float(np.sqrt(np.mean(even_part(1.0)(AT[np.abs(AT) <= 3.5e-3]) ** 2)))
+    for first_left, second_left in ((0.5, 1.1), (1.1, 0.5), (0.5, 1.3), (1.3, 0.5)):
+        curves = (0.0, 4.0 + first_left), (4.0, second_left)  # before and after of both, in std
+        pairs = [
+            (seen(0, even_part(a * size), serial=serial), seen(1, even_part(b * size), serial=serial))
+            for serial, (a, b) in zip("AB", curves, strict=True)
+        ]
+        found = swapped_between(pairs[0], pairs[1], bare())
+        assert (found is not None) is (max(first_left, second_left) < 1.2)
+        if found is not None:
+            assert [one.left for one in found] == pytest.approx([first_left, second_left], abs=1e-6)
+            assert [one.jump for one in found] == pytest.approx([4.0 + first_left, 4.0 - second_left])
 
 
 def test_a_swap_is_at_one_time() -> None:

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.track.alignment_std import _scale_std
+from estimation.track.alignment_std import _scale_std, _std
 from estimation.track.iteration import IterationParameters, _largest_move, _ratio_change
+from estimation.track.panel.long_waves import LongWaveAlignment
 from estimation.track.panel.stiffness_ratio import Ratio
 from estimation.track.passes import Pass
 from estimation.track.profile_life import ProfileLife
@@ -88,6 +89,22 @@ def test_a_residual_is_a_root_mean_square() -> None:
     sums.add(np.array([1.0, 2.0]))
     sums.add(np.array([4.0]))
     assert sums.rms == pytest.approx(np.sqrt(7.0))
+
+
+def test_the_std_of_an_alignment_is_that_of_curves_passes_and_what_blocks_cannot_show() -> None:
+    passes, of_curves = np.array([4.0, 4.0, 1.0, 0.0]), np.array([0.1e-3, np.nan, 0.2e-3, 0.1e-3])
+    found = LongWaveAlignment(120.0, np.zeros(4), 0.3e-3, passes)
+    prior = np.array([0.0, 0.0, 3.0, 2.0])  # in passes
+    std = _std(found, passes + prior, of_curves, (0.02e-3, 0.05e-3, 0.07e-3))
+    systematic = 0.02e-3**2 + 0.05e-3**2 + 0.07e-3**2
+    assert std == pytest.approx(
+        [
+            np.sqrt(0.1e-3**2 + 0.3e-3**2 / 4.0 + systematic),
+            np.sqrt(0.3e-3**2 / 4.0 + systematic),
+            np.sqrt((0.25 * 0.2e-3) ** 2 + 0.3e-3**2 / 4.0 + 0.25 * systematic),
+            np.sqrt(0.3e-3**2 / 2.0),
+        ]
+    )
 
 
 def test_the_scale_is_known_less_where_the_gauge_had_to_be_found() -> None:

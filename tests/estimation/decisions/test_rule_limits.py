@@ -480,6 +480,18 @@ def test_the_shipped_delays() -> None:
         book.delays_of("gone")
 
 
+def test_probabilities_are_published_with_the_digits_they_are_worth() -> None:
+    assert conicity_at(above(0.98765, 0.4, 0.01)).probability == 0.988
+    assert asymmetry(offset=above(0.98765, 2e-3, 1e-5)).probability == 0.988
+    assert sensor(2, 2).probability == 0.5
+    assert sensor(3, 1).probability == 0.812
+    near = forecast(at_km(10_000.0, 17_000.0, 90_000.0))
+    assert near.probability == 0.52  # 0.5 + 0.4 * 3 / 73
+    assert near.evidence["distance_to_limit_km"] == {"p10": 10_000.0, "p50": 17_000.0, "p90": 90_000.0}
+    dated = forecast(replace(trend_of(), date_of_limit_ns=Forecast(1234567.0, None, None)))
+    assert dated.evidence["date_of_limit_ns"] == {"p10": 1234570.0, "p50": None, "p90": None}
+
+
 def test_evidence_has_no_float_noise() -> None:
     assert number_evidence(0.123456) == 0.1235
     assert number_evidence(0.123456, 2) == 0.12
