@@ -218,12 +218,12 @@ def test_a_fleet_knows_its_place_by_the_scatter_of_its_journeys() -> None:
     assert _place_std(replace(estimate, corrections={})) == 0.0
 
 
-def test_which_outcomes_make_a_version_and_trust_positions() -> None:
+def test_which_outcomes_make_a_version_and_have_valid_positions() -> None:
     assert {one for one in UpdateOutcome if one.makes_version} == {
         UpdateOutcome.NEW_VERSION,
         UpdateOutcome.SURVEY_EXTENDED,
     }
-    assert {one for one in UpdateOutcome if one.positions_trusted} == {
+    assert {one for one in UpdateOutcome if one.positions_valid} == {
         UpdateOutcome.SURVEY_KEPT,
         UpdateOutcome.SURVEY_EXTENDED,
     }
