@@ -152,7 +152,8 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
     scaled = gram / (safe[:, :, None] * safe[:, None, :])
     values, vectors = np.linalg.eigh(scaled)
     ok = values[:, 0] > SMALLEST_EIGENVALUE
-    inverse_values = np.where(ok[:, None], 1.0 / np.where(ok[:, None], values, 1.0), np.nan)
+    inverse_values = np.full_like(values, np.nan)
+    inverse_values[ok] = 1.0 / values[ok]
     scaled_inverse = np.einsum("cij,cj,ckj->cik", vectors, inverse_values, vectors)
     inverse = scaled_inverse / (safe[:, :, None] * safe[:, None, :])
     theta = np.einsum("cij,cjt->cit", inverse, cross)
