@@ -12,7 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from estimation.motion.integration import IntegratedWindow, bridged, mirrored
 from estimation.motion.parameters import Gates, SignalParameters
 from estimation.motion.track_lookup import TRACKS
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, runs
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window, WindowQuality
@@ -117,9 +117,8 @@ def _jumps(at: FloatArray, run: FloatArray, dt: float) -> list[tuple[int, int, f
     error = at - direction * run
     look = min(round(LOOK_S / dt), len(at) - 1)
     deviates = np.abs(error[look:] - error[:-look]) > JUMP + JUMP_SHARE * (run[look:] - run[:-look])
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], deviates.astype(np.int8), [0]])))
     found = []
-    for first, behind in zip(edges[::2], edges[1::2], strict=True):
+    for first, behind in runs(deviates):
         # each such second holds the jump, so the jump is in what they share; where they share nothing all is in doubt
         low, high = int(behind) - 1, int(first) + look
         if low > high:

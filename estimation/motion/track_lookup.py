@@ -21,7 +21,7 @@ from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.integration import IntegratedWindow, integrate
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_radius_difference import FusionParameters, fuse, motion_signals
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, frozen_array, runs
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -87,9 +87,7 @@ def deconvolved(track: TrackAlignment) -> FloatArray:
     weights = local_cubic_kernel(track.cutoff_wavelength, step)
     lost = round(track.cutoff_wavelength / step)
     result = np.full(len(track.s), np.nan)
-    finite = np.isfinite(track.alignment)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], finite.astype(np.int8), [0]])))
-    for start, stop in edges.reshape(-1, 2):
+    for start, stop in runs(np.isfinite(track.alignment)):
         inner = slice(start + lost, max(stop - lost, start + lost))
         inverse = _regularised_inverse(track.alignment[start:stop], weights)
         result[inner] = inverse[lost : lost + inner.stop - inner.start]

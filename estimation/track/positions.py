@@ -27,6 +27,8 @@ from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.track import Correction
 
+REWEIGHTINGS = 10  # of the line through the lags
+
 
 def correlate_positions(
     grouped: Mapping[Journey, Sequence[Pass]],
@@ -36,8 +38,8 @@ def correlate_positions(
 ) -> dict[Journey, Correction]:
     """Return a correction for every journey from the correlation of lateral displacements.
 
-    The longest journey is the first reference; then, twice, the mean of all. A journey that agrees with nothing
-    keeps its place with no correction.
+    The longest journey is the first reference; then, twice, the mean of all: a fixed number of rounds, for what is
+    left moves with the panel until it converges. A journey that agrees with nothing keeps its place.
 
     Parameters
     ----------
@@ -212,14 +214,14 @@ def compose(first: Correction, second: Correction) -> Correction:
 
 
 def _fitted(correction: Correction, lags: Sequence[tuple[float, float]]) -> Correction:
-    """Return the correction with a robust straight line through the lags added."""
+    """Return the correction with a robust straight line through the lags added: a fixed number of reweightings."""
     if not lags:
         return correction
     s, lag = np.array(lags).T
     u = s - correction.middle
     weights = np.ones(len(u))
     line = np.zeros(2)
-    for _ in range(10):
+    for _ in range(REWEIGHTINGS):
         design = np.stack([weights, weights * u])
         ridge = np.diag([0.0, 1e-6 * float(u @ u) + 1e4])  # a short journey hardly determines its scale
         line = np.linalg.solve(design @ np.stack([np.ones(len(u)), u]).T + ridge, design @ lag)

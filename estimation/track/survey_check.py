@@ -116,7 +116,7 @@ def check_survey(
     misplaced = combined(_misplaced(found, 1.0 + 4.0 * fleet.scale_std, 3.0 * place_std, p))
     if misplaced is not None:
         return _refused(found, misplaced)
-    left = _misfit(_laid(r, f, variance, shift / step), f, variance)
+    left = _misfit(_aligned(r, f, variance, shift / step), f, variance)
     limit = p.most_misfit * float(np.sqrt(chi2.isf(p.chance, samples) / samples))
     if left > limit:
         text = f"it differs {left:.1f} times as much as its standard deviation allows, {limit:.1f} is much"
@@ -228,8 +228,11 @@ def _memory(r: FloatArray, f: FloatArray, step: float) -> float:
     return step * max(1.0 + 2.0 * float((first[1:] * second[1:]).sum()), 1.0)
 
 
-def _laid(r: FloatArray, f: FloatArray, variance: FloatArray, lag: float) -> FloatArray:
-    """Return r where it fits f best, moved and stretched a little (Gauss-Newton), zero where it is not known."""
+def _aligned(r: FloatArray, f: FloatArray, variance: FloatArray, lag: float) -> FloatArray:
+    """Return r where it fits f best, moved and stretched a little, zero where it is not known.
+
+    A fixed number of Gauss-Newton steps from the lag of the correlation, each within 2 samples: no tolerance.
+    """
     index = np.arange(len(r), dtype=np.float64)
     u = index / len(r) - 0.5
     moved = np.full(len(r), lag)

@@ -23,6 +23,17 @@ def bin_centres(edges: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (edges[:-1] + edges[1:]))
 
 
+def runs(mask: BoolArray) -> IntArray:
+    """Return (k, 2) the first index of every run of True, and the one behind its last.
+
+    Parameters
+    ----------
+    mask
+        (n,) samples.
+    """
+    return np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))).reshape(-1, 2)
+
+
 def frozen_array(
     value: npt.ArrayLike, shape: tuple[int | None, ...], dtype: npt.DTypeLike = np.float64, *, name: str
 ) -> npt.NDArray[Any]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.arrays import BoolArray, FloatArray, IntArray, runs
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
 from ingest.align.clock import AlignCounts, TickedValues
@@ -236,8 +236,8 @@ def _section_and_distance(
 def _quality(
     node: NodeSamples, span: slice, extent: tuple[int, int], motion: GridMotion, valid: BoolArray, slot: IntArray
 ) -> WindowQuality:
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], valid, [True]]).astype(np.int8)))
-    lengths = edges[1::2] - edges[::2]
+    missing = runs(~valid)
+    lengths = missing[:, 1] - missing[:, 0]
     first, last = np.searchsorted(node.fault_ns, [extent[0], extent[0] + extent[1]])
     speed = motion.speed[~np.isnan(motion.speed)]
     return WindowQuality(

@@ -9,6 +9,7 @@ import pytest
 import stored_values as make
 from same_values import same_values
 
+from api.schemas import windows
 from estimation.errors import ConflictError, NotFoundError, StorageError
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Reprofiling
@@ -31,6 +32,20 @@ def estimate(storage: SqlStorage, index: int, seed: int = 0) -> None:
         digest = window_digest(window)
         unit.tables.put("WS-1", window.start_ns, make.bin_table(seed), 3, digest)
         unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED)
+
+
+def test_every_reason_code_is_stored_and_served_as_it_is(fleet: SqlStorage) -> None:
+    put(fleet, 0)
+    start_ns = make.window(0).start_ns
+    for code in ReasonCode:
+        reason = Reason(code, f"a sentence about {code.value}")
+        with fleet.write() as unit:
+            unit.windows.mark("WS-1", start_ns, WindowState.REFUSED, reason)
+            record = unit.windows.get("WS-1", start_ns)
+        assert record is not None
+        assert record.reason == reason
+        served = windows.window(record).model_dump(mode="json")
+        assert (served["reason_code"], served["reason"]) == (code.value, reason.text)
 
 
 def mark_estimated(storage: SqlStorage) -> None:

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.passes import Pass, gridded
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, runs
 from estimation.values.track import TrackAlignment
 
 CORRELATION_LENGTH = 60.0  # m: over which samples of a high-passed signal are correlated
@@ -107,12 +107,11 @@ def alignment_segment(
 
 
 def _longest(inside: FloatArray) -> tuple[int, int]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(inside).astype(np.int8), [0]])))
-    if not len(edges):
+    found = runs(np.asarray(inside, dtype=np.bool_))
+    if not len(found):
         return 0, 0
-    starts, stops = edges[::2], edges[1::2]
-    k = int(np.argmax(stops - starts))
-    return int(starts[k]), int(stops[k])
+    start, stop = found[np.argmax(found[:, 1] - found[:, 0])]
+    return int(start), int(stop)
 
 
 def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, least_length: float) -> Agreement:
