@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_track_panel import PANEL, fleet_passes
+from test_panel import PANEL, fleet_passes
 
 from estimation.track.gridded_pass import all_passes, place
 from estimation.track.journeys import Journey, PositionParameters, journeys

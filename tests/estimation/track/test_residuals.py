@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from smooth_wheelset import SmoothTable, mems_windows, track
-from test_track_panel import PARAMETERS
+from test_panel import PARAMETERS
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.joined_windows import whole_runs

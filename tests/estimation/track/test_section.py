@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from smooth_wheelset import alignment as recorded_alignment
 from smooth_wheelset import track
-from test_track_panel import PARAMETERS, fleet_passes
-from test_track_positions import OFFSETS, SCALES
+from test_panel import PARAMETERS, fleet_passes
+from test_positions import OFFSETS, SCALES
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.convergence import Iterated

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from smooth_wheelset import SmoothTable, track
-from test_track_panel import PARAMETERS, fleet_passes
+from test_panel import PARAMETERS, fleet_passes
 
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
