@@ -85,13 +85,13 @@ def _stood(batch: FrameBatch) -> FrameBatch:
 
 
 WRONG: Mapping[str, tuple[Change, str]] = {
-    "X-ELSE": (message(kinds.POSITION, kinds.VEHICLE_NODE, elsewhere), "not of this section"),
-    "X-BACK": (_turned, "the axes point against the direction of running"),
+    "X-ELSE": (message(kinds.POSITION, kinds.VEHICLE_NODE, elsewhere), "other_section"),
+    "X-BACK": (_turned, "axes_reversed"),
     "X-CRAWL": (
         message(kinds.MOTION, kinds.VEHICLE_NODE, crawling),
-        "the vehicle stands or runs too slowly: at most 2.0 m/s",
+        "not_moving",
     ),
-    "X-SHORT": (first_seconds, "no uninterrupted run of 10 s"),
+    "X-SHORT": (first_seconds, "interrupted"),
 }
 STANDING = ("X-STOP", _stood)
 JUMPING = ("X-JUMP", message(kinds.POSITION, kinds.VEHICLE_NODE, jumping))

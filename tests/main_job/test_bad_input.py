@@ -137,12 +137,12 @@ def test_bad_recordings_are_refused_by_name_and_the_others_stay_as_they_were(
     received(among, [edited(source.path, name, change, tmp_path) for name, (change, _) in WRONG.items()], valid)
     (stood,) = among.receive([edited(source.path, *STANDING, tmp_path)])  # type: ignore[list-item] - path and vehicle are all
     assert (stood.counts["windows"], stood.counts["windows_standing"]) == (0, 6)  # parked trains fill no store
-    for name, (_, reason) in WRONG.items():
+    for name, (_, code) in WRONG.items():
         for axle in (1, 2):
             windows = asked(among, f"/v1/wheelsets/{name}-{axle}/windows")["items"]
             assert windows
             assert {one["state"] for one in windows} == {"refused"}, windows
-            assert all(reason in one["reason"] for one in windows), (name, [one["reason"] for one in windows])
+            assert {one["reason_code"] for one in windows} == {code}, (name, [one["reason"] for one in windows])
     assert geometries(among) == geometries(alone)
     _then_one_jumps(among, [edited(source.path, *JUMPING, tmp_path)])
 
@@ -231,12 +231,12 @@ def test_a_section_that_too_few_have_passed_says_so_and_nothing_is_estimated(
     received(found, first_campaign(report)[:1])
     document = asked(found, "/v1/track-sections/U-1/alignment-report")
     assert (document["status"], document["version"], document["made_version"]) == ("unestimated", None, False)
-    assert document["reason"] == "no place with 3 passes"
+    assert document["reason_code"] == "too_few_passes"
     assert document["alignment_std_mm"] is None
     assert asked(found, "/v1/track-sections/U-1/alignments")["items"] == []
     windows = asked(found, "/v1/wheelsets/U-A1/windows")["items"]
     assert {one["state"] for one in windows} == {"refused"}
-    assert {one["reason"] for one in windows} == {"the alignment of the track section is not known"}
+    assert {one["reason_code"] for one in windows} == {"alignment_unknown"}
     assert track_of(found) == "not surveyed, and the fleet has not estimated its alignment yet: no place with 3 passes"
 
 

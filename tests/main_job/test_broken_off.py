@@ -17,6 +17,7 @@ from tiny_fleet import DEAD, WORN, Deployment, results
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import EstimationSettings, JobSettings
+from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobRun, JobTrigger
 from estimation.values.windows import WindowState
 from fleet_db.models import WindowBinTableRow
@@ -124,7 +125,9 @@ def test_a_damaged_window_is_refused_by_name_and_the_others_go_on(received: Depl
         refused = unit.windows.get(WORN, victim.start_ns)
     assert refused is not None
     assert refused.state is WindowState.REFUSED
-    assert path.name in refused.reason
+    assert refused.reason is not None
+    assert refused.reason.code is ReasonCode.FILE_DAMAGED
+    assert path.name in refused.reason.text
     if damage == "gone":  # received again, it is made again and waits again
         with fleet.storage.write() as unit:
             unit.windows.put(window, victim.mileage_km, 1)
