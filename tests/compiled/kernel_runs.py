@@ -1,0 +1,199 @@
+"""Small inputs that run every compiled kernel of the product, every line of it.
+
+As a program, started with ``NUMBA_DISABLE_JIT=1``, it runs them as plain Python and prints the results and the lines
+that ran.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import Protocol
+
+import numpy as np
+
+from estimation.contact.conicity import equivalent_conicity
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.contact.table import ContactMethod, ContactTable
+from estimation.errors import ContactError
+from estimation.estimators.interface import EstimatorParameters
+from estimation.estimators.paper_algorithm import PaperAlgorithm
+from estimation.estimators.paper_equations import PaperParameters, recursion_in_bins
+from estimation.tables.least_squares import collect
+from estimation.values.arrays import FloatArray
+from estimation.values.motion import Motion
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from ingest.catalogue import default_catalogue
+from ingest.codec import decode, encode
+from ingest.frames import batch_of, concatenate
+from ingest.simulator.motion import simulate_wheelset
+from ingest.simulator.track import TrackTruth
+
+
+class Tracer(Protocol):
+    """What the interpreter calls at every line of a function."""
+
+    def __call__(self, frame: FrameType, event: str, _: object) -> Tracer | None:
+        """Note the line, and return what to call at the next one."""
+
+
+Results = dict[str, list[FloatArray]]
+
+
+def results() -> Results:
+    """Return what every run gives, by its name."""
+    return {run.__name__.strip("_"): list(run()) for run in RUNS}
+
+
+def _contact() -> Iterator[FloatArray]:
+    worn = WheelsetOnTrack.symmetric(wheel_profile("P8"), rail_profile("56E1"), 1 / 20, 1.435)
+    for method, y in ((ContactMethod.RIGID, (-7e-3, -3e-3, 0.0, 2e-3, 8e-3)), (ContactMethod.EN15302, (0.0, 3e-3))):
+        table = contact_table(worn, y, (-2e-3, 3e-3), method=method)
+        yield from _columns(table)
+    other = WheelsetOnTrack.symmetric(wheel_profile("EN15302-A"), rail_profile("60E2"), 1 / 40, 1.435)
+    yield from _columns(contact_table(other, np.linspace(-8e-3, 8e-3, 17)))
+    off = contact_table(worn, (-60e-3, 0.0, 50e-3, 150e-3), outside="hold")
+    yield from _columns(off)
+    try:
+        contact_table(worn, (0.3,))
+    except ContactError as error:
+        yield np.array([len(str(error))])
+
+
+def _columns(table: ContactTable) -> Iterator[FloatArray]:
+    yield from (table.roll, table.contact_position_left, table.rail_position_right, table.rolling_radius_difference)
+    yield from (table.exists, table.jump)
+
+
+def _conicity() -> Iterator[FloatArray]:
+    y = np.linspace(-8e-3, 8e-3, 33)
+    waves = 0.2 * y + 0.9e-3 * np.sin(y / 0.8e-3)
+    steps = np.where(np.abs(y) < 1.2e-3, 0.0, np.sign(y) * (np.abs(y) - 1.2e-3))
+    touching = np.minimum(0.3 * (y - y[-1]), -1e-3)
+    touching[-1] = 1e-300  # the crossing is the last point itself
+    for curve in (
+        0.3 * y,
+        0.3 * y - 0.4e-3,
+        touching,
+        waves,
+        steps,
+        -0.3 * y,
+        np.abs(y) + 1e-3,
+        y * (36e-6 - y * y) * 1e4,
+    ):
+        yield equivalent_conicity(y, curve, (0.5e-3, 1e-3, 2e-3, 3e-3, 5e-3, 7.5e-3, 20e-3))
+
+
+def _paper() -> Iterator[FloatArray]:
+    rng = np.random.default_rng(4)
+    features = np.column_stack([rng.standard_normal((60, 2)), np.ones(60)])
+    output = features @ [3.0, -2.0, 0.5] + 0.01 * rng.standard_normal(60)
+    yield recursion_in_bins(features, output, np.arange(60) % 2, 3, PaperParameters(threshold=10, forgetting=0.99))[0]
+
+
+def _moments() -> Iterator[FloatArray]:
+    rng = np.random.default_rng(5)
+    found = collect(rng.standard_normal((20, 3)), rng.standard_normal((20, 2)), np.arange(20) % 4 - 1, 3)
+    yield from (found.packed, found.weight)
+
+
+def _frames() -> Iterator[FloatArray]:
+    catalogue = default_catalogue()
+    plan = catalogue.find("ACCELERATION", 3)
+    wanted = np.array([0.3, 1e9, -1e9, np.nan])
+    good = encode(plan, np.arange(4), {plan.names[0]: wanted})
+    payloads = np.zeros((2, 8), np.uint8)
+    strange = [batch_of(plan.arbitration_id, np.arange(2), payloads, 3), batch_of(0x7FE, np.arange(2), payloads, 8)]
+    decoded = decode(catalogue, concatenate([good, *strange]))
+    yield decoded.messages[plan.arbitration_id].values()
+    counts = decoded.counts
+    yield np.array([counts.decoded, counts.wrong_lengths, counts.unknown_identifiers, counts.clipped_values])
+
+
+def _simulator() -> Iterator[FloatArray]:
+    s = np.linspace(0.0, 20.0, 41)
+    track = TrackTruth(s=s, alignment=2e-3 * np.sin(s / 2.0), gauge_deviation=1e-3 * np.cos(s / 3.0))
+    speed = np.concatenate([np.zeros(4), np.linspace(0.0, 12.0, 40)])
+    start = np.array([0.0, 0.0, 1e-3, 0.0, 0.0, 0.0])
+    for table in (Cones(np.zeros(1)), Cones(np.array([-2e-3, 0.0, 2e-3]))):
+        motion = simulate_wheelset(VehicleParameters(), table, track, speed, 1.0, initial=start)
+        yield from (motion.lateral_displacement, motion.yaw, motion.mass_lateral_acceleration, motion.roll_rate)
+    far = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    yield np.array([simulate_wheelset(VehicleParameters(), table, track, speed[-6:], 1.0, initial=far).outside])
+
+
+def _stretches() -> Iterator[FloatArray]:
+    rng = np.random.default_rng(6)
+    n = 90
+    random = rng.standard_normal((10, n)) * 1e-3
+    motion = Motion(np.full(n, 20.0), *random, valid=np.ones(n, bool), block=np.arange(n) // 30, band_limited=False)
+    algorithm = PaperAlgorithm(width=2e-3, threshold=10)
+    state = algorithm.update(algorithm.update(algorithm.init(EstimatorParameters()), motion), motion, weight=0.5)
+    yield from (state.theta, state.squares)
+
+
+@dataclass(frozen=True)
+class Cones:
+    """Two cones, whose radii follow the gauge a little."""
+
+    gauge_deviation: FloatArray
+    lateral_displacement: FloatArray = field(default_factory=lambda: np.linspace(-12e-3, 12e-3, 25))
+
+    @property
+    def rolling_radius_left(self) -> FloatArray:
+        return 0.45 + 0.1 * (self.lateral_displacement[:, None] + 0.2 * self.gauge_deviation)
+
+    @property
+    def rolling_radius_right(self) -> FloatArray:
+        return self.rolling_radius_left[::-1]
+
+    @property
+    def contact_angle_left(self) -> FloatArray:
+        return 0.1 + self.roll
+
+    @property
+    def contact_angle_right(self) -> FloatArray:
+        return 0.1 - self.roll
+
+    @property
+    def roll(self) -> FloatArray:
+        return (self.rolling_radius_left - self.rolling_radius_right) / 1.5
+
+
+def interpreted(files: list[str]) -> None:
+    """Print the results, and by file the lines of ``files`` that ran."""
+    ran: defaultdict[str, set[int]] = defaultdict(set)
+
+    def step(frame: FrameType, event: str, _: object) -> Tracer | None:
+        file = frame.f_code.co_filename
+        if file not in files:
+            return None
+        if event == "line":
+            ran[file].add(frame.f_lineno)
+        return step
+
+    sys.settrace(step)
+    found = results()
+    sys.settrace(None)
+    numbers = {name: [np.asarray(array, float).ravel().tolist() for array in run] for name, run in found.items()}
+    lines = {file: sorted(numbers) for file, numbers in ran.items()}
+    json.dump({"results": numbers, "lines": lines}, sys.stdout)
+
+
+RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
+    _contact,
+    _conicity,
+    _paper,
+    _stretches,
+    _moments,
+    _frames,
+    _simulator,
+)
+
+if __name__ == "__main__":
+    interpreted(sys.argv[1:])
