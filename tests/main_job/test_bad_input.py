@@ -124,6 +124,22 @@ def received(found: Deployment, *recordings: Sequence[Recording | Edited]) -> No
     found.run_jobs()
 
 
+@pytest.fixture(scope="module")
+def on_unknown_track(
+    migrated_sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory, report: FleetReport
+) -> dict[str, Any]:
+    """Return the geometries of the sound recordings of one campaign alone, whose track is not on file."""
+    folder = tmp_path_factory.mktemp("unknown")
+    registry = registry_with(report.registry, folder / "registry", {}, surveyed=False)
+    shutil.copyfile(migrated_sqlite_file, folder / "0.sqlite3")
+    found = deployment(f"sqlite:///{folder}/0.sqlite3", folder / "0", replace(report, registry=registry))
+    try:
+        received(found, first_campaign(report))
+        return geometries(found)
+    finally:
+        found.storage.close()
+
+
 @pytest.mark.parametrize("surveyed", [False, True], ids=["unknown track", "track on file"])
 def test_bad_recordings_are_refused_by_name_and_the_others_stay_as_they_were(
     deploy: Deploy, report: FleetReport, tmp_path: Path, *, surveyed: bool
@@ -174,7 +190,7 @@ SPOILT: Mapping[str, tuple[Spoil, str, str]] = {
 
 @pytest.mark.parametrize("kind", SPOILT)
 def test_a_track_file_that_the_fleet_contradicts_is_not_used_and_the_api_says_why(
-    deploy: Deploy, report: FleetReport, tmp_path: Path, kind: str
+    deploy: Deploy, report: FleetReport, tmp_path: Path, kind: str, on_unknown_track: dict[str, Any]
 ) -> None:
     spoil, reason, code = SPOILT[kind]
     registry = registry_with(report.registry, tmp_path / "spoilt", {}, surveyed=True)
@@ -196,9 +212,7 @@ def test_a_track_file_that_the_fleet_contradicts_is_not_used_and_the_api_says_wh
     )
     versions = asked(found, "/v1/track-sections/U-1/alignments")["items"]
     assert [(one["version"], one["source"]) for one in versions] == [(1, "recorded"), (2, "fleet")]
-    unknown = deploy(registry_with(report.registry, tmp_path / "unknown", {}, surveyed=False))
-    received(unknown, first_campaign(report))
-    assert geometries(found) == geometries(unknown)
+    assert geometries(found) == on_unknown_track
 
 
 @pytest.mark.parametrize("surveyed", [False, True], ids=["unknown track", "track on file"])
