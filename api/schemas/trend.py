@@ -62,6 +62,7 @@ class Trend(Representation):
     status: Status
     reason: str | None
     reason_code: ReasonCode | None
+    converged: bool = Field(description="Whether the robust fits over distance and date stopped changing.")
     baseline: int
     recorded_at: Timestamp
     points: TrendPoints
@@ -104,6 +105,7 @@ def trend(record: TrendRecord) -> Trend:
         status=found.status,
         reason=text_of(found.reason),
         reason_code=code_of(found.reason),
+        converged=found.converged,
         baseline=record.baseline,
         recorded_at=to_rfc3339(record.recorded_ns),
         points=TrendPoints(

@@ -178,7 +178,7 @@ def _facts(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> Wheels
     mounting = wheelset.mounting
     alerts: Sequence[Alert] = unit.alerts.all_open(wheelset.serial)
     if mounting is None:
-        return WheelsetFacts(wheelset, None, None, None, (), alerts)
+        return WheelsetFacts(wheelset=wheelset, vehicle=None, geometry=None, trend=None, windows=(), open_alerts=alerts)
     return WheelsetFacts(
         wheelset=wheelset,
         vehicle=unit.registry.vehicle(mounting.vehicle),

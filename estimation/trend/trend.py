@@ -161,6 +161,7 @@ def _estimated(
         probability_over_limit=level.above(limit),
         status=Status.ESTIMATED,
         reason=note,
+        converged=by_distance.converged and (by_date is None or by_date.converged),
     )
 
 

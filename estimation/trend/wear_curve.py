@@ -15,7 +15,7 @@ mixture of normals: quantiles come from its distribution function, without rando
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -37,6 +37,7 @@ WANDERING = 0.3  # of the bend's standard deviation
 SMALLEST_STD = 1e-3  # in median standard deviations: a better point cannot make the others count for nothing
 JITTER = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
 ROUNDS = 25
+SHARE_TOLERANCE = 1e-7  # far below what a result shows
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +76,7 @@ class WearCurve:
     wandering: FloatArray  # (m,) standard deviation of the slope per square root of distance
     span: float  # from the first to the last point
     share: FloatArray  # (k,) lambda: what each point counts, 1 for a good one
+    converged: bool = True  # whether the shares stopped changing
 
     def level_now(self) -> NormalMixture:
         """Return the distribution of the fitted value at the last point."""
@@ -153,16 +155,18 @@ def fit_wear_curve(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCur
     share = _shares(residual, points.variance * inflation**2)
     scatter, scatter_prior = _scatter_grid(residual)
     bend = BEND_NODES * float(np.hypot(pilot_slope, pilot_std))
+    converged = False
     for _ in range(ROUNDS):
         nodes = _solve(points, share, scatter, bend, np.outer(scatter_prior, BEND_PRIOR).ravel())
         weight, beta, _, node_scatter, _ = nodes
         residual = points.z - points.design @ (weight @ beta)
         update = _shares(residual, points.variance + float(weight @ node_scatter**2))
-        done = bool(np.max(np.abs(update - share)) < 1e-7)  # noqa: PLR2004 - far below what a result shows
+        converged = bool(np.max(np.abs(update - share)) < SHARE_TOLERANCE)
         share = update
-        if done:
+        if converged:
             break
-    return _unscale(points, _solve(points, share, scatter, bend, np.outer(scatter_prior, BEND_PRIOR).ravel()), share)
+    nodes = _solve(points, share, scatter, bend, np.outer(scatter_prior, BEND_PRIOR).ravel())
+    return replace(_unscale(points, nodes, share), converged=converged)
 
 
 def _scale(x: FloatArray, value: FloatArray, std: FloatArray) -> _Scaled:

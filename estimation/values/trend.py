@@ -31,6 +31,7 @@ class WearTrend:
     probability_over_limit: float | None  # now
     status: Status
     reason: Reason | None = None
+    converged: bool = True  # whether the robust fits over distance and date stopped changing
 
     def __post_init__(self) -> None:
         k = len(self.value)

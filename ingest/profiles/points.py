@@ -28,7 +28,7 @@ class FilePoints:
 
 @dataclass(frozen=True, slots=True)
 class ProfileFormat:
-    """A format of profile files; ``files.FORMATS`` lists them."""
+    """A format of profile files; ``formats.FORMATS`` lists them."""
 
     name: str
     suffixes: tuple[str, ...]  # in lower case, with their dots

@@ -57,14 +57,17 @@ def test_the_catalogue_names_each_once_and_the_product_first() -> None:
     assert len(set(names)) == len(names)
 
 
-@pytest.mark.parametrize(("estimator", "near"), list(zip(estimators(), (0.002, 0.03, 0.004, 0.002), strict=True)))
-def test_each_comes_near_a_smooth_wheelset(estimator: Estimator[Any], near: float) -> None:
+NEAR = {"bins": 0.002, "paper": 0.004, "cubic": 0.002}  # error of the conicity at most; coarser ones 0.03
+
+
+@pytest.mark.parametrize("estimator", estimators(), ids=lambda item: item.name)
+def test_each_comes_near_a_smooth_wheelset(estimator: Estimator[Any]) -> None:
     found = run_estimator(estimator, CERTAIN, cut(ideal(run(300)), 60_000, 120_000, 200_000))
     true = true_conicity(found)
     errors = [abs(item.value - t) for item, t in zip(found.conicity, true, strict=True) if item.value is not None]
     assert found.status is Status.ESTIMATED
     assert len(errors) > 10
-    assert max(errors) < near
+    assert max(errors) < NEAR.get(estimator.name, 0.03)
     assert found.stretches == 4
     for item in found.conicity:
         assert item.value is None or (item.low is not None and item.high is not None and item.low < item.high)

@@ -41,7 +41,7 @@ class AlertDelays:
     acknowledgement_days: Days = 90.0  # after which an acknowledgement ends by itself
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WheelsetFacts:
     """What is stored of one wheelset, as the rules need it."""
 
@@ -49,7 +49,7 @@ class WheelsetFacts:
     vehicle: VehicleRecord | None  # that it is mounted in
     geometry: GeometryRecord | None  # current
     trend: TrendRecord | None  # latest
-    windows: Sequence[WindowRecord]  # the latest of the mounting in service
+    windows: Sequence[WindowRecord]  # of the mounting in service, the newest ``SensorFaultRule.latest_windows`` only
     open_alerts: Sequence[Alert] = ()
     identity: IdentityEvent | None = None  # since the last identity change
     not_assessable_reason: Reason | None = None  # why the data do not show how the wheelset is now

@@ -111,7 +111,13 @@ def trend_of(*, current: Estimate | None = None, points: int = 3, probability: f
 
 
 def facts_of(**changes: object) -> WheelsetFacts:
-    plain = WheelsetFacts(WHEELSET, VEHICLE, geometry_record(geometry_of(conicity=0.6)), None, ())
+    plain = WheelsetFacts(
+        wheelset=WHEELSET,
+        vehicle=VEHICLE,
+        geometry=geometry_record(geometry_of(conicity=0.6)),
+        trend=None,
+        windows=(),
+    )
     return replace(plain, **changes)  # type: ignore[arg-type]
 
 
