@@ -235,6 +235,7 @@ def _start(mutant: Mutant | None, tests: Sequence[str]) -> int:
         pure = all(test.startswith(f"{PURE}/") for test in tests)
         if pure:
             os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # half of the time of a mutant
+            sys.path[:0] = [str(folder.resolve()) for folder in (Path(PURE).parent, Path(PURE).parent.parent)]
         code = int(pytest.main([*QUICK, *([f"--confcutdir={PURE}"] if pure else []), *tests]))
     except BaseException:  # noqa: BLE001 - a mutant that cannot even be imported has been noticed
         code = 1
