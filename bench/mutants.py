@@ -134,7 +134,7 @@ def main(arguments: Sequence[str]) -> int:
     if not options.named:
         for entry in lists["path"]:
             if options.only in entry["module"]:
-                chosen += _sample(_of_path(entry), options.most, entry["module"])
+                chosen += _of_path(entry, options.most)
     for name in PRELOADED:
         importlib.import_module(name)
     broken = _failing_without_change({item.tests for item in chosen}, options)
@@ -159,21 +159,25 @@ def _thresholds(entries: Sequence[dict[str, Any]], only: str) -> list[Mutant]:
     return found
 
 
-def _of_path(entry: dict[str, Any]) -> Iterator[Mutant]:
-    """Yield every mutant of a module."""
+def _of_path(entry: dict[str, Any], most: int) -> Iterator[Mutant]:
+    """Yield the mutants of a module, a seeded sample of ``most`` where there are more."""
     source = Path(entry["module"]).read_text(encoding="utf-8")
     lines = source.splitlines()
     operators: list[tuple[str, Operator]] = [("ScaleNumber", ScaleNumber())]
     operators += [(name.removeprefix("core/"), get_operator(name)()) for name in OPERATORS]
-    for name, operator in operators:
-        for occurrence, line in enumerate(_positions(source, operator)):
-            if "raise " in lines[line - 1] or lines[line - 1].lstrip().startswith(("assert ", '"""', "@", "*,")):
-                continue  # what is a mistake of ours has no test of its own; a decorator decides nothing
-            changed = MutationVisitor.mutate_code(source, operator, occurrence)
-            if changed is not None and changed != source:
-                yield Mutant(
-                    entry["module"], f"line {line} {name}: {lines[line - 1].strip()}", changed, tuple(entry["tests"])
-                )
+    places = [
+        (name, operator, occurrence, line)
+        for name, operator in operators
+        for occurrence, line in enumerate(_positions(source, operator))
+        if _counts(lines[line - 1].strip())
+    ]
+    if len(places) > most:
+        places = random.Random(f"{SEED} {entry['module']}").sample(places, most)  # noqa: S311 - a sample
+    for name, operator, occurrence, line in places:
+        changed = MutationVisitor.mutate_code(source, operator, occurrence)
+        if changed is not None and changed != source:
+            what = f"line {line} {name}: {lines[line - 1].strip()}"
+            yield Mutant(entry["module"], what, changed, tuple(entry["tests"]))
 
 
 def _positions(source: str, operator: Operator) -> list[int]:
@@ -188,9 +192,9 @@ def _positions(source: str, operator: Operator) -> list[int]:
     return found
 
 
-def _sample(mutants: Iterator[Mutant], most: int, module: str) -> list[Mutant]:
-    every = list(mutants)
-    return every if len(every) <= most else random.Random(f"{SEED} {module}").sample(every, most)  # noqa: S311 - a sample
+def _counts(text: str) -> bool:
+    """Return whether a line decides: a mistake of ours has no test of its own, and a decorator decides nothing."""
+    return "raise " not in text and not text.startswith(("assert ", '"""', "@", "*,"))
 
 
 class _Changed(importlib.abc.MetaPathFinder, importlib.abc.SourceLoader):
