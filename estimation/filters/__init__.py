@@ -1,1 +1,1 @@
-"""The two high-passes in distance: the smoothing spline for windows, the local cubic for passes."""
+"""High-passes in distance (smoothing spline for windows, local cubic for passes) and peaks between samples."""

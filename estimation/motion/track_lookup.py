@@ -81,7 +81,7 @@ def deconvolved(track: TrackAlignment) -> FloatArray:
     track
         Alignment on a uniform grid.
     """
-    if not np.isfinite(track.cutoff_wavelength):
+    if not track.band_limited:
         return track.alignment
     step = float(track.s[1] - track.s[0])
     weights = local_cubic_kernel(track.cutoff_wavelength, step)

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import signal
 
 from estimation.filters.local_cubic import high_pass
+from estimation.filters.peak import peak_position
 from estimation.track.gridded_pass import Placed
 from estimation.track.journeys import Journey, PositionParameters, apply_correction
 from estimation.track.panel.basis import Panel, pass_residual
@@ -175,10 +176,7 @@ def _peak(
     energy = np.convolve(part * part, np.ones(len(y)), mode="valid")
     scores = products / np.sqrt(np.maximum(energy, 1e-30) * max(float(y @ y), 1e-30))
     k = int(np.argmax(scores))
-    shift = float(k - reach)
-    if 0 < k < len(scores) - 1:
-        a, b, c = scores[k - 1 : k + 2]
-        shift += 0.5 * (a - c) / (a - 2 * b + c)
+    shift = peak_position(scores, k) - reach
     return 0.5 * (points[0] + points[-1]) * grid.step, shift * grid.step, float(scores[k])
 
 

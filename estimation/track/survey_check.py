@@ -13,6 +13,7 @@ from scipy import fft
 from scipy.stats import chi2
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.filters.peak import peak_position
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import TrackAlignment
@@ -93,7 +94,7 @@ def check_survey(
     reach = int(p.largest_offset / step)
     score, factor = _by_lag(r, f, 1.0 / variance, reach)
     k = int(np.argmax(np.abs(score)))
-    shift = _peak(np.abs(score), k, reach) * step
+    shift = (peak_position(np.abs(score), k) - reach) * step
     memory = _memory(r, f, step)
     samples = np.count_nonzero(f) * step / memory
     if samples < p.least_samples:
@@ -177,7 +178,7 @@ def _on_one_grid(
     if not inside.any():
         return None
     r = np.interp(fleet.s, recorded.s[surveyed], recorded.alignment[surveyed])
-    if np.isfinite(fleet.cutoff_wavelength) and not np.isfinite(recorded.cutoff_wavelength):
+    if fleet.band_limited and not recorded.band_limited:
         weights = local_cubic_kernel(fleet.cutoff_wavelength, step)
         inside = valid_support(inside, weights)
         r = high_pass(r, weights)
@@ -208,15 +209,6 @@ def _by_lag(r: FloatArray, f: FloatArray, weight: FloatArray, reach: int) -> tup
     own = np.maximum(products(r * r, seen), 1e-300)
     measured = np.maximum(products((r != 0.0).astype(np.float64), seen * f * f), 1e-300)
     return cross / np.sqrt(own * measured), cross / measured
-
-
-def _peak(score: FloatArray, k: int, reach: int) -> float:
-    """Return the lag of a peak, in samples, between the samples."""
-    if not 0 < k < len(score) - 1:
-        return float(k - reach)
-    a, b, c = score[k - 1 : k + 2]
-    bend = a - 2 * b + c
-    return float(k - reach + (0.5 * (a - c) / bend if bend < 0.0 else 0.0))
 
 
 def _memory(r: FloatArray, f: FloatArray, step: float) -> float:

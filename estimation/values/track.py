@@ -100,6 +100,11 @@ class TrackAlignment:
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
         object.__setattr__(self, "passes", frozen_array(self.passes, (n,), np.int64, name="passes"))
 
+    @property
+    def band_limited(self) -> bool:
+        """Whether the alignment has been high-passed: whoever compares it must not filter it again."""
+        return bool(np.isfinite(self.cutoff_wavelength))
+
 
 @dataclass(frozen=True, slots=True)
 class TrackLayout:

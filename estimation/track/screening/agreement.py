@@ -97,7 +97,7 @@ def alignment_segment(
     inside = np.interp(grid, track.s, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
     start, stop = _longest(inside)
     d = np.interp(grid[start:stop], track.s[known], track.alignment[known])
-    if np.isfinite(track.cutoff_wavelength):
+    if track.band_limited:
         return FilteredPass(first + start, d[None, :], step) if len(d) else None
     weights = local_cubic_kernel(cutoff_wavelength, step)
     reach = len(weights) // 2

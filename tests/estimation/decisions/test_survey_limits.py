@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from test_agreement_limits import smooth
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters.peak import peak_position
 from estimation.track.survey_check import (
     SurveyCheck,
     SurveyCheckParameters,
@@ -17,7 +18,6 @@ from estimation.track.survey_check import (
     _memory,
     _misfit,
     _misplaced,
-    _peak,
     _unit,
     check_survey,
 )
@@ -209,12 +209,13 @@ def test_correlation_and_factor_at_every_lag() -> None:
 
 
 def test_a_peak_between_samples_is_that_of_the_parabola() -> None:
-    lags = np.arange(-4.0, 5.0)
-    assert _peak(3.0 - (lags - 1.3) ** 2, 5, 4) == pytest.approx(1.3)
-    assert _peak(3.0 - (lags + 2.2) ** 2, 2, 4) == pytest.approx(-2.2)
-    assert _peak(lags, 8, 4) == 4.0
-    assert _peak(-lags, 0, 4) == -4.0
-    assert _peak(0.0 * lags, 4, 4) == 0.0
+    lags = np.arange(9.0)
+    assert peak_position(3.0 - (lags - 5.3) ** 2, 5) == pytest.approx(5.3)
+    assert peak_position(3.0 - (lags - 1.8) ** 2, 2) == pytest.approx(1.8)
+    assert peak_position(lags, 8) == 8.0
+    assert peak_position(-lags, 0) == 0.0
+    assert peak_position(0.0 * lags, 4) == 4.0
+    assert peak_position((lags - 4.0) ** 2, 4) == 4.0
 
 
 def test_the_length_of_an_independent_sample() -> None:
