@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy import signal
+from scipy import fft
 
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array
 
@@ -51,8 +51,10 @@ def high_pass(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) 
     weights
         (2 k + 1,) from :func:`local_cubic_kernel` for that grid, of the same precision.
     """
-    kernel = weights[None, :] if signals.ndim > 1 else weights
-    return np.asarray(signals - signal.fftconvolve(signals, kernel, mode="same", axes=-1))
+    n, reach = signals.shape[-1], len(weights) // 2
+    size = fft.next_fast_len(n + 2 * reach, real=True)
+    fit = fft.irfft(fft.rfft(signals, size) * fft.rfft(weights, size), size)
+    return np.asarray(signals - fit[..., reach : reach + n])
 
 
 def valid_support(valid: BoolArray, weights: FloatArray) -> BoolArray:

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import signal
+from scipy import fft
 
 from estimation.filters.local_cubic import high_pass
 from estimation.filters.peak import peak_position
@@ -172,12 +172,19 @@ def _peak(
     padded = np.pad(reference, (max(-low, 0), max(high - grid.points, 0)))
     base = max(-low, 0)
     part = padded[low + base : high + base]
-    products = signal.correlate(part, y, mode="valid")
+    products = _sliding_products(part, y)
     energy = np.convolve(part * part, np.ones(len(y)), mode="valid")
     scores = products / np.sqrt(np.maximum(energy, 1e-30) * max(float(y @ y), 1e-30))
     k = int(np.argmax(scores))
     shift = peak_position(scores, k) - reach
     return 0.5 * (points[0] + points[-1]) * grid.step, shift * grid.step, float(scores[k])
+
+
+def _sliding_products(longer: FloatArray, shorter: FloatArray) -> FloatArray:
+    """Return the sum of products of the shorter with the longer, from each place at which it fits."""
+    size = fft.next_fast_len(len(longer), real=True)
+    products = fft.irfft(fft.rfft(longer, size) * np.conj(fft.rfft(shorter, size)), size)
+    return np.asarray(products[: len(longer) - len(shorter) + 1])
 
 
 def register(

@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.filters.peak import peak_position
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.chance import log10_chance
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import TrackAlignment
 
@@ -100,7 +101,7 @@ def check_survey(
     if samples < p.least_samples:
         return _nothing(NOT_ASSESSABLE)
     explained = min(float(score[k] ** 2), 1.0 - 1e-12)
-    chance = float(chi2.logsf(-(samples - 3.0) * np.log1p(-explained), 1)) / np.log(10.0)
+    chance = log10_chance(-(samples - 3.0) * float(np.log1p(-explained)), 1)
     chance += float(np.log10(max(2.0 * p.largest_offset / memory, 1.0)))
     found = SurveyCheck(
         usable=True,
@@ -118,7 +119,7 @@ def check_survey(
     if misplaced is not None:
         return _refused(found, misplaced)
     left = _misfit(_aligned(r, f, variance, shift / step), f, variance)
-    limit = p.most_misfit * float(np.sqrt(chi2.isf(p.chance, samples) / samples))
+    limit = p.most_misfit * float(np.sqrt(chdtri(float(samples), p.chance) / samples))
     if left > limit:
         text = f"it differs {left:.1f} times as much as its standard deviation allows, {limit:.1f} is much"
         return _refused(found, Reason(ReasonCode.SURVEY_DIFFERS, text))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate, Status
@@ -68,4 +68,4 @@ def with_interval(
 
 
 def _student_95(groups: int) -> float:
-    return float(stats.t.ppf(0.975, groups - 1))
+    return float(stdtrit(groups - 1, 0.975))

@@ -26,12 +26,18 @@ def change(text: str, diff: str) -> str:
     return text.replace(old + "\n", new + "\n")
 
 
+def _unfinished(folder: str, names: list[str]) -> list[str]:
+    """Return what must not be copied: files that another process writes. What is compiled serves the copy, too."""
+    compiled = Path(folder).name == "__pycache__"
+    return [name for name in names if compiled and not name.endswith((".pyc", ".nbi", ".nbc"))]
+
+
 @pytest.fixture(scope="module")
 def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a copy of the packages with every example of the page in it."""
     copy = tmp_path_factory.mktemp("extended")
     for package in ("api", "estimation", "fleet_db", "ingest"):
-        shutil.copytree(ROOT / package, copy / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / package, copy / package, ignore=_unfinished)
     for language, name, body in BLOCK.findall(PAGE.read_text(encoding="utf-8")):
         file = copy / name
         if language == "python":

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
-from scipy.stats import chi2
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.passes import Pass, gridded
 from estimation.values.arrays import FloatArray, runs
+from estimation.values.chance import log10_chance
 from estimation.values.track import TrackAlignment
 
 CORRELATION_LENGTH = 60.0  # m: over which samples of a high-passed signal are correlated
@@ -192,7 +192,7 @@ def _at_lag(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> 
         return NOTHING
     wilks = -(samples - 0.5 * (p + q + 3)) * float(np.log1p(-squared).sum())
     search_gauge = max(2 * reach * step / correlation_length, 1.0)
-    chance = float(chi2.logsf(wilks, p * q)) / np.log(10.0) + np.log10(search_gauge)
+    chance = log10_chance(wilks, p * q) + float(np.log10(search_gauge))
     coefficients = _inverse(all_of[1:, 1:]) @ all_of[1:, 0]  # of y on R and on the other's signals
     return Agreement(float(np.sqrt(squared.max())), min(chance, 0.0), lag * step, float(coefficients[p - 1]), samples)
 
