@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
+from importlib.resources import files
 from typing import Any
 
 import anyio.to_thread
@@ -23,6 +24,7 @@ from api.services import Services
 RESOURCES = (fleets, vehicles, wheelsets, geometry, alerts, alert_actions, jobs, tracks)
 # Multi-row reads of SQLite slow each other down in threads: one thread to read, one that may wait to write.
 EMBEDDED_THREADS = 2
+COMMITTED = "openapi.json"  # beside this file; a test compares it with the routes
 
 
 def describe() -> FastAPI:
@@ -49,19 +51,18 @@ def describe() -> FastAPI:
     app.include_router(health.router)
     app.include_router(docs_page.router)
     problems.install(app)
-
-    def openapi() -> dict[str, Any]:
-        if app.openapi_schema is None:
-            app.openapi_schema = document(app)
-        return app.openapi_schema
-
-    app.openapi = openapi  # type: ignore[method-assign]  # the way FastAPI offers to extend its document
     return app
 
 
 def document_text() -> str:
-    """Return the OpenAPI document as it is committed."""
-    return orjson.dumps(describe().openapi(), option=orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS).decode() + "\n"
+    """Return the OpenAPI document as it is to be committed."""
+    return orjson.dumps(document(describe()), option=orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS).decode() + "\n"
+
+
+def committed_document() -> dict[str, Any]:
+    """Return the OpenAPI document that is committed: to make it anew would take most of the start of the service."""
+    found: dict[str, Any] = orjson.loads(files("api").joinpath(COMMITTED).read_bytes())
+    return found
 
 
 def build_app(services: Services) -> FastAPI:
@@ -71,7 +72,8 @@ def build_app(services: Services) -> FastAPI:
     registry.register(StoredMeasures(services.storage, services.jobs))
     app.state.services = services
     app.state.registry = registry
-    app.state.contracts = contract.contracts_of(app.openapi())
+    app.openapi_schema = committed_document()
+    app.state.contracts = contract.contracts_of(app.openapi_schema)
     app.add_middleware(RequestContextMiddleware, measures=RequestMeasures(registry))
     return app
 

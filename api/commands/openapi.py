@@ -13,11 +13,11 @@ def openapi(
     """Print the OpenAPI document, or write it to the file that is committed."""
     from importlib.resources import as_file, files
 
-    from api.app import document_text
+    from api.app import COMMITTED, document_text
 
     if not write:
         typer.echo(document_text(), nl=False)
         return
-    with as_file(files("api") / "openapi.json") as path:
+    with as_file(files("api") / COMMITTED) as path:
         path.write_text(document_text(), encoding="utf-8")
         typer.echo(f"written: {path}")
