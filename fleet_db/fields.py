@@ -10,7 +10,7 @@ What was stored before a field was added is read with that field's default; a va
 from __future__ import annotations
 
 import types
-from collections.abc import Collection, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache
@@ -116,28 +116,42 @@ def from_json(stored: Any, hint: Any) -> Any:  # noqa: ANN401 - the type is what
     StorageError
         ``stored`` does not fit.
     """
-    if get_origin(hint) in {Union, types.UnionType}:
-        if stored is None:
-            return None
-        (hint,) = (one for one in get_args(hint) if one is not types.NoneType)
+    return _reader(hint)(stored)
+
+
+@cache
+def _reader(hint: Hashable) -> Callable[[Any], Any]:
+    """Return what reads fields of a type; made once, because to ask a type for its parts takes longer than to read."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin in {Union, types.UnionType}:
+        (read,) = (_reader(one) for one in parts if one is not types.NoneType)
+        return lambda stored: None if stored is None else read(stored)
+    if origin is not None:
+        return _collection_reader(origin, _reader(parts[0 if origin is tuple else 1]))
     if hint is float:
-        return _number(stored)
-    if get_origin(hint) is not None:
-        return _collection(stored, hint)
+        return _number
     if isinstance(hint, type) and issubclass(hint, Enum):
-        return hint(stored)
-    if hint is Reason and isinstance(stored, str):  # stored before reasons had codes
-        stored = former_reason(stored)
-    elif isinstance(hint, type) and is_dataclass(hint):
-        return hint(*(from_json(one, of) for one, of in zip(stored, _hints(hint).values(), strict=False)))
-    return stored
+        return hint
+    if isinstance(hint, type) and is_dataclass(hint):
+        return _value_reader(hint)
+    return lambda stored: stored
 
 
-def _collection(stored: Any, hint: Any) -> tuple[Any, ...] | dict[str, Any]:  # noqa: ANN401 - as ``from_json``
-    inner = get_args(hint)
-    if get_origin(hint) is tuple:
-        return tuple(from_json(one, inner[0]) for one in stored)
-    return {name: from_json(one, inner[1]) for name, one in stored.items()}
+def _collection_reader(origin: object, read: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    if origin is tuple:
+        return lambda stored: tuple(map(read, stored))
+    return lambda stored: {name: read(one) for name, one in stored.items()}
+
+
+def _value_reader(kind: type[Any]) -> Callable[[Any], Any]:
+    readers = [_reader(one) for one in _hints(cast("Hashable", kind)).values()]
+
+    def read(stored: Any) -> Any:  # noqa: ANN401 - as ``from_json``
+        if kind is Reason and isinstance(stored, str):  # stored before reasons had codes
+            return former_reason(stored)
+        return kind(*(reader(one) for reader, one in zip(readers, stored, strict=False)))
+
+    return read
 
 
 def _number(stored: object) -> float:
