@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
+# what one process has compiled serves the others: the tests start many
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test check lint bench bench-estimation mutants house clean
 
