@@ -60,7 +60,7 @@ def document_text() -> str:
 
 
 def committed_document() -> dict[str, Any]:
-    """Return the OpenAPI document that is committed: to make it anew would take most of the start of the service."""
+    """Return the OpenAPI document that is committed: to derive it again would take most of the start of the service."""
     found: dict[str, Any] = orjson.loads(files("api").joinpath(COMMITTED).read_bytes())
     return found
 
