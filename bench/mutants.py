@@ -1,13 +1,16 @@
 """Mutation testing of the decision paths: ``python -m bench mutants [--named] [--paths PART] [--most N] ...``.
 
-Two lists, in ``mutants.toml``. *Thresholds* are constants that decide whether a number is refused, published or how
+Lists, in ``mutants.toml``. *Thresholds* are constants that decide whether a number is refused, published or how
 wide its interval is, each with a change that matters; none may survive. *Paths* are the modules in which such
 decisions are made: their mutants are made by cosmic-ray's operators, a seeded sample of them is run, and less than a
 tenth may survive.
 
 Left out are mutants that no test can or should see: a boundary (``<`` for ``<=``, which differ on no measured value),
-numbers inside messages, and decorators. Every mutant runs in a process of its own that is forked from one which has
-the libraries loaded; the source on disk is never changed.
+numbers inside messages, and decorators. What else changes nothing that is published stands under ``equivalent`` in
+``mutants.toml``, each with its reason; these are printed and not run.
+
+Every mutant runs in a process of its own that is forked from one which has the libraries loaded; the source on disk is
+never changed.
 """
 
 from __future__ import annotations
@@ -134,7 +137,8 @@ def main(arguments: Sequence[str]) -> int:
     if not options.named:
         for entry in lists["path"]:
             if options.only in entry["module"]:
-                chosen += _of_path(entry, options.most)
+                chosen += _of_path(entry, lists["equivalent"], options.most)
+    _print_equivalents(lists["equivalent"], options, console)
     for name in PRELOADED:
         importlib.import_module(name)
     broken = _failing_without_change({item.tests for item in chosen}, options)
@@ -159,32 +163,68 @@ def _thresholds(entries: Sequence[dict[str, Any]], only: str) -> list[Mutant]:
     return found
 
 
-def _of_path(entry: dict[str, Any], most: int) -> Iterator[Mutant]:
-    """Yield the mutants of a module, a seeded sample of ``most`` where there are more."""
-    source = Path(entry["module"]).read_text(encoding="utf-8")
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where an operator applies."""
+
+    operator: Operator
+    occurrence: int
+    line: int  # from 1
+    change: str  # name of the operator, and the number that it scales
+
+
+def _places(source: str) -> list[_Place]:
+    """Return where a source can be changed, but for lines that decide nothing."""
     lines = source.splitlines()
     operators: list[tuple[str, Operator]] = [("ScaleNumber", ScaleNumber())]
     operators += [(name.removeprefix("core/"), get_operator(name)()) for name in OPERATORS]
-    places = [
-        (name, operator, occurrence, line)
+    return [
+        _Place(operator, occurrence, line, f"{name} {text}" if name == "ScaleNumber" else name)
         for name, operator in operators
-        for occurrence, line in enumerate(_positions(source, operator))
+        for occurrence, (line, text) in enumerate(_positions(source, operator))
         if _counts(lines[line - 1].strip())
     ]
+
+
+def _is_equivalent(place: _Place, lines: Sequence[str], entries: Sequence[dict[str, Any]]) -> bool:
+    return any(place.change == one["change"] and one["line"] in lines[place.line - 1] for one in entries)
+
+
+def _print_equivalents(entries: Sequence[dict[str, Any]], options: argparse.Namespace, console: Console) -> None:
+    """Print which mutants are left out; an entry that matches none is out of date."""
+    if options.named:
+        return
+    for entry in entries:
+        source = Path(entry["module"]).read_text(encoding="utf-8")
+        count = sum(_is_equivalent(place, source.splitlines(), [entry]) for place in _places(source))
+        if not count:
+            raise SystemExit(f"mutants.toml: no {entry['change']} of {entry['line']!r} in {entry['module']}")
+        if options.only in entry["module"]:
+            text = f"left out: {entry['module']}: {count} x {entry['change']}: {entry['line']}: {entry['why']}"
+            console.print(text, markup=False, highlight=False)
+
+
+def _of_path(entry: dict[str, Any], equivalents: Sequence[dict[str, Any]], most: int) -> Iterator[Mutant]:
+    """Yield the mutants of a module, a seeded sample of ``most`` where there are more."""
+    source = Path(entry["module"]).read_text(encoding="utf-8")
+    lines = source.splitlines()
+    known = [one for one in equivalents if one["module"] == entry["module"]]
+    places = [place for place in _places(source) if not _is_equivalent(place, lines, known)]
     if len(places) > most:
         places = random.Random(f"{SEED} {entry['module']}").sample(places, most)  # noqa: S311 - a sample
-    for name, operator, occurrence, line in places:
-        changed = MutationVisitor.mutate_code(source, operator, occurrence)
+    for place in places:
+        changed = MutationVisitor.mutate_code(source, place.operator, place.occurrence)
         if changed is not None and changed != source:
-            what = f"line {line} {name}: {lines[line - 1].strip()}"
+            what = f"line {place.line} {place.change}: {lines[place.line - 1].strip()}"
             yield Mutant(entry["module"], what, changed, tuple(entry["tests"]))
 
 
-def _positions(source: str, operator: Operator) -> list[int]:
-    found: list[int] = []
+def _positions(source: str, operator: Operator) -> list[tuple[int, str]]:
+    """Return line and text of all that an operator can change, in its own order."""
+    found: list[tuple[int, str]] = []
 
     def visit(node: Any) -> None:  # noqa: ANN401 - a node of parso
-        found.extend(start[0] for start, _ in operator.mutation_positions(node))
+        found.extend((start[0], node.get_code(include_prefix=False)) for start, _ in operator.mutation_positions(node))
         for child in getattr(node, "children", ()):
             visit(child)
 

@@ -192,7 +192,7 @@ def test_what_people_may_do() -> None:
             shelve(gone, 10, "why", 0)
     with pytest.raises(ConflictError):
         transition(closed.alert, finding(9), 0, fleet="F")
-    with pytest.raises(ConflictError):
+    with pytest.raises(ConflictError, match=r"closed \(reprofiled\)"):
         close(closed.alert, CloseReason.REPROFILED, 6)
     with pytest.raises(ConflictError):
         transition(alert, finding(9, wheelset="X"), 0, fleet="F")

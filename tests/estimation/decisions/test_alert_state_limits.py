@@ -18,6 +18,7 @@ from plain_facts import (
     geometry_record,
     open_alert,
     trend_of,
+    trend_record,
 )
 from scipy import stats
 from wheelset_life import DAY_NS, geometry_of, quality, window_record
@@ -65,6 +66,8 @@ def test_silence_counts_from_data_or_mounting() -> None:
         assert found is not None
         assert found.breached is breached
     assert facts_of(windows=[window]).last_usable_ns == 6 * DAY_NS
+    assert facts_of().last_usable_ns == 500
+    assert facts_of(geometry=None).last_usable_ns is None
 
 
 @pytest.mark.parametrize(
@@ -187,11 +190,14 @@ def test_old_numbers_are_never_read_as_the_present_state() -> None:
     for at, expected in ((499, True), (500, None), (501, None)):
         mounted = replace(WHEELSET, mounting=replace(MOUNTING, from_ns=at))
         assert breached(facts_of(wheelset=mounted))["conicity_limit"] is expected
+    trend = trend_record(trend_of())
+    assert breached(facts_of(trend=trend))["limit_forecast"] is True
     faults = [window_record("W", i, sensor_fault=True) for i in range(3)]
-    assert breached(facts_of(windows=faults)) == {
+    assert breached(facts_of(windows=faults, trend=trend)) == {
         "sensor_fault": True,
         "no_data": False,
         "conicity_limit": None,
+        "limit_forecast": None,
         "wheel_asymmetry": None,
     }
     assert "sensor_fault" not in breached(facts_of(), RuleBook().with_rules(SensorFaultRule(enabled=False)))
@@ -219,6 +225,10 @@ def test_the_shipped_delays() -> None:
     assert not book.with_rules(NoDataRule(enabled=False)).enabled("no_data")
     assert book.delays_of("no_data").off_evaluations == 1
     assert book.delays_of("conicity_limit").off_evaluations == 2
+    assert book.rule(NoDataRule) == NoDataRule()
+    assert book.rule(SensorFaultRule) == SensorFaultRule()
+    with pytest.raises(LookupError):
+        RuleBook(()).rule(NoDataRule)
     with pytest.raises(LookupError):
         book.delays_of("gone")
 

@@ -80,6 +80,14 @@ def test_a_high_correlation_of_few_samples_agrees() -> None:
     assert compare_pairs({0: first, 1: second}, np.array([0, 0]), P) == []
 
 
+@pytest.mark.parametrize(("factor", "agrees"), [(2.3, True), (2.7, False), (0.43, True), (0.37, False)])
+def test_passes_of_one_place_have_one_scale(factor: float, *, agrees: bool) -> None:
+    first, second = pair(600, 0, 0.01)
+    scaled = replace(second, signals=1.5 / factor * second.signals)  # y of the first is one and a half times d
+    (found,) = compare_pairs({0: first, 1: scaled}, np.array([0, 1]), P)
+    assert found.agrees is agrees
+
+
 def same(first: int, second: int) -> Comparison:
     return Comparison(first, second, None, Link(first, second, 0.0))
 
@@ -134,6 +142,13 @@ def test_an_odometer_may_have_a_scale_of_its_own() -> None:
     for scale, found in ((1.15e-3, set()), (1.25e-3, {3, 4})):
         shifts = [0.0, 0.0, 0.0, 4.0 + scale * 1000.0, 4.0 + scale * 1000.0]
         assert set(jumps(shifts, middle)) == found
+
+
+def test_shifts_that_fit_within_thirty_centimetres_are_averaged() -> None:
+    # pass 0 has shifts of 0, 0 and 0.5 m; least absolute values beyond 0.3 m, least squares within: 2 m = 0.3
+    links = [Link(0, 2, 0.0), Link(0, 2, 0.0), Link(0, 2, 0.5), Link(1, 2, 30.0)]
+    found = misplaced(links, np.array([0, 0, 1]), np.zeros(3), 4.0)
+    assert found == {1: pytest.approx(30.0 - 0.15, abs=5e-3)}
 
 
 def test_the_larger_part_of_a_journey_is_used() -> None:
@@ -217,12 +232,34 @@ def test_few_samples_of_a_known_alignment_say_nothing() -> None:
 def test_the_usual_factor_is_that_of_the_passes() -> None:
     tall = replace(known_track(), alignment=3e-3 * D)
     assert statuses([a_pass(k, f"V{k}") for k in range(3)], tall) == [USED] * 3
+    assert not screen([a_pass(k, f"V{k}") for k in range(3)], tall).known_contradicted
     odd = a_pass(3, "V3")
     odd = replace(odd, displacement=3.0 * odd.displacement)
     found = screen([a_pass(0, "V0"), a_pass(1, "V1"), odd], known_track()).outcomes
     assert [one.status for one in found] == [USED, USED, REFUSED]
     assert found[2].reason is not None
     assert found[2].reason.code is ReasonCode.SCALE_DIFFERS
+
+
+@pytest.mark.parametrize("scale", [0.55, 1.0, 1.8])
+def test_where_as_many_are_mirrored_as_not_the_known_alignment_has_the_unit_of_the_passes(scale: float) -> None:
+    right = a_pass(0, "V0")
+    mirrored = replace(right, vehicle="V1", displacement=-right.displacement)
+    found = screen([right, mirrored], replace(known_track(), alignment=1e-3 * D / scale))
+    assert [one.status for one in found.outcomes] == [USED, REFUSED]
+    assert found.outcomes[1].reason is not None
+    assert found.outcomes[1].reason.code is ReasonCode.MIRRORED
+
+
+@pytest.mark.parametrize(("metres", "status"), [(5.0, USED), (6.0, REFUSED)])
+def test_passes_of_a_journey_a_kilometre_apart_may_differ_by_the_scale_of_the_odometer(
+    metres: float, status: PassStatus
+) -> None:
+    near, far = a_pass(0, "V0", n=700), a_pass(1, "V0", start_ns=10**9, first=1200, n=700)  # 4 m and 1.2 m allowed
+    others = [a_pass(2 + k, f"V{1 + k}", n=1700) for k in range(3)]
+    found = screen([near, replace(far, at=far.at + metres), *others]).outcomes
+    assert {one.status for one in found[2:]} == {USED}
+    assert (found[0].status is REFUSED or found[1].status is REFUSED) is (status is REFUSED)
 
 
 def test_a_pass_that_jumped_is_refused_by_its_journey() -> None:

@@ -11,7 +11,7 @@ from estimation.track.results import nothing
 from estimation.track.section import SectionEstimate
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import UpdateOutcome, _place_std, better
-from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
+from estimation.track.versions import _apart, carry_over_findings, gauge_shift_changed, requires_reestimation
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -150,6 +150,21 @@ def test_a_shift_is_compared_where_passes_are() -> None:
         old = made(gauge_deviation=1e-3 * OTHER, findings=TrackFindings({}, 0.0, {"W": shift_of(0.0)}))
         new = replace(old, findings=TrackFindings({}, 0.0, {"W": GaugeShift(grid, gauge, table)}))
         assert gauge_shift_changed(old, new, SETTINGS) is changed
+
+
+def test_shifts_are_compared_at_41_places_from_minus_one_to_one_millimetre() -> None:
+    places = [-1e-3 + 0.05e-3 * k for k in range(41)]
+    grid, gauge = np.linspace(-4e-3, 4e-3, 81), np.array([-5e-3, 0.0, 5e-3])
+    shift = GaugeShift(grid, gauge, np.outer(grid / 1e-3 + 0.5, 0.1 * gauge))
+    squares = [(0.1 * (R / 1e-3 + 0.5) * e) ** 2 for R in places for e in (-2e-3, 2e-3)]
+    assert _apart(shift, shift_of(0.0), 2e-3) == pytest.approx(np.sqrt(sum(squares) / len(squares)), rel=1e-9)
+
+
+def test_nothing_is_a_stretch_of_no_alignment() -> None:
+    flat = made(alignment=np.zeros(N))
+    assert not again(flat)
+    assert not again(flat, alignment=0.99e-4 * OTHER)
+    assert again(flat, alignment=1.01e-4 * OTHER)
 
 
 def test_what_was_found_before_is_carried_over_with_its_std() -> None:
