@@ -6,8 +6,9 @@ decisions are made: their mutants are made by cosmic-ray's operators, a seeded s
 tenth may survive.
 
 Left out are mutants that no test can or should see: a boundary (``<`` for ``<=``, which differ on no measured value),
-numbers inside messages, and decorators. What else changes nothing that is published stands under ``equivalent`` in
-``mutants.toml``, each with its reason; these are printed and not run.
+numbers inside messages, decorators, and checks of our own (assertions, ``zip(strict=True)``). What else changes
+nothing that is published stands under ``equivalent`` in ``mutants.toml``, each with its reason; these are printed and
+not run.
 
 Every mutant runs in a process of its own that is forked from one which has the libraries loaded; the source on disk is
 never changed.
@@ -170,7 +171,7 @@ class _Place:
     operator: Operator
     occurrence: int
     line: int  # from 1
-    change: str  # name of the operator, and the number that it scales
+    change: str  # name of the operator; of a number also the old value and the new one
 
 
 def _places(source: str) -> list[_Place]:
@@ -179,15 +180,19 @@ def _places(source: str) -> list[_Place]:
     operators: list[tuple[str, Operator]] = [("ScaleNumber", ScaleNumber())]
     operators += [(name.removeprefix("core/"), get_operator(name)()) for name in OPERATORS]
     return [
-        _Place(operator, occurrence, line, f"{name} {text}" if name == "ScaleNumber" else name)
+        _Place(operator, occurrence, line, " ".join([name, *values]))
         for name, operator in operators
-        for occurrence, (line, text) in enumerate(_positions(source, operator))
-        if _counts(lines[line - 1].strip())
+        for occurrence, (line, *values) in enumerate(_positions(source, operator))
+        if _counts(lines[line - 1].strip(), name)
     ]
 
 
 def _is_equivalent(place: _Place, lines: Sequence[str], entries: Sequence[dict[str, Any]]) -> bool:
-    return any(place.change == one["change"] and one["line"] in lines[place.line - 1] for one in entries)
+    """Return whether an entry is about this place; ``ScaleNumber 2`` is about both changes of a 2."""
+    return any(
+        one["change"] in {place.change, place.change.partition(" -> ")[0]} and one["line"] in lines[place.line - 1]
+        for one in entries
+    )
 
 
 def _print_equivalents(entries: Sequence[dict[str, Any]], options: argparse.Namespace, console: Console) -> None:
@@ -219,12 +224,15 @@ def _of_path(entry: dict[str, Any], equivalents: Sequence[dict[str, Any]], most:
             yield Mutant(entry["module"], what, changed, tuple(entry["tests"]))
 
 
-def _positions(source: str, operator: Operator) -> list[tuple[int, str]]:
-    """Return line and text of all that an operator can change, in its own order."""
-    found: list[tuple[int, str]] = []
+def _positions(source: str, operator: Operator) -> list[tuple[Any, ...]]:
+    """Return the line of all that an operator can change, in its own order, and of a number how."""
+    found: list[tuple[Any, ...]] = []
 
     def visit(node: Any) -> None:  # noqa: ANN401 - a node of parso
-        found.extend((start[0], node.get_code(include_prefix=False)) for start, _ in operator.mutation_positions(node))
+        for index, (start, _) in enumerate(operator.mutation_positions(node)):
+            scaled = isinstance(operator, ScaleNumber)
+            values = [f"{node.value} -> {operator.mutate(node, index).value.strip()}"] if scaled else []
+            found.append((start[0], *values))
         for child in getattr(node, "children", ()):
             visit(child)
 
@@ -232,8 +240,12 @@ def _positions(source: str, operator: Operator) -> list[tuple[int, str]]:
     return found
 
 
-def _counts(text: str) -> bool:
-    """Return whether a line decides: a mistake of ours has no test of its own, and a decorator decides nothing."""
+def _counts(text: str, operator: str) -> bool:
+    """Return whether a change of a line decides: mistakes of ours have no tests, and decorators decide nothing."""
+    if operator == "ReplaceTrueWithFalse" and "strict=True" in text:
+        return False
+    if operator == "ReplaceBinaryOperator_Mul_Div" and "*, " in text:  # the star before parameters by name
+        return False
     return "raise " not in text and not text.startswith(("assert ", '"""', "@", "*,"))
 
 

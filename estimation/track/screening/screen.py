@@ -55,7 +55,7 @@ class Screened:
 
     used: tuple[Pass, ...]
     outcomes: tuple[PassOutcome, ...]
-    known_contradicted: bool = False
+    known_contradicted: bool
 
 
 def screen(

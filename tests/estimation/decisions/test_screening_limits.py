@@ -222,11 +222,36 @@ def test_a_known_alignment_decides_unless_most_contradict_it() -> None:
     assert not screen(crowd).known_contradicted
 
 
+def test_a_known_alignment_that_most_contradict_confirms_none() -> None:
+    other = a_pass(1, "V1", place=ELSEWHERE)
+    tall = [
+        replace(other, vehicle=f"V{k}", displacement=size * other.displacement) for k, size in ((1, 9.0), (2, -9.0))
+    ]
+    found = screen([a_pass(0, "V0"), *tall], known_track())
+    assert found.known_contradicted
+    assert [one.status for one in found.outcomes] == [REFUSED] * 3
+
+
+def test_passes_of_another_place_are_refused_for_that_and_not_for_their_positions() -> None:
+    good = [a_pass(k, f"V{k}") for k in range(4)]
+    lost = [
+        a_pass(4, "V4", place=ELSEWHERE),
+        a_pass(5, "V4", start_ns=10**9, place=ELSEWHERE, offset=20.0),
+        a_pass(6, "V4", start_ns=2 * 10**9, place=ELSEWHERE),
+        a_pass(7, "V5", place=ELSEWHERE),
+    ]
+    found = screen([*good, *lost]).outcomes
+    assert [one.status for one in found] == [USED] * 4 + [REFUSED] * 4
+    assert {one.reason.code for one in found if one.reason is not None} == {ReasonCode.OTHER_SECTION}
+
+
 def test_few_samples_of_a_known_alignment_say_nothing() -> None:
-    for n, status in ((260, USED), (700, REFUSED)):
+    for n, status in ((480, USED), (500, REFUSED)):
         lone = a_pass(1, "V1", place=ELSEWHERE, n=n)
         good = [a_pass(5, "V5", first=900, n=1000), a_pass(6, "V6", first=900, n=1000)]
-        assert statuses([lone, *good], known_track()) == [status, USED, USED]
+        for step in (1.0, 0.5):
+            found = screen([lone, *good], known_track(), replace(P, step=step))
+            assert [one.status for one in found.outcomes] == [status, USED, USED]
 
 
 def test_the_usual_factor_is_that_of_the_passes() -> None:
@@ -251,13 +276,22 @@ def test_where_as_many_are_mirrored_as_not_the_known_alignment_has_the_unit_of_t
     assert found.outcomes[1].reason.code is ReasonCode.MIRRORED
 
 
-@pytest.mark.parametrize(("metres", "status"), [(5.0, USED), (6.0, REFUSED)])
+@pytest.mark.parametrize(
+    ("near", "far", "metres", "status"),
+    [
+        ((200, 700), (1200, 700), 5.0, USED),  # 4 m and 1.2 m for the kilometre between their middles
+        ((200, 700), (1200, 700), 6.0, REFUSED),
+        ((200, 300), (900, 1000), 5.0, USED),  # 1.05 km
+        ((200, 1000), (1200, 300), 5.0, REFUSED),  # 0.65 km
+    ],
+)
 def test_passes_of_a_journey_a_kilometre_apart_may_differ_by_the_scale_of_the_odometer(
-    metres: float, status: PassStatus
+    near: tuple[int, int], far: tuple[int, int], metres: float, status: PassStatus
 ) -> None:
-    near, far = a_pass(0, "V0", n=700), a_pass(1, "V0", start_ns=10**9, first=1200, n=700)  # 4 m and 1.2 m allowed
+    early = a_pass(0, "V0", first=near[0], n=near[1])
+    late = a_pass(1, "V0", start_ns=10**9, first=far[0], n=far[1], offset=metres)
     others = [a_pass(2 + k, f"V{1 + k}", n=1700) for k in range(3)]
-    found = screen([near, replace(far, at=far.at + metres), *others]).outcomes
+    found = screen([early, late, *others]).outcomes
     assert {one.status for one in found[2:]} == {USED}
     assert (found[0].status is REFUSED or found[1].status is REFUSED) is (status is REFUSED)
 
