@@ -43,6 +43,7 @@ from rich.table import Table
 HERE = Path(__file__).parent
 ALLOWED = 0.10  # share of the mutants of the paths that may survive
 SEED = 20_100
+COUNTS = 100  # whole numbers below it change by one
 OPERATORS = (
     "core/AddNot",
     "core/ReplaceAndWithOr",
@@ -86,9 +87,12 @@ class ScaleNumber(Operator):
                 yield (node.start_pos, node.end_pos)
 
     def mutate(self, node: Any, index: int) -> Any:  # noqa: ANN401 - nodes of parso
-        """Return the number times one of the factors; a whole number stays one, and changes."""
+        """Return the number times one of the factors; a count, which is small and whole, one more or less."""
         value, factor = _number(node), self.factors[index]
-        new = value * factor if isinstance(value, float) else value + (1 if factor > 1 else -1)
+        if isinstance(value, float):
+            new: float = value * factor
+        else:
+            new = value + (1 if factor > 1 else -1) if value < COUNTS else round(value * factor)
         return parso.python.tree.Number(f" {new!r}", node.start_pos)
 
     @classmethod

@@ -136,8 +136,7 @@ def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, 
     start, stop = max(first.first, second.first), min(first.last, second.last) + 1
     if (stop - start) * step < least_length:
         return NOTHING
-    X = first.signals[:, start - first.first : stop - first.first]
-    Z = second.signals[:, start - second.first : stop - second.first]
+    X, Z = first.signals[:, start - first.first :], second.signals[:, start - second.first :]
     found = [
         _of_piece(X[:, part], Z[:, part], int(largest_offset / step), step) for part in _pieces(stop - start, step)
     ]
