@@ -57,6 +57,11 @@ def test_two_that_lead_on_are_compared_besides() -> None:
     assert peers(3, spans[:4], [0, 1, 2, 3], wanted=1) == [2]
 
 
+def test_of_passes_that_overlap_alike_the_next_ones_are_taken() -> None:
+    alike = [(0, 1000)] * 5
+    assert [peers(i, alike, range(5), wanted=1) for i in range(5)] == [[1], [2], [3], [4], [0]]
+
+
 def test_six_peers_are_enough() -> None:
     assert len(peers(0, [(0, 1000)] * 9, range(9), wanted=P.peers)) == 6
 

@@ -56,7 +56,7 @@ def estimated(*passes: Pass, prior: TrackAlignment | None = None) -> SectionEsti
 
 @pytest.fixture(scope="module")
 def three() -> SectionEstimate:
-    return estimated(*(a_pass(k) for k in range(3)))
+    return estimated(*(a_pass(k, start_ns=5) for k in range(3)))
 
 
 def test_three_journeys_that_agree_make_an_alignment_with_its_report(three: SectionEstimate) -> None:
@@ -64,14 +64,14 @@ def test_three_journeys_that_agree_make_an_alignment_with_its_report(three: Sect
     assert alignment is not None
     assert (report.status, report.reason, report.converged) == (Status.ESTIMATED, None, True)
     assert (report.passes, report.wheelsets, report.mean_passes, report.evidence) == (3, 3, 3.0, ())
-    assert [(one.vehicle, one.passes, one.used, one.reason) for one in report.journeys] == [
-        (f"V{k}", 1, True, None) for k in range(3)
+    assert [(one.vehicle, one.from_ns, one.to_ns, one.passes, one.used, one.reason) for one in report.journeys] == [
+        (f"V{k}", 5, 5, 1, True, None) for k in range(3)
     ]
     certain = np.isfinite(alignment.alignment)
     assert report.covered == pytest.approx(certain.sum() / len(certain))
     assert report.covered > 0.8
     assert report.alignment_std_m == pytest.approx(float(np.median(alignment.alignment_std[certain])))
-    assert set(three.corrections) == {(f"V{k}", 0) for k in range(3)}
+    assert set(three.corrections) == {(f"V{k}", 5) for k in range(3)}
     assert (report.rounds, report.moved_m < 0.1) == (report.convergence[0].rounds, True)
 
 
