@@ -94,6 +94,17 @@ def test_a_wheelset_that_fits_badly_counts_less() -> None:
     assert all(one.used for one in found.report.journeys)
 
 
+def test_passes_that_are_alike_make_a_report_and_no_alignment() -> None:
+    one = a_pass(0)
+    same = [replace(one, life=ProfileLife(f"W{k}"), vehicle=f"V{k}") for k in range(3)]
+    found = estimated(*same)
+    assert (found.alignment, found.corrections) == (None, {})
+    assert (found.report.status, code_of(found.report.reason)) == (Status.UNESTIMATED, ReasonCode.PASSES_ALIKE)
+    assert found.report.diversity < 0.01
+    assert np.isfinite(found.report.alignment_std_m)
+    assert found.solution is not None
+
+
 def test_without_passes_there_is_no_alignment() -> None:
     found = estimated()
     assert (found.alignment, code_of(found.report.reason), found.report.evidence) == (None, ReasonCode.NO_PASS, ())

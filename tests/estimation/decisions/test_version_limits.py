@@ -101,8 +101,10 @@ def test_a_scale_that_becomes_known_is_another_alignment() -> None:
 
 
 def test_gauge_differs_from_three_tenths_of_a_millimetre() -> None:
-    assert not again(made(), gauge_deviation=0.29e-3 * OTHER)
-    assert again(made(), gauge_deviation=0.31e-3 * OTHER)
+    for before in (0.0, 2e-3):
+        old = made(gauge_deviation=before * OTHER)
+        assert not again(old, gauge_deviation=(before + 0.29e-3) * OTHER)
+        assert again(old, gauge_deviation=(before + 0.31e-3) * OTHER)
 
 
 @pytest.mark.parametrize(("std", "limit"), [(0.0, 0.02), (0.009, 0.02), (0.02, 0.04)])
@@ -117,6 +119,8 @@ def test_a_stiffness_ratio_differs_by_two_percent_or_twice_its_std(std: float, l
 def test_a_vehicle_without_a_ratio_is_as_assumed() -> None:
     for ratio, differs in ((1.019, False), (1.021, True), (0.979, True)):
         assert again(made(), findings=TrackFindings({"V": ratio}, 0.0, {})) is differs
+        known = made(findings=TrackFindings({"V": ratio}, 0.0, {}))
+        assert again(known, findings=TrackFindings({}, 0.0, {})) is differs
 
 
 def shift_of(size: float) -> GaugeShift:
