@@ -85,7 +85,7 @@ def test_what_the_filter_left_of_a_wave_is_undone_but_for_what_it_left_too_littl
 ) -> None:
     s = np.arange(0.0, 6000.0, step)
     wave = 1e-3 * np.sin(2 * np.pi * s / wavelength)
-    found = deconvolved(track(s, wave, CUTOFF))
+    found = deconvolved(track(500.0 + s, wave, CUTOFF))
     weights = local_cubic_kernel(CUTOFF, step)
     away = step * (np.arange(len(weights)) - len(weights) // 2)
     left = 1.0 - sum(w * np.cos(2 * np.pi * x / wavelength) for w, x in zip(weights, away, strict=True))
