@@ -148,6 +148,7 @@ def test_three_passes_of_two_wheelsets_must_meet_on_the_section() -> None:
     fine = Panel.of(PanelParameters(length=float(LENGTH), step=0.5))
     assert reason_against((0.0, 300.0), (250.0, 500.0), (299.5, 600.0), panel=fine) is None
     assert reason_against((500.0, 600.0), (500.0, 600.0), (500.0, 600.0), panel=fine) is None
+    assert reason_against((700.0, 900.0), (700.0, 900.0), (700.0, 900.0), panel=fine) is ReasonCode.TOO_FEW_PASSES
 
 
 def test_one_wheelset_is_enough_where_its_profile_was_measured() -> None:
