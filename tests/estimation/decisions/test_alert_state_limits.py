@@ -204,8 +204,10 @@ def test_old_numbers_are_never_read_as_the_present_state() -> None:
         assert breached(facts_of(wheelset=mounted))["conicity_limit"] is expected
     trend = trend_record(trend_of())
     assert breached(facts_of(trend=trend))["limit_forecast"] is True
+    uneven = geometry_record(geometry_of(conicity=0.6, even=0.3))
+    assert breached(facts_of(geometry=uneven))["wheel_asymmetry"] is True
     faults = [window_record("W", i, sensor_fault=True) for i in range(3)]
-    assert breached(facts_of(windows=faults, trend=trend)) == {
+    assert breached(facts_of(windows=faults, trend=trend, geometry=uneven)) == {
         "sensor_fault": True,
         "no_data": False,
         "conicity_limit": None,
