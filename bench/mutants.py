@@ -1,13 +1,17 @@
 """Mutation testing of the decision paths: ``python -m bench mutants [--named] [--paths PART] [--most N] ...``.
 
-Two lists, in ``mutants.toml``. *Thresholds* are constants that decide whether a number is refused, published or how
+Lists, in ``mutants.toml``. *Thresholds* are constants that decide whether a number is refused, published or how
 wide its interval is, each with a change that matters; none may survive. *Paths* are the modules in which such
 decisions are made: their mutants are made by cosmic-ray's operators, a seeded sample of them is run, and less than a
 tenth may survive.
 
 Left out are mutants that no test can or should see: a boundary (``<`` for ``<=``, which differ on no measured value),
-numbers inside messages, and decorators. Every mutant runs in a process of its own that is forked from one which has
-the libraries loaded; the source on disk is never changed.
+numbers inside messages, decorators, and checks of our own (assertions, ``zip(strict=True)``). What else changes
+nothing that is published stands under ``equivalent`` in ``mutants.toml``, each with its reason; these are printed and
+not run.
+
+Every mutant runs in a process of its own that is forked from one which has the libraries loaded; the source on disk is
+never changed.
 """
 
 from __future__ import annotations
@@ -39,6 +43,7 @@ from rich.table import Table
 HERE = Path(__file__).parent
 ALLOWED = 0.10  # share of the mutants of the paths that may survive
 SEED = 20_100
+COUNTS = 100  # whole numbers below it change by one
 OPERATORS = (
     "core/AddNot",
     "core/ReplaceAndWithOr",
@@ -82,9 +87,12 @@ class ScaleNumber(Operator):
                 yield (node.start_pos, node.end_pos)
 
     def mutate(self, node: Any, index: int) -> Any:  # noqa: ANN401 - nodes of parso
-        """Return the number times one of the factors; a whole number stays one, and changes."""
+        """Return the number times one of the factors; a count, which is small and whole, one more or less."""
         value, factor = _number(node), self.factors[index]
-        new = value * factor if isinstance(value, float) else value + (1 if factor > 1 else -1)
+        if isinstance(value, float):
+            new: float = value * factor
+        else:
+            new = value + (1 if factor > 1 else -1) if value < COUNTS else round(value * factor)
         return parso.python.tree.Number(f" {new!r}", node.start_pos)
 
     @classmethod
@@ -134,7 +142,8 @@ def main(arguments: Sequence[str]) -> int:
     if not options.named:
         for entry in lists["path"]:
             if options.only in entry["module"]:
-                chosen += _of_path(entry, options.most)
+                chosen += _of_path(entry, lists["equivalent"], options.most)
+    _print_equivalents(lists["equivalent"], options, console)
     for name in PRELOADED:
         importlib.import_module(name)
     broken = _failing_without_change({item.tests for item in chosen}, options)
@@ -159,32 +168,75 @@ def _thresholds(entries: Sequence[dict[str, Any]], only: str) -> list[Mutant]:
     return found
 
 
-def _of_path(entry: dict[str, Any], most: int) -> Iterator[Mutant]:
-    """Yield the mutants of a module, a seeded sample of ``most`` where there are more."""
-    source = Path(entry["module"]).read_text(encoding="utf-8")
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where an operator applies."""
+
+    operator: Operator
+    occurrence: int
+    line: int  # from 1
+    change: str  # name of the operator; of a number also the old value and the new one
+
+
+def _places(source: str) -> list[_Place]:
+    """Return where a source can be changed, but for lines that decide nothing."""
     lines = source.splitlines()
     operators: list[tuple[str, Operator]] = [("ScaleNumber", ScaleNumber())]
     operators += [(name.removeprefix("core/"), get_operator(name)()) for name in OPERATORS]
-    places = [
-        (name, operator, occurrence, line)
+    return [
+        _Place(operator, occurrence, line, " ".join([name, *values]))
         for name, operator in operators
-        for occurrence, line in enumerate(_positions(source, operator))
-        if _counts(lines[line - 1].strip())
+        for occurrence, (line, *values) in enumerate(_positions(source, operator))
+        if _counts(lines[line - 1].strip(), name)
     ]
+
+
+def _is_equivalent(place: _Place, lines: Sequence[str], entries: Sequence[dict[str, Any]]) -> bool:
+    """Return whether an entry is about this place; ``ScaleNumber 2`` is about both changes of a 2."""
+    return any(
+        one["change"] in {place.change, place.change.partition(" -> ")[0]} and one["line"] in lines[place.line - 1]
+        for one in entries
+    )
+
+
+def _print_equivalents(entries: Sequence[dict[str, Any]], options: argparse.Namespace, console: Console) -> None:
+    """Print which mutants are left out; an entry that matches none is out of date."""
+    if options.named:
+        return
+    for entry in entries:
+        source = Path(entry["module"]).read_text(encoding="utf-8")
+        count = sum(_is_equivalent(place, source.splitlines(), [entry]) for place in _places(source))
+        if not count:
+            raise SystemExit(f"mutants.toml: no {entry['change']} of {entry['line']!r} in {entry['module']}")
+        if options.only in entry["module"]:
+            text = f"left out: {entry['module']}: {count} x {entry['change']}: {entry['line']}: {entry['why']}"
+            console.print(text, markup=False, highlight=False)
+
+
+def _of_path(entry: dict[str, Any], equivalents: Sequence[dict[str, Any]], most: int) -> Iterator[Mutant]:
+    """Yield the mutants of a module, a seeded sample of ``most`` where there are more."""
+    source = Path(entry["module"]).read_text(encoding="utf-8")
+    lines = source.splitlines()
+    known = [one for one in equivalents if one["module"] == entry["module"]]
+    places = [place for place in _places(source) if not _is_equivalent(place, lines, known)]
     if len(places) > most:
         places = random.Random(f"{SEED} {entry['module']}").sample(places, most)  # noqa: S311 - a sample
-    for name, operator, occurrence, line in places:
-        changed = MutationVisitor.mutate_code(source, operator, occurrence)
+    for place in places:
+        changed = MutationVisitor.mutate_code(source, place.operator, place.occurrence)
         if changed is not None and changed != source:
-            what = f"line {line} {name}: {lines[line - 1].strip()}"
+            what = f"line {place.line} {place.change}: {lines[place.line - 1].strip()}"
             yield Mutant(entry["module"], what, changed, tuple(entry["tests"]))
 
 
-def _positions(source: str, operator: Operator) -> list[int]:
-    found: list[int] = []
+def _positions(source: str, operator: Operator) -> list[tuple[Any, ...]]:
+    """Return the line of all that an operator can change, in its own order, and of a number how."""
+    found: list[tuple[Any, ...]] = []
 
     def visit(node: Any) -> None:  # noqa: ANN401 - a node of parso
-        found.extend(start[0] for start, _ in operator.mutation_positions(node))
+        for index, (start, _) in enumerate(operator.mutation_positions(node)):
+            scaled = isinstance(operator, ScaleNumber)
+            values = [f"{node.value} -> {operator.mutate(node, index).value.strip()}"] if scaled else []
+            found.append((start[0], *values))
         for child in getattr(node, "children", ()):
             visit(child)
 
@@ -192,8 +244,12 @@ def _positions(source: str, operator: Operator) -> list[int]:
     return found
 
 
-def _counts(text: str) -> bool:
-    """Return whether a line decides: a mistake of ours has no test of its own, and a decorator decides nothing."""
+def _counts(text: str, operator: str) -> bool:
+    """Return whether a change of a line decides: mistakes of ours have no tests, and decorators decide nothing."""
+    if operator == "ReplaceTrueWithFalse" and "strict=True" in text:
+        return False
+    if operator == "ReplaceBinaryOperator_Mul_Div" and "*, " in text:  # the star before parameters by name
+        return False
     return "raise " not in text and not text.startswith(("assert ", '"""', "@", "*,"))
 
 

@@ -13,6 +13,7 @@ under ``delays`` in its evidence.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -26,7 +27,7 @@ DAY_NS = 86_400_000_000_000
 PROBABILITY_BANDS = (0.05, 0.5, 0.8, 0.95, 0.99)
 MOST_REFERENCES = 20
 REFERENCE_LENGTH = 200
-SEVERITY_RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.CRITICAL: 2}
+SEVERITY_RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
 
 def transition(
@@ -205,7 +206,7 @@ def _changed(before: Alert, after: Alert, events: tuple[AlertEventKind, ...]) ->
 
 def _material(alert: Alert) -> tuple[object, ...]:
     """Return the fields whose change is an event of the feed."""
-    band = None if alert.probability is None else sum(alert.probability >= edge for edge in PROBABILITY_BANDS)
+    band = None if alert.probability is None else bisect_right(PROBABILITY_BANDS, alert.probability)
     evidence = {key: value for key, value in alert.evidence.items() if key != DELAYS}
     limits = (alert.raise_limit, alert.clear_limit)
     return alert.severity, alert.condition, band, evidence, alert.action, limits, alert.acknowledged_by

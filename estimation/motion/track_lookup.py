@@ -60,9 +60,9 @@ def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength:
     known = np.isfinite(alignment)
     if known.sum() < FEWEST_POINTS:
         return d
-    after = np.searchsorted(s, at).clip(1, len(s) - 1)
+    after = np.maximum(np.searchsorted(s, at), 1)
     between = known[after - 1] & known[after]
-    spline = CubicSpline(s[known], alignment[known], extrapolate=False)
+    spline = CubicSpline(s[known], alignment[known])
     d[on_track[between]] = spline(at[between])
     return d
 

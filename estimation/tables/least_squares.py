@@ -148,7 +148,7 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
     c = len(packed)
     gram, cross, square = unpack(packed, p, t)
     scale = np.sqrt(np.einsum("cii->ci", gram))
-    safe = np.where(scale > 0, scale, 1.0)
+    safe = np.where(scale > 0, scale, np.inf)
     scaled = gram / (safe[:, :, None] * safe[:, None, :])
     values, vectors = np.linalg.eigh(scaled)
     ok = values[:, 0] > SMALLEST_EIGENVALUE

@@ -38,7 +38,7 @@ class Residuals:
         known = [value for value in self.of_lives.values() if np.isfinite(value)]
         usual = max(USUAL_FACTOR * float(np.median(known)), LEAST_USUAL) if known else np.inf
         found = {life: (usual / value) ** POWER for life, value in self.of_lives.items() if value > usual}
-        return found if min(found.values(), default=1.0) < LARGEST_EFFECTIVE_WEIGHT else {}
+        return found if any(weight < LARGEST_EFFECTIVE_WEIGHT for weight in found.values()) else {}
 
 
 @dataclass(slots=True)

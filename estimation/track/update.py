@@ -93,8 +93,7 @@ def update_alignment(
     screened = screen(passes, in_force, replace(settings.screening, positions=parameters.positions))
     epoch = _Epoch(section.code, screened, parameters, measured)
     if in_force is not None and in_force.source == AlignmentSource.RECORDED and np.isfinite(in_force.alignment).any():
-        update = _with_survey(epoch, in_force, survey_checked=survey_checked)
-        return update if update.outcome.makes_version else _with_gauge_shifts(update, in_force, settings)
+        return _with_survey(epoch, in_force, settings, survey_checked=survey_checked)
     return _without_surveyed_alignment(epoch, in_force)
 
 
@@ -133,7 +132,9 @@ def _without_surveyed_alignment(epoch: _Epoch, in_force: TrackAlignment | None) 
     return epoch.update(UpdateOutcome.NEW_VERSION, estimate, carry_over_findings(estimate.alignment, in_force))
 
 
-def _with_survey(epoch: _Epoch, survey: TrackAlignment, *, survey_checked: bool) -> AlignmentUpdate:
+def _with_survey(
+    epoch: _Epoch, survey: TrackAlignment, settings: AlignmentSettings, *, survey_checked: bool
+) -> AlignmentUpdate:
     """Return the survey kept, or the fleet's alignment where that contradicts it or knows far more."""
     verdict: Reason | None = None
     if not survey_checked:
@@ -148,7 +149,8 @@ def _with_survey(epoch: _Epoch, survey: TrackAlignment, *, survey_checked: bool)
     estimate = epoch.estimate(survey)
     if estimate.alignment is not None and better(estimate.alignment, survey):
         return epoch.update(UpdateOutcome.NEW_VERSION, estimate, estimate.alignment, survey=verdict)
-    return epoch.update(UpdateOutcome.SURVEY_KEPT, estimate, survey, survey=verdict)
+    kept = epoch.update(UpdateOutcome.SURVEY_KEPT, estimate, survey, survey=verdict)
+    return _with_gauge_shifts(kept, survey, settings)
 
 
 def _with_gauge_shifts(kept: AlignmentUpdate, survey: TrackAlignment, settings: AlignmentSettings) -> AlignmentUpdate:

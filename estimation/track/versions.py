@@ -11,7 +11,7 @@ from estimation.values.arrays import FloatArray
 from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings
 
 SAME_GAUGE = 0.8  # correlation of two estimates of one gauge
-
+SMALLEST = float(np.finfo(np.float64).tiny)  # in place of a power of zero
 OFTEN = 1e-3  # m of rL - rR, both ways: further out few passes are
 
 
@@ -56,7 +56,7 @@ def requires_reestimation(old: TrackAlignment, new: TrackAlignment, settings: Al
 def _moved(old: FloatArray, new: FloatArray, std: float, settings: AlignmentSettings) -> bool:
     """Whether two alignments differ by more than averages out."""
     difference = new - old
-    stretch = abs(float(difference @ old)) / max(float(old @ old), 1e-300)
+    stretch = abs(float(difference @ old)) / max(float(old @ old), SMALLEST)
     far = float(np.sqrt(np.mean(difference**2))) > max(settings.same_share * std, settings.same_least)
     return far or stretch > settings.same_stretch
 

@@ -209,5 +209,5 @@ def probability_within(trend: WearTrend, distance_km: float) -> float | None:
     for probability, distance in ((0.1, ahead.p10), (0.5, ahead.p50), (0.9, ahead.p90)):
         if distance is not None and distance > distances[-1]:
             distances.append(distance)
-            probabilities.append(max(probability, probabilities[-1]))
+            probabilities.append(max(probability, trend.probability_over_limit))
     return float(np.interp(distance_km, distances, probabilities))

@@ -22,7 +22,7 @@ class AlertScope(StrEnum):
 
 
 class Severity(StrEnum):
-    """How urgent."""
+    """How urgent, the least first."""
 
     INFO = "info"
     WARNING = "warning"

@@ -21,6 +21,7 @@ from estimation.values.track import TrackAlignment
 
 CORRELATION_LENGTH = 60.0  # m: over which samples of a high-passed signal are correlated
 PIECE = 1000.0  # m
+SMALLEST = float(np.finfo(np.float64).tiny)  # in place of a power of zero
 LEAST_SAMPLES = 8.0  # independent ones, below which two passes are not compared
 
 
@@ -135,8 +136,7 @@ def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, 
     start, stop = max(first.first, second.first), min(first.last, second.last) + 1
     if (stop - start) * step < least_length:
         return NOTHING
-    X = first.signals[:, start - first.first : stop - first.first]
-    Z = second.signals[:, start - second.first : stop - second.first]
+    X, Z = first.signals[:, start - first.first :], second.signals[:, start - second.first :]
     found = [
         _of_piece(X[:, part], Z[:, part], int(largest_offset / step), step) for part in _pieces(stop - start, step)
     ]
@@ -200,7 +200,7 @@ def _at_lag(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> 
 def _inverse(gram: FloatArray) -> FloatArray:
     """Return the inverse of a Gram matrix whose signals may be of any size, or nothing at all."""
     size = np.sqrt(np.diag(gram))
-    size = np.where(size > 0.0, size, 1.0)
+    size[size == 0.0] = np.inf
     return np.asarray(np.linalg.inv(gram / np.outer(size, size) + 1e-12 * np.eye(len(gram))) / np.outer(size, size))
 
 
@@ -211,7 +211,7 @@ def _independent(X: FloatArray, Z: FloatArray, step: float) -> tuple[float, floa
     size = fft.next_fast_len(n + far, real=True)
     spectra = [np.abs(fft.rfft(signal, size)) ** 2 for signal in (*X, *Z)]
     own = [fft.irfft(power, size)[: far + 1] for power in spectra]
-    own = [values / max(float(values[0]), 1e-300) for values in own]
+    own = [values / max(float(values[0]), SMALLEST) for values in own]
     widths = [1.0 + 2.0 * float((a[1:] * b[1:]).sum()) for a in own[: len(X)] for b in own[len(X) :]]
-    width = max(*widths, 1.0) if len(widths) > 1 else max(widths[0], 1.0)
+    width = max([*widths, 1.0])
     return n / width, width * step

@@ -15,7 +15,7 @@ from estimation.values.arrays import IntArray
 from estimation.values.reasons import Reason
 
 OVERLAP_RESOLUTION = 20  # grid points: overlaps that differ less count as equal
-MIN_CHAIN_OVERLAP = 200  # grid points of overlap with a pass that continues along the section
+MIN_CHAIN_OVERLAP = 10  # of these, of overlap with a pass that continues along the section
 CHAIN_NEIGHBOURS = 2  # passes that continue along the section
 
 
@@ -78,7 +78,7 @@ def _peers(i: int, filtered: Mapping[int, FilteredPass], journey_of: IntArray, w
     chosen.pop(int(journey_of[i]), None)
     best = list(chosen.values())[:wanted]
     beyond = np.where(
-        (journey_of[others] != journey_of[i]) & (shared * OVERLAP_RESOLUTION >= MIN_CHAIN_OVERLAP),
+        (journey_of[others] != journey_of[i]) & (shared >= MIN_CHAIN_OVERLAP),
         last - filtered[i].last,
         0,
     )

@@ -74,14 +74,14 @@ def _offsets(links: Sequence[Link], count: int) -> tuple[FloatArray, IntArray]:
         shape=(len(links), count),
     )
     joined = sparse.csr_matrix((ones, (first, second)), shape=(count, count))
-    group = np.asarray(csgraph.connected_components(joined, directed=False)[1], dtype=np.int64)
+    group = np.asarray(csgraph.connected_components(joined)[1], dtype=np.int64)
     weights = ones
     offset = np.zeros(count)
     for _ in range(ROUNDS):
         weighted = sparse.diags(weights) @ design
         normal = (weighted.T @ design + LOOSE * sparse.identity(count)).tocsc()
         offset = np.asarray(spsolve(normal, weighted.T @ shift))
-        weights = 1.0 / np.maximum(np.abs(shift - design @ offset), RESOLUTION)
+        weights = np.reciprocal(np.maximum(np.abs(shift - design @ offset), RESOLUTION))
     return offset, group
 
 

@@ -55,7 +55,7 @@ class Screened:
 
     used: tuple[Pass, ...]
     outcomes: tuple[PassOutcome, ...]
-    known_contradicted: bool = False
+    known_contradicted: bool
 
 
 def screen(
@@ -129,7 +129,9 @@ def _against_known(
         if track is not None:
             found[i] = agreement(one, track, p.positions.largest_offset, p.cutoff_wavelength)
     assessed = {i: one for i, one in found.items() if one.samples >= p.least_samples}
-    usual = float(np.median([one.factor for one in assessed.values()])) if assessed else 1.0
+    if not assessed:
+        return _AgainstKnown({}, {})
+    usual = float(np.median([one.factor for one in assessed.values()]))
     verdicts = {i: disagreement(one, usual or 1.0, p, "the section's alignment") for i, one in assessed.items()}
     return _AgainstKnown(
         {i: one for i, one in assessed.items() if verdicts[i] is None},

@@ -16,6 +16,7 @@ from estimation.track.screening.agreement import (
     NOTHING,
     Agreement,
     FilteredPass,
+    _canonical,
     _pieces,
     agreement,
     alignment_segment,
@@ -107,6 +108,60 @@ def test_what_is_shared_is_compared_and_thirty_metres_are_needed() -> None:
     assert agreement(first, cut, 12.0, 90.0) != NOTHING
     assert agreement(first, cut, 12.0, 90.5) == NOTHING
     assert (cut.last, cut.length) == (239, 89.5)
+    early = FilteredPass(20, first.signals[:, 20:200], 0.5)
+    for one, other in ((early, cut), (cut, early)):
+        X, Z = (item.signals[:, 60 - item.first : 200 - item.first] for item in (one, other))
+        assert near(agreement(one, other, 12.0, 30.0), by_hand(X, Z, 0, 24, 0.5))
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_the_largest_canonical_correlation_at_every_offset(rows: int) -> None:
+    n = 240
+    X, Z = (one.signals - one.signals.mean(axis=1, keepdims=True) for one in pair(n, 9, 0.4, rows=rows))
+    expected = []
+    for lag in range(-30, 31):
+        A, B = X[:, max(0, -lag) : n - max(0, lag)], Z[:, max(0, lag) : n - max(0, -lag)]
+        cross = A @ B.T / A.shape[1]
+        M = np.linalg.inv(np.cov(X, bias=True)) @ cross @ np.linalg.inv(np.atleast_2d(np.cov(Z, bias=True))) @ cross.T
+        expected.append(np.linalg.eigvals(M).real.max())
+    np.testing.assert_allclose(_canonical(X, Z, 30), expected, rtol=1e-6)
+    assert int(np.argmax(expected)) == 39
+
+
+def test_samples_are_no_more_than_there_are() -> None:
+    quick, slow = (np.diff(smooth(30 + k, 241, width=1), n=1) for k in (0, 1)), (smooth(40 + k, 240) for k in (0, 1))
+    first, second = (FilteredPass(0, np.stack(list(signals)), 0.5) for signals in (quick, slow))
+    found = agreement(first, second, 0.0, 1.0)
+    assert found.samples == 240.0
+    assert near(found, by_hand(first.signals, second.signals, 0, 0, 0.5))
+
+
+def test_a_signal_that_is_nothing_has_no_part() -> None:
+    first, second = pair(240, 4, 0.4)
+    flat = FilteredPass(0, np.stack([first.signals[0], np.zeros(240)]), 0.5)
+    found = agreement(flat, second, 12.0, 30.0)
+    alone = by_hand(first.signals[:1], second.signals, 4, 24, 0.5)
+    assert (found.correlation, found.shift) == (pytest.approx(alone.correlation, rel=1e-6), 2.0)
+
+
+def test_the_same_twice_leaves_what_the_inverse_cannot_resolve() -> None:
+    one = pair(240, 0, 0.0)[0]
+    found = agreement(one, one, 0.0, 30.0)
+    unexplained = 2 * 1e-12  # of each signal
+    wilks = (found.samples - 3.5) * 2 * -np.log(unexplained)
+    assert found.log10_chance == pytest.approx(chi2.logsf(wilks, 4) / np.log(10.0), rel=1e-3)
+
+
+def test_a_correlation_is_below_one_even_where_rounding_would_have_it_above() -> None:
+    wholly = []
+    for seed in range(40):
+        y = smooth(seed, 240)
+        both = FilteredPass(0, np.stack([y, y]), 0.5)  # R says nothing that y does not
+        found = agreement(both, both, 0.0, 30.0)
+        assert np.isfinite(found.log10_chance)
+        wholly.append(found.correlation)
+    assert max(wholly) ** 2 == pytest.approx(1.0 - 1e-12, abs=1e-13)
+    assert min(wholly) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_eight_independent_samples_are_needed() -> None:
@@ -132,12 +187,12 @@ def test_of_three_pieces_neither_the_best_nor_the_worst_counts() -> None:
     one = pair(4200, 3, 1.0, step=1.0)
     for order in itertools.permutations((0.2, 1.5, 6.0)):
         noise = np.concatenate([np.full(1400, size) for size in order])
-        second = FilteredPass(0, one[1].signals + noise * np.stack([smooth(8, 4200), smooth(9, 4200)]), 1.0)
+        second = FilteredPass(300, one[1].signals + noise * np.stack([smooth(8, 4200), smooth(9, 4200)]), 1.0)
         parts = [slice(0, 1000), slice(1600, 2600), slice(3200, 4200)]
         by_piece = [agreement(*(FilteredPass(0, item.signals[:, part], 1.0) for item in (one[0], second)), 40.0, 30.0)
                     for part in parts]  # fmt: skip
         usual = sorted(by_piece, key=lambda item: item.log10_chance)[1]
-        found = agreement(one[0], second, 40.0, 30.0)
+        found = agreement(replace(one[0], first=300), second, 40.0, 30.0)
         assert found.log10_chance == usual.log10_chance
         middle = by_piece[1]
         assert found.shift == (middle.shift if middle.log10_chance <= usual.log10_chance else usual.shift)
@@ -182,6 +237,9 @@ def test_the_longest_known_stretch_of_an_alignment_is_taken() -> None:
     at = np.arange(42.0, 299.0)
     known = np.isfinite(d)
     np.testing.assert_allclose(found.signals[0], np.interp(at, S[known], d[known]))
+    fine = alignment_segment(track(d, cutoff=120.0), 0, 780, 30.0, 0.5)
+    assert fine is not None
+    assert (fine.first, fine.last, fine.step) == (84, 596, 0.5)
     raw = alignment_segment(track(d), 0, 390, 30.0, 1.0)
     assert raw is not None
     weights = local_cubic_kernel(30.0, 1.0)
@@ -196,7 +254,10 @@ def test_the_longest_known_stretch_of_an_alignment_is_taken() -> None:
     assert (beyond.first, beyond.last) == (302, 398)
     assert alignment_segment(track(d, cutoff=120.0), 600, 900, 30.0, 1.0) is None
     lonely = np.where(np.arange(len(S)) == 5, 1.0, np.nan)
-    assert alignment_segment(track(lonely), 0, 390, 30.0, 1.0) is None
+    assert alignment_segment(track(lonely, cutoff=120.0), 0, 390, 30.0, 1.0) is None
+    two = alignment_segment(track(np.where(np.arange(len(S)) // 2 == 3, d, np.nan), cutoff=120.0), 0, 390, 30.0, 1.0)
+    assert two is not None
+    assert (two.first, two.last) == (12, 14)
 
 
 GOOD = Agreement(0.8, -20.0, 0.0, 1.0, 60.0)

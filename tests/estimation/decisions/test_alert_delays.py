@@ -96,6 +96,14 @@ def test_the_same_data_are_counted_once() -> None:
     assert moved(raised(), finding(2)).alert.occurrence_count == 2
 
 
+def test_an_alert_without_counters_clears_with_the_first_newer_data() -> None:
+    bare = replace(raised(), evidence={})
+    assert moved(bare, finding(2, breached=False)).alert.closed_ns == 2
+    counted = moved(bare, finding(2)).alert
+    assert moved(counted, finding(2, breached=False, probability=0.1)).alert.closed_ns is None
+    assert moved(counted, finding(3, breached=False)).alert.closed_ns == 3
+
+
 @pytest.mark.parametrize("edge", [0.05, 0.5, 0.8, 0.95, 0.99])
 def test_an_update_is_published_where_a_probability_crosses_a_band(edge: float) -> None:
     alert = raised(probability=edge - 0.002)
@@ -192,7 +200,7 @@ def test_what_people_may_do() -> None:
             shelve(gone, 10, "why", 0)
     with pytest.raises(ConflictError):
         transition(closed.alert, finding(9), 0, fleet="F")
-    with pytest.raises(ConflictError):
+    with pytest.raises(ConflictError, match=r"closed \(reprofiled\)"):
         close(closed.alert, CloseReason.REPROFILED, 6)
     with pytest.raises(ConflictError):
         transition(alert, finding(9, wheelset="X"), 0, fleet="F")

@@ -18,6 +18,7 @@ from plain_facts import (
     geometry_record,
     open_alert,
     trend_of,
+    trend_record,
 )
 from scipy import stats
 from wheelset_life import DAY_NS, geometry_of, quality, window_record
@@ -65,6 +66,8 @@ def test_silence_counts_from_data_or_mounting() -> None:
         assert found is not None
         assert found.breached is breached
     assert facts_of(windows=[window]).last_usable_ns == 6 * DAY_NS
+    assert facts_of().last_usable_ns == 500
+    assert facts_of(geometry=None).last_usable_ns is None
 
 
 @pytest.mark.parametrize(
@@ -99,6 +102,17 @@ def test_the_share_of_faulty_windows_by_its_posterior() -> None:
     assert [sensor(0, good).cleared for good in (14, 15)] == [False, True]
 
 
+@pytest.mark.parametrize("share", [0.2, 0.3, 0.4])
+def test_the_sensor_clears_by_the_posterior_of_few_faults(share: float) -> None:
+    rule = replace(SensorFaultRule(), clear_share=share)
+    cleared = {}
+    for bad in range(8):
+        windows = [window_record("W", i, sensor_fault=i < bad) for i in range(20)]
+        cleared[bad] = sensor_fault_finding(rule, "W", windows, 5).cleared
+    assert cleared == {bad: stats.beta(bad + 1, 21 - bad).cdf(share) >= 0.8 for bad in range(8)}
+    assert set(cleared.values()) == {True, False}
+
+
 def test_the_sensor_is_judged_by_the_latest_twenty_windows_and_not_by_fewer_than_three() -> None:
     assert sensor(2, 0).breached is None
     assert (sensor(2, 0).cleared, sensor(2, 0).probability) == (None, None)
@@ -114,20 +128,21 @@ def test_the_sensor_is_judged_by_the_latest_twenty_windows_and_not_by_fewer_than
 
 
 def event() -> IdentityEvent:
-    return IdentityEvent("W", Mistake.REVERSED, None, 10, 20, 30, 5.0, 0.8)
+    return IdentityEvent("W", Mistake.REVERSED, None, 10, 20, 30, 5.1234, 0.81234)
 
 
 def test_an_identity_event_is_an_alert_until_the_mounting_is_corrected() -> None:
     found = identity_finding(event(), MOUNTING, None)
     assert found is not None
     assert (found.breached, found.cleared, found.measured_ns) == (True, False, 30)
+    assert (found.evidence["jump"], found.evidence["left"]) == (5.12, 0.812)
     standing = open_alert(IdentityRule.kind, evidence=dict(found.evidence) | {"delays": {}})
     assert not mounting_corrected(standing, MOUNTING)
     assert mounting_corrected(standing, replace(MOUNTING, reversed=True))
     assert not mounting_corrected(replace(standing, kind="conicity_limit"), replace(MOUNTING, reversed=True))
     again = identity_finding(None, MOUNTING, standing)
     assert again is not None
-    assert (again.breached, again.cleared, again.evidence) == (True, False, found.evidence)
+    assert (again.wheelset, again.breached, again.cleared, again.evidence) == ("W", True, False, found.evidence)
     assert identity_finding(None, MOUNTING, None) is None
 
 
@@ -187,11 +202,16 @@ def test_old_numbers_are_never_read_as_the_present_state() -> None:
     for at, expected in ((499, True), (500, None), (501, None)):
         mounted = replace(WHEELSET, mounting=replace(MOUNTING, from_ns=at))
         assert breached(facts_of(wheelset=mounted))["conicity_limit"] is expected
+    trend = trend_record(trend_of())
+    assert breached(facts_of(trend=trend))["limit_forecast"] is True
+    uneven = geometry_record(geometry_of(conicity=0.6, even=0.3))
+    assert breached(facts_of(geometry=uneven))["wheel_asymmetry"] is True
     faults = [window_record("W", i, sensor_fault=True) for i in range(3)]
-    assert breached(facts_of(windows=faults)) == {
+    assert breached(facts_of(windows=faults, trend=trend, geometry=uneven)) == {
         "sensor_fault": True,
         "no_data": False,
         "conicity_limit": None,
+        "limit_forecast": None,
         "wheel_asymmetry": None,
     }
     assert "sensor_fault" not in breached(facts_of(), RuleBook().with_rules(SensorFaultRule(enabled=False)))
@@ -219,6 +239,10 @@ def test_the_shipped_delays() -> None:
     assert not book.with_rules(NoDataRule(enabled=False)).enabled("no_data")
     assert book.delays_of("no_data").off_evaluations == 1
     assert book.delays_of("conicity_limit").off_evaluations == 2
+    assert book.rule(NoDataRule) == NoDataRule()
+    assert book.rule(SensorFaultRule) == SensorFaultRule()
+    with pytest.raises(LookupError):
+        RuleBook(()).rule(NoDataRule)
     with pytest.raises(LookupError):
         book.delays_of("gone")
 

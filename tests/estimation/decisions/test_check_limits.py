@@ -10,6 +10,7 @@ from plain_windows import DT, SPEED, plain_track, plain_window
 
 from estimation.motion.checks import (
     Jump,
+    _high_pass_running_mean,
     check_axis_signs,
     check_moving,
     direction,
@@ -175,6 +176,16 @@ def test_what_wanders_more_slowly_than_seconds_says_nothing_of_the_axes() -> Non
     displacements[1] -= wandering(1 / 30.0) / SPEED
     drifting = replace(one, rates=rates, displacements=displacements)
     assert check_axis_signs(IntegratedWindow(plain_window(), (drifting,))) is None
+
+
+@pytest.mark.parametrize("width", [4, 5])
+def test_slow_wandering_is_what_a_mean_over_an_odd_number_of_samples_takes_out_twice(width: int) -> None:
+    rest = np.random.default_rng(3).standard_normal(60)
+    found = _high_pass_running_mean(rest, width)
+    for _once in ("first", "second"):
+        padded = np.concatenate([np.zeros(2), rest, np.zeros(2)])
+        rest = np.array([value - sum(padded[k : k + 5]) / 5.0 for k, value in enumerate(rest)])
+    np.testing.assert_allclose(found, rest[width:-width], atol=1e-12)
 
 
 def zigzag(forward: float) -> Window:

@@ -71,9 +71,14 @@ def by_hand(
     return float(np.sqrt(sum(terms) / len(terms)))
 
 
-def test_what_a_turned_wheelset_leaves_is_the_distance_to_its_mirror_image() -> None:
-    before, after = even_part(4e-5, 0.01), even_part(-3.6e-5, 0.0104)
-    found = reversed_between(seen(0, before), seen(1, after, km=500.0))
+@pytest.mark.parametrize("level", [0.0, 1.2e-5, -1.2e-5])
+def test_what_a_turned_wheelset_leaves_is_the_distance_to_its_mirror_image(level: float) -> None:
+    before, shape = even_part(4e-5, 0.01), even_part(-3.6e-5, 0.0104)
+
+    def after(x: FloatArray) -> FloatArray:
+        return shape(x) + level
+
+    found = reversed_between(seen(0, before, km=3000.0), seen(1, after, km=3500.0))
     assert found is not None
     right = (AT > 0.0) & (AT <= 3.5e-3)
     x, wide = AT[right], AT[np.abs(AT) <= 3.5e-3]

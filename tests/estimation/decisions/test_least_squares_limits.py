@@ -37,6 +37,16 @@ def test_the_residual_variance_is_over_the_degrees_of_freedom(weight: float, fre
     assert none.residual_variance[0] == 0.0
 
 
+def test_regressors_that_go_together_are_solved_for() -> None:
+    X, z = np.random.default_rng(2).standard_normal((30, 3)), np.random.default_rng(3).standard_normal(30)
+    X[:, 1] += 3.0 * X[:, 0]
+    found = least_squares.solve(packed(X.T @ X, (X.T @ z)[:, None], float(z @ z)), np.array([30.0]), 3, 1)
+    theta, rest = np.linalg.lstsq(X, z, rcond=None)[:2]
+    np.testing.assert_allclose(found.theta[0, :, 0], theta)
+    np.testing.assert_allclose(found.inverse[0], np.linalg.inv(X.T @ X))
+    assert found.residual_variance[0] == pytest.approx(rest[0] / 27.0)
+
+
 def test_a_regressor_that_is_zero_throughout_leaves_its_cell_unsolved_and_no_other() -> None:
     gram = np.diag([4.0, 0.0])
     both = np.concatenate([packed(gram, np.zeros((2, 1)), 1.0), packed(np.eye(2), np.ones((2, 1)), 2.0)])

@@ -101,6 +101,34 @@ def test_half_is_left_of_a_wavelength_of_forty_metres() -> None:
         assert found.displacement[inner].std() / y[inner].std() == pytest.approx(left, abs=0.02), wavelength
 
 
+def test_the_suspension_deflection_is_that_of_the_mass_against_the_wheelset() -> None:
+    window, y = wavy(WAVE)
+    found = moved(replace(window, mass_lateral_acceleration=3.0 * window.lateral_acceleration), plain_track(1300.0))
+    inner = slice(750, -750)
+    np.testing.assert_allclose(found.suspension_deflection[inner], 2.0 * y[inner], atol=0.05e-3)
+    rate = 2 * np.pi * SPEED / WAVE * 1e-3
+    assert found.suspension_deflection_rate[inner].std() == pytest.approx(2.0 * rate / np.sqrt(2.0), rel=0.02)
+
+
+def test_a_motion_has_the_stiffness_ratio_of_its_vehicle_and_no_speed_where_it_stands() -> None:
+    assert moved(plain_window()).band_limited
+    for findings, ratio in (
+        (None, 1.0),
+        (TrackFindings({"V1": 1.3}, 0.0, {}), 1.3),
+        (TrackFindings({"V2": 1.3}, 0.0, {}), 1.0),
+    ):
+        assert moved(plain_window(), plain_track(findings=findings)).stiffness_ratio == ratio
+    speed = np.where(T < 5.0, 0.0, np.where(T < 10.0, 3.0, SPEED))
+    np.testing.assert_array_equal(moved(plain_window(speed=speed)).speed, np.where(speed > 0.0, speed, np.nan))
+
+
+@pytest.mark.parametrize(("used", "said"), [(1.0, ""), (0.5, "; lost: 50% missing, clipped or invalid")])
+def test_an_interrupted_window_is_refused_with_what_was_lost(used: float, said: str) -> None:
+    n = round(9.0 / DT)
+    found = motion(plain_window(9.0, valid=np.arange(n) < used * n), plain_track(), SIGNALS)
+    assert found == Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of 10 s{said}")
+
+
 def test_a_curve_shows_in_a_motion_without_layout_from_a_tenth_on() -> None:
     for change, refused in ((0.0999, False), (0.1001, True)):
         step = np.where(T < 15.0, 0.0, change)

@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 from estimation.track.alignment_std import _scale_std, _std
-from estimation.track.iteration import IterationParameters, _largest_move, _ratio_change
+from estimation.track.gridded_pass import place
+from estimation.track.iteration import IterationParameters, IterationResult, _largest_move, _ratio_change
+from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.long_waves import LongWaveAlignment
+from estimation.track.panel.normal_equations import init
+from estimation.track.panel.solution import result
 from estimation.track.panel.stiffness_ratio import Ratio
 from estimation.track.passes import Pass
 from estimation.track.profile_life import ProfileLife
-from estimation.track.residuals import Residuals, _MeanSquare
+from estimation.track.residuals import Residuals, _MeanSquare, residuals
 from estimation.track.results import SectionResults, nothing
 from estimation.track.section import _find_outliers
 from estimation.track.section_parameters import SectionParameters
@@ -89,6 +93,39 @@ def test_a_residual_is_a_root_mean_square() -> None:
     sums.add(np.array([1.0, 2.0]))
     sums.add(np.array([4.0]))
     assert sums.rms == pytest.approx(np.sqrt(7.0))
+
+
+def test_residuals_are_those_of_passes_with_a_curve_where_the_alignment_is_known() -> None:
+    panel = Panel.of(PanelParameters(length=600.0))
+    n, rng, R = panel.grid.points, np.random.default_rng(5), np.zeros(600)
+    d = np.where(np.arange(n) % 7, 1e-3 * rng.standard_normal(n), np.nan)
+    first, second = ("V", 0), ("V", 1)
+
+    def made(number: int, length: int = 600, side: int = 1) -> Pass:
+        y = 1e-3 * rng.standard_normal(length)
+        return Pass(life(number), "V", 0, np.arange(float(length)), y, R[:length], side)
+
+    # a wheelset without a curve, one too short for the filter, two passes of one that is known
+    grouped = {first: [made(1), made(0)], second: [made(2, 40), made(0, side=-1)]}
+    placed = place(grouped, {first: Correction(), second: Correction()}, {}, panel.grid)
+    solution = replace(
+        result(init(panel), std=False),
+        lives=(life(0), life(2)), curves=np.zeros((1, 2, panel.unknowns)), alignment=d,
+    )  # fmt: skip
+    found = residuals(IterationResult(panel, init(panel), solution, placed, {}, 1, 0.0, 0.0, 0.0))
+    kernel = panel.grid.kernel
+    rest = {}
+    for journey, one in placed.items():
+        item = one.passes[1]
+        smooth = np.convolve(item.displacement, kernel, "same")
+        off = [item.displacement[k] - smooth[k] - d[p] for k, p in enumerate(item.points) if item.inside[k]]
+        rest[journey] = [value for value in off if np.isfinite(value)]
+        assert len(rest[journey]) > 200
+    assert found.of_journeys == {one: pytest.approx(np.sqrt(np.mean(np.square(rest[one])))) for one in rest}
+    assert set(found.of_lives) == {life(0), life(1), life(2)}
+    assert found.of_lives[life(0)] == pytest.approx(np.sqrt(np.mean(np.square(rest[first] + rest[second]))))
+    assert np.isnan(found.of_lives[life(1)])
+    assert np.isnan(found.of_lives[life(2)])
 
 
 def test_the_std_of_an_alignment_is_that_of_curves_passes_and_what_blocks_cannot_show() -> None:

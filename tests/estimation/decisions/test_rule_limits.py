@@ -171,6 +171,12 @@ def test_asymmetry_needs_three_windows_and_both_indicators_to_be_none() -> None:
     assert (nothing.breached, nothing.cleared, nothing.probability) == (None, None, None)
 
 
+def test_indicators_are_shown_in_millimetres() -> None:
+    shown = asymmetry(offset=Estimate(3e-3, 2e-4, 2.6e-3, 3.4e-3, 8.0, Status.ESTIMATED)).evidence["offset_mm"]
+    assert isinstance(shown, dict)
+    assert (shown["value"], shown["std"], shown["interval_95"], shown["n_windows"]) == (3.0, 0.2, [2.6, 3.4], 8.0)
+
+
 def test_a_std_of_zero_is_certain() -> None:
     assert asymmetry(offset=known(-2.01e-3, 0.0)).probability == 1.0
     assert asymmetry(offset=known(1.99e-3, 0.0)).probability == 0.0
@@ -192,6 +198,8 @@ def test_the_shape_needs_bins_on_both_sides() -> None:
     assert asymmetry_of(missing).shape.reason == Reason(
         ReasonCode.TOO_FEW_BINS, "no bins of the rolling radius difference"
     )
+    two = replace(geometry, rolling_radius_difference=only(geometry, known_bins=2))
+    assert asymmetry_of(two).shape.reason == Reason(ReasonCode.TOO_FEW_BINS, "bins on both sides reach 0 mm")
     near = asymmetry_of(geometry_of(conicity=0.2, known_from=-1.9e-3)).shape
     assert near.reason is not None
     assert (near.reason.code, near.reason.text) == (ReasonCode.TOO_FEW_BINS, "bins on both sides reach 1.8 mm")

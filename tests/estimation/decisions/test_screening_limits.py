@@ -57,6 +57,11 @@ def test_two_that_lead_on_are_compared_besides() -> None:
     assert peers(3, spans[:4], [0, 1, 2, 3], wanted=1) == [2]
 
 
+def test_of_passes_that_overlap_alike_the_next_ones_are_taken() -> None:
+    alike = [(0, 1000)] * 5
+    assert [peers(i, alike, range(5), wanted=1) for i in range(5)] == [[1], [2], [3], [4], [0]]
+
+
 def test_six_peers_are_enough() -> None:
     assert len(peers(0, [(0, 1000)] * 9, range(9), wanted=P.peers)) == 6
 
@@ -78,6 +83,14 @@ def test_a_high_correlation_of_few_samples_agrees() -> None:
     assert found.agrees
     assert (found.link.first, found.link.second, found.link.shift) == (0, 1, 2.0)
     assert compare_pairs({0: first, 1: second}, np.array([0, 0]), P) == []
+
+
+@pytest.mark.parametrize(("factor", "agrees"), [(2.3, True), (2.7, False), (0.43, True), (0.37, False)])
+def test_passes_of_one_place_have_one_scale(factor: float, *, agrees: bool) -> None:
+    first, second = pair(600, 0, 0.01)
+    scaled = replace(second, signals=1.5 / factor * second.signals)  # y of the first is one and a half times d
+    (found,) = compare_pairs({0: first, 1: scaled}, np.array([0, 1]), P)
+    assert found.agrees is agrees
 
 
 def same(first: int, second: int) -> Comparison:
@@ -134,6 +147,13 @@ def test_an_odometer_may_have_a_scale_of_its_own() -> None:
     for scale, found in ((1.15e-3, set()), (1.25e-3, {3, 4})):
         shifts = [0.0, 0.0, 0.0, 4.0 + scale * 1000.0, 4.0 + scale * 1000.0]
         assert set(jumps(shifts, middle)) == found
+
+
+def test_shifts_that_fit_within_thirty_centimetres_are_averaged() -> None:
+    # pass 0 has shifts of 0, 0 and 0.5 m; least absolute values beyond 0.3 m, least squares within: 2 m = 0.3
+    links = [Link(0, 2, 0.0), Link(0, 2, 0.0), Link(0, 2, 0.5), Link(1, 2, 30.0)]
+    found = misplaced(links, np.array([0, 0, 1]), np.zeros(3), 4.0)
+    assert found == {1: pytest.approx(30.0 - 0.15, abs=5e-3)}
 
 
 def test_the_larger_part_of_a_journey_is_used() -> None:
@@ -207,22 +227,78 @@ def test_a_known_alignment_decides_unless_most_contradict_it() -> None:
     assert not screen(crowd).known_contradicted
 
 
+def test_a_known_alignment_that_most_contradict_confirms_none() -> None:
+    other = a_pass(1, "V1", place=ELSEWHERE)
+    tall = [
+        replace(other, vehicle=f"V{k}", displacement=size * other.displacement) for k, size in ((1, 9.0), (2, -9.0))
+    ]
+    found = screen([a_pass(0, "V0"), *tall], known_track())
+    assert found.known_contradicted
+    assert [one.status for one in found.outcomes] == [REFUSED] * 3
+
+
+def test_passes_of_another_place_are_refused_for_that_and_not_for_their_positions() -> None:
+    good = [a_pass(k, f"V{k}") for k in range(4)]
+    lost = [
+        a_pass(4, "V4", place=ELSEWHERE),
+        a_pass(5, "V4", start_ns=10**9, place=ELSEWHERE, offset=20.0),
+        a_pass(6, "V4", start_ns=2 * 10**9, place=ELSEWHERE),
+        a_pass(7, "V5", place=ELSEWHERE),
+    ]
+    found = screen([*good, *lost]).outcomes
+    assert [one.status for one in found] == [USED] * 4 + [REFUSED] * 4
+    assert {one.reason.code for one in found if one.reason is not None} == {ReasonCode.OTHER_SECTION}
+
+
 def test_few_samples_of_a_known_alignment_say_nothing() -> None:
-    for n, status in ((260, USED), (700, REFUSED)):
+    for n, status in ((480, USED), (500, REFUSED)):
         lone = a_pass(1, "V1", place=ELSEWHERE, n=n)
         good = [a_pass(5, "V5", first=900, n=1000), a_pass(6, "V6", first=900, n=1000)]
-        assert statuses([lone, *good], known_track()) == [status, USED, USED]
+        for step in (1.0, 0.5):
+            found = screen([lone, *good], known_track(), replace(P, step=step))
+            assert [one.status for one in found.outcomes] == [status, USED, USED]
 
 
 def test_the_usual_factor_is_that_of_the_passes() -> None:
     tall = replace(known_track(), alignment=3e-3 * D)
     assert statuses([a_pass(k, f"V{k}") for k in range(3)], tall) == [USED] * 3
+    assert not screen([a_pass(k, f"V{k}") for k in range(3)], tall).known_contradicted
     odd = a_pass(3, "V3")
     odd = replace(odd, displacement=3.0 * odd.displacement)
     found = screen([a_pass(0, "V0"), a_pass(1, "V1"), odd], known_track()).outcomes
     assert [one.status for one in found] == [USED, USED, REFUSED]
     assert found[2].reason is not None
     assert found[2].reason.code is ReasonCode.SCALE_DIFFERS
+
+
+@pytest.mark.parametrize("scale", [0.55, 1.0, 1.8])
+def test_where_as_many_are_mirrored_as_not_the_known_alignment_has_the_unit_of_the_passes(scale: float) -> None:
+    right = a_pass(0, "V0")
+    mirrored = replace(right, vehicle="V1", displacement=-right.displacement)
+    found = screen([right, mirrored], replace(known_track(), alignment=1e-3 * D / scale))
+    assert [one.status for one in found.outcomes] == [USED, REFUSED]
+    assert found.outcomes[1].reason is not None
+    assert found.outcomes[1].reason.code is ReasonCode.MIRRORED
+
+
+@pytest.mark.parametrize(
+    ("near", "far", "metres", "status"),
+    [
+        ((200, 700), (1200, 700), 5.0, USED),  # 4 m and 1.2 m for the kilometre between their middles
+        ((200, 700), (1200, 700), 6.0, REFUSED),
+        ((200, 300), (900, 1000), 5.0, USED),  # 1.05 km
+        ((200, 1000), (1200, 300), 5.0, REFUSED),  # 0.65 km
+    ],
+)
+def test_passes_of_a_journey_a_kilometre_apart_may_differ_by_the_scale_of_the_odometer(
+    near: tuple[int, int], far: tuple[int, int], metres: float, status: PassStatus
+) -> None:
+    early = a_pass(0, "V0", first=near[0], n=near[1])
+    late = a_pass(1, "V0", start_ns=10**9, first=far[0], n=far[1], offset=metres)
+    others = [a_pass(2 + k, f"V{1 + k}", n=1700) for k in range(3)]
+    found = screen([early, late, *others]).outcomes
+    assert {one.status for one in found[2:]} == {USED}
+    assert (found[0].status is REFUSED or found[1].status is REFUSED) is (status is REFUSED)
 
 
 def test_a_pass_that_jumped_is_refused_by_its_journey() -> None:

@@ -29,6 +29,8 @@ def points(*kilometres: float, per_km: float = 1e-6, std: float = 1e-3, km_per_y
     [
         (points(0.0, 1.0), TrendParameters(), None),
         (points(0.0, 0.999), TrendParameters(), ReasonCode.SPAN_TOO_SHORT),
+        (points(5e4, 5e4 + 1.001), TrendParameters(), None),
+        (points(5e4, 5e4 + 0.999), TrendParameters(), ReasonCode.SPAN_TOO_SHORT),
         (points(5.0), TrendParameters(), ReasonCode.TOO_FEW_POINTS),
         (points(5.0), TrendParameters(minimum_points=1), ReasonCode.TOO_FEW_POINTS),
         (points(0.0, 1e4, 2e4), TrendParameters(minimum_points=3), None),
@@ -40,6 +42,7 @@ def test_a_trend_needs_two_points_and_a_kilometre(
     given: list[TrendPoint], parameters: TrendParameters, code: ReasonCode | None
 ) -> None:
     trend = refresh(given, 0.4, parameters)
+    assert TrendParameters().minimum_points == 2
     assert code_of(trend.reason) is code
     assert trend.status is (Status.ESTIMATED if code is None else Status.UNESTIMATED)
 
@@ -169,6 +172,7 @@ def test_the_probability_within_a_distance_ends_at_the_last_known_quantile_and_n
     assert probability_within(ahead(Forecast(100.0, 300.0, None)), 900.0) == pytest.approx(0.5)
     assert probability_within(ahead(Forecast(0.0, 300.0, None), now=0.2), 0.0) == pytest.approx(0.2)
     assert probability_within(ahead(Forecast(100.0, 300.0, None), now=0.7), 300.0) == pytest.approx(0.7)
+    assert probability_within(ahead(Forecast(100.0, 300.0, 500.0), now=0.7), 500.0) == pytest.approx(0.9)
     assert probability_within(ahead(Forecast(None, None, None)), 900.0) == pytest.approx(0.04)
     assert probability_within(ahead(Forecast(1.0, 2.0, 3.0), now=None), 1.0) is None
     assert probability_within(ahead(Forecast(1.0, 2.0, 3.0), status=Status.UNESTIMATED), 1.0) is None

@@ -61,7 +61,8 @@ def test_three_quarters_of_the_latest_eight_intervals_must_cover_three_millimetr
     assert conicity_points(records[:2] * 4 + records).amplitude == pytest.approx(amplitude)
 
 
-def test_the_ninth_interval_from_the_end_has_no_say() -> None:
+def test_the_ninth_interval_from_the_end_has_no_say_and_the_eighth_has() -> None:
+    assert conicity_points(history(TO_3, TO_2, TO_2, *[TO_3] * 5)).amplitude == pytest.approx(3e-3)
     assert conicity_points(history(TO_3, *[TO_2] * 3, *[TO_3] * 5)).amplitude == pytest.approx(2e-3)
     assert conicity_points(history(TO_2, *[TO_2] * 2, *[TO_3] * 6)).amplitude == pytest.approx(3e-3)
 

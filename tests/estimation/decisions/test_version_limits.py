@@ -11,7 +11,7 @@ from estimation.track.results import nothing
 from estimation.track.section import SectionEstimate
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import UpdateOutcome, _place_std, better
-from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
+from estimation.track.versions import _apart, carry_over_findings, gauge_shift_changed, requires_reestimation
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -101,8 +101,10 @@ def test_a_scale_that_becomes_known_is_another_alignment() -> None:
 
 
 def test_gauge_differs_from_three_tenths_of_a_millimetre() -> None:
-    assert not again(made(), gauge_deviation=0.29e-3 * OTHER)
-    assert again(made(), gauge_deviation=0.31e-3 * OTHER)
+    for before in (0.0, 2e-3):
+        old = made(gauge_deviation=before * OTHER)
+        assert not again(old, gauge_deviation=(before + 0.29e-3) * OTHER)
+        assert again(old, gauge_deviation=(before + 0.31e-3) * OTHER)
 
 
 @pytest.mark.parametrize(("std", "limit"), [(0.0, 0.02), (0.009, 0.02), (0.02, 0.04)])
@@ -117,6 +119,8 @@ def test_a_stiffness_ratio_differs_by_two_percent_or_twice_its_std(std: float, l
 def test_a_vehicle_without_a_ratio_is_as_assumed() -> None:
     for ratio, differs in ((1.019, False), (1.021, True), (0.979, True)):
         assert again(made(), findings=TrackFindings({"V": ratio}, 0.0, {})) is differs
+        known = made(findings=TrackFindings({"V": ratio}, 0.0, {}))
+        assert again(known, findings=TrackFindings({}, 0.0, {})) is differs
 
 
 def shift_of(size: float) -> GaugeShift:
@@ -150,6 +154,21 @@ def test_a_shift_is_compared_where_passes_are() -> None:
         old = made(gauge_deviation=1e-3 * OTHER, findings=TrackFindings({}, 0.0, {"W": shift_of(0.0)}))
         new = replace(old, findings=TrackFindings({}, 0.0, {"W": GaugeShift(grid, gauge, table)}))
         assert gauge_shift_changed(old, new, SETTINGS) is changed
+
+
+def test_shifts_are_compared_at_41_places_from_minus_one_to_one_millimetre() -> None:
+    places = [-1e-3 + 0.05e-3 * k for k in range(41)]
+    grid, gauge = np.linspace(-4e-3, 4e-3, 81), np.array([-5e-3, 0.0, 5e-3])
+    shift = GaugeShift(grid, gauge, np.outer(grid / 1e-3 + 0.5, 0.1 * gauge))
+    squares = [(0.1 * (R / 1e-3 + 0.5) * e) ** 2 for R in places for e in (-2e-3, 2e-3)]
+    assert _apart(shift, shift_of(0.0), 2e-3) == pytest.approx(np.sqrt(sum(squares) / len(squares)), rel=1e-9)
+
+
+def test_nothing_is_a_stretch_of_no_alignment() -> None:
+    flat = made(alignment=np.zeros(N))
+    assert not again(flat)
+    assert not again(flat, alignment=0.99e-4 * OTHER)
+    assert again(flat, alignment=1.01e-4 * OTHER)
 
 
 def test_what_was_found_before_is_carried_over_with_its_std() -> None:

@@ -1,0 +1,186 @@
+"""What an epoch makes of the alignment in force, by what its passes give with and without it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from test_survey_limits import D, N, moved, track
+from test_version_limits import shift_of
+
+from estimation.track.results import nothing
+from estimation.track.screening.screen import Screened
+from estimation.track.section import SectionEstimate
+from estimation.track.section_parameters import SectionParameters
+from estimation.track.settings import AlignmentSettings
+from estimation.track.update import (
+    AlignmentUpdate,
+    UpdateOutcome,
+    _Epoch,
+    _with_gauge_shifts,
+    _with_survey,
+    _without_surveyed_alignment,
+    update_alignment,
+)
+from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.track import AlignmentSource, Correction, TrackAlignment, TrackFindings, TrackSectionRecord
+
+SETTINGS = AlignmentSettings()
+SURVEY = track(D, source=AlignmentSource.RECORDED)
+FLEET = track(D, source=AlignmentSource.FLEET)
+CERTAIN = replace(FLEET, alignment_std=np.full(N, 1e-5))  # a tenth of the survey's
+NO_SHIFT = TrackFindings({}, 0.0, {})
+SHIFT = TrackFindings({}, 0.0, {"W": shift_of(0.3)})
+
+
+def solved(alignment: TrackAlignment | None, offsets: tuple[float, ...] = ()) -> SectionEstimate:
+    corrections = {("V", k): Correction(metres) for k, metres in enumerate(offsets)}
+    return SectionEstimate(alignment, nothing(Reason(ReasonCode.NO_PASS, "no pass")), {}, corrections, None)
+
+
+@dataclass(frozen=True, slots=True)
+class Solved(_Epoch):
+    """An epoch whose passes give one alignment by themselves and another with what was known."""
+
+    alone: SectionEstimate
+    with_prior: SectionEstimate
+
+    def estimate(self, prior: TrackAlignment | None) -> SectionEstimate:
+        return self.alone if prior is None else self.with_prior
+
+
+def epoch(alone: TrackAlignment | None, with_prior: TrackAlignment | None, offsets: tuple[float, ...] = ()) -> Solved:
+    nobody = Screened((), (), known_contradicted=False)
+    return Solved("S", nobody, SectionParameters(), None, solved(alone, offsets), solved(with_prior))
+
+
+def by_survey(
+    alone: TrackAlignment | None, with_survey: TrackAlignment | None, *, checked: bool = False,
+    offsets: tuple[float, ...] = (), survey: TrackAlignment = SURVEY,
+) -> AlignmentUpdate:  # fmt: skip
+    return _with_survey(epoch(alone, with_survey, offsets), survey, SETTINGS, survey_checked=checked)
+
+
+def test_a_survey_is_kept_unless_the_fleet_knows_far_more() -> None:
+    for known in (None, FLEET):
+        found = by_survey(None, known, checked=True)
+        assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.SURVEY_KEPT, SURVEY, None)
+    found = by_survey(None, CERTAIN, checked=True)
+    assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.NEW_VERSION, CERTAIN, None)
+
+
+def test_a_survey_is_confirmed_once_by_what_the_fleet_finds_without_it() -> None:
+    for known, outcome in ((None, UpdateOutcome.SURVEY_KEPT), (CERTAIN, UpdateOutcome.NEW_VERSION)):
+        found = by_survey(FLEET, known)
+        assert (found.outcome, code_of(found.survey)) == (outcome, ReasonCode.SURVEY_CONFIRMED)
+    assert by_survey(FLEET, None, checked=True).survey is None
+    assert by_survey(None, None).survey is None
+
+
+def test_a_survey_that_the_fleet_contradicts_is_replaced() -> None:
+    contrary = replace(FLEET, alignment=2.0 * D)
+    found = by_survey(contrary, CERTAIN)
+    assert (found.outcome, found.alignment) == (UpdateOutcome.NEW_VERSION, contrary)
+    assert code_of(found.survey) is ReasonCode.SURVEY_UNIT
+    assert str(found.survey).startswith("not used: ")
+    assert by_survey(contrary, None, checked=True).outcome is UpdateOutcome.SURVEY_KEPT
+
+
+def test_a_survey_that_cannot_be_assessed_is_neither_confirmed_nor_replaced() -> None:
+    little = replace(FLEET, alignment=np.where(np.arange(N) < 100, D, np.nan))
+    found = by_survey(little, None)
+    assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.SURVEY_KEPT, SURVEY, None)
+
+
+@pytest.mark.parametrize(
+    ("offsets", "outcome"), [((1.0, 1.0), UpdateOutcome.NEW_VERSION), ((-3.0, 3.0), UpdateOutcome.SURVEY_KEPT)]
+)
+def test_a_survey_may_be_as_far_off_as_the_fleet_does_not_know_its_place(
+    offsets: tuple[float, float], outcome: UpdateOutcome
+) -> None:
+    displaced, wide = replace(FLEET, alignment_std=np.full(N, 1e-3)), track(moved(6.0), 1e-3)
+    assert by_survey(displaced, None, offsets=offsets, survey=wide).outcome is outcome
+
+
+def test_without_a_survey_an_alignment_is_the_next_version_or_the_last_one_stays() -> None:
+    last = replace(FLEET, findings=SHIFT)
+    for alignment, in_force, outcome, expected in (
+        (None, None, UpdateOutcome.UNESTIMATED, None),
+        (None, last, UpdateOutcome.KEPT, last),
+        (None, SURVEY, UpdateOutcome.UNESTIMATED, None),
+        (CERTAIN, None, UpdateOutcome.NEW_VERSION, CERTAIN),
+        (CERTAIN, last, UpdateOutcome.NEW_VERSION, CERTAIN),
+        (CERTAIN, SURVEY, UpdateOutcome.NEW_VERSION, CERTAIN),
+    ):
+        found = _without_surveyed_alignment(epoch(alignment, alignment), in_force)
+        assert (found.outcome, found.alignment, found.survey) == (outcome, expected, None)
+    gauge = 1e-3 * np.sin(np.arange(N))
+    varied = replace(CERTAIN, gauge_deviation=gauge, findings=TrackFindings({}, 0.0, {"X": shift_of(0.1)}))
+    carried = _without_surveyed_alignment(epoch(None, varied), replace(last, gauge_deviation=gauge)).alignment
+    assert carried is not None
+    assert carried.findings is not None
+    assert set(carried.findings.gauge_shifts) == {"W", "X"}
+
+
+def test_a_version_of_another_cutoff_is_no_prior_and_a_survey_always_is() -> None:
+    alone, with_prior = CERTAIN, FLEET
+    for in_force, expected in (
+        (None, alone),
+        (FLEET, with_prior),
+        (replace(FLEET, cutoff_wavelength=60.0), alone),
+        (replace(SURVEY, cutoff_wavelength=60.0), with_prior),
+    ):
+        assert _without_surveyed_alignment(epoch(alone, with_prior), in_force).alignment is expected
+
+
+GAUGE = np.where(np.arange(N) % 2, 1.0, -1.0)  # std 1
+
+
+def extended(found: TrackAlignment | None, **survey: object) -> AlignmentUpdate:
+    old = replace(SURVEY, gauge_deviation=1e-3 * GAUGE, **survey)  # type: ignore[arg-type]
+    kept = AlignmentUpdate(UpdateOutcome.SURVEY_KEPT, solved(found), old, ())
+    return _with_gauge_shifts(kept, old, SETTINGS)
+
+
+def test_a_survey_is_extended_by_what_its_gauge_does_to_a_wheelset() -> None:
+    new = extended(replace(FLEET, findings=SHIFT))
+    assert new.outcome is UpdateOutcome.SURVEY_EXTENDED
+    assert new.alignment is not None
+    assert (new.alignment.source, new.alignment.findings) == (AlignmentSource.RECORDED, SHIFT)
+    np.testing.assert_array_equal(new.alignment.alignment, D)
+    varied = replace(SURVEY, gauge_deviation=1e-3 * GAUGE)
+    for known, outcome in ((FLEET, UpdateOutcome.SURVEY_EXTENDED), (CERTAIN, UpdateOutcome.NEW_VERSION)):
+        found_with = replace(known, findings=SHIFT)
+        assert by_survey(None, found_with, checked=True, survey=varied).outcome is outcome
+    for found in (None, FLEET, replace(FLEET, findings=NO_SHIFT)):
+        assert extended(found).outcome is UpdateOutcome.SURVEY_KEPT
+    assert extended(replace(FLEET, findings=SHIFT), gauge_known=False).outcome is UpdateOutcome.SURVEY_KEPT
+
+
+@pytest.mark.parametrize(
+    ("gauge", "outcome"), [(0.29e-3, UpdateOutcome.SURVEY_KEPT), (0.31e-3, UpdateOutcome.SURVEY_EXTENDED)]
+)
+def test_a_gauge_varies_from_three_tenths_of_a_millimetre(gauge: float, outcome: UpdateOutcome) -> None:
+    old = replace(SURVEY, gauge_deviation=gauge * GAUGE)
+    kept = AlignmentUpdate(UpdateOutcome.SURVEY_KEPT, solved(replace(FLEET, findings=SHIFT)), old, ())
+    assert _with_gauge_shifts(kept, old, SETTINGS).outcome is outcome
+
+
+def test_a_survey_is_extended_again_only_by_another_shift() -> None:
+    for size, outcome in ((0.3, UpdateOutcome.SURVEY_KEPT), (0.5, UpdateOutcome.SURVEY_EXTENDED)):
+        found = replace(FLEET, findings=TrackFindings({}, 0.0, {"W": shift_of(size)}))
+        assert extended(found, findings=SHIFT).outcome is outcome
+
+
+def test_without_passes_what_is_in_force_stays() -> None:
+    section = TrackSectionRecord("S", 1, "S", "60E1", 0.025, 1.435, float(N))
+    gauge_alone = replace(SURVEY, alignment=np.full(N, np.nan), alignment_std=np.full(N, np.nan))
+    for in_force, outcome, expected in (
+        (None, UpdateOutcome.UNESTIMATED, None),
+        (FLEET, UpdateOutcome.KEPT, FLEET),
+        (SURVEY, UpdateOutcome.SURVEY_KEPT, SURVEY),
+        (gauge_alone, UpdateOutcome.UNESTIMATED, None),
+    ):
+        found = update_alignment(section, [], in_force, SETTINGS, survey_checked=False)
+        assert (found.outcome, found.alignment, found.pass_outcomes) == (outcome, expected, ())
