@@ -248,7 +248,7 @@ def _counts(text: str, operator: str) -> bool:
     """Return whether a change of a line decides: mistakes of ours have no tests, and decorators decide nothing."""
     if operator == "ReplaceTrueWithFalse" and "strict=True" in text:
         return False
-    if operator == "ReplaceBinaryOperator_Mul_Div" and "*, " in text:  # the star before parameters by name
+    if operator == "ReplaceBinaryOperator_Mul_Div" and "*, " in text:  # the star before keyword parameters
         return False
     return "raise " not in text and not text.startswith(("assert ", '"""', "@", "*,"))
 
