@@ -1,4 +1,4 @@
-"""Storages for tests: on SQLite and on a real PostgreSQL, each test with a migrated database of its own."""
+"""Storages for tests, on SQLite and on a real PostgreSQL, each with a migrated database; and the command line."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import one_thread  # noqa: F401 - must come before whatever loads the linear alg
 import psycopg
 import pytest
 import sqlalchemy
+from in_process_command import Run, command_line
 from postgres_server import running_server
 from psycopg import sql
 
@@ -24,6 +25,14 @@ from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 
 GIVEN = "TREADWATCH_TEST_POSTGRES_URL"
+
+
+@pytest.fixture
+def treadwatch(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Iterator[Run]:
+    """Yield the command line, in this process and a folder of the test's own."""
+    monkeypatch.chdir(tmp_path)
+    with command_line(monkeypatch, capsys) as run:
+        yield run
 
 
 @pytest.fixture

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import logging
-import signal
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-import structlog
+from in_process_command import Done, Run
 
-from api.cli import COMMANDS, Command, main
+from api.cli import COMMANDS, Command
 from api.factory import code_version
 from api.settings import Settings, load_settings
 from estimation.errors import ParameterError
@@ -22,45 +18,6 @@ from estimation.numerics_version import NUMERICS_VERSION
 from fleet_db.migrate import upgrade
 
 COMMAND = Path(sys.executable).with_name("treadwatch")
-
-
-@dataclass(frozen=True)
-class Done:
-    """What a command left behind."""
-
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-Run = Callable[..., Done]
-
-
-@pytest.fixture
-def treadwatch(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Iterator[Run]:
-    """Yield the command in this process, which has imported everything; its traces are removed afterwards."""
-    signals = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
-    handlers, level = logging.root.handlers[:], logging.root.level
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str, **environment: str) -> Done:
-        monkeypatch.setattr(sys, "argv", ["treadwatch", *arguments])
-        for name, value in environment.items():
-            monkeypatch.setenv(f"TREADWATCH_{name.upper()}", value)
-        code = 0
-        try:
-            main()
-        except SystemExit as end:
-            code = int(end.code or 0)
-        captured = capsys.readouterr()
-        return Done(code, captured.out, captured.err)
-
-    yield run
-    for number, handler in signals.items():
-        signal.signal(number, handler)
-    logging.root.handlers[:] = handlers
-    logging.root.setLevel(level)
-    structlog.reset_defaults()
 
 
 def refused(done: Done | subprocess.CompletedProcess[str]) -> str:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from in_process_command import Run
 from typer.testing import CliRunner
 
 from api.cli import build
@@ -159,11 +158,10 @@ def test_a_tiny_section_is_compared_printed_and_drawn(tmp_path: Path) -> None:
     assert len({row.count("|") for row in rows}) == 1
 
 
-def test_a_bad_scenario_ends_with_a_line_that_names_file_and_field(tmp_path: Path) -> None:
+def test_a_bad_scenario_ends_with_a_line_that_names_file_and_field(treadwatch: Run, tmp_path: Path) -> None:
     path = tmp_path / "bad.toml"
     path.write_text(SCENARIO.replace("wheelsets_each = 1", "wheelsets_each = 0"), encoding="utf-8")
-    command = [sys.executable, "-c", "from api.cli import main; main()", "compare", "--scenario", str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    done = treadwatch("compare", "--scenario", path)
     assert done.returncode == 2
     assert done.stderr.startswith(f"treadwatch: {path}:24, field 'drawn_fleet.wheelsets_each': 0 is outside")
     assert not (tmp_path / "comparison").exists()

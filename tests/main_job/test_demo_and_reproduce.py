@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from in_process_command import Run
 from matplotlib import image
 from tiny_fleet import DEAD, WORN
 
@@ -19,7 +20,7 @@ from estimation.values.geometry import COMBINATIONS
 TREADWATCH = Path(sys.executable).with_name("treadwatch")
 
 
-def treadwatch(*arguments: str | Path, cwd: Path, columns: int = 200) -> subprocess.CompletedProcess[str]:
+def in_a_process(*arguments: str | Path, cwd: Path, columns: int = 200) -> subprocess.CompletedProcess[str]:
     environment = {k: v for k, v in os.environ.items() if not k.startswith("TREADWATCH_")} | {"COLUMNS": str(columns)}
     command = [str(TREADWATCH), *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, env=environment, timeout=300)
@@ -27,7 +28,7 @@ def treadwatch(*arguments: str | Path, cwd: Path, columns: int = 200) -> subproc
 
 def test_the_demo_prints_its_table_and_ends(scenario_file: Path, tmp_path: Path) -> None:
     arguments = ("demo", "--once", "--scenario", scenario_file, "--folder", "own", "--port", "0")
-    done = treadwatch(*arguments, cwd=tmp_path)
+    done = in_a_process(*arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     number = r"(\d\.\d{3})"
     line = re.search(rf"{WORN}\s+91,000\s+[\d.]+\s+{number}\s+{number} \[{number}, {number}\]\s+(yes|no)", done.stdout)
@@ -43,14 +44,14 @@ def test_the_demo_prints_its_table_and_ends(scenario_file: Path, tmp_path: Path)
 
 
 @pytest.mark.parametrize("kind", ["folder", "file", "link"])
-def test_the_demo_refuses_what_is_not_its_own(tmp_path: Path, kind: str) -> None:
+def test_the_demo_refuses_what_is_not_its_own(treadwatch: Run, tmp_path: Path, kind: str) -> None:
     precious = tmp_path / "precious"
     precious.mkdir()
     (precious / "thesis.txt").write_text("years of work")
     folder = {"folder": precious, "file": precious / "thesis.txt", "link": tmp_path / "link"}[kind]
     if kind == "link":
         folder.symlink_to(precious)
-    done = treadwatch("demo", "--once", "--folder", folder, cwd=tmp_path)
+    done = treadwatch("demo", "--once", "--folder", folder)
     assert done.returncode == 2
     assert done.stderr.startswith(f"treadwatch: {folder} ")
     assert "--folder" in done.stderr
@@ -58,27 +59,27 @@ def test_the_demo_refuses_what_is_not_its_own(tmp_path: Path, kind: str) -> None
     assert [path.name for path in precious.iterdir()] == ["thesis.txt"]
 
 
-def test_a_scenario_that_cannot_be_read_leaves_the_last_demo_alone(tmp_path: Path) -> None:
+def test_a_scenario_that_cannot_be_read_leaves_the_last_demo_alone(treadwatch: Run, tmp_path: Path) -> None:
     own = tmp_path / "own"
     own.mkdir()
     (own / "made-by-treadwatch-demo").touch()
     (own / "table.txt").write_text("seen")
     (tmp_path / "wrong.toml").write_text('name = "wrong"\nsped = 3\n')
-    done = treadwatch("demo", "--once", "--scenario", "wrong.toml", "--folder", own, cwd=tmp_path)
+    done = treadwatch("demo", "--once", "--scenario", "wrong.toml", "--folder", own)
     assert done.returncode == 2
     assert done.stderr.startswith("treadwatch: wrong.toml")
     assert (own / "table.txt").read_text() == "seen"
 
 
-def test_figures_need_a_folder(tmp_path: Path) -> None:
+def test_figures_need_a_folder(treadwatch: Run, tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("a file")
-    done = treadwatch("reproduce", "--out", "taken", cwd=tmp_path)
+    done = treadwatch("reproduce", "--out", "taken")
     assert done.returncode == 2
     assert done.stderr.startswith("treadwatch: field '--out': taken: ")
 
 
 def test_the_figures_are_drawn_and_their_numbers_are_true(tmp_path: Path) -> None:
-    done = treadwatch("reproduce", "--seconds", "120", "--out", "figures", cwd=tmp_path)
+    done = in_a_process("reproduce", "--seconds", "120", "--out", "figures", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     out = tmp_path / "figures"
     for name in ("figure_3.png", "figure_4.png", "figure_6.png", "figure_7.png"):
