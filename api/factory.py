@@ -16,8 +16,8 @@ from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
-from fleet_db.migrate import check_head
 from fleet_db.raw import RawStore
+from fleet_db.revisions import check_head
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 

@@ -1,20 +1,14 @@
-"""Bring a database to the head of the migrations, and refuse one that is elsewhere."""
+"""Bring a database to the head of the migrations."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from alembic import command
 from alembic.config import Config
-from alembic.runtime.migration import MigrationContext
-from alembic.script import ScriptDirectory
-from sqlalchemy import Engine
 
-from estimation.errors import MigrationError, StorageError
+from estimation.errors import MigrationError
 from fleet_db.locks import Subject, serialise
+from fleet_db.revisions import SCRIPTS, head, known_revisions, revision_of
 from fleet_db.session import IMMEDIATE, database_engine, sqlite_file, translate_errors
-
-SCRIPTS = Path(__file__).parent / "migrations"
 
 
 def upgrade(url: str) -> str:
@@ -36,8 +30,8 @@ def upgrade(url: str) -> str:
     try:
         with translate_errors(), engine.connect().execution_options(**IMMEDIATE) as connection, connection.begin():
             serialise(connection, Subject.MIGRATION)
-            found = MigrationContext.configure(connection).get_current_revision()
-            if found is not None and found not in _known():
+            found = revision_of(connection)
+            if found is not None and found not in known_revisions():
                 raise MigrationError(found, head(), known=False)
             config = _config()
             config.attributes["connection"] = connection
@@ -45,37 +39,6 @@ def upgrade(url: str) -> str:
     finally:
         engine.dispose()
     return head()
-
-
-def check_head(engine: Engine) -> None:
-    """Refuse a database that is not at the head of this version's migrations.
-
-    Raises
-    ------
-    MigrationError
-        It is elsewhere, or has never been migrated; the message gives the command to run.
-    StorageError
-        It cannot be reached.
-    """
-    file = sqlite_file(engine)
-    if file is not None and not file.exists():
-        raise MigrationError(None, head())
-    with translate_errors(), engine.connect() as connection:
-        found = MigrationContext.configure(connection).get_current_revision()
-    if found != head():
-        raise MigrationError(found, head(), known=found is None or found in _known())
-
-
-def head() -> str:
-    """Return the migration that this version needs."""
-    found = ScriptDirectory.from_config(_config()).get_current_head()
-    if found is None:
-        raise StorageError(f"no migrations under {SCRIPTS}")
-    return found
-
-
-def _known() -> frozenset[str]:
-    return frozenset(script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions())
 
 
 def _config() -> Config:

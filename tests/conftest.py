@@ -19,8 +19,9 @@ from in_process_command import Run, command_line
 from postgres_server import running_server
 from psycopg import sql
 
-from fleet_db.migrate import head, upgrade
+from fleet_db.migrate import upgrade
 from fleet_db.models import Base
+from fleet_db.revisions import head
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 

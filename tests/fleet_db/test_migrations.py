@@ -19,14 +19,16 @@ from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import Engine
 
 from estimation.errors import MigrationError, ParameterError, StorageError
 from estimation.values.reasons import ReasonCode
 from estimation.values.track import AlignmentSource
-from fleet_db.migrate import SCRIPTS, check_head, head, upgrade
+from fleet_db.migrate import upgrade
 from fleet_db.models import Base
 from fleet_db.packed_values import pack_alignment
+from fleet_db.revisions import SCRIPTS, check_head, head, known_revisions
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 
@@ -71,6 +73,14 @@ def shape(engine: Engine) -> dict[str, Any]:
             "checks": sorted((check["name"], check["sqltext"]) for check in inspector.get_check_constraints(table)),
         }
     return found
+
+
+def test_the_numbers_of_the_files_are_the_migrations_in_their_order() -> None:
+    config = Config()
+    config.set_main_option("script_location", str(SCRIPTS))
+    scripts = ScriptDirectory.from_config(config)
+    assert [script.revision for script in reversed(list(scripts.walk_revisions()))] == list(known_revisions())
+    assert scripts.get_current_head() == head()
 
 
 def test_nothing_is_left_to_change(empty_url: str, engine: Engine) -> None:
