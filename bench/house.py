@@ -79,7 +79,7 @@ INFRASTRUCTURE = re.compile(
     r"""(
       api/(cli|commands/.*|terminal/.*|factory|settings|rules_file|logs|metrics|services|job_runner|app|openapi_document)\.py
     | api/(problems|times|contract|cursors|parameters|middleware)\.py
-    | fleet_db/(changes|locks|migrate|session|storage|rows|packing|fields|atomic_files)\.py
+    | fleet_db/(changes|locks|migrate|revisions|session|storage|rows|packing|fields|atomic_files)\.py
     | fleet_db/stores/jobs\.py
     | ingest/input_file\.py
     | estimation/estimators/catalogue\.py
