@@ -76,7 +76,7 @@ def _along(axes: Axes, truth: TrackTruth, track: TrackAlignment, what: str) -> N
     axes.fill_between(s, low, high, color=FOUND, alpha=0.2, linewidth=0)
     axes.set_ylabel(f"{what.replace('_', ' ')}, mm")
     axes.set_xlabel("distance, m")
-    axes.legend(loc="upper right")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False, borderaxespad=0.1)
 
 
 def _wheelset(axes: Axes, truth: TrueWheelset, geometry: WheelsetGeometry) -> None:
