@@ -25,6 +25,7 @@ from estimation.values.reasons import Reason
 from estimation.values.registry import VehicleRecord
 
 ANY_CLASS = "*"
+SPEED_DIGITS = 6  # of km/h: 120 km/h in m/s and back is 120.00000000000001, which belongs to the band up to 120
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,8 @@ class ConicityLimitRule(AlertRule):
         vehicle
             Its class and greatest speed count.
         """
-        return self.limit_at(vehicle.vehicle_class, 3.6 * vehicle.max_speed_m_s)
+        speed_km_h = round(3.6 * vehicle.max_speed_m_s, SPEED_DIGITS)
+        return self.limit_at(vehicle.vehicle_class, speed_km_h)
 
     def limit_at(self, vehicle_class: str, speed_km_h: float) -> float | None:
         """Return the limit; bands of the class itself go before those of any class. None where no band applies.

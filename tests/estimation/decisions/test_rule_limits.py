@@ -58,7 +58,15 @@ def test_conicity_needs_three_windows() -> None:
 
 @pytest.mark.parametrize(
     ("km_h", "limit"),
-    [(119.0, 0.4), (121.0, 0.534 - 121 / 900), (250.0, 0.534 - 250 / 900), (299.0, 0.534 - 299 / 900), (301.0, 0.2)],
+    [
+        (119.0, 0.4),
+        (120.0, 0.4),
+        (120.001, 0.534 - 120.001 / 900),
+        (121.0, 0.534 - 121 / 900),
+        (250.0, 0.534 - 250 / 900),
+        (299.0, 0.534 - 299 / 900),
+        (301.0, 0.2),
+    ],
 )
 def test_the_limit_of_a_vehicle_is_that_of_its_greatest_speed(km_h: float, limit: float) -> None:
     vehicle = replace(VEHICLE, max_speed_m_s=km_h / 3.6)
