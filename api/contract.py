@@ -78,9 +78,14 @@ async def media_type(request: Request) -> str:
     ------
     ProblemError
         406: it accepts none; 415: the body is no JSON; 422: an unknown or repeated query parameter.
+    LookupError
+        The route has been added without its description.
     """
     contracts: Contracts = request.app.state.contracts
-    contract = contracts[request.scope["route"].path_format, request.method]
+    path = request.scope["route"].path_format
+    contract = contracts.get((path, request.method))
+    if contract is None:
+        raise LookupError(f"{request.method} {path} is not in the committed document; run: treadwatch openapi --write")
     chosen = choose(request.headers.get("accept"), contract.media_types)
     if chosen is None:
         offered = ", ".join(contract.media_types)

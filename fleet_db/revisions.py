@@ -37,11 +37,14 @@ def check_head(engine: Engine) -> None:
 
 
 def revision_of(connection: Connection) -> str | None:
-    """Return the migration that a database is at; None where it has never been migrated."""
+    """Return the migration that a database is at; None where it has never been migrated.
+
+    A database of another origin may be at several; they are returned as one text, which no version knows.
+    """
     if not inspect(connection).has_table(TABLE):
         return None
-    found = connection.execute(text(f"SELECT version_num FROM {TABLE}")).scalar_one_or_none()  # noqa: S608 - a constant
-    return None if found is None else str(found)
+    found = connection.execute(text(f"SELECT version_num FROM {TABLE}")).scalars()  # noqa: S608 - a constant
+    return ", ".join(sorted(map(str, found))) or None
 
 
 def head() -> str:

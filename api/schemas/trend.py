@@ -62,7 +62,9 @@ class Trend(Representation):
     status: Status
     reason: str | None
     reason_code: ReasonCode | None
-    converged: bool = Field(description="Whether the robust fits over distance and date stopped changing.")
+    converged: bool = Field(
+        description="Whether the robust fits over distance and date stopped changing; true where nothing was fitted."
+    )
     baseline: int
     recorded_at: Timestamp
     points: TrendPoints

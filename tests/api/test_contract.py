@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 from importlib.resources import files
 from typing import Any
 
+import httpx
 import jsonschema_rs
 import pytest
 import schemathesis
@@ -21,7 +23,7 @@ from schemathesis.specs.openapi.checks import (
     unsupported_method,
 )
 
-from api.app import committed_document, document_text
+from api.app import committed_document, describe, document_text
 
 DOCUMENT = json.loads(document_text())
 HEADERS = {"If-Match", "If-None-Match", "Idempotency-Key"}
@@ -35,6 +37,18 @@ def test_the_committed_document_is_what_the_routes_say() -> None:
     committed = (files("api") / "openapi.json").read_text(encoding="utf-8")
     assert committed == document_text(), "it has drifted; run: treadwatch openapi --write"
     assert committed_document() == DOCUMENT
+
+
+def test_a_route_that_the_committed_document_lacks_is_named() -> None:
+    app = describe()
+    app.state.contracts = {}
+
+    async def ask() -> None:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://treadwatch") as client:
+            await client.get("/v1/fleets")
+
+    with pytest.raises(LookupError, match=r"GET /v1/fleets is not in .* treadwatch openapi --write"):
+        asyncio.run(ask())
 
 
 def test_the_document_is_openapi_3_1() -> None:

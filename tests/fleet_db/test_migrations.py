@@ -121,6 +121,11 @@ def test_a_database_of_another_version_is_refused(empty_url: str, engine: Engine
     with pytest.raises(MigrationError, match="this version does not know it") as caught:
         check_head(engine)
     assert (caught.value.found, caught.value.expected) == ("9999", head())
+    with engine.begin() as connection:
+        connection.exec_driver_sql("INSERT INTO alembic_version VALUES ('0001')")
+    with pytest.raises(MigrationError, match="this version does not know it") as caught:
+        check_head(engine)
+    assert caught.value.found == "0001, 9999"
     with pytest.raises(MigrationError, match="this version does not know it"):
         upgrade(empty_url)
 
