@@ -16,6 +16,7 @@ from api.plots.contact import save_contact_figure
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile, ProfileKind, rail_profile, wheel_profile
+from estimation.contact.radius_difference import RadiusDifferenceCurve, radius_difference_curve
 from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import InputError, ParameterError
 from estimation.values.arrays import FloatArray
@@ -82,10 +83,10 @@ def save_picture(wheelset: WheelsetOnTrack, method: ContactMethod, inclination: 
     """
     if out is None:
         raise ParameterError("a picture needs --out FILE.png", field="--format")
-    table = _table(wheelset, method)
+    table, curve = _table(wheelset, method), _curve(wheelset, method)
     profiles = f"{wheelset.left_wheel.name} on {wheelset.left_rail.name} {inclination}"
     title = f"{profiles}, {wheelset.gauge * 1e3:g} mm, {method.value}"
-    save_contact_figure(table, _AMPLITUDE_MM * 1e-3, _conicity(table), title, out)
+    save_contact_figure(table, _AMPLITUDE_MM * 1e-3, _conicity(curve), title, out)
 
 
 @contextmanager
@@ -114,20 +115,19 @@ def table_text(wheelset: WheelsetOnTrack, method: ContactMethod, *, as_json: boo
         JSON with conicity, or else CSV without.
     """
     table = _table(wheelset, method)
-    return _json(table, _conicity(table)) if as_json else _csv(table)
+    return _json(table, _curve(wheelset, method)) if as_json else _csv(table)
 
 
 def _table(wheelset: WheelsetOnTrack, method: ContactMethod) -> ContactTable:
     return contact_table(wheelset, _DISPLACEMENT_MM * 1e-3, method=method, outside="hold")
 
 
-def _conicity(table: ContactTable) -> FloatArray:
-    return equivalent_conicity(table.lateral_displacement, _difference(table), _AMPLITUDE_MM * 1e-3)
+def _curve(wheelset: WheelsetOnTrack, method: ContactMethod) -> RadiusDifferenceCurve:
+    return radius_difference_curve(wheelset, _DISPLACEMENT_MM * 1e-3, method=method)
 
 
-def _difference(table: ContactTable) -> FloatArray:
-    """Return the rolling radius difference at the first gauge, NaN where both wheels have no contact."""
-    return np.where(table.exists[:, 0], table.rolling_radius_difference[:, 0], np.nan)
+def _conicity(curve: RadiusDifferenceCurve) -> FloatArray:
+    return equivalent_conicity(curve.displacement, curve.difference, _AMPLITUDE_MM * 1e-3)
 
 
 def _columns(table: ContactTable) -> dict[str, FloatArray]:
@@ -144,12 +144,13 @@ def _columns(table: ContactTable) -> dict[str, FloatArray]:
     return {"lateral_displacement_mm": table.lateral_displacement * 1e3, **marked}
 
 
-def _json(table: ContactTable, conicity: FloatArray) -> str:
-    nonlinearity = nonlinearity_parameter(table.lateral_displacement, _difference(table))
+def _json(table: ContactTable, curve: RadiusDifferenceCurve) -> str:
+    nonlinearity = nonlinearity_parameter(curve.displacement, curve.difference)
     document = {
         **{name: _rounded(values) for name, values in _columns(table).items()},
-        "equivalent_conicity": {"amplitude_mm": _rounded(_AMPLITUDE_MM), "value": _rounded(conicity)},
+        "equivalent_conicity": {"amplitude_mm": _rounded(_AMPLITUDE_MM), "value": _rounded(_conicity(curve))},
         "nonlinearity_parameter": _rounded(np.array([nonlinearity]))[0],
+        "contact_jumps_mm": _rounded(curve.jumps * 1e3),
     }
     return orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE).decode()
 

@@ -27,6 +27,12 @@ _REASONS = {
 }
 
 
+_PlainSurface = tuple[float, float, FloatArray, FloatArray]
+_Plain = tuple[float, tuple[float, float], tuple[_PlainSurface, _PlainSurface], tuple[_PlainSurface, _PlainSurface]]
+Setting = tuple[bool, *_Plain]
+"""Whether the wheelset rolls, half the distance of the tread datums, the radii, wheels and rails, for the kernels."""
+
+
 @dataclass(frozen=True, slots=True)
 class WheelsetOnTrack:
     """A wheelset and the track under it, as far as contact geometry goes; SI.
@@ -107,23 +113,36 @@ def contact_table(
         A grid that is not finite and increasing; profiles that never touch; with ``outside="raise"`` any
         displacement without contact.
     """
-    displacement = _grid(lateral_displacement, "lateral_displacement")
-    deviation = _grid(gauge_deviation, "gauge_deviation")
-    setting = (method is ContactMethod.RIGID, *_plain_setting(wheelset))
-    values, outcomes = kernels.table(displacement, deviation, *setting)
+    displacement, deviation, setting, values, outcomes = search_contacts(
+        wheelset, lateral_displacement, gauge_deviation, method=method, outside=outside
+    )
     exists = outcomes == kernels.FOUND
-    if not exists.all():
-        _check_outcomes(displacement, deviation, outcomes, outside)
     crossed = kernels.jumps(displacement, deviation, values, outcomes, *setting)
     return _filled(wheelset, method, displacement, deviation, _held(values, exists), exists, crossed)
 
 
-_PlainSurface = tuple[float, float, FloatArray, FloatArray]
-
-
-def _plain_setting(
+def search_contacts(
     wheelset: WheelsetOnTrack,
-) -> tuple[float, tuple[float, float], tuple[_PlainSurface, _PlainSurface], tuple[_PlainSurface, _PlainSurface]]:
+    lateral_displacement: npt.ArrayLike,
+    gauge_deviation: npt.ArrayLike,
+    *,
+    method: ContactMethod,
+    outside: Literal["raise", "hold"],
+) -> tuple[FloatArray, FloatArray, Setting, FloatArray, IntArray]:
+    """Return displacements (n,), deviations (g,), the kernels' setting, values (5, n, g) and outcomes (n, g).
+
+    Parameters and errors as :func:`contact_table`; the values are those of :func:`estimation.contact.kernels.table`.
+    """
+    displacement = _grid(lateral_displacement, "lateral_displacement")
+    deviation = _grid(gauge_deviation, "gauge_deviation")
+    setting = (method is ContactMethod.RIGID, *_plain_setting(wheelset))
+    values, outcomes = kernels.table(displacement, deviation, *setting)
+    if not (outcomes == kernels.FOUND).all():
+        _check_outcomes(displacement, deviation, outcomes, outside)
+    return displacement, deviation, setting, values, outcomes
+
+
+def _plain_setting(wheelset: WheelsetOnTrack) -> _Plain:
     """Return half the distance of the tread datums, the radii, wheels and rails as the compiled search takes them."""
     wheels = (_plain(wheel_surface(wheelset.left_wheel)), _plain(wheel_surface(wheelset.right_wheel)))
     left_rail = _plain(rail_surface(wheelset.left_rail, wheelset.inclination, wheelset.gauge))

@@ -22,6 +22,9 @@ ROLL_LIMIT = 0.1  # rad
 OUTSIDE = 1.0e3  # m, gap where there is no rail
 JUMP_DISTANCE = 4e-4  # m, a contact has jumped that moves this far ...
 JUMP_INTERVAL = 4e-6  # m, ... while the wheelset moves no farther than this
+CURVE_TOLERANCE = 5e-8  # m, of the radius difference half-way between two points of a refined curve
+CURVE_INTERVAL = 1e-9  # m, a jump of a refined curve is placed to within this
+_LEVELS = 64  # more than the halvings from any grid step to the interval
 
 FOUND, NO_OVERLAP, FLANGE_TIP, OUTER_EDGE, NO_ROLL = 0, 1, 2, 3, 4
 """Outcome of a search: why there is no contact point."""
@@ -313,3 +316,70 @@ def jumps(displacement, deviation, values, outcomes, rigid, half, radii, wheels,
             low, high = displacement[i], displacement[i + 1]
             crossed[i, j] = _is_jump(low, high, first, second, deviation[j], rigid, half, radii, wheels, rails)
     return crossed
+
+
+@njit(cache=True)
+def _difference(found, wheels):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return left minus right height of the contacts on the wheels."""
+    left, right = wheels
+    z_left = _cubic(left[2], left[3], left[1], (found[1] - left[0]) / left[1])[0]
+    return z_left - _cubic(right[2], right[3], right[1], (found[2] - right[0]) / right[1])[0]
+
+
+@njit(cache=True)
+def refined(displacement, deviation, values, outcomes, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Return (m,) displacements and (2, m) contacts on the wheels between which the radius difference is straight.
+
+    Cells of the grid are halved where a contact moves by more than `JUMP_DISTANCE` or where the difference half-way
+    is off the straight line by more than `CURVE_TOLERANCE`, down to `CURVE_INTERVAL`: a jump is between two points
+    that are no farther apart than that. A cell without contact in its middle is left as it is.
+
+    Parameters
+    ----------
+    displacement
+        (n,) m, strictly increasing: of the axle's middle relative to the track centre.
+    deviation
+        Actual minus nominal gauge, m.
+    values, outcomes
+        (5, n) and (n,): what :func:`table` returned for them.
+    rigid
+        Whether the wheelset rolls, see :func:`contact`.
+    half
+        Half the distance of the tread datums, m.
+    radii
+        Nominal rolling radii of the left and right wheel, m.
+    wheels, rails
+        Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
+    """
+    points = [(math.nan, math.nan, math.nan) for _ in range(0)]
+    upper = [(0.0, (math.nan, math.nan, math.nan, math.nan, math.nan, FOUND)) for _ in range(0)]
+    for i in range(len(displacement)):
+        if outcomes[i] != FOUND:
+            continue
+        v = values[:, i]
+        low, first = displacement[i], (v[0], v[1], v[2], v[3], v[4], FOUND)
+        points.append((low, first[1], first[2]))
+        if i + 1 == len(displacement) or outcomes[i + 1] != FOUND:
+            continue
+        w = values[:, i + 1]
+        upper.append((displacement[i + 1], (w[0], w[1], w[2], w[3], w[4], FOUND)))
+        while len(upper) > 0:
+            high, second = upper[-1]
+            if high - low > CURVE_INTERVAL and len(upper) < _LEVELS:
+                middle = 0.5 * (low + high)
+                between = contact(middle, deviation, first[0], rigid, half, radii, wheels, rails)
+                chord = 0.5 * (_difference(first, wheels) + _difference(second, wheels))
+                bent = _moved(first, second) > JUMP_DISTANCE or (
+                    abs(_difference(between, wheels) - chord) > CURVE_TOLERANCE
+                )
+                if between[5] == FOUND and bent:
+                    upper.append((middle, between))
+                    continue
+            upper.pop()
+            low, first = high, second
+            if len(upper) > 0:
+                points.append((low, first[1], first[2]))
+    found = np.empty((3, len(points)))
+    for i in range(len(points)):
+        found[0, i], found[1, i], found[2, i] = points[i]
+    return found[0], found[1:]

@@ -19,6 +19,7 @@ import numpy as np
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import ContactError
 from estimation.estimators.interface import EstimatorParameters
@@ -57,6 +58,8 @@ def _contact() -> Iterator[FloatArray]:
         yield from _columns(table)
     other = WheelsetOnTrack.symmetric(wheel_profile("EN15302-A"), rail_profile("60E2"), 1 / 40, 1.435)
     yield from _columns(contact_table(other, np.linspace(-8e-3, 8e-3, 17)))
+    curve = radius_difference_curve(worn, np.linspace(-4e-3, 4e-3, 9), method=ContactMethod.EN15302)
+    yield from (curve.displacement, curve.difference, curve.jumps)
     off = contact_table(worn, (-60e-3, 0.0, 50e-3, 150e-3), outside="hold")
     yield from _columns(off)
     try:

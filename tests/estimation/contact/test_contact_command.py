@@ -35,13 +35,37 @@ def test_json_has_the_agreed_keys_and_the_reference_values() -> None:
     result = _run("--wheel", "EN15302-A", "--rail", "EN15302-A", "--inclination", "0", "--gauge-mm", "1435.16")
     assert result.exit_code == 0
     document = json.loads(result.stdout, parse_constant=pytest.fail)
-    assert list(document) == [*KEYS, "equivalent_conicity", "nonlinearity_parameter"]
+    assert list(document) == [*KEYS, "equivalent_conicity", "nonlinearity_parameter", "contact_jumps_mm"]
     assert len({len(document[key]) for key in KEYS}) == 1
     conicity = document["equivalent_conicity"]
     found = dict(zip(conicity["amplitude_mm"], conicity["value"], strict=True))
     assert found[3.0] == pytest.approx(0.188, abs=0.003)
     assert document["nonlinearity_parameter"] == pytest.approx((0.216 - 0.155) / 2, abs=0.002)
     assert set(document["roll_rad"]) == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("wheel", "reference", "at_jumps"),
+    [
+        ("A", {1.0: 0.125, 2.0: 0.155, 3.0: 0.188, 4.0: 0.216, 5.0: 0.254, 6.0: 0.303}, {}),
+        ("B", {1.0: 0.025, 2.0: 0.025, 5.0: 0.281, 6.0: 0.301}, {3.0: 0.0296, 3.1: 0.0787}),
+        ("C", {1.0: 0.515, 2.0: 0.365, 3.0: 0.271, 4.0: 0.221, 5.0: 0.191, 6.0: 0.170}, {}),
+        ("H", {1.0: 0.025, 2.0: 0.025, 5.0: 0.307, 6.0: 0.284}, {2.5: 0.0304, 2.6: 0.1123}),
+        ("I", {1.0: 0.0, 3.0: 0.494, 4.0: 0.488, 5.0: 0.477, 6.0: 0.448}, {1.8: 0.1239, 2.0: 0.316}),
+    ],
+)
+def test_conicity_of_the_standard_at_every_amplitude_and_where_its_end_is_on_a_jump(
+    wheel: str, reference: dict[float, float], at_jumps: dict[float, float]
+) -> None:
+    """Wheel B at 3 mm was 0.058 when a jump was interpolated across 0.1 mm."""
+    result = _run("--wheel", f"EN15302-{wheel}", "--rail", "EN15302-A", "--inclination", "0", "--gauge-mm", "1435.16")
+    document = json.loads(result.stdout)
+    conicity = document["equivalent_conicity"]
+    found = dict(zip(conicity["amplitude_mm"], conicity["value"], strict=True))
+    assert {a: found[a] for a in reference} == pytest.approx(reference, abs=1e-3)
+    assert {a: found[a] for a in at_jumps} == pytest.approx(at_jumps, abs=1e-3)
+    jumps = {"B": [2.9977, 6.3893], "H": [2.4984, 6.7032], "I": [1.7243]}.get(wheel, [])
+    assert document["contact_jumps_mm"] == pytest.approx([*(-y for y in reversed(jumps)), *jumps], abs=1e-3)
 
 
 def test_unequal_radii_shift_the_crossing_and_the_rigid_method_rolls() -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile, profile_from_points, rail_profile, wheel_profile
+from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.rail_definitions import RAIL_DEFINITIONS
 from estimation.contact.segments import evaluate
 from estimation.contact.table import ContactMethod
@@ -292,3 +293,21 @@ def _brute_force(displacement: float, deviation: float) -> tuple[float, float, f
     roll = float(rolls[up] + share * (rolls[up + 1] - rolls[up]))
     _, _, left, right = gaps(roll)
     return roll, left, right
+
+
+@pytest.mark.parametrize("method", list(ContactMethod))
+def test_a_refined_curve_is_that_of_a_fine_grid_with_jumps_where_they_are(method: ContactMethod) -> None:
+    wheelset = WheelsetOnTrack.symmetric(wheel_profile("S1002"), rail_profile("60E1"), 1 / 40, 1.435)
+    curve = radius_difference_curve(wheelset, np.linspace(-6e-3, 6e-3, 121), method=method)
+    assert (np.diff(curve.displacement) > 0).all()
+    assert len(curve.jumps) >= 2
+    np.testing.assert_allclose(curve.jumps, -curve.jumps[::-1], atol=2e-9)
+    fine = np.linspace(-6e-3, 6e-3, 2401)
+    truth = contact_table(wheelset, fine, method=method).rolling_radius_difference[:, 0]
+    away = np.abs(fine[:, np.newaxis] - curve.jumps).min(axis=1) > 1e-6
+    error = np.interp(fine, curve.displacement, curve.difference) - truth
+    assert np.abs(error[away]).max() < 0.3e-6
+    for jump in curve.jumps:
+        before, after = contact_table(wheelset, [jump - 3e-9, jump + 3e-9], method=method).contact_position_left[:, 0]
+        both = contact_table(wheelset, [jump - 3e-9, jump + 3e-9], method=method).contact_position_right[:, 0]
+        assert max(abs(after - before), abs(both[1] - both[0])) > 0.4e-3
