@@ -60,6 +60,7 @@ def _contact() -> Iterator[FloatArray]:
     yield from _columns(contact_table(other, np.linspace(-8e-3, 8e-3, 17)))
     curve = radius_difference_curve(worn, np.linspace(-4e-3, 4e-3, 9), method=ContactMethod.EN15302)
     yield from (curve.displacement, curve.difference, curve.jumps)
+    yield radius_difference_curve(worn, (-60e-3, 0.0, 1e-3, 150e-3)).difference
     off = contact_table(worn, (-60e-3, 0.0, 50e-3, 150e-3), outside="hold")
     yield from _columns(off)
     try:
