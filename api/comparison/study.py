@@ -31,7 +31,7 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.refresh_geometry import refreshed
 from estimation.storage import Storage
 from estimation.values.geometry import WheelsetGeometry
-from ingest.simulator.scenario import Scenario
+from ingest.simulator.scenario import Scenario, SurveyPlan
 
 
 class TrackInformation(StrEnum):
@@ -166,8 +166,10 @@ def on_file(scenario: Scenario, track: TrackInformation) -> Scenario:
         return replace(scenario, section=replace(section, surveyed=False))
     surveyed = replace(section, surveyed=True)
     if track is TrackInformation.NONE and section.recipe is not None:
-        straight = replace(section.recipe, alignment_std=0.0, gauge_std=0.0, gauge_offset=0.0)
-        surveyed = replace(surveyed, recipe=straight, survey_alignment_std=0.0, survey_gauge_std=0.0)
+        straight = section.recipe.without_irregularities()
+        surveyed = replace(
+            surveyed, recipe=straight, survey_alignment_std=0.0, survey_gauge_std=0.0, survey=SurveyPlan()
+        )
     return replace(scenario, section=surveyed)
 
 

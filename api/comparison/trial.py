@@ -21,7 +21,7 @@ from ingest.catalogue import default_catalogue
 from ingest.receiver import Receiver
 from ingest.registry_file import load_registry
 from ingest.simulator.fleet import Recording, prepare, run_fleet
-from ingest.simulator.scenario import Scenario
+from ingest.simulator.scenario import Scenario, SurveyPlan
 from ingest.simulator.side_files import TRUTH_FILE
 
 Progress = Callable[[str, int, int], None]  # what, done, of
@@ -42,7 +42,7 @@ def no_progress(_what: str, _done: int, _of: int) -> None:
 
 def recording_key(scenario: Scenario) -> str:
     """Return a digest of everything that shapes the recordings; what is on file of track and profiles does not."""
-    section = replace(scenario.section, surveyed=False, gauge_surveyed=False)
+    section = replace(scenario.section, surveyed=False, gauge_surveyed=False, survey=SurveyPlan())
     drawn = None if scenario.drawn is None else replace(scenario.drawn, profiles_measured=0)
     shaping = replace(scenario, name="", description="", section=section, drawn=drawn)
     return hashlib.sha256(repr(shaping).encode()).hexdigest()[:20]

@@ -11,15 +11,16 @@ from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.drawn_fleet import vehicle_parameters
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset, travelled
-from ingest.simulator.scenario import Scenario, SpeedRange, VehiclePlan, WheelsetPlan
+from ingest.simulator.scenario import NORMAL_REACH, Scenario, SpeedRange, VehiclePlan, WheelsetPlan
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
-from ingest.simulator.track import TrackTruth, make_track, read_track
-from ingest.simulator.wear import displacement_limit, gauge_grid, wear_at, worn_contact
+from ingest.simulator.table_range import displacement_limit, first_climb, gauge_grid
+from ingest.simulator.track import TrackRecipe, TrackTruth, from_zero, make_track, read_track
+from ingest.simulator.wear import wear_at, worn_contact
 
 MARGIN = 200.0  # m of track beyond both ends of a section that runs cross as a whole
 LEAD_IN = 160.0  # m before such a section where a run begins
 RUN_OUT = 50.0  # m behind it where the last axle ends
-_TRACK, _SPEED, _SENSOR, _OFFSETS, BUS, SURVEY, _POSITION = range(7)
+_TRACK, _SPEED, _SENSOR, _OFFSETS, BUS, _, _POSITION = range(7)
 """First word of the key of each random stream, so that no two share one."""
 
 
@@ -55,13 +56,24 @@ def scenario_track(scenario: Scenario) -> TrackTruth:
     """
     section = scenario.section
     if section.file is not None:
-        return read_track(section.file)
+        return from_zero(read_track(section.file))
     assert section.recipe is not None
+    return make_track(with_margins(scenario, section.recipe), seed_of(scenario, _TRACK))
+
+
+def with_margins(scenario: Scenario, recipe: TrackRecipe) -> TrackRecipe:
+    """Return the recipe of a section with what runs over the whole of it cross before and behind.
+
+    Parameters
+    ----------
+    scenario
+        Whether runs are over the whole section.
+    recipe
+        Of the section alone.
+    """
     if not scenario.sessions.whole_section:
-        return make_track(section.recipe, seed_of(scenario, _TRACK))
-    longer = replace(section.recipe, length=section.recipe.length + 2.0 * MARGIN)
-    made = make_track(longer, seed_of(scenario, _TRACK))
-    return replace(made, s=made.s - MARGIN)
+        return recipe
+    return replace(recipe, length=recipe.length + 2.0 * MARGIN, begin=-MARGIN)
 
 
 def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, campaign: int) -> VehicleRun:
@@ -89,7 +101,7 @@ def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, cam
         speed, distance = _across(scenario, vehicle, speed)
         return _run(scenario, vehicle, campaign, speed, distance)
     run = float(travelled(speed, 0.0)[-1])
-    first = float(track.s[0]) + vehicle.axle_offsets[-1] + 1.0 + scenario.position.offset
+    first = float(track.s[0]) + vehicle.axle_offsets[-1] + 1.0 + scenario.position.largest_offset
     room = float(track.s[-1]) - 1.0 - first - run
     if room < 0.0:
         raise ScenarioError(
@@ -126,7 +138,10 @@ def _run(
 def _reported(scenario: Scenario, vehicle: VehiclePlan, campaign: int, distance: FloatArray) -> FloatArray:
     """Return the positions (n,) that a vehicle reports: off by an offset and a scale error of this run."""
     rng = np.random.default_rng(seed_of(scenario, _POSITION, scenario.vehicles.index(vehicle), campaign))
-    offset, scale = rng.uniform(-1.0, 1.0, 2) * (scenario.position.offset, scenario.position.scale)
+    errors = scenario.position
+    offset, scale = rng.uniform(-1.0, 1.0, 2) * (errors.offset, errors.scale)
+    normal = np.clip(rng.standard_normal(2), -NORMAL_REACH, NORMAL_REACH) * (errors.offset_std, errors.scale_std)
+    offset, scale = offset + normal[0], scale + normal[1]
     return np.asarray(distance + offset + scale * (distance - distance[0]))
 
 
@@ -161,10 +176,12 @@ def wheelset_motion(
     start = float(run.distance[0]) - run.vehicle.axle_offsets[axle]
     parameters = vehicle_parameters(scenario, run.vehicle.code)
     motion = simulate_wheelset(parameters, table, track, run.speed, start)
-    if motion.outside:
+    at = first_climb(table, motion)
+    if at is not None:
         raise DerailmentError(
-            f"{plan.serial} derails in campaign {run.campaign + 1}: {motion.outside} samples are beyond "
-            f"{1e3 * table.lateral_displacement[-1]:.1f} mm",
+            f"{plan.serial} derails in campaign {run.campaign + 1}: at {motion.distance[at]:.1f} m of the section a "
+            f"wheel climbs its rail, {1e3 * motion.relative_displacement[at]:+.1f} mm beside the track centre in "
+            f"{1e3 * motion.gauge_deviation[at]:+.1f} mm of gauge deviation",
             field=f"vehicles.{run.vehicle.code}",
         )
     return motion
@@ -184,7 +201,7 @@ def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odomet
     odometer
         Of the vehicle, m.
     """
-    gauges, limit = gauge_grid(track), displacement_limit(scenario)
+    gauges, limit = gauge_grid(track), displacement_limit(scenario, track)
     return worn_contact(plan, wear_at(plan, odometer), scenario.section, gauges, limit)
 
 

@@ -15,12 +15,10 @@ from ingest.frames import FrameBatch
 from ingest.logs.blf_writer import write_blf
 from ingest.simulator.bus_frames import vehicle_frames
 from ingest.simulator.campaign import (
-    SURVEY,
     DerailmentError,
     contact_of,
     failed,
     scenario_track,
-    seed_of,
     vehicle_run,
     wheelset_motion,
     wheelset_record,
@@ -28,7 +26,8 @@ from ingest.simulator.campaign import (
 from ingest.simulator.drawn_fleet import WEAR_SHARES, no_wear_left, with_less_wear
 from ingest.simulator.scenario import Scenario, VehiclePlan
 from ingest.simulator.sensors import SensorRecord
-from ingest.simulator.side_files import WheelsetTruth, surveyed, wheelset_truth, write_registry, write_truth
+from ingest.simulator.side_files import WheelsetTruth, wheelset_truth, write_registry, write_truth
+from ingest.simulator.survey import surveyed
 from ingest.simulator.track import TrackTruth
 from ingest.simulator.wear import truth_of
 
@@ -121,7 +120,7 @@ def prepare(scenario: Scenario, out: Path) -> Path:
     """Write the registry of ``scenario`` and the track that is on file into ``out``; return the registry's path."""
     out.mkdir(parents=True, exist_ok=True)
     track = scenario_track(scenario)
-    return write_registry(out, scenario, track, surveyed(scenario, track, seed_of(scenario, SURVEY)))
+    return write_registry(out, scenario, track, surveyed(scenario, track))
 
 
 Campaigns = tuple[int, ...]

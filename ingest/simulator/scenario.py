@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from ingest.simulator.track import TrackRecipe
 
 DAY_NS = 86_400_000_000_000
 SECOND_NS = 1_000_000_000
+NORMAL_REACH = 3.0  # standard deviations that a normal error of the position is at most
 
 
 class FaultKind(StrEnum):
@@ -67,6 +68,20 @@ class VehiclePlan:
 
 
 @dataclass(frozen=True, slots=True)
+class SurveyPlan:
+    """How the survey that is on file is wrong, beside its own errors, and what it states of these."""
+
+    other_section: bool = False  # it is of another section: that in ``file``, else one drawn by the same recipe
+    file: Path | None = None
+    shift: float = 0.0  # m, by which it is further on than the track
+    alignment_factor: float = 1.0
+    gauge_factor: float = 1.0
+    gauge: bool = True  # False: no gauge was surveyed, the file has zeros
+    stated_alignment_std: float | None = None  # m; None: that of its errors
+    stated_gauge_std: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class SectionPlan:
     """The track section that all campaigns run on: by recipe, or from a recorded file."""
 
@@ -78,12 +93,25 @@ class SectionPlan:
     nominal_gauge: float  # m
     recipe: TrackRecipe | None
     file: Path | None
-    survey_alignment_std: float  # m: error of the alignment that is on file, as the registry states it
+    survey_alignment_std: float  # m: error of the alignment that is on file
     survey_gauge_std: float  # m
     surveyed: bool  # whether a survey is on file at all
     gauge_surveyed: bool  # whether the gauge is on file even without a survey
     latitude: float  # deg, of the section's start
     longitude: float
+    survey: SurveyPlan = field(default_factory=SurveyPlan)
+
+    @property
+    def stated_alignment_std(self) -> float:
+        """Standard deviation of the alignment that is on file, as the registry states it, m."""
+        stated = self.survey.stated_alignment_std
+        return self.survey_alignment_std if stated is None else stated
+
+    @property
+    def stated_gauge_std(self) -> float:
+        """The same of the gauge deviation, m."""
+        stated = self.survey.stated_gauge_std
+        return self.survey_gauge_std if stated is None else stated
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,10 +143,17 @@ class Sessions:
 
 @dataclass(frozen=True, slots=True)
 class PositionErrors:
-    """How far the positions that a vehicle reports are off: uniform up to these, one draw per run."""
+    """How far the positions that a vehicle reports are off, one draw per run: uniform errors plus normal ones."""
 
-    offset: float  # m
-    scale: float  # share of the distance run
+    offset: float  # m, at most
+    scale: float  # share of the distance run, at most
+    offset_std: float = 0.0  # m; drawn within three of them
+    scale_std: float = 0.0
+
+    @property
+    def largest_offset(self) -> float:
+        """The largest offset that may be drawn, m."""
+        return self.offset + NORMAL_REACH * self.offset_std
 
 
 @dataclass(frozen=True, slots=True)

@@ -116,44 +116,12 @@ def write_truth(folder: Path, scenario: Scenario, truths: Sequence[WheelsetTruth
     return write_json(folder / TRUTH_FILE, content)
 
 
-def surveyed(scenario: Scenario, track: TrackTruth, seed: np.random.SeedSequence) -> TrackTruth:
-    """Return the track as a recording car would put it on file: the truth and white survey errors, curves as built.
-
-    The errors are those of the survey's standard deviations, smoothed over some 2 m as a chord does.
-
-    Parameters
-    ----------
-    scenario
-        Standard deviations of the survey.
-    track
-        The true track.
-    seed
-        Of the survey's errors.
-    """
-    rng = np.random.default_rng(seed)
-    section = scenario.section
-    return TrackTruth(
-        track.s,
-        track.alignment + _survey_error(len(track.s), section.survey_alignment_std, track.interval, rng),
-        track.gauge_deviation + _survey_error(len(track.s), section.survey_gauge_std, track.interval, rng),
-        track.curves,
-    )
-
-
 def write_json(path: Path, content: JsonValue) -> Path:
     """Write a JSON file so that it is either there whole or not at all."""
     partial = path.with_name(path.name + ".partial")
     partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     os.replace(partial, path)  # noqa: PTH105 - Path.replace is the same call
     return path
-
-
-def _survey_error(n: int, std: float, interval: float, rng: np.random.Generator) -> FloatArray:
-    white = rng.standard_normal(n)
-    if std == 0.0:
-        return np.zeros(n)
-    window = np.hanning(max(3, round(4.0 / interval)))
-    return np.asarray(std * np.convolve(white, window / np.sqrt((window**2).sum()), mode="same"))
 
 
 def _section(section: SectionPlan, length: float, track_file: str) -> JsonValue:
@@ -169,8 +137,8 @@ def _section(section: SectionPlan, length: float, track_file: str) -> JsonValue:
     if section.surveyed or section.gauge_surveyed:
         known: dict[str, JsonValue] = {"file": track_file}
         if section.surveyed:
-            known["alignment_std_mm"] = 1e3 * section.survey_alignment_std
-        entry["alignment"] = known | {"gauge_deviation_std_mm": 1e3 * section.survey_gauge_std}
+            known["alignment_std_mm"] = 1e3 * section.stated_alignment_std
+        entry["alignment"] = known | {"gauge_deviation_std_mm": 1e3 * section.stated_gauge_std}
     return entry
 
 

@@ -2,7 +2,7 @@
 
 Densities are one-sided over angular wavenumber W (rad/m): the variance is their integral over W > 0. Recorded lines
 have far more gauge variation than the German gauge spectrum gives, so the level is set by standard deviation and
-only the *form* is taken from the spectrum.
+only the *form* is taken from the spectrum. Random phases make the values Gaussian; ``kurtosis`` changes that.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def synthesise(
     ParameterError
         The band is empty or not resolved by ``interval``, or the stretch is shorter than the longest wavelength.
     """
-    low, high = _band(wavelengths)
+    _band(wavelengths)
     if wavelengths[0] < 4.0 * interval:
         raise ParameterError(f"a grid of {interval} m cannot carry a wavelength of {wavelengths[0]} m")
     if length < wavelengths[1]:
@@ -103,14 +103,55 @@ def synthesise(
     count = round(length / interval) + 1
     if target_std == 0.0:
         return np.zeros(count)
-    size = scipy.fft.next_fast_len(count + round(wavelengths[1] / interval), real=True)
+    values = periodic(kind, period_of(count, wavelengths[1], interval), interval, wavelengths, rng)[:count]
+    values -= values.mean()
+    return np.asarray(values * (target_std / values.std()))
+
+
+def period_of(count: int, longest: float, interval: float) -> int:
+    """Return how many points a periodic irregularity has of which ``count`` points are used.
+
+    Parameters
+    ----------
+    count
+        Points that are used.
+    longest
+        Longest wavelength, m: that much is left over, so that begin and end do not follow each other.
+    interval
+        Between points, m.
+    """
+    return int(scipy.fft.next_fast_len(count + round(longest / interval), real=True))
+
+
+def periodic(
+    kind: Irregularity, size: int, interval: float, wavelengths: tuple[float, float], rng: np.random.Generator
+) -> FloatArray:
+    """Return one period (size,) of an irregularity, of any level: every line inside the band has a random phase.
+
+    Parameters
+    ----------
+    kind
+        Alignment or gauge.
+    size
+        Points.
+    interval
+        Between points, m.
+    wavelengths
+        Shortest and longest, m.
+    rng
+        Source of the phases.
+
+    Raises
+    ------
+    ParameterError
+        The band is empty.
+    """
+    low, high = _band(wavelengths)
     wavenumber = 2.0 * np.pi * scipy.fft.rfftfreq(size, interval)
     inside = (wavenumber >= low) & (wavenumber <= high)
     amplitude = np.where(inside, np.sqrt(density(kind, np.maximum(wavenumber, low))), 0.0)
     phase = rng.uniform(0.0, 2.0 * np.pi, len(wavenumber))
-    values = np.asarray(scipy.fft.irfft(amplitude * np.exp(1j * phase), size))[:count]
-    values -= values.mean()
-    return np.asarray(values * (target_std / values.std()))
+    return np.asarray(scipy.fft.irfft(amplitude * np.exp(1j * phase), size))
 
 
 def _band(wavelengths: tuple[float, float]) -> tuple[float, float]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,10 @@ from scipy.interpolate import CubicSpline
 from estimation.errors import InputError, ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.curves import Curve, Curves, laid_out
-from ingest.simulator.spectra import synthesise
+from ingest.simulator.irregularity import Waves, superpose
+from ingest.simulator.isolated import Isolated, isolated
+from ingest.simulator.kurtosis import GAUSSIAN
+from ingest.simulator.spectra import Irregularity
 from ingest.track_file import (
     COLUMNS,
     FEWEST_POINTS,
@@ -21,6 +25,11 @@ from ingest.track_file import (
     read_layout_columns,
     read_track_columns,
 )
+
+LARGEST_GAP = 2.0  # m between two rows of a recorded track
+MOST_ALIGNMENT = 0.3  # m; recorded alignment may hold long waves
+MOST_GAUGE = 0.06  # m
+LEAST_IN_MM = 0.05e-3  # m: nothing recorded stays below it
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +63,14 @@ class TrackTruth:
         """Length from first to last grid point, m."""
         return float(self.s[-1] - self.s[0])
 
+    def gauge_range(self) -> tuple[float, float]:
+        """Return the least and the greatest gauge deviation, m, at the grid points and half way between them."""
+        e = self.gauge_deviation
+        if float(e.max()) == float(e.min()):
+            return float(e[0]), float(e[0])
+        between = CubicSpline(self.s, e, bc_type="natural")(self.s[:-1] + 0.5 * self.interval)
+        return float(min(e.min(), between.min())), float(max(e.max(), between.max()))
+
     def spline_coefficients(self) -> FloatArray:
         """Return (n - 1, 8): per grid cell the cubic of alignment, then of gauge deviation, highest power first."""
         cubic = CubicSpline(self.s, np.column_stack([self.alignment, self.gauge_deviation]), bc_type="natural")
@@ -62,7 +79,11 @@ class TrackTruth:
 
 @dataclass(frozen=True, slots=True)
 class TrackRecipe:
-    """How to make a track: lengths in m, standard deviations in m over the band of ``wavelengths``."""
+    """How to make a track: lengths in m, standard deviations in m over the band of ``wavelengths``.
+
+    The long waves are added to the irregularities of that band; kurtosis is that of their sum, before the isolated
+    irregularities. The mean of the gauge deviation is ``gauge_offset``, without the latter.
+    """
 
     length: float
     interval: float = 0.25
@@ -71,29 +92,73 @@ class TrackRecipe:
     gauge_offset: float = 0.0
     wavelengths: tuple[float, float] = (3.0, 70.0)
     curves: tuple[Curve, ...] = ()
+    long_alignment: Waves | None = None
+    long_gauge: Waves | None = None
+    alignment_kurtosis: float = GAUSSIAN
+    gauge_kurtosis: float = GAUSSIAN
+    isolated: tuple[Isolated, ...] = ()
+    begin: float = 0.0  # distance of the first point
+
+    def without_irregularities(self) -> TrackRecipe:
+        """Return the recipe of the same track as it was designed: straight between its curves, at nominal gauge."""
+        return TrackRecipe(
+            length=self.length,
+            interval=self.interval,
+            alignment_std=0.0,
+            wavelengths=self.wavelengths,
+            curves=self.curves,
+            begin=self.begin,
+        )
+
+    @property
+    def gauge_varies(self) -> bool:
+        """Whether the gauge deviation is not the same everywhere."""
+        return self.gauge_std > 0.0 or self.long_gauge is not None or any(item.gauge for item in self.isolated)
 
 
 def make_track(recipe: TrackRecipe, seed: np.random.SeedSequence) -> TrackTruth:
-    """Return a track after the B176 spectra; alignment and gauge have random streams of their own."""
-    alignment_rng, gauge_rng = (np.random.default_rng(child) for child in seed.spawn(2))
-    alignment = synthesise(
-        "alignment",
-        length=recipe.length,
-        interval=recipe.interval,
-        target_std=recipe.alignment_std,
-        wavelengths=recipe.wavelengths,
-        rng=alignment_rng,
-    )
-    gauge = recipe.gauge_offset + synthesise(
-        "gauge",
-        length=recipe.length,
-        interval=recipe.interval,
-        target_std=recipe.gauge_std,
-        wavelengths=recipe.wavelengths,
-        rng=gauge_rng,
-    )
-    s = recipe.interval * np.arange(len(alignment), dtype=np.float64)
+    """Return a track after the B176 spectra; alignment, gauge and all else have random streams of their own.
+
+    Parameters
+    ----------
+    recipe
+        What is on the track.
+    seed
+        Of all random streams.
+
+    Raises
+    ------
+    ParameterError
+        The recipe cannot be made; its field is that of a scenario's section.
+    """
+    alignment_rng, gauge_rng, *others = (np.random.default_rng(child) for child in seed.spawn(4 + len(recipe.isolated)))
+    alignment_parts = [Waves("alignment", recipe.alignment_std, recipe.wavelengths), recipe.long_alignment]
+    gauge_parts = [Waves("gauge", recipe.gauge_std, recipe.wavelengths), recipe.long_gauge]
+    alignment = _irregularity(recipe, "alignment", alignment_parts, (alignment_rng, others[0]))
+    gauge = _irregularity(recipe, "gauge", gauge_parts, (gauge_rng, others[1]))
+    s = recipe.begin + recipe.interval * np.arange(len(alignment), dtype=np.float64)
+    gauge = recipe.gauge_offset + gauge
+    if recipe.isolated:
+        added = isolated(recipe.isolated, s, others[2:])
+        alignment, gauge = alignment + added[0], gauge + added[1]
     return TrackTruth(s, alignment, gauge, laid_out(recipe.curves, s) if recipe.curves else None)
+
+
+def _irregularity(
+    recipe: TrackRecipe, name: Irregularity, parts: Sequence[Waves | None], rngs: Sequence[np.random.Generator]
+) -> FloatArray:
+    present = [(part, rng) for part, rng in zip(parts, rngs, strict=True) if part is not None]
+    try:
+        return superpose(
+            [part for part, _ in present],
+            [rng for _, rng in present],
+            length=recipe.length,
+            interval=recipe.interval,
+            kurtosis=recipe.alignment_kurtosis if name == "alignment" else recipe.gauge_kurtosis,
+        )
+    except ParameterError as error:
+        field = f"section.{name}" if error.field is None else f"section.{name}_{error.field}"
+        raise ParameterError(error.reason, field=field) from error
 
 
 def read_track(path: Path, interval: float | None = None) -> TrackTruth:
@@ -105,7 +170,8 @@ def read_track(path: Path, interval: float | None = None) -> TrackTruth:
     Raises
     ------
     ScenarioError
-        The file cannot be read, a column is missing, or a cell is not a finite number; names file, line and column.
+        The file cannot be read, a column is missing, a cell is not a finite number, more than 2 m are missing, or
+        values are in another unit; names file, line and column.
     """
     try:
         table = read_track_columns(path)
@@ -113,6 +179,7 @@ def read_track(path: Path, interval: float | None = None) -> TrackTruth:
     except InputError as error:
         raise ScenarioError(error.reason, file=error.file, line=error.line, field=error.field) from error
     s = table[:, 0]
+    _check_recorded(path, table)
     spacing = float(np.median(np.diff(s))) if interval is None else interval
     grid = s[0] + spacing * np.arange(math.floor((s[-1] - s[0]) / spacing * (1 + 1e-12)) + 1)
     if len(grid) < FEWEST_POINTS:
@@ -125,6 +192,27 @@ def read_track(path: Path, interval: float | None = None) -> TrackTruth:
     if layout is not None:
         curves = Curves(np.interp(grid, s, layout[:, 1]), np.interp(grid, s, layout[:, 2]))
     return TrackTruth(grid, values[:, 0], values[:, 1], curves)
+
+
+def _check_recorded(path: Path, table: FloatArray) -> None:
+    """Refuse gaps that nothing can be put into, and values that are in another unit than mm."""
+    s, steps = table[:, 0], np.diff(table[:, 0])
+    widest = int(np.argmax(steps))
+    if steps[widest] > LARGEST_GAP:
+        reason = f"nothing between {s[widest]:g} and {s[widest + 1]:g} m; at most {LARGEST_GAP:g} m may be missing"
+        raise ScenarioError(reason, file=path, line=widest + 3, field=COLUMNS[0])
+    for name, values, most in zip(COLUMNS[1:], table.T[1:], (MOST_ALIGNMENT, MOST_GAUGE), strict=True):
+        largest = float(np.abs(values).max())
+        if largest > most:
+            reason = f"{1e3 * largest:g} mm is on no line, at most {1e3 * most:g} mm; another unit?"
+            raise ScenarioError(reason, file=path, field=name)
+        if 0.0 < largest < LEAST_IN_MM:
+            raise ScenarioError(f"at most {1e3 * largest:g} mm anywhere; is this in metres?", file=path, field=name)
+
+
+def from_zero(track: TrackTruth) -> TrackTruth:
+    """Return a recorded track whose distance counts from its first point."""
+    return replace(track, s=track.s - track.s[0])
 
 
 def write_track(path: Path, track: TrackTruth, *, gauge_only: bool = False) -> None:

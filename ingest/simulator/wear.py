@@ -12,14 +12,9 @@ from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.table import ContactTable
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray, frozen_array
-from ingest.simulator.scenario import Scenario, SectionPlan, WheelsetPlan
-from ingest.simulator.track import TrackTruth
+from ingest.simulator.scenario import SectionPlan, WheelsetPlan
 
-DISPLACEMENT_LIMIT = 8e-3  # m
-DRAWN_LIMIT = 12e-3  # m, the same of a drawn fleet, whose worn wheelsets swing further
-DRAWN_LIMIT_WIDE = 15e-3  # m, the same where gauge varies: flanges are further apart in wide gauge
 DISPLACEMENT_STEP = 0.05e-3  # m
-GAUGE_STEP = 0.5e-3  # m: contact jumps move over y - d by half the gauge deviation, and tables blend between steps
 AMPLITUDES = tuple(float(a) for a in np.arange(2, 21) * 0.25e-3)  # m
 
 
@@ -43,29 +38,12 @@ def wear_at(plan: WheelsetPlan, odometer: float) -> WearState:
     )
 
 
-def gauge_grid(track: TrackTruth) -> FloatArray:
-    """Return the gauge deviations (g,) that a contact table needs for ``track``: one where the gauge is constant."""
-    low, high = float(track.gauge_deviation.min()), float(track.gauge_deviation.max())
-    if high - low < 1e-9:  # noqa: PLR2004 - a nanometre is constant
-        return np.array([0.5 * (low + high)])
-    first, last = np.floor(low / GAUGE_STEP), np.ceil(high / GAUGE_STEP)
-    return np.asarray(GAUGE_STEP * np.arange(first, last + 1.0))
-
-
-def displacement_limit(scenario: Scenario) -> float:
-    """Return the lateral displacement, m, beyond which a wheelset of the scenario derails."""
-    if scenario.drawn is None:
-        return DISPLACEMENT_LIMIT
-    recipe = scenario.section.recipe
-    return DRAWN_LIMIT if recipe is not None and recipe.gauge_std == 0.0 else DRAWN_LIMIT_WIDE
-
-
 def worn_contact(
     plan: WheelsetPlan,
     wear: WearState,
     section: SectionPlan,
     gauge_deviation: FloatArray,
-    limit: float = DISPLACEMENT_LIMIT,
+    limit: float,
 ) -> ContactTable:
     """Return the contact geometry of a worn wheelset on ``section``, rigid with roll.
 

@@ -76,10 +76,17 @@ class PositionTable(InputTable):
 
     largest_offset_m: float = Field(default=0.0, ge=0.0, le=1000.0)
     largest_scale_percent: float = Field(default=0.0, ge=0.0, le=10.0)
+    offset_std_m: float = Field(default=0.0, ge=0.0, le=300.0)
+    scale_std_percent: float = Field(default=0.0, ge=0.0, le=3.0)
 
     def plan(self) -> PositionErrors:
         """Return the position errors in SI units."""
-        return PositionErrors(offset=self.largest_offset_m, scale=self.largest_scale_percent / 100.0)
+        return PositionErrors(
+            offset=self.largest_offset_m,
+            scale=self.largest_scale_percent / 100.0,
+            offset_std=self.offset_std_m,
+            scale_std=self.scale_std_percent / 100.0,
+        )
 
 
 class BusTable(InputTable):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -10,12 +11,23 @@ from pydantic import AfterValidator, Field, model_validator
 
 from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
 from ingest.simulator.curves import Curve
+from ingest.simulator.isolated import IsolatedKind
+from ingest.simulator.kurtosis import GAUSSIAN, HIGHEST
 from ingest.simulator.scenario import SectionPlan
+from ingest.simulator.scenario_schema.irregularities import (
+    DefectTable,
+    IsolatedTable,
+    JointTable,
+    LongWavesTable,
+    SwitchTable,
+)
 from ingest.simulator.scenario_schema.profile_names import RailName
+from ingest.simulator.scenario_schema.survey import SurveyTable
 from ingest.simulator.scenario_schema.units import MM
 from ingest.simulator.track import TrackRecipe
 
 MIN_CURVE_RADIUS = 150.0  # m
+Kurtosis = Annotated[float, Field(ge=GAUSSIAN, le=HIGHEST)]
 
 
 def _curve_radius(radius: float) -> float:
@@ -63,6 +75,7 @@ class SectionTable(InputTable):
     survey_gauge_std_mm: NotNegative = 0.0
     surveyed: bool = True
     gauge_surveyed: bool = False
+    survey: SurveyTable = Field(default_factory=SurveyTable)
     latitude_deg: float = Field(default=51.5, ge=-90.0, le=90.0)
     longitude_deg: float = Field(default=-0.2, ge=-180.0, le=180.0)
     file: Text | None = None
@@ -73,7 +86,14 @@ class SectionTable(InputTable):
     alignment_std_mm: float = Field(default=2.0, ge=0.0, le=50.0)
     gauge_std_mm: float = Field(default=0.0, ge=0.0, le=20.0)
     gauge_offset_mm: float = Field(default=0.0, ge=-20.0, le=40.0)
+    alignment_kurtosis: Kurtosis = GAUSSIAN
+    gauge_kurtosis: Kurtosis = GAUSSIAN
+    long_alignment: LongWavesTable | None = None
+    long_gauge: LongWavesTable | None = None
     curves: list[CurveTable] = Field(default_factory=list)
+    defects: list[DefectTable] = Field(default_factory=list)
+    switches: list[SwitchTable] = Field(default_factory=list)
+    joints: list[JointTable] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _check_recipe(self) -> Self:
@@ -94,6 +114,32 @@ class SectionTable(InputTable):
                 f"and at most the section's {self.length_m:g} m",
                 "longest_wavelength_m",
             )
+        for key, waves in (("long_alignment", self.long_alignment), ("long_gauge", self.long_gauge)):
+            if waves is not None and waves.longest_wavelength_m > self.length_m:
+                reason = f"{waves.longest_wavelength_m:g} m; the section has {self.length_m:g} m"
+                raise field_error(reason, key, "longest_wavelength_m")
+        return self
+
+    @model_validator(mode="after")
+    def _check_isolated(self) -> Self:
+        length = math.inf if self.length_m is None else self.length_m
+        for kind, tables in self._isolated().items():
+            for index, table in enumerate(tables):
+                for key, reason in table.impossible(self.interval_m, length):
+                    raise field_error(reason, _ISOLATED_KEYS[kind], index, key)
+        return self
+
+    def _isolated(self) -> Mapping[IsolatedKind, Sequence[IsolatedTable]]:
+        return {
+            IsolatedKind.DEFECT: self.defects,
+            IsolatedKind.SWITCH: self.switches,
+            IsolatedKind.JOINT: self.joints,
+        }
+
+    @model_validator(mode="after")
+    def _check_survey(self) -> Self:
+        if self.survey.other_section and self.survey.file is None and self.file is not None:
+            raise field_error("is missing; another section cannot be drawn beside a recorded track", "survey", "file")
         return self
 
     @model_validator(mode="after")
@@ -126,6 +172,7 @@ class SectionTable(InputTable):
             survey_gauge_std=MM * self.survey_gauge_std_mm,
             surveyed=self.surveyed,
             gauge_surveyed=self.gauge_surveyed,
+            survey=self.survey.plan(folder),
             latitude=self.latitude_deg,
             longitude=self.longitude_deg,
         )
@@ -141,6 +188,11 @@ class SectionTable(InputTable):
             gauge_offset=MM * self.gauge_offset_mm,
             wavelengths=(self.shortest_wavelength_m, self.longest_wavelength_m),
             curves=tuple(curve.plan() for curve in self.curves),
+            long_alignment=None if self.long_alignment is None else self.long_alignment.plan(),
+            long_gauge=None if self.long_gauge is None else self.long_gauge.plan(),
+            alignment_kurtosis=self.alignment_kurtosis,
+            gauge_kurtosis=self.gauge_kurtosis,
+            isolated=tuple(table.plan(kind) for kind, tables in self._isolated().items() for table in tables),
         )
 
 
@@ -153,4 +205,12 @@ _RECIPE_KEYS = (
     "gauge_std_mm",
     "gauge_offset_mm",
     "curves",
+    "alignment_kurtosis",
+    "gauge_kurtosis",
+    "long_alignment",
+    "long_gauge",
+    "defects",
+    "switches",
+    "joints",
 )
+_ISOLATED_KEYS = {IsolatedKind.DEFECT: "defects", IsolatedKind.SWITCH: "switches", IsolatedKind.JOINT: "joints"}

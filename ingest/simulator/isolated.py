@@ -1,0 +1,90 @@
+"""Isolated irregularities of a track: defects, switches and joints, at given places or drawn at a rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from estimation.errors import ParameterError
+from estimation.values.arrays import FloatArray
+
+FEWEST_INTERVALS = 8  # of the grid over an isolated irregularity
+DRAWN_SHARE = (0.5, 1.5)  # of the size, of one that is drawn
+
+
+class IsolatedKind(StrEnum):
+    """What it is; this decides its shapes over its length."""
+
+    DEFECT = "defect"  # alignment and gauge rise and fall as one wave of a cosine
+    SWITCH = "switch"  # alignment has a kink in the middle; gauge stays off over the middle half
+    JOINT = "joint"  # alignment has a kink in the middle; gauge as of a defect
+
+
+@dataclass(frozen=True, slots=True)
+class Isolated:
+    """Isolated irregularities of one kind and size; m.
+
+    Where they are drawn, their number is Poisson distributed, their sizes vary by ``DRAWN_SHARE``, and their alignment
+    is to either side.
+    """
+
+    kind: IsolatedKind
+    length: float  # from begin to end
+    alignment: float  # in the middle, positive to the left
+    gauge: float  # in the middle, positive is wide
+    at: tuple[float, ...] = ()  # middles, distance along the section
+    per_metre: float = 0.0  # drawn beside those
+
+
+def isolated(items: Sequence[Isolated], s: FloatArray, rngs: Sequence[np.random.Generator]) -> FloatArray:
+    """Return what isolated irregularities add to alignment and gauge deviation (2, n), m.
+
+    Parameters
+    ----------
+    items
+        What there is.
+    s
+        (n,) m, uniform.
+    rngs
+        Of those that are drawn, one per item.
+
+    Raises
+    ------
+    ParameterError
+        One is shorter than the grid carries, or is not on the track.
+    """
+    added = np.zeros((2, len(s)))
+    for item, rng in zip(items, rngs, strict=True):
+        _check(item, s)
+        for at in item.at:
+            added += _shape(item, s, at)
+        for _ in range(rng.poisson(item.per_metre * float(s[-1] - s[0]))):
+            at, share = rng.uniform(float(s[0]), float(s[-1])), rng.uniform(*DRAWN_SHARE)
+            side = rng.choice((-1.0, 1.0))
+            added += share * np.array([[side], [1.0]]) * _shape(item, s, at)
+    return added
+
+
+def _check(item: Isolated, s: FloatArray) -> None:
+    interval = float(s[1] - s[0])
+    if item.length < FEWEST_INTERVALS * interval:
+        raise ParameterError(
+            f"a {item.kind} of {item.length:g} m is too short for a grid of {interval:g} m", field="length_m"
+        )
+    for at in item.at:
+        if not s[0] <= at <= s[-1]:
+            raise ParameterError(f"{at:g} m is not on the track, {s[0]:g} to {s[-1]:g} m", field="at_m")
+
+
+def _shape(item: Isolated, s: FloatArray, at: float) -> FloatArray:
+    """Return alignment and gauge (2, n) of one irregularity; 0 outside its length."""
+    u = np.clip((s - at) / item.length, -0.5, 0.5)
+    wave = 0.5 * (1.0 + np.cos(2.0 * np.pi * u))
+    kink = (1.0 - 2.0 * np.abs(u)) ** 2
+    plateau = 0.5 * (1.0 + np.cos(2.0 * np.pi * np.clip(2.0 * np.abs(u) - 0.5, 0.0, 0.5)))
+    line = wave if item.kind is IsolatedKind.DEFECT else kink
+    wide = plateau if item.kind is IsolatedKind.SWITCH else wave
+    return np.stack([item.alignment * line, item.gauge * wide])
