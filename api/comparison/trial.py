@@ -45,7 +45,10 @@ def recording_key(scenario: Scenario) -> str:
     section = replace(scenario.section, surveyed=False, gauge_surveyed=False, survey=SurveyPlan())
     drawn = None if scenario.drawn is None else replace(scenario.drawn, profiles_measured=0)
     shaping = replace(scenario, name="", description="", section=section, drawn=drawn)
-    return hashlib.sha256(repr(shaping).encode()).hexdigest()[:20]
+    digest = hashlib.sha256(repr(shaping).encode())
+    for path in scenario.files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:20]
 
 
 def record(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.contact.table import ContactTable
-from estimation.errors import ScenarioError
+from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.drawn_fleet import vehicle_parameters
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset, travelled
@@ -200,9 +200,17 @@ def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odomet
         Wheel profile and course of wear.
     odometer
         Of the vehicle, m.
+
+    Raises
+    ------
+    ScenarioError
+        The profiles do not touch on both sides at every gauge of the track, or cannot wear that much.
     """
     gauges, limit = gauge_grid(track), displacement_limit(scenario, track)
-    return worn_contact(plan, wear_at(plan, odometer), scenario.section, gauges, limit)
+    try:
+        return worn_contact(plan, wear_at(plan, odometer), scenario.section, gauges, limit)
+    except (ContactError, ProfileError) as error:
+        raise ScenarioError(f"{plan.serial} on {scenario.section.code}: {error.reason}", field=error.field) from error
 
 
 def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> SensorRecord:

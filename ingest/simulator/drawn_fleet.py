@@ -1,7 +1,8 @@
-"""A fleet whose wheelsets are drawn instead of listed: wear by rank, wheel and rail by seed."""
+"""A fleet whose wheelsets are drawn instead of listed: wear by rank or distribution, wheel and rail by seed."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,14 +10,24 @@ import numpy as np
 from estimation.contact.wear import WearFamily, wear_course
 from estimation.errors import ScenarioError
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from ingest.simulator.scenario import DrawnFleet, Scenario, VehiclePlan, WheelsetPlan
+from ingest.simulator.scenario import (
+    DrawnFleet,
+    FleetWear,
+    ProfilePair,
+    Scenario,
+    SideFiles,
+    VehiclePlan,
+    WearDistribution,
+    WheelsetPlan,
+)
 
-ASYMMETRY = 0.08  # std of the share by which left wear is above the mean
 AXLE_SPACING = 2.6  # m
 NOMINAL_RADIUS = 0.45  # m
+MOST_DRAWS = 1000  # of a wear within its limits
 NORMAL_95 = 1.96  # a 95 % limit in standard deviations
 WEAR_SHARES = (1.0, 0.85, 0.7, 0.5, 1.5)  # tried in turn until a wheelset stays on the rails
-_WEAR, _CREEP, _VEHICLE = 20, 21, 22  # first words of the keys of random streams, beside those of ``campaign``
+_WEAR, _CREEP, _VEHICLE, _WHEEL = 20, 21, 22, 23
+"""First words of the keys of random streams, beside those of ``campaign``."""
 
 
 def with_seed(scenario: Scenario, seed: int) -> Scenario:
@@ -33,6 +44,8 @@ def with_seed(scenario: Scenario, seed: int) -> Scenario:
         return replace(scenario, seed=seed)
     pair = scenario.drawn.pairs[seed % len(scenario.drawn.pairs)]
     section = replace(scenario.section, rail_profile=pair.rail_profile, inclination=pair.inclination)
+    if pair.rail_files != (None, None):
+        section = replace(section, rail_files=pair.rail_files, file_inclination=pair.file_inclination)
     return replace(scenario, seed=seed, section=section, vehicles=_vehicles(scenario.drawn, seed))
 
 
@@ -91,7 +104,12 @@ def vehicle_parameters(scenario: Scenario, vehicle: str) -> VehicleParameters:
     )
 
 
-def no_wear_left(scenario: Scenario, vehicle: str, axle: int) -> ScenarioError:
+def shares_of_wear(plan: WheelsetPlan) -> tuple[float, ...]:
+    """Return which shares of its wear are tried in turn with a wheelset that derails; none of what has no wear."""
+    return WEAR_SHARES if plan.initial_left or plan.initial_right else WEAR_SHARES[:1]
+
+
+def no_wear_left(scenario: Scenario, vehicle: str, axle: int, last: ScenarioError) -> ScenarioError:
     """Return the error of a wheelset that derails with every share of its wear.
 
     Parameters
@@ -102,37 +120,43 @@ def no_wear_left(scenario: Scenario, vehicle: str, axle: int) -> ScenarioError:
         Code of the vehicle.
     axle
         Number of the axle, from 0.
+    last
+        How it derailed with the last share.
     """
-    serial = scenario.vehicle(vehicle).wheelsets[axle].serial
+    plan = scenario.vehicle(vehicle).wheelsets[axle]
+    if shares_of_wear(plan) != WEAR_SHARES:
+        return ScenarioError(f"seed {scenario.seed}: {last.reason}", field=last.field)
     shares = ", ".join(f"{share:.0%}" for share in WEAR_SHARES)
     return ScenarioError(
-        f"wheelset {serial} of seed {scenario.seed} derails with {shares} of its wear; less wear or a lower speed "
-        "keeps it from hunting",
+        f"wheelset {plan.serial} of seed {scenario.seed} derails with {shares} of its wear; less wear or a lower speed "
+        f"keeps it from hunting (the last time: {last.reason})",
         field="drawn_fleet.pairs.deepest_wear_mm",
     )
 
 
 def _vehicles(fleet: DrawnFleet, seed: int) -> tuple[VehiclePlan, ...]:
-    """Return the vehicles: wear rises from wheelset to wheelset, across the vehicles, in equal steps."""
-    return tuple(
-        VehiclePlan(
-            code=f"V{number}",
-            vehicle_class=fleet.vehicle_class,
-            max_speed=fleet.max_speed,
-            axle_offsets=tuple(AXLE_SPACING * axle for axle in range(fleet.wheelsets)),
-            wheelsets=tuple(_wheelset(fleet, seed, axle * fleet.vehicles + number) for axle in range(fleet.wheelsets)),
+    """Return the vehicles: wheelsets are numbered across the vehicles, the first axle of all before the second."""
+    plans = []
+    for number in range(fleet.vehicles):
+        ranks = range(number, fleet.places, fleet.vehicles)
+        plans.append(
+            VehiclePlan(
+                code=f"V{number}",
+                vehicle_class=fleet.vehicle_class,
+                max_speed=fleet.max_speed,
+                axle_offsets=tuple(AXLE_SPACING * axle for axle in range(len(ranks))),
+                wheelsets=tuple(_wheelset(fleet, seed, rank) for rank in ranks),
+            )
         )
-        for number in range(fleet.vehicles)
-    )
+    return tuple(plans)
 
 
 def _wheelset(fleet: DrawnFleet, seed: int, rank: int) -> WheelsetPlan:
     pair = fleet.pairs[seed % len(fleet.pairs)]
     rng = _stream(seed, _WEAR, rank)
-    share, apart = (rank + rng.uniform()) / (fleet.vehicles * fleet.wheelsets), rng.normal(0.0, ASYMMETRY)
+    depth, apart = _depth(fleet, pair, rank, rng), rng.normal(0.0, fleet.wear.asymmetry)
     if fleet.wear_alike:
-        share, apart = 0.5, 0.0
-    depth = pair.deepest_wear * share
+        depth, apart = pair.deepest_wear * 0.5, 0.0
     course = wear_course(WearFamily.S1002_ON_60E1 if "1002" in pair.wheel_profile else WearFamily.P8_ON_56E1, 0.0)
     return WheelsetPlan(
         serial=f"W{rank:02d}",
@@ -149,7 +173,38 @@ def _wheelset(fleet: DrawnFleet, seed: int, rank: int) -> WheelsetPlan:
         reprofilings=(),
         diameter_difference=0.0,
         fault=None,
+        wheel_files=_wheel_files(pair, seed, rank),
     )
+
+
+def _depth(fleet: DrawnFleet, pair: ProfilePair, rank: int, rng: np.random.Generator) -> float:
+    """Return the wear of a wheelset, m, the mean of both sides."""
+    wear = fleet.wear
+    highest = pair.deepest_wear if wear.highest is None else wear.highest
+    if wear.distribution is WearDistribution.STEPS:
+        return highest * ((rank + rng.uniform()) / fleet.places)
+    if wear.distribution is WearDistribution.UNIFORM:
+        return rng.uniform(wear.lowest, highest)
+    for _ in range(MOST_DRAWS):
+        depth = _unlimited(wear, rng)
+        if wear.lowest <= depth <= highest:
+            return depth
+    reason = f"{MOST_DRAWS} draws gave no wear between {1e3 * wear.lowest:g} and {1e3 * highest:g} mm"
+    raise ScenarioError(reason, field="drawn_fleet.wear.mean_mm")
+
+
+def _unlimited(wear: FleetWear, rng: np.random.Generator) -> float:
+    if wear.distribution is WearDistribution.NORMAL:
+        return rng.normal(wear.mean, wear.std)
+    variance = math.log1p((wear.std / wear.mean) ** 2)  # of the logarithm
+    return rng.lognormal(math.log(wear.mean) - 0.5 * variance, math.sqrt(variance))
+
+
+def _wheel_files(pair: ProfilePair, seed: int, rank: int) -> SideFiles:
+    if not pair.wheel_files:
+        return None, None
+    place = int(_stream(seed, _WHEEL, rank).integers(len(pair.wheel_files))) if pair.wheels_drawn else rank
+    return pair.wheel_files[place % len(pair.wheel_files)]
 
 
 def _stream(seed: int, *key: int) -> np.random.Generator:

@@ -23,7 +23,7 @@ from ingest.simulator.campaign import (
     wheelset_motion,
     wheelset_record,
 )
-from ingest.simulator.drawn_fleet import WEAR_SHARES, no_wear_left, with_less_wear
+from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less_wear
 from ingest.simulator.scenario import Scenario, VehiclePlan
 from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, wheelset_truth, write_registry, write_truth
@@ -177,32 +177,35 @@ def _on_the_rails(
     """
     records: list[list[SensorRecord | None]] = [[] for _ in campaigns]
     for axle in range(len(scenario.vehicle(vehicle).wheelsets)):
-        for share in WEAR_SHARES:
-            tried = with_less_wear(scenario, vehicle, axle, share)
-            found = _axle_records(tried, track, vehicle, axle, campaigns)
-            if found is not None:
-                break
-        else:
-            raise no_wear_left(scenario, vehicle, axle)
-        scenario = tried
+        scenario, found = _axle_on_the_rails(scenario, track, vehicle, axle, campaigns)
         for axle_records, record_ in zip(records, found, strict=True):
             axle_records.append(record_)
     return scenario, records
 
 
+def _axle_on_the_rails(
+    scenario: Scenario, track: TrackTruth, vehicle: str, axle: int, campaigns: Campaigns
+) -> tuple[Scenario, list[SensorRecord]]:
+    derailed: list[DerailmentError] = []
+    for share in shares_of_wear(scenario.vehicle(vehicle).wheelsets[axle]):
+        tried = with_less_wear(scenario, vehicle, axle, share)
+        try:
+            return tried, _axle_records(tried, track, vehicle, axle, campaigns)
+        except DerailmentError as error:
+            derailed.append(error)
+    raise no_wear_left(scenario, vehicle, axle, derailed[-1])
+
+
 def _axle_records(
     scenario: Scenario, track: TrackTruth, vehicle: str, axle: int, campaigns: Campaigns
-) -> list[SensorRecord] | None:
-    """Return what the node of one wheelset measures in every campaign; None where the wheelset derails."""
+) -> list[SensorRecord]:
+    """Return what the node of one wheelset measures in every campaign."""
     plan = scenario.vehicle(vehicle)
     table = contact_of(scenario, track, plan.wheelsets[axle], scenario.odometer(campaigns[0]))
     found = []
     for campaign in campaigns:
         run = vehicle_run(scenario, track, plan, campaign)
-        try:
-            motion = wheelset_motion(scenario, track, run, axle, table)
-        except DerailmentError:
-            return None
+        motion = wheelset_motion(scenario, track, run, axle, table)
         found.append(wheelset_record(scenario, run, axle, motion))
     return found
 

@@ -31,6 +31,10 @@ class Fault:
     from_campaign: int
 
 
+SideFiles = tuple[Path | None, Path | None]
+"""Files of the left and of the right profile; None: the built-in one."""
+
+
 @dataclass(frozen=True, slots=True)
 class WheelsetPlan:
     """A wheelset, how fast it wears, and when it goes to the lathe.
@@ -54,6 +58,7 @@ class WheelsetPlan:
     reprofilings: tuple[float, ...]  # m, vehicle odometer
     diameter_difference: float  # m, left minus right, at the lathe
     fault: Fault | None
+    wheel_files: SideFiles = (None, None)  # measured wheels, before the wear above
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +105,8 @@ class SectionPlan:
     latitude: float  # deg, of the section's start
     longitude: float
     survey: SurveyPlan = field(default_factory=SurveyPlan)
+    rail_files: SideFiles = (None, None)
+    file_inclination: float = 0.0  # tangent, given to rails of which one or both are from files
 
     @property
     def stated_alignment_std(self) -> float:
@@ -176,11 +183,36 @@ class ProfilePair:
     rail_profile: str
     inclination: float  # tangent
     deepest_wear: float  # m
+    wheel_files: tuple[SideFiles, ...] = ()  # measured wheels that the wheelsets have; empty: the built-in one
+    wheels_drawn: bool = False  # which wheelset has which is drawn; False: in turn
+    rail_files: SideFiles = (None, None)
+    file_inclination: float = 0.0
+
+
+class WearDistribution(StrEnum):
+    """How the wear of a drawn fleet is spread over its wheelsets."""
+
+    STEPS = "steps"  # from almost nothing to the deepest, in equal steps: as different as can be
+    UNIFORM = "uniform"
+    NORMAL = "normal"
+    LOGNORMAL = "lognormal"
+
+
+@dataclass(frozen=True, slots=True)
+class FleetWear:
+    """Wear of the wheelsets of a drawn fleet; m. Draws outside the limits are repeated."""
+
+    distribution: WearDistribution = WearDistribution.STEPS
+    mean: float = 0.0  # of normal and lognormal before the limits
+    std: float = 0.0
+    lowest: float = 0.0
+    highest: float | None = None  # None: the deepest of the pair
+    asymmetry: float = 0.08  # std of the share by which the left wheel's wear is above the mean of both
 
 
 @dataclass(frozen=True, slots=True)
 class DrawnFleet:
-    """A fleet whose wheelsets are drawn: wear from almost nothing to the deepest, in equal steps over all wheelsets."""
+    """A fleet whose wheelsets are drawn."""
 
     pairs: tuple[ProfilePair, ...]  # taken in turn by seed
     vehicles: int
@@ -189,6 +221,13 @@ class DrawnFleet:
     profiles_measured: int  # the first of the fleet, with their profiles on file
     vehicle_class: str
     max_speed: float  # m/s
+    wear: FleetWear = field(default_factory=FleetWear)
+    total: int | None = None  # wheelsets of the fleet, where the last ones to be filled stay free; None: all places
+
+    @property
+    def places(self) -> int:
+        """How many wheelsets the fleet has."""
+        return self.vehicles * self.wheelsets if self.total is None else self.total
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +264,16 @@ class Scenario:
         """Wheel and rail of the fleet, for people."""
         if self.drawn is not None:
             return self.drawn.pairs[self.seed % len(self.drawn.pairs)].name
-        return f"{self.vehicles[0].wheelsets[0].wheel_profile}/{self.section.rail_profile}"
+        first, rail = self.vehicles[0].wheelsets[0], self.section.rail_files[0]
+        wheel = first.wheel_profile if first.wheel_files[0] is None else first.wheel_files[0].stem
+        return f"{wheel}/{self.section.rail_profile if rail is None else rail.stem}"
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files of the true track and of the profiles that recordings follow from, in a fixed order."""
+        section = self.section
+        wheels = {path for plan in self.vehicles for item in plan.wheelsets for path in item.wheel_files}
+        return tuple(sorted(path for path in {section.file, *section.rail_files, *wheels} if path is not None))
 
     def vehicle(self, code: str) -> VehiclePlan:
         """Return a vehicle by its code.

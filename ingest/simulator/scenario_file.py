@@ -1,28 +1,34 @@
-"""Scenario files: TOML in, a frozen ``Scenario`` out. ``docs/scenarios.md`` describes every key."""
+"""Scenario files: TOML in, a frozen ``Scenario`` out.
+
+``docs/scenarios.md`` and the pages that it names describe every key.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Self
 
 from pydantic import Field, model_validator
 
-from estimation.errors import ScenarioError
+from estimation.errors import ProfileError, ScenarioError
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from ingest.input_file import InputTable, Text, field_error, read_toml
+from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml
 from ingest.simulator.campaign import MARGIN
 from ingest.simulator.drawn_fleet import with_seed
+from ingest.simulator.profile_files import rail_in, wheel_in
 from ingest.simulator.scenario import Scenario
+from ingest.simulator.scenario_schema.drawn_fleet import DrawnFleetTable
 from ingest.simulator.scenario_schema.fleet import (
-    DrawnFleetTable,
     DynamicsTable,
     FleetTable,
     VehicleErrorsTable,
     VehicleTable,
 )
 from ingest.simulator.scenario_schema.measurement import BusTable, PositionTable, SensorsTable
+from ingest.simulator.scenario_schema.rails import RailFiles
 from ingest.simulator.scenario_schema.running import SessionsTable, SpeedTable
 from ingest.simulator.scenario_schema.track import SectionTable
 
@@ -84,7 +90,7 @@ class ScenarioTable(InputTable):
             return self
         if self.drawn_fleet is not None:
             return self
-        rear = max(vehicle.plan().axle_offsets[-1] for vehicle in self.vehicles)
+        rear = max(vehicle.offsets()[-1] for vehicle in self.vehicles)
         needed = 60.0 * self.speed.highest_m_s * self.sessions.minutes_each + rear
         if self.section.length_m < needed:
             reason = f"a campaign may need {needed:.0f} m of track, the section has {self.section.length_m:.0f} m"
@@ -113,8 +119,8 @@ class ScenarioTable(InputTable):
             sessions=self.sessions.plan((length + 2.0 * MARGIN) / self.speed.lowest_m_s),
             bus=self.bus.plan(),
             position=self.position.plan(),
-            vehicles=tuple(vehicle.plan() for vehicle in self.vehicles),
-            drawn=None if self.drawn_fleet is None else self.drawn_fleet.plan(),
+            vehicles=tuple(vehicle.plan(folder) for vehicle in self.vehicles),
+            drawn=None if self.drawn_fleet is None else self.drawn_fleet.plan(folder),
             vehicle_errors=None if self.vehicle_errors is None else self.vehicle_errors.plan(),
         )
         return with_seed(scenario, self.seed)
@@ -163,4 +169,37 @@ def read_scenario(path: Path) -> Scenario:
     ScenarioError
         As ``load_scenario``.
     """
-    return read_toml(path, ScenarioError).parse(ScenarioTable).scenario(path.parent)
+    file = read_toml(path, ScenarioError)
+    table = file.parse(ScenarioTable)
+    _check_profile_files(file, table)
+    return table.scenario(path.parent)
+
+
+def _check_profile_files(file: InputFile, table: ScenarioTable) -> None:
+    """Read every wheel and rail that the scenario names, so that one which cannot be read is refused at once."""
+    for names, read in ((_rail_names(table), rail_in), (_wheel_names(table), wheel_in)):
+        for location, name in names:
+            try:
+                read(file.path.parent / name)
+            except ProfileError as error:
+                raise file.error(str(error), location) from error
+
+
+def _rail_names(table: ScenarioTable) -> Iterator[tuple[Location, str]]:
+    tables: list[tuple[Location, RailFiles]] = [(("section",), table.section)]
+    for index, pair in enumerate([] if table.drawn_fleet is None else table.drawn_fleet.pairs):
+        tables.append((("drawn_fleet", "pairs", index), pair))
+    for place, rails in tables:
+        for key, name in rails.rail_names():
+            yield (*place, key), name
+
+
+def _wheel_names(table: ScenarioTable) -> Iterator[tuple[Location, str]]:
+    for i, vehicle in enumerate(table.vehicles):
+        for k, wheelset in enumerate(vehicle.wheelsets):
+            for key, name in wheelset.wheel_names():
+                yield ("vehicles", i, "wheelsets", k, key), name
+    for index, pair in enumerate([] if table.drawn_fleet is None else table.drawn_fleet.pairs):
+        for k, item in enumerate(pair.wheel_files):
+            for side, name in (("left", item.left), ("right", item.right or item.left)):
+                yield ("drawn_fleet", "pairs", index, "wheel_files", k, side), name

@@ -19,7 +19,7 @@ from estimation.values.json_value import JsonValue
 from ingest.simulator.campaign import failed
 from ingest.simulator.scenario import Scenario, SectionPlan, VehiclePlan, WheelsetPlan
 from ingest.simulator.track import TrackTruth, write_track
-from ingest.simulator.wear import GeometryTruth, WearState, wear_at, worn_profile
+from ingest.simulator.wear import GeometryTruth, WearState, wear_at, worn_profiles
 
 REGISTRY_FILE = "registry.json"
 TRUTH_FILE = "truth.json"
@@ -161,8 +161,8 @@ def _measured_profiles(folder: Path, scenario: Scenario, count: int) -> list[Jso
             "at": iso_time(scenario.sessions.start_ns),
             "mileage_km": 1e-3 * wear.mileage,
         }
-        for side, depth in (("left", wear.depth_left), ("right", wear.depth_right)):
-            profile, name = worn_profile(plan, depth), f"{plan.serial.lower()}_{side}.txt"
+        for side, profile in zip(("left", "right"), worn_profiles(plan, wear), strict=True):
+            name = f"{plan.serial.lower()}_{side}.txt"
             np.savetxt(folder / name, 1e3 * np.column_stack([profile.y, profile.z]), fmt="%.6f")
             entry[side] = {"file": name}
         entries.append(entry)

@@ -8,10 +8,11 @@ import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
-from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.profiles import Profile
 from estimation.contact.table import ContactTable
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray, frozen_array
+from ingest.simulator.profile_files import rails_of, wheels_of
 from ingest.simulator.scenario import SectionPlan, WheelsetPlan
 
 DISPLACEMENT_STEP = 0.05e-3  # m
@@ -63,14 +64,15 @@ def worn_contact(
     ContactError
         The profiles never touch.
     """
-    rail = rail_profile(section.rail_profile)
+    left_rail, right_rail, inclination = rails_of(section)
+    left_wheel, right_wheel = worn_profiles(plan, wear)
     half = round(limit / DISPLACEMENT_STEP)
     wheelset = WheelsetOnTrack(
-        left_wheel=worn_profile(plan, wear.depth_left),
-        right_wheel=worn_profile(plan, wear.depth_right),
-        left_rail=rail,
-        right_rail=rail,
-        inclination=section.inclination,
+        left_wheel=left_wheel,
+        right_wheel=right_wheel,
+        left_rail=left_rail,
+        right_rail=right_rail,
+        inclination=inclination,
         gauge=section.nominal_gauge,
         left_radius=plan.nominal_radius + 0.25 * plan.diameter_difference,
         right_radius=plan.nominal_radius - 0.25 * plan.diameter_difference,
@@ -127,9 +129,21 @@ def truth_of(table: ContactTable) -> GeometryTruth:
     )
 
 
-def worn_profile(plan: WheelsetPlan, depth: float) -> Profile:
-    """Return the profile of a wheel of ``plan`` whose tread has lost ``depth``, m."""
-    new = wheel_profile(plan.wheel_profile)
+def worn_profiles(plan: WheelsetPlan, wear: WearState) -> tuple[Profile, Profile]:
+    """Return the profiles of the left and the right wheel of ``plan`` after that wear.
+
+    Parameters
+    ----------
+    plan
+        Wheels, and the form of their wear.
+    wear
+        What their treads have lost.
+    """
+    left, right = wheels_of(plan)
+    return _worn(plan, left, wear.depth_left), _worn(plan, right, wear.depth_right)
+
+
+def _worn(plan: WheelsetPlan, wheel: Profile, depth: float) -> Profile:
     if depth == 0.0:
-        return new
-    return worn(new, TreadWear(depth, plan.wear_centre, plan.wear_half_width, plan.flange_share * depth))
+        return wheel
+    return worn(wheel, TreadWear(depth, plan.wear_centre, plan.wear_half_width, plan.flange_share * depth))

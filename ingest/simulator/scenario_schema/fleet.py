@@ -1,8 +1,9 @@
-"""The fleet: vehicles with their wheelsets, wear and faults, listed or drawn; parameters and their errors."""
+"""The fleet: vehicles with their wheelsets, wear and faults, as listed; parameters and their errors."""
 
 from __future__ import annotations
 
 from dataclasses import fields
+from pathlib import Path
 from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
@@ -12,18 +13,17 @@ from estimation.errors import ParameterError
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.input_file import IncreasingNumbers, InputTable, NotNegative, Text, field_error
 from ingest.simulator.scenario import (
-    DrawnFleet,
     Fault,
     FaultKind,
-    ProfilePair,
+    SideFiles,
     VehicleErrors,
     VehiclePlan,
     WheelsetPlan,
 )
-from ingest.simulator.scenario_schema.profile_names import RailName, WheelName
+from ingest.simulator.scenario_schema.drawn_fleet import MAX_AXLES
+from ingest.simulator.scenario_schema.profile_names import WheelName
 from ingest.simulator.scenario_schema.units import KM, KM_PER_HOUR, MM
 
-MAX_AXLES = 8
 DEFAULT_AXLE_SPACING = 2.6  # m
 FLANGE_SHARE = 0.6
 
@@ -86,10 +86,38 @@ class WheelsetTable(InputTable):
     initial_mileage_km: NotNegative = 0.0
     reprofiled_at_odometer_km: IncreasingNumbers = Field(default_factory=list)
     diameter_difference_mm: float = Field(default=0.0, ge=-5.0, le=5.0)
+    wheel_file: Text | None = None
+    wheel_left_file: Text | None = None
+    wheel_right_file: Text | None = None
     fault: FaultTable | None = None
 
-    def plan(self) -> WheelsetPlan:
-        """Return the wheelset in SI units; where wear is not located, as measured on such wheels."""
+    @model_validator(mode="after")
+    def _check_wheel_files(self) -> Self:
+        if self.wheel_file is not None and (self.wheel_left_file, self.wheel_right_file) != (None, None):
+            raise field_error("cannot be given beside the files of one side", "wheel_file")
+        return self
+
+    def wheel_names(self) -> list[tuple[str, str]]:
+        """Return keys and names of the files that are given."""
+        named = {
+            "wheel_file": self.wheel_file,
+            "wheel_left_file": self.wheel_left_file,
+            "wheel_right_file": self.wheel_right_file,
+        }
+        return [(key, name) for key, name in named.items() if name is not None]
+
+    def _files(self, folder: Path) -> SideFiles:
+        left, right = (self.wheel_file or side for side in (self.wheel_left_file, self.wheel_right_file))
+        return None if left is None else folder / left, None if right is None else folder / right
+
+    def plan(self, folder: Path) -> WheelsetPlan:
+        """Return the wheelset in SI units; where wear is not located, as measured on such wheels.
+
+        Parameters
+        ----------
+        folder
+            Folder of the scenario file: relative file names start here.
+        """
         family = WearFamily.S1002_ON_60E1 if "1002" in self.wheel_profile else WearFamily.P8_ON_56E1
         course = wear_course(family, 0.0)
         left, right = (
@@ -117,6 +145,7 @@ class WheelsetTable(InputTable):
             reprofilings=tuple(KM * value for value in self.reprofiled_at_odometer_km),
             diameter_difference=MM * self.diameter_difference_mm,
             fault=None if self.fault is None else self.fault.plan(),
+            wheel_files=self._files(folder),
         )
 
 
@@ -136,59 +165,25 @@ class VehicleTable(InputTable):
             raise field_error(f"{len(offsets)} offsets for {len(self.wheelsets)} wheelsets", "axle_offsets_m")
         return self
 
-    def plan(self) -> VehiclePlan:
-        """Return the vehicle in SI units."""
+    def offsets(self) -> tuple[float, ...]:
+        """Return the distances of the axles behind the position reference, m."""
         default = [DEFAULT_AXLE_SPACING * axle for axle in range(len(self.wheelsets))]
+        return tuple(default if self.axle_offsets_m is None else self.axle_offsets_m)
+
+    def plan(self, folder: Path) -> VehiclePlan:
+        """Return the vehicle in SI units.
+
+        Parameters
+        ----------
+        folder
+            Folder of the scenario file: relative file names start here.
+        """
         return VehiclePlan(
             code=self.code,
             vehicle_class=self.vehicle_class,
             max_speed=KM_PER_HOUR * self.max_speed_km_h,
-            axle_offsets=tuple(default if self.axle_offsets_m is None else self.axle_offsets_m),
-            wheelsets=tuple(wheelset.plan() for wheelset in self.wheelsets),
-        )
-
-
-class PairTable(InputTable):
-    """``[[drawn_fleet.pairs]]``."""
-
-    name: Text
-    wheel_profile: WheelName
-    rail_profile: RailName
-    rail_inclination_1_in: float = Field(default=20.0, ge=5.0)
-    deepest_wear_mm: float = Field(ge=0.0, le=5.0)
-
-    def plan(self) -> ProfilePair:
-        """Return the pair in SI units."""
-        return ProfilePair(
-            name=self.name,
-            wheel_profile=self.wheel_profile,
-            rail_profile=self.rail_profile,
-            inclination=1.0 / self.rail_inclination_1_in,
-            deepest_wear=MM * self.deepest_wear_mm,
-        )
-
-
-class DrawnFleetTable(InputTable):
-    """``[drawn_fleet]``: stands in for ``[[vehicles]]``."""
-
-    vehicles: int = Field(default=4, ge=1, le=64)
-    wheelsets_each: int = Field(default=4, ge=1, le=MAX_AXLES)
-    wear_alike: bool = False
-    profiles_measured: int = Field(default=0, ge=0, le=512)
-    vehicle_class: Text = Field(default="multiple unit", alias="class")
-    max_speed_km_h: float = Field(default=120.0, gt=0.0, le=400.0)
-    pairs: list[PairTable] = Field(min_length=1)
-
-    def plan(self) -> DrawnFleet:
-        """Return the fleet in SI units."""
-        return DrawnFleet(
-            pairs=tuple(pair.plan() for pair in self.pairs),
-            vehicles=self.vehicles,
-            wheelsets=self.wheelsets_each,
-            wear_alike=self.wear_alike,
-            profiles_measured=self.profiles_measured,
-            vehicle_class=self.vehicle_class,
-            max_speed=KM_PER_HOUR * self.max_speed_km_h,
+            axle_offsets=self.offsets(),
+            wheelsets=tuple(wheelset.plan(folder) for wheelset in self.wheelsets),
         )
 
 

@@ -22,6 +22,7 @@ from ingest.simulator.scenario_schema.irregularities import (
     SwitchTable,
 )
 from ingest.simulator.scenario_schema.profile_names import RailName
+from ingest.simulator.scenario_schema.rails import RailFiles
 from ingest.simulator.scenario_schema.survey import SurveyTable
 from ingest.simulator.scenario_schema.units import MM
 from ingest.simulator.track import TrackRecipe
@@ -62,7 +63,7 @@ class CurveTable(InputTable):
         )
 
 
-class SectionTable(InputTable):
+class SectionTable(RailFiles):
     """``[section]``."""
 
     code: Text
@@ -173,6 +174,8 @@ class SectionTable(InputTable):
             surveyed=self.surveyed,
             gauge_surveyed=self.gauge_surveyed,
             survey=self.survey.plan(folder),
+            rail_files=self.files(folder),
+            file_inclination=self.inclination_of_files(self.rail_inclination_1_in),
             latitude=self.latitude_deg,
             longitude=self.longitude_deg,
         )

@@ -41,7 +41,7 @@ def undocumented(keys: set[str], documents: tuple[str, ...]) -> set[str]:
 
 @pytest.mark.parametrize(
     ("schema", "documents"),
-    [(ScenarioTable, ("scenarios.md", "scenario-section.md")), (RegistryObject, ("registry.md",))],
+    [(ScenarioTable, ("scenarios.md", "scenario-section.md", "scenario-fleet.md")), (RegistryObject, ("registry.md",))],
 )
 def test_every_key_of_a_schema_is_documented(schema: type[BaseModel], documents: tuple[str, ...]) -> None:
     assert undocumented(keys_of(schema), documents) == set()
@@ -49,5 +49,5 @@ def test_every_key_of_a_schema_is_documented(schema: type[BaseModel], documents:
 
 def test_parameters_of_the_dynamics_are_documented() -> None:
 
-    text = (DOCS / "scenarios.md").read_text()
+    text = (DOCS / "scenario-fleet.md").read_text()
     assert [item.name for item in fields(VehicleParameters) if f"`{item.name}`" not in text] == []

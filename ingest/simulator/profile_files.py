@@ -1,0 +1,50 @@
+"""Wheels and rails of a scenario: built-in ones by name, measured ones from files."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from ingest.profiles.files import read_profile
+from ingest.profiles.wheel_profile import read_wheel_profile
+from ingest.simulator.scenario import SectionPlan, WheelsetPlan
+
+
+@lru_cache(maxsize=256)
+def wheel_in(path: Path) -> Profile:
+    """Return the wheel profile in a file, read once in a process.
+
+    Raises
+    ------
+    ProfileError
+        As ``read_wheel_profile``.
+    """
+    return read_wheel_profile(path)
+
+
+@lru_cache(maxsize=16)
+def rail_in(path: Path) -> Profile:
+    """Return the rail profile in a file, read once in a process.
+
+    Raises
+    ------
+    ProfileError
+        As ``read_profile``.
+    """
+    return read_profile(path, "rail")
+
+
+def wheels_of(plan: WheelsetPlan) -> tuple[Profile, Profile]:
+    """Return left and right wheel of a wheelset before the wear of the scenario."""
+    left, right = (wheel_profile(plan.wheel_profile) if path is None else wheel_in(path) for path in plan.wheel_files)
+    return left, right
+
+
+def rails_of(section: SectionPlan) -> tuple[Profile, Profile, float]:
+    """Return left and right rail of a section, and the inclination (a tangent) that is to be given to them."""
+    if section.rail_files == (None, None):
+        rail = rail_profile(section.rail_profile)
+        return rail, rail, section.inclination
+    left, right = (rail_profile(section.rail_profile) if path is None else rail_in(path) for path in section.rail_files)
+    return left, right, section.file_inclination

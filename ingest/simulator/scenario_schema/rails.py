@@ -1,0 +1,72 @@
+"""Rails of a section from files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, model_validator
+
+from ingest.input_file import InputTable, NotNegative, Text, field_error
+from ingest.simulator.scenario import SideFiles
+
+
+def _as_built(run: float) -> float:
+    if 0.0 < run < LEAST_RUN:
+        raise field_error(f"{run:g} is no inclination; 20 for 1:20, or 0 where the shape contains it")
+    return run
+
+
+LEAST_RUN = 5.0  # of an inclination 1 in so many
+
+
+class RailFiles(InputTable):
+    """Keys of rails from files, in ``[section]`` and ``[[drawn_fleet.pairs]]``."""
+
+    rail_file: Text | None = None
+    rail_left_file: Text | None = None
+    rail_right_file: Text | None = None
+    rail_file_inclination_1_in: Annotated[NotNegative, AfterValidator(_as_built)] | None = None
+
+    @model_validator(mode="after")
+    def _check_rail_files(self) -> Self:
+        sides = (self.rail_left_file, self.rail_right_file)
+        if self.rail_file is not None and sides != (None, None):
+            raise field_error("cannot be given beside the files of one side", "rail_file")
+        if self.rail_file is None and sides == (None, None) and self.rail_file_inclination_1_in is not None:
+            raise field_error("needs 'rail_file'", "rail_file_inclination_1_in")
+        if self.rail_file_inclination_1_in == 0.0 and self.rail_file is None and None in sides:
+            reason = "0 is for two rails from files: the built-in one has no inclination in its shape"
+            raise field_error(reason, "rail_file_inclination_1_in")
+        return self
+
+    def rail_names(self) -> list[tuple[str, str]]:
+        """Return keys and names of the files that are given."""
+        named = {
+            "rail_file": self.rail_file,
+            "rail_left_file": self.rail_left_file,
+            "rail_right_file": self.rail_right_file,
+        }
+        return [(key, name) for key, name in named.items() if name is not None]
+
+    def files(self, folder: Path) -> SideFiles:
+        """Return the files of left and right rail.
+
+        Parameters
+        ----------
+        folder
+            Folder of the scenario file: relative names start here.
+        """
+        left, right = (self.rail_file or side for side in (self.rail_left_file, self.rail_right_file))
+        return None if left is None else folder / left, None if right is None else folder / right
+
+    def inclination_of_files(self, built_1_in: float) -> float:
+        """Return the inclination that rails from files are given, as a tangent.
+
+        Parameters
+        ----------
+        built_1_in
+            Inclination of the section, 1 in so many: where the table says nothing else.
+        """
+        run = built_1_in if self.rail_file_inclination_1_in is None else self.rail_file_inclination_1_in
+        return 0.0 if run == 0.0 else 1.0 / run
