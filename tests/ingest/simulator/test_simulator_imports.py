@@ -16,6 +16,7 @@ ALLOWED = (
     "ingest.frames",
     "ingest.input_file",
     "ingest.logs.blf_writer",
+    "ingest.profiles",
     "ingest.simulator",
     "ingest.track_file",
 )
