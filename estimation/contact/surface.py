@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from estimation.contact.profiles import Profile
 from estimation.errors import ContactError
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, frozen_array, runs
 
 GRID_STEP = 2e-5
 """Distance between grid points, m."""
@@ -21,6 +21,8 @@ GAUGE_DEPTH = 0.014
 _TIP = 2e-3  # m, part of the flange that counts as its tip
 _LEAST_FLANGE = 15e-3  # m, a wheel profile flatter than this has no flange
 _STEEPEST = math.tan(math.radians(82.0))
+_NOTCH = 1e-3  # m of height that may be steeper without ending the surface
+_FLANGE_FACE_END = -20e-3  # m from the tread datum
 _WALL = math.tan(math.radians(70.0))  # a gauge face at least this steep may be continued straight down
 
 
@@ -52,7 +54,8 @@ def wheel_surface(wheel: Profile) -> Surface:
     """
     margin = _TIP if np.ptp(wheel.z) > _LEAST_FLANGE else 0.0
     start = int(np.flatnonzero(wheel.z >= wheel.z.max() - margin)[-1])
-    keep = slice(start, _run(wheel.slope, start, 1) + 1)
+    face = int(np.searchsorted(wheel.y, _FLANGE_FACE_END))  # a worn flange face may be as steep as it likes
+    keep = slice(start, _run(wheel.slope, wheel.z, min(max(start, face), len(wheel.y) - 1), 1) + 1)
     return _gridded(wheel.y[keep], wheel.z[keep], wheel.slope[keep])
 
 
@@ -81,9 +84,9 @@ def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
     slope = np.divide(rise, forward, out=np.full_like(rise, np.inf), where=forward > 1.0 / _STEEPEST)
     top = int(np.argmin(z))
     edge = _gauge_edge(rail.name, y[: top + 1], z[: top + 1] - z[top], wall=bool(forward[0] * _WALL < abs(rise[0])))
-    first, last = _run(slope, top, -1), _run(slope, top, 1)
+    first, last = _run(slope, z, top, -1), _run(slope, z, top, 1)
     keep = slice(first, last + 1)
-    return _gridded(y[keep] - edge + gauge / 2.0, z[keep] - z[top], slope[keep])
+    return _gridded(y[keep] - edge + gauge / 2.0, z[keep] - z[top], np.clip(slope[keep], -_STEEPEST, _STEEPEST))
 
 
 def _gauge_edge(name: str, y: FloatArray, depth: FloatArray, *, wall: bool) -> float:
@@ -106,13 +109,18 @@ def _gauge_edge(name: str, y: FloatArray, depth: FloatArray, *, wall: bool) -> f
     return float(min(crossing, y[last + 1 :].min()))
 
 
-def _run(slope: FloatArray, start: int, direction: int) -> int:
-    """Return the last index from ``start`` in ``direction`` (+1, -1) up to which the surface is not too steep."""
-    gentle = np.abs(slope) < _STEEPEST
-    ahead = gentle[start::direction]
-    blocked = np.flatnonzero(~ahead)
-    length = int(blocked[0]) if len(blocked) else len(ahead)
-    return start + direction * (max(length, 1) - 1)
+def _run(slope: FloatArray, z: FloatArray, start: int, direction: int) -> int:
+    """Return the last index from ``start`` in ``direction`` (+1, -1) up to which the surface can be touched.
+
+    It ends where the surface is too steep over more than `_NOTCH` of height; a point or two of noise do not end it.
+    """
+    steep = np.abs(slope[start::direction]) >= _STEEPEST
+    height = z[start::direction]
+    for first, behind in runs(steep):
+        before, after = max(first - 1, 0), min(behind, len(steep) - 1)
+        if abs(height[after] - height[before]) > _NOTCH or behind == len(steep):
+            return start + direction * int(before)
+    return start + direction * (len(steep) - 1)
 
 
 def _gridded(y: FloatArray, z: FloatArray, slope: FloatArray) -> Surface:

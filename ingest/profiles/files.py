@@ -2,21 +2,48 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Literal
 
 from estimation.contact.profiles import Profile, ProfileKind
+from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ProfileError
 from ingest.profiles.columns import parse_columns
 from ingest.profiles.formats import FORMATS
-from ingest.profiles.orientation import oriented
+from ingest.profiles.orientation import Origin, oriented
 from ingest.profiles.points import FilePoints
+
+_SLICES = (".slcs", ".slcw")  # CONTACT's lists of cross sections
+_MILLIMETRE = 1e-3
 
 
 def read_profile(
-    path: Path | str, kind: ProfileKind, *, unit: Literal["mm", "m"] = "mm", mirror: bool = False
+    path: Path | str,
+    kind: ProfileKind,
+    *,
+    unit: Literal["mm", "m"] = "mm",
+    mirror: bool | None = None,
+    origin: Origin = Origin.AUTO,
+    noise_std: float | None = None,
 ) -> Profile:
     """Read a wheel or rail profile, in the format of ``FORMATS`` that has its suffix, else as two columns of text.
+
+    Parameters and errors as :func:`read_measured_profile`, whose profile it returns.
+    """
+    return read_measured_profile(path, kind, unit=unit, mirror=mirror, origin=origin, noise_std=noise_std).profile
+
+
+def read_measured_profile(
+    path: Path | str,
+    kind: ProfileKind,
+    *,
+    unit: Literal["mm", "m"] = "mm",
+    mirror: bool | None = None,
+    origin: Origin = Origin.AUTO,
+    noise_std: float | None = None,
+) -> SmoothedProfile:
+    """Read a wheel or rail profile with the uncertainty of its shape.
 
     Parameters
     ----------
@@ -27,7 +54,12 @@ def read_profile(
     unit
         Of two-column files; the others are in mm or contain their unit.
     mirror
-        Exchange the two sides of a rail whose shape does not show its gauge side (both reach 14 mm below the crown).
+        Of a rail: True if its gauge side is at positive y of the file, False if at negative y; None decides from the
+        shape.
+    origin
+        Of a wheel: what y = 0 of the file is.
+    noise_std
+        Known noise of the instrument, m; 0 takes the points as they are; None estimates it from the points.
 
     Raises
     ------
@@ -35,18 +67,25 @@ def read_profile(
         The file cannot be read as that; the message names file, line and field.
     """
     file = Path(path)
+    if kind == "wheel" and mirror is not None:
+        raise ProfileError("the flange shows which side of a wheel is which", file=file, field="mirror")
+    if noise_std is not None and not (math.isfinite(noise_std) and noise_std >= 0.0):
+        raise ProfileError(f"{noise_std!r} m is no standard deviation", file=file, field="noise_std")
+    if file.suffix.lower() in _SLICES:
+        raise ProfileError(
+            "lists slices of a rail that varies along the track; give the profile file of one slice, as the list "
+            "names it",
+            file=file,
+        )
     try:
         text = file.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise ProfileError(f"cannot be read: {error.strerror}", file=file) from error
     if "\x00" in text:
         raise ProfileError("is not a text file", file=file)
-    profile = oriented(_parsed(text, str(file), file.suffix.lower(), unit), kind, file.stem)
-    if not mirror:
-        return profile
-    if kind == "wheel":
-        raise ProfileError("the flange shows which side of a wheel is which", file=file, field="mirror")
-    return Profile(kind, profile.name, -profile.y[::-1], profile.z[::-1], -profile.slope[::-1])
+    points = _parsed(text, str(file), file.suffix.lower(), unit)
+    noise = None if noise_std is None else noise_std / _MILLIMETRE
+    return oriented(points, kind, file.stem, mirror=mirror, origin=origin, noise_std=noise)
 
 
 def _parsed(text: str, file: str, suffix: str, unit: Literal["mm", "m"]) -> FilePoints:

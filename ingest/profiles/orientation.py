@@ -1,115 +1,190 @@
-"""From the axes of a file to those of a profile: z down, y to the field side, one height per lateral position.
+"""From the axes of a file to those of a profile: z down, y to the field side, in order along the profile.
 
-What a file leaves open (SIMPACK leaves only the gauge side) is decided from the shape:
+What a file leaves open (SIMPACK leaves the gauge side and the origin of y) is decided from the shape:
 
 - z is turned over if the point that must lie inside the profile (the crown of a rail, the tip of a flange) comes out
-  in the first or last tenth (rails) or twentieth (wheels) of the points.
+  in the first or last tenth (rails) or twentieth (wheels) of the points, or if a rail is flatter the other way up
+  (what looks like a crown is the groove beside a guard rail).
 - A wheel's flange is brought to the side of negative y. If its tip is then within 25 mm of zero, zero is the flange
-  back and y is moved to the tread datum. Zero of z is the tread at the datum.
-- A rail whose positive side alone reaches 14 mm below the crown is mirrored, because the gauge is measured there.
-  Zero of z is the crown; y stays, because a rail is placed in the track by its gauge.
-- Points that overhang (flange back, underside of a head) are left out.
+  back and y is moved to the tread datum; ``origin`` fixes what zero is. Zero of z is the tread at the datum.
+- A rail is turned until its gauge side is negative, see :mod:`ingest.profiles.gauge_side`. Zero of z is the crown; y
+  stays, because a rail is placed in the track by its gauge.
 """
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 import numpy as np
 
-from estimation.contact.profiles import TREAD_DATUM, Profile, ProfileKind, profile_from_points
-from estimation.contact.surface import GAUGE_DEPTH
+from estimation.contact.profiles import TREAD_DATUM, ProfileKind
+from estimation.contact.smoothed_profile import SmoothedProfile, advancing, smoothed_profile
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray
+from ingest.profiles.gauge_side import gauge_side_is_positive
 from ingest.profiles.points import FilePoints
+from ingest.profiles.steps import check_steps
 
 _MILLIMETRE = 1e-3
 _RAIL_MARGIN = 0.10
 _WHEEL_MARGIN = 0.05
 _FLANGE_BACK_WITHIN = 25.0  # mm from the tip of the flange
-_CLOSEST = 1e-3  # mm, nearer neighbours are one point
-_LEAST_KEPT = 0.4  # share of points that a usable order keeps
+_TOP = 1.0  # mm
+_WIDER = 1.5  # times: crowns are flatter than grooves
 _LARGEST_GAP = 10.0  # mm between neighbours
+_MOST_BACKWARDS = 2.0  # times the width: what rows run backwards in all
+_LEAST_FLANGE = 15.0  # mm of height
+_HEAD_DEPTH = 4.0  # mm below the crown, what is a head
+_GROOVE_DEPTH = 15.0  # mm
+_LEAST_HEAD = 20.0  # mm of width
+_LEAST_HEAD_DEPTH = 1.0  # mm on either side of the crown
 
 
-def oriented(points: FilePoints, kind: ProfileKind, name: str) -> Profile:
+class Origin(StrEnum):
+    """What y = 0 of a wheel file is. A rail needs none: it is placed by its gauge."""
+
+    AUTO = "auto"  # by the distance from the tip of the flange
+    DATUM = "datum"  # the tread datum, 70 mm from the flange back
+    FLANGE_BACK = "flange-back"
+
+
+def oriented(
+    points: FilePoints,
+    kind: ProfileKind,
+    name: str,
+    *,
+    mirror: bool | None = None,
+    origin: Origin = Origin.AUTO,
+    noise_std: float | None = None,
+) -> SmoothedProfile:
     """Return the profile that the points of a file describe, in the axes of :class:`Profile`.
 
     Parameters
     ----------
     points
-        Points in mm in the order of the file, and whether the file fixes their axes.
+        Points in mm in the order of the file, and whether the file fixes z.
     kind
         ``"wheel"`` or ``"rail"``.
     name
         Name of the profile.
+    mirror
+        Of a rail: whether its gauge side is at positive y of the file; None decides from the shape.
+    origin
+        Of a wheel: what y = 0 of the file is.
+    noise_std
+        Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
 
     Raises
     ------
     ProfileError
-        The points are not in order along the profile, leave a gap of more than 10 mm, or a wheel does not reach from
-        its flange to the tread datum.
+        The points are not in order along the profile, leave a gap of more than 10 mm or have a step; they cannot be
+        such a profile; a wheel does not reach from its flange to the tread datum; the shape of a rail does not show
+        its gauge side and ``mirror`` is None.
     """
-    y, z = points.y, points.z if points.axes_known else _upright(points.z, kind)
+    y, z = points.y, points.z if points.axes_known else _upright(points.y, points.z, kind)
+    lines = np.array(points.lines)
     if y[-1] < y[0]:
-        y, z = y[::-1], z[::-1]
+        y, z, lines = y[::-1], z[::-1], lines[::-1]
+    _check_order(y, z, kind, points)
     if kind == "wheel":
-        y, z = (y, z) if points.axes_known else _from_datum(y, z)
+        y, z, lines = _from_datum(y, z, lines, origin, points.file)
     else:
-        y, z = _gauge_side_negative(y, z - z.min())
-    y, z = _single_valued(y, z, int(np.argmax(z) if kind == "wheel" else np.argmin(z)), points)
-    profile = profile_from_points(kind, name, y * _MILLIMETRE, z * _MILLIMETRE)
-    return _zeroed_at_datum(profile, points.file) if kind == "wheel" else profile
+        z = z - z.min()
+        _check_head(y, z, points.file)
+        _check_groove(y, z, points.file)
+        if _is_mirrored(y, z, points) if mirror is None else mirror:
+            y, z, lines = -y[::-1], z[::-1], lines[::-1]
+    check_steps(y, z, lines, kind, points.file)
+    try:
+        return smoothed_profile(kind, name, np.column_stack([y, z]), noise_std)
+    except ProfileError as error:
+        raise ProfileError(error.reason, file=points.file, field=error.field or "y") from error
 
 
-def _upright(z: FloatArray, kind: ProfileKind) -> FloatArray:
+def _upright(y: FloatArray, z: FloatArray, kind: ProfileKind) -> FloatArray:
+    """Return z down: the crown, or the tip of the flange, is inside the profile, and the crown is no groove."""
     peak = int(np.argmin(z) if kind == "rail" else np.argmax(z))
     margin = (_RAIL_MARGIN if kind == "rail" else _WHEEL_MARGIN) * len(z)
-    return -z if peak < margin or peak >= len(z) - margin else z
+    if peak < margin or peak >= len(z) - margin:
+        return -z
+    return -z if kind == "rail" and _width_at(y, -z) > _WIDER * _width_at(y, z) else z
 
 
-def _from_datum(y: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _width_at(y: FloatArray, depth: FloatArray) -> float:
+    """Return the width of what is within 1 mm of the top."""
+    top = depth < depth.min() + _TOP
+    return float(np.abs(np.diff(y))[top[:-1] & top[1:]].sum())
+
+
+def _from_datum(
+    y: FloatArray, z: FloatArray, lines: np.ndarray[tuple[int], np.dtype[np.int64]], origin: Origin, file: str
+) -> tuple[FloatArray, FloatArray, np.ndarray[tuple[int], np.dtype[np.int64]]]:
+    if np.ptp(z) < _LEAST_FLANGE:
+        raise ProfileError(
+            f"no flange: its tip is expected between -70 and -45 mm from the tread datum, {_LEAST_FLANGE:.0f} mm "
+            f"high or more; the height of this profile varies by {np.ptp(z):.1f} mm",
+            file=file,
+            field="z",
+        )
     tip = float(y[np.argmax(z)])
     if abs(tip - y[0]) > abs(y[-1] - tip):
-        y, z, tip = -y[::-1], z[::-1], -tip
-    return (y - TREAD_DATUM / _MILLIMETRE, z) if abs(tip) <= _FLANGE_BACK_WITHIN else (y, z)
+        y, z, lines, tip = -y[::-1], z[::-1], lines[::-1], -tip
+    from_back = abs(tip) <= _FLANGE_BACK_WITHIN if origin is Origin.AUTO else origin is Origin.FLANGE_BACK
+    return (y - TREAD_DATUM / _MILLIMETRE if from_back else y), z, lines
 
 
-def _gauge_side_negative(y: FloatArray, depth: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _is_mirrored(y: FloatArray, depth: FloatArray, points: FilePoints) -> bool:
+    """Return whether the gauge side is positive: as the shape shows it, else as the format has it."""
+    shown = gauge_side_is_positive(y, depth)
+    if shown is None and not points.axes_known:
+        raise ProfileError(
+            "both sides reach 14 mm below the crown, they differ, and the head does not lean enough to show which one "
+            "is the gauge side; give --mirror if it is at positive y of the file, else --no-mirror",
+            file=points.file,
+            field="mirror",
+        )
+    return bool(shown)
+
+
+def _check_head(y: FloatArray, depth: FloatArray, file: str) -> None:
     crown = int(np.argmin(depth))
-    enough = GAUGE_DEPTH / _MILLIMETRE
-    if depth[: crown + 1].max() < enough <= depth[crown:].max():
-        return -y[::-1], depth[::-1]
-    return y, depth
+    shoulders = min(float(depth[: crown + 1].max()), float(depth[crown:].max()))
+    if np.ptp(y) < _LEAST_HEAD or shoulders < _LEAST_HEAD_DEPTH:
+        raise ProfileError(
+            f"cannot be a rail head: {np.ptp(y):.1f} mm wide, falling by {shoulders:.1f} mm on the shallower side of "
+            "its crown; give a file of a whole head",
+            file=file,
+            field="z",
+        )
 
 
-def _single_valued(y: FloatArray, z: FloatArray, peak: int, points: FilePoints) -> tuple[FloatArray, FloatArray]:
-    """Return the points that advance, seen from the peak outwards to both sides."""
-    right = _advancing(y[peak:])
-    left = _advancing(-y[peak::-1])
-    keep = np.concatenate([peak - left[:0:-1], peak + right])
-    gap = float(np.diff(y[keep]).max(initial=0.0))
-    if len(keep) < _LEAST_KEPT * len(y) or gap > _LARGEST_GAP:
-        backwards = np.flatnonzero(np.diff(points.y) * np.sign(points.y[-1] - points.y[0]) < 0)
+def _check_groove(y: FloatArray, depth: FloatArray, file: str) -> None:
+    """Raise where there are two heads with a groove between them."""
+    kept = advancing(y, int(np.argmin(depth)))
+    across, down = y[kept], depth[kept]
+    first, last = np.flatnonzero(down < _HEAD_DEPTH)[[0, -1]]
+    groove = float(down[first : last + 1].max())
+    if groove > _GROOVE_DEPTH:
+        raise ProfileError(
+            f"two heads with a groove of {groove:.0f} mm between them, at y = {across[first]:.0f} and "
+            f"{across[last]:.0f} mm (a guard rail?); give the running rail alone",
+            file=file,
+            field="y",
+        )
+
+
+def _check_order(y: FloatArray, z: FloatArray, kind: ProfileKind, points: FilePoints) -> None:
+    kept = advancing(y, int(np.argmax(z) if kind == "wheel" else np.argmin(z)))
+    gap = float(np.diff(y[kept]).max(initial=0.0))
+    rows = np.diff(points.y) * np.sign(points.y[-1] - points.y[0])
+    back = float(-rows[rows < 0.0].sum())
+    if back > _MOST_BACKWARDS * np.ptp(y) or gap > _LARGEST_GAP:
+        backwards = np.flatnonzero(rows < 0)
         line = points.lines[int(backwards[0]) + 1] if len(backwards) else points.lines[0]
         raise ProfileError(
-            f"points are not in order along the profile ({len(keep)} of {len(y)} advance, largest gap {gap:.1f} mm)",
+            f"points are not in order along the profile (rows run {back:.0f} mm backwards in all, largest gap "
+            f"{gap:.1f} mm)",
             file=points.file,
             line=line,
             field="y",
         )
-    return y[keep], z[keep]
-
-
-def _advancing(y: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Return the indices of the points that lie beyond all points before them."""
-    kept = [0]
-    for i in range(1, len(y)):
-        if y[i] > y[kept[-1]] + _CLOSEST:
-            kept.append(i)
-    return np.array(kept, dtype=np.intp)
-
-
-def _zeroed_at_datum(wheel: Profile, file: str) -> Profile:
-    level = float(wheel.height(np.zeros(1))[0])
-    if not np.isfinite(level):
-        raise ProfileError("the wheel does not reach the tread datum, 70 mm from the flange back", file=file, field="y")
-    return Profile("wheel", wheel.name, wheel.y, wheel.z - level, wheel.slope)

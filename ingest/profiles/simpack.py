@@ -29,7 +29,8 @@ def parse_simpack(text: str, file: str) -> FilePoints:
     Raises
     ------
     ProfileError
-        No points or no end of them, something that is not a finite number, a unit factor that is zero.
+        No points or no end of them, something that is not a finite number, a unit factor that is zero, smoothing by
+        SIMPACK.
     """
     keywords: dict[str, tuple[int, str]] = {}
     rows: list[tuple[int, float, float]] = []
@@ -66,6 +67,15 @@ def _transformed(points: FilePoints, keywords: dict[str, tuple[int, str]]) -> Fi
         line, value = keywords.get(name, (0, ""))
         return number(value, file=points.file, line=line, field=name) if value else default
 
+    smoothing = setting("approx.smooth")
+    if smoothing != 0.0:
+        raise ProfileError(
+            f"{smoothing:g} asks for SIMPACK's own smoothing, whose definition is not published; set it to 0: the points "
+            "are then smoothed by their own noise, or by the one that is given",
+            file=points.file,
+            line=keywords["approx.smooth"][0],
+            field="approx.smooth",
+        )
     lengths, angles = setting("units.len.f", 1.0), setting("units.ang.f", 1.0)
     if lengths == 0.0 or angles == 0.0:
         raise ProfileError("a unit factor is zero", file=points.file, field="units.len.f, units.ang.f")

@@ -1,0 +1,179 @@
+"""Profiles from measured points: a smooth curve along the arc, and how well it is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from estimation.contact.penalised_spline import DEGREE, PenalisedSpline, fit_spline, rough_noise
+from estimation.contact.profiles import Profile, ProfileKind, profile_from_points
+from estimation.errors import ProfileError
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
+
+EXACT_BELOW = 1e-4  # mm: points with less noise are taken as they are
+SAMPLING_STEP = 0.05  # mm of arc between the points of a smoothed profile
+CLOSEST = 1e-3  # mm across, nearer neighbours are one point
+STEEPEST = 50.0  # slope up to which a surface has one height per lateral position
+OUTLIER = 5.0  # times the local noise, across the curve
+LEAST_OUTLIER = 0.02  # mm across the curve, no point nearer to it is an outlier
+OUTLIER_ROUNDS = 4
+NEIGHBOURHOOD = 40  # points to either side that show the local noise
+_MILLIMETRE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothedProfile:
+    """A profile and how well its shape is known."""
+
+    profile: Profile
+    noise_std: float  # m, of a point across the profile; 0 where the points are taken as they are
+    outliers: tuple[int, ...] = ()  # indices of points that were left out
+    spline: PenalisedSpline | None = None  # None where the points are taken as they are
+
+    def draw(self, random: np.random.Generator) -> Profile:
+        """Return a profile that the measurement allows: the smooth one plus an error as probable as its own.
+
+        Parameters
+        ----------
+        random
+            Source of the error.
+        """
+        if self.spline is None:
+            return self.profile
+        error = self.spline.root @ random.standard_normal(self.spline.coefficients.shape)
+        kind, name = self.profile.kind, self.profile.name
+        return _profile(kind, name, self.spline.knots, self.spline.coefficients + error)
+
+
+def exact(profile: Profile) -> SmoothedProfile:
+    """Return a profile whose shape is known, as one of a drawing.
+
+    Parameters
+    ----------
+    profile
+        Of a wheel or a rail.
+    """
+    return SmoothedProfile(profile, 0.0)
+
+
+def smoothed_profile(
+    kind: ProfileKind, name: str, points: FloatArray, noise_std: float | None = None
+) -> SmoothedProfile:
+    """Return the smooth profile through measured points; the penalty is chosen from the points or by known noise.
+
+    Points that are farther from the curve than 5 times the local noise are left out, one after another where they
+    are alone. Points without noise (less than 0.1 um) are taken as they are.
+
+    Parameters
+    ----------
+    kind, name
+        What it is.
+    points
+        (n, 2) mm, y to the field side and z down, along the profile with y increasing on the whole.
+    noise_std
+        Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
+
+    Raises
+    ------
+    ProfileError
+        Fewer than four points, or points that are not in order along the profile.
+    """
+    level = rough_noise(points) if noise_std is None else noise_std
+    if level < EXACT_BELOW:
+        kept = advancing(points[:, 0], _peak(kind, points[:, 1]))
+        y, z = points[kept].T * _MILLIMETRE
+        return SmoothedProfile(datum_at_zero(profile_from_points(kind, name, y, z)), 0.0)
+    weight = _without_spikes(points, level)
+    spline = fit_spline(points, weight, noise_std)
+    for _ in range(OUTLIER_ROUNDS):
+        far = _far(spline.residual, weight) & (weight > 0.0)
+        if not far.any():
+            break
+        weight[far] = 0.0
+        spline = fit_spline(points, weight, noise_std)
+    profile = _profile(kind, name, spline.knots, spline.coefficients)
+    outliers = tuple(int(index) for index in np.flatnonzero(weight == 0.0))
+    return SmoothedProfile(profile, spline.noise_std * _MILLIMETRE, outliers, spline)
+
+
+def datum_at_zero(profile: Profile) -> Profile:
+    """Return a wheel with z = 0 at its tread datum, and a rail as it is.
+
+    Parameters
+    ----------
+    profile
+        Of a wheel or a rail.
+
+    Raises
+    ------
+    ProfileError
+        The wheel does not reach its tread datum.
+    """
+    if profile.kind == "rail":
+        return profile
+    level = float(profile.height(np.zeros(1))[0])
+    if not np.isfinite(level):
+        raise ProfileError("the wheel does not reach the tread datum, 70 mm from the flange back", field="y")
+    return Profile("wheel", profile.name, profile.y, profile.z - level, profile.slope)
+
+
+def advancing(y: FloatArray, peak: int) -> IntArray:
+    """Return the indices of the points that advance, seen from the peak outwards to both sides.
+
+    Parameters
+    ----------
+    y
+        (n,) mm, increasing on the whole.
+    peak
+        Index of the tip of the flange, or of the crown.
+    """
+    right = _beyond_all_before(y[peak:])
+    left = _beyond_all_before(-y[peak::-1])
+    return np.concatenate([peak - left[:0:-1], peak + right])
+
+
+def _beyond_all_before(y: FloatArray) -> IntArray:
+    before = np.maximum.accumulate(y)
+    advance = np.concatenate([[True], y[1:] > before[:-1]])
+    kept = [0]
+    for index in np.flatnonzero(advance)[1:]:
+        if y[index] > y[kept[-1]] + CLOSEST:
+            kept.append(int(index))
+    return np.array(kept, dtype=np.int64)
+
+
+def _peak(kind: ProfileKind, z: FloatArray) -> int:
+    return int(np.argmax(z) if kind == "wheel" else np.argmin(z))
+
+
+def _profile(kind: ProfileKind, name: str, knots: FloatArray, coefficients: FloatArray) -> Profile:
+    curve = BSpline(knots, coefficients, DEGREE)
+    first, last = float(knots[DEGREE]), float(knots[-DEGREE - 1])
+    arc = np.linspace(first, last, 2 + int((last - first) / SAMPLING_STEP))
+    y, z = curve(arc).T
+    across, down = curve(arc, nu=1).T
+    kept = advancing(y, _peak(kind, z))
+    kept = kept[across[kept] * STEEPEST > np.abs(down[kept])]
+    profile = Profile(kind, name, y[kept] * _MILLIMETRE, z[kept] * _MILLIMETRE, down[kept] / across[kept])
+    return datum_at_zero(profile)
+
+
+def _without_spikes(points: FloatArray, level: float) -> FloatArray:
+    """Return weight 0 for points far off the median of their neighbours, which would bend the first fit."""
+    n = len(points)
+    index = np.clip(np.arange(n)[:, np.newaxis] + np.arange(-3, 4), 0, n - 1)
+    middle = np.median(points[index], axis=1)
+    distance = np.hypot(*(points - middle).T)
+    reach = np.hypot(*np.median(np.abs(points[index] - middle[:, np.newaxis]), axis=1).T)
+    return np.where(distance > np.maximum(8.0 * level, LEAST_OUTLIER) + 3.0 * reach, 0.0, 1.0)
+
+
+def _far(residual: FloatArray, weight: FloatArray) -> BoolArray:
+    """Return which points are far from the curve by the noise of their neighbours, the farthest of its neighbours."""
+    magnitude = np.where(weight > 0.0, np.abs(residual), np.nan)
+    padded = np.pad(magnitude, NEIGHBOURHOOD, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURHOOD + 1)
+    local = 1.4826 * np.nanmedian(windows, axis=1)
+    return np.asarray(magnitude > np.maximum(OUTLIER * local, LEAST_OUTLIER))

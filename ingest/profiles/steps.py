@@ -1,0 +1,79 @@
+"""Steps in a measured profile: places where the instrument moved, or two measurements were joined."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimation.contact.penalised_spline import rough_noise
+from estimation.contact.profiles import ProfileKind
+from estimation.errors import ProfileError
+from estimation.values.arrays import FloatArray, IntArray
+
+LARGEST_STEP = 0.15  # mm
+SIGNIFICANT = 6.0  # standard deviations
+_REACH = 2.0  # mm to either side that are extrapolated
+_FEWEST = 4  # points to either side
+_TREAD = (-32.0, 28.0)  # mm from the tread datum: there a wheel has no corner of its own
+_GENTLE = 0.7  # slope of a rail up to which it has none
+
+
+def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind, file: str) -> None:
+    """Raise where tread or crown have a step that no wear makes.
+
+    At each gap between points straight lines through the 2 mm on either side are continued to it; a step is where
+    they differ by more than 0.15 mm and by 6 standard deviations.
+
+    Parameters
+    ----------
+    y, z
+        (n,) mm, in the axes of the profile, y increasing on the whole.
+    lines
+        (n,) of the file.
+    kind
+        ``"wheel"`` or ``"rail"``.
+    file
+        Name of the file, for the message.
+
+    Raises
+    ------
+    ProfileError
+        There is a step; the message names its line and size.
+    """
+    order = np.argsort(y, kind="stable")
+    order = order[_where(y[order], z[order], kind)]
+    y, z, lines = y[order], z[order], lines[order]
+    noise = max(rough_noise(np.column_stack([y, z])), 1e-4) if len(y) > 2 * _FEWEST else 0.0
+    worst, at = 0.0, 0
+    for index in range(_FEWEST, len(y) - _FEWEST):
+        gap = 0.5 * (y[index - 1] + y[index])
+        before = _continued(y[:index], z[:index], gap)
+        after = _continued(y[index:], z[index:], gap)
+        step, error = abs(before[0] - after[0]), SIGNIFICANT * noise * float(np.hypot(before[1], after[1]))
+        if step > max(LARGEST_STEP, error) and step > worst:
+            worst, at = step, index
+    if worst:
+        raise ProfileError(
+            f"a step of {worst:.2f} mm at y = {y[at]:.1f} mm: the instrument moved or two measurements were joined; "
+            "measure again, or leave out one side of it",
+            file=file,
+            line=int(lines[at]),
+            field="z",
+        )
+
+
+def _where(y: FloatArray, z: FloatArray, kind: ProfileKind) -> IntArray:
+    if kind == "wheel":
+        return np.flatnonzero((y >= _TREAD[0]) & (y <= _TREAD[1]))
+    crown = float(y[np.argmin(z)])
+    return np.flatnonzero((np.abs(y - crown) < 25.0) & (z < 5.0))  # noqa: PLR2004 - mm, the running surface
+
+
+def _continued(y: FloatArray, z: FloatArray, at: float) -> tuple[float, float]:
+    """Return the line through the points near ``at`` continued to it, and its std for unit noise."""
+    near = np.flatnonzero(np.abs(y - at) <= _REACH)
+    if len(near) < _FEWEST:
+        return float("nan"), 0.0
+    offset = y[near] - at
+    design = np.column_stack([np.ones(len(near)), offset])
+    inverse = np.linalg.pinv(design.T @ design)
+    return float((inverse @ design.T @ z[near])[0]), float(np.sqrt(inverse[0, 0]))
