@@ -70,8 +70,8 @@ def _transformed(points: FilePoints, keywords: dict[str, tuple[int, str]]) -> Fi
     smoothing = setting("approx.smooth")
     if smoothing != 0.0:
         raise ProfileError(
-            f"{smoothing:g} asks for SIMPACK's own smoothing, whose definition is not published; set it to 0: the points "
-            "are then smoothed by their own noise, or by the one that is given",
+            f"{smoothing:g} asks for SIMPACK's own smoothing, whose definition is not published; set it to 0: the "
+            "points are then smoothed by their own noise, or by the one that is given",
             file=points.file,
             line=keywords["approx.smooth"][0],
             field="approx.smooth",
