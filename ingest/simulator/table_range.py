@@ -15,7 +15,8 @@ from ingest.simulator.track import TrackTruth
 DISPLACEMENT_LIMIT = 8e-3  # m
 DRAWN_LIMIT = 12e-3  # m, the same of a drawn fleet, whose worn wheelsets swing further
 DRAWN_LIMIT_WIDE = 15e-3  # m, the same where gauge varies: flanges are further apart in wide gauge
-BEYOND_NOMINAL_GAUGE = 10e-3  # m, where gauge varies or the track is a recorded one: flange contact is at some 7 mm
+GAUGE_LIMIT = 10e-3  # m, of a listed fleet where gauge varies: flange contact is at some 7 mm
+ROUGH_LIMIT = 15e-3  # m, on tracks and with wheels as they are recorded: flanges run up to 10 mm, and come back
 LIMIT_STEP = 0.5e-3  # m
 GAUGE_STEP = 0.5e-3  # m: contact jumps move over y - d by half the gauge deviation, and tables blend between steps
 
@@ -40,12 +41,14 @@ def displacement_limit(scenario: Scenario, track: TrackTruth) -> float:
         The true track: in wide gauge flange contact comes later, by half the gauge deviation.
     """
     recipe = scenario.section.recipe
-    _, high = track.gauge_range()
-    if recipe is not None and not recipe.gauge_varies:
-        base = DISPLACEMENT_LIMIT if scenario.drawn is None else DRAWN_LIMIT
-        return base + _rounded_up(0.5 * max(high, 0.0))
-    wide = BEYOND_NOMINAL_GAUGE + _rounded_up(0.5 * max(high, 0.0))
-    return wide if scenario.drawn is None else max(wide, DRAWN_LIMIT_WIDE)
+    _, widest = track.gauge_range()
+    more = _rounded_up(0.5 * max(widest, 0.0))
+    if recipe is None or not recipe.plain or scenario.files:
+        return ROUGH_LIMIT + more
+    if recipe.gauge_std > 0.0:
+        wide = GAUGE_LIMIT + more
+        return wide if scenario.drawn is None else max(wide, DRAWN_LIMIT_WIDE)
+    return more + (DISPLACEMENT_LIMIT if scenario.drawn is None else DRAWN_LIMIT)
 
 
 def _rounded_up(length: float) -> float:

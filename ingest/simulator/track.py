@@ -111,9 +111,10 @@ class TrackRecipe:
         )
 
     @property
-    def gauge_varies(self) -> bool:
-        """Whether the gauge deviation is not the same everywhere."""
-        return self.gauge_std > 0.0 or self.long_gauge is not None or any(item.gauge for item in self.isolated)
+    def plain(self) -> bool:
+        """Whether the irregularities are Gaussian and of one band, and nothing else."""
+        kurtosis = (self.alignment_kurtosis, self.gauge_kurtosis)
+        return kurtosis == (GAUSSIAN, GAUSSIAN) and not (self.long_alignment or self.long_gauge or self.isolated)
 
 
 def make_track(recipe: TrackRecipe, seed: np.random.SeedSequence) -> TrackTruth:
