@@ -55,9 +55,10 @@ def test_a_wheel_from_a_file_runs_as_the_built_in_one_that_it_is(wheels: Path) -
     by_name = NO_GAUGE.replace('serial = "C"', 'serial = "C"\ninitial_wear_mm = 1.0\nflange_wear_share = 1.0')
     built_in = scenario_of(wheels, by_name)
     expected = contact_of(built_in, track, built_in.vehicles[0].wheelsets[2], 0.0)
-    near = np.abs(table.lateral_displacement) < 4e-3
-    difference = (table.rolling_radius_difference - expected.rolling_radius_difference)[near]
-    assert np.median(np.abs(difference)) < 5e-6
+    found, named = (
+        item.rolling_radius_difference[np.abs(item.lateral_displacement) < 4e-3] for item in (table, expected)
+    )
+    assert np.median(np.abs(found - named)) < 5e-6
 
 
 def test_the_wheels_of_a_wheelset_may_differ(wheels: Path) -> None:
