@@ -12,11 +12,12 @@ from matplotlib.figure import Figure
 from estimation.contact.table import ContactTable
 from estimation.values.arrays import FloatArray
 
+INTERVAL = 1.96  # standard deviations
 _LEFT, _RIGHT, _BOTH = "#1f5fa8", "#c4561a", "#222222"
 
 
 def save_contact_figure(
-    table: ContactTable, amplitude: FloatArray, conicity: FloatArray, title: str, out: Path
+    table: ContactTable, amplitude: FloatArray, conicity: FloatArray, std: FloatArray, title: str, out: Path
 ) -> None:
     """Write radii, contact angles, contact positions and equivalent conicity of the table's first gauge as PNG.
 
@@ -24,8 +25,8 @@ def save_contact_figure(
     ----------
     table
         Contact geometry; the column of its first gauge deviation is drawn.
-    amplitude, conicity
-        (k,) m and tan(gamma_e).
+    amplitude, conicity, std
+        (k,) m, tan(gamma_e) and its standard deviation, which is drawn where it is not 0.
     title
         What it is.
     out
@@ -48,6 +49,11 @@ def save_contact_figure(
         panel.set_xlabel("lateral displacement (left positive), mm")
         panel.legend(frameon=False)
     axes[1, 1].plot(amplitude * 1e3, conicity, color=_BOTH, marker="o", markersize=3)
+    if np.nan_to_num(std).any():
+        low, high = conicity - INTERVAL * std, conicity + INTERVAL * std
+        label = "95 % interval"
+        axes[1, 1].fill_between(amplitude * 1e3, low, high, color=_BOTH, alpha=0.2, linewidth=0.0, label=label)
+        axes[1, 1].legend(frameon=False)
     axes[1, 1].set_xlabel("amplitude, mm")
     axes[1, 1].set_ylabel("equivalent conicity tan γₑ")
     axes[1, 1].set_ylim(bottom=0.0)

@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,37 +15,109 @@ import typer
 
 from api.plots.contact import save_contact_figure
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter
+from estimation.contact.conicity_uncertainty import MeasuredShapes, conicity_std
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
-from estimation.contact.profiles import Profile, ProfileKind, rail_profile, wheel_profile
+from estimation.contact.profiles import ProfileKind, is_design, rail_profile, wheel_profile
 from estimation.contact.radius_difference import RadiusDifferenceCurve, radius_difference_curve
+from estimation.contact.smoothed_profile import SmoothedProfile, exact
 from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import InputError, ParameterError
 from estimation.values.arrays import FloatArray
-from ingest.profiles.files import read_profile
+from ingest.profiles.files import read_measured_profile
+from ingest.profiles.gauge_side import LEAST_LEAN, lean
+from ingest.profiles.origin import Origin
 
 _DISPLACEMENT_MM = np.linspace(-8.0, 8.0, 161)
 _AMPLITUDE_MM = np.linspace(0.5, 7.0, 66)
 
 
-def read_named_profile(name: str, kind: ProfileKind) -> Profile:
-    """Return a built-in profile, or the profile in a file.
+@dataclass(frozen=True, slots=True)
+class FileOptions:
+    """How profile files are read."""
+
+    mirror: bool | None = None  # gauge side of a rail at positive y of the file; None: as its shape shows
+    origin: Origin = Origin.AUTO  # what y = 0 of a wheel file is
+    noise_mm: float | None = None  # of the instrument; None: as the points show
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """A wheelset on a track, how well its profiles are known, and how contact points are found."""
+
+    wheelset: WheelsetOnTrack
+    shapes: MeasuredShapes
+    method: ContactMethod
+    inclination: str  # as it was written
+
+
+def measured_shapes(wheels: tuple[str, str], rail: str, options: FileOptions) -> MeasuredShapes:
+    """Return the profiles of both wheels and of the rail, by name or from files.
 
     Parameters
     ----------
-    name
-        Name of a built-in profile, or path of a profile file: with a suffix, and there or in a folder.
-    kind
-        Whether it is a wheel or a rail.
+    wheels
+        Left and right: name of a built-in profile, or path of a profile file.
+    rail
+        The same, of both rails.
+    options
+        How files are read.
 
     Raises
     ------
     ProfileError
-        No such profile, or the file holds none.
+        No such profile, or a file holds none.
+    ParameterError
+        Options for files, and no file.
     """
+    for given, names, option in (
+        (options.mirror is not None, (rail,), "--mirror"),
+        (options.origin is not Origin.AUTO, wheels, "--origin"),
+        (options.noise_mm is not None, (*wheels, rail), "--noise-mm"),
+    ):
+        if given and not any(_is_file(name) for name in names):
+            raise ParameterError("is for profile files, and none is given", field=option)
+    left = _shape(wheels[0], "wheel", options)
+    right = left if wheels[1] == wheels[0] else _shape(wheels[1], "wheel", options)
+    both = _shape(rail, "rail", options)
+    return MeasuredShapes(left, right, both, both)
+
+
+def _is_file(name: str) -> bool:
     path = Path(name)
-    if path.suffix and (path.exists() or path.parent != Path()):
-        return read_profile(path, kind)
-    return wheel_profile(name) if kind == "wheel" else rail_profile(name)
+    return not is_design(name) and bool(path.suffix) and (path.exists() or path.parent != Path())
+
+
+def _shape(name: str, kind: ProfileKind, options: FileOptions) -> SmoothedProfile:
+    if not _is_file(name):
+        return exact(wheel_profile(name) if kind == "wheel" else rail_profile(name))
+    noise = None if options.noise_mm is None else options.noise_mm * 1e-3
+    if kind == "wheel":
+        return read_measured_profile(name, "wheel", origin=options.origin, noise_std=noise)
+    return read_measured_profile(name, "rail", mirror=options.mirror, noise_std=noise)
+
+
+def notes(contact: Contact) -> list[str]:
+    """Return what a user should know of the files: points left out, a rail that is inclined twice.
+
+    Parameters
+    ----------
+    contact
+        Profiles and inclination.
+    """
+    shapes = {id(shape): shape for shape in (contact.shapes.left_wheel, contact.shapes.right_wheel)}
+    said = [
+        f"{shape.profile.name}: {len(shape.outliers)} points far from the profile are left out"
+        for shape in (*shapes.values(), contact.shapes.left_rail)
+        if shape.outliers
+    ]
+    rail = contact.wheelset.left_rail
+    leaning = lean(rail.y * 1e3, rail.z * 1e3)
+    if abs(leaning) >= LEAST_LEAN and contact.wheelset.inclination != 0.0:
+        said.append(
+            f"{rail.name}: leans by 1:{1.0 / leaning:.0f} in its file and is inclined {contact.inclination} besides; "
+            "give --inclination 0 for a rail in track axes"
+        )
+    return said
 
 
 def parse_inclination(text: str) -> float:
@@ -62,17 +135,13 @@ def parse_inclination(text: str) -> float:
         raise ParameterError(f"{text!r} is no inclination; give it as 1:20, or 0", field="--inclination") from None
 
 
-def save_picture(wheelset: WheelsetOnTrack, method: ContactMethod, inclination: str, out: Path | None) -> None:
+def save_picture(contact: Contact, out: Path | None) -> None:
     """Write the contact geometry of a wheelset as PNG.
 
     Parameters
     ----------
-    wheelset
-        Profiles, radii and gauge.
-    method
-        How contact points are found.
-    inclination
-        Of the rails, as it was written; for the title.
+    contact
+        Wheelset, profiles and method.
     out
         File to write.
 
@@ -83,10 +152,11 @@ def save_picture(wheelset: WheelsetOnTrack, method: ContactMethod, inclination: 
     """
     if out is None:
         raise ParameterError("a picture needs --out FILE.png", field="--format")
-    table, curve = _table(wheelset, method), _curve(wheelset, method)
-    profiles = f"{wheelset.left_wheel.name} on {wheelset.left_rail.name} {inclination}"
-    title = f"{profiles}, {wheelset.gauge * 1e3:g} mm, {method.value}"
-    save_contact_figure(table, _AMPLITUDE_MM * 1e-3, _conicity(curve), title, out)
+    wheelset = contact.wheelset
+    profiles = f"{wheelset.left_wheel.name} on {wheelset.left_rail.name} {contact.inclination}"
+    title = f"{profiles}, {wheelset.gauge * 1e3:g} mm, {contact.method.value}"
+    conicity = _conicity(_curve(contact))
+    save_contact_figure(_table(contact), _AMPLITUDE_MM * 1e-3, conicity, _std(contact), title, out)
 
 
 @contextmanager
@@ -102,28 +172,35 @@ def refusals() -> Iterator[None]:
         raise typer.Exit(2) from error
 
 
-def table_text(wheelset: WheelsetOnTrack, method: ContactMethod, *, as_json: bool) -> str:
-    """Return the contact geometry of ``wheelset``, found by ``method``, as JSON, or as CSV without conicity.
+def table_text(contact: Contact, *, as_json: bool) -> str:
+    """Return the contact geometry of a wheelset as JSON, or as CSV without conicity.
 
     Parameters
     ----------
-    wheelset
-        Profiles, radii and gauge.
-    method
-        How contact points are found.
+    contact
+        Wheelset, profiles and method.
     as_json
         JSON with conicity, or else CSV without.
     """
-    table = _table(wheelset, method)
-    return _json(table, _curve(wheelset, method)) if as_json else _csv(table)
+    return _json(contact) if as_json else _csv(_table(contact))
 
 
-def _table(wheelset: WheelsetOnTrack, method: ContactMethod) -> ContactTable:
-    return contact_table(wheelset, _DISPLACEMENT_MM * 1e-3, method=method, outside="hold")
+def _table(contact: Contact) -> ContactTable:
+    return contact_table(contact.wheelset, _DISPLACEMENT_MM * 1e-3, method=contact.method, outside="hold")
 
 
-def _curve(wheelset: WheelsetOnTrack, method: ContactMethod) -> RadiusDifferenceCurve:
-    return radius_difference_curve(wheelset, _DISPLACEMENT_MM * 1e-3, method=method)
+def _curve(contact: Contact) -> RadiusDifferenceCurve:
+    return radius_difference_curve(contact.wheelset, _DISPLACEMENT_MM * 1e-3, method=contact.method)
+
+
+def _std(contact: Contact) -> FloatArray:
+    return conicity_std(
+        contact.wheelset,
+        contact.shapes,
+        _DISPLACEMENT_MM * 1e-3,
+        _AMPLITUDE_MM * 1e-3,
+        method=contact.method,
+    )
 
 
 def _conicity(curve: RadiusDifferenceCurve) -> FloatArray:
@@ -144,15 +221,33 @@ def _columns(table: ContactTable) -> dict[str, FloatArray]:
     return {"lateral_displacement_mm": table.lateral_displacement * 1e3, **marked}
 
 
-def _json(table: ContactTable, curve: RadiusDifferenceCurve) -> str:
+def _json(contact: Contact) -> str:
+    curve = _curve(contact)
     nonlinearity = nonlinearity_parameter(curve.displacement, curve.difference)
     document = {
-        **{name: _rounded(values) for name, values in _columns(table).items()},
-        "equivalent_conicity": {"amplitude_mm": _rounded(_AMPLITUDE_MM), "value": _rounded(_conicity(curve))},
+        **{name: _rounded(values) for name, values in _columns(_table(contact)).items()},
+        "equivalent_conicity": {
+            "amplitude_mm": _rounded(_AMPLITUDE_MM),
+            "value": _rounded(_conicity(curve)),
+            "std": _rounded(_std(contact)),
+        },
         "nonlinearity_parameter": _rounded(np.array([nonlinearity]))[0],
         "contact_jumps_mm": _rounded(curve.jumps * 1e3),
+        "profiles": {
+            "left_wheel": _described(contact.shapes.left_wheel),
+            "right_wheel": _described(contact.shapes.right_wheel),
+            "rails": _described(contact.shapes.left_rail),
+        },
     }
     return orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE).decode()
+
+
+def _described(shape: SmoothedProfile) -> dict[str, object]:
+    return {
+        "name": shape.profile.name,
+        "noise_mm": round(shape.noise_std * 1e3, 6),
+        "points_left_out": len(shape.outliers),
+    }
 
 
 def _csv(table: ContactTable) -> str:

@@ -44,7 +44,8 @@ class MeasuredShapes:
         random
             Source of the errors.
         """
-        drawn = {id(shape): shape.draw(random) for shape in self._all()}
+        different = {id(shape): shape for shape in self._all()}
+        drawn = {key: shape.draw(random) for key, shape in different.items()}
         return replace(
             wheelset,
             left_wheel=drawn[id(self.left_wheel)],

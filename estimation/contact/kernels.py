@@ -22,7 +22,7 @@ ROLL_LIMIT = 0.1  # rad
 OUTSIDE = 1.0e3  # m, gap where there is no rail
 JUMP_DISTANCE = 4e-4  # m, a contact has jumped that moves this far ...
 JUMP_INTERVAL = 4e-6  # m, ... while the wheelset moves no farther than this
-CURVE_TOLERANCE = 5e-8  # m, of the radius difference half-way between two points of a refined curve
+CURVE_TOLERANCE = 2e-7  # m, of the radius difference half-way between two points of a refined curve
 CURVE_INTERVAL = 1e-9  # m, a jump of a refined curve is placed to within this
 _LEVELS = 64  # more than the halvings from any grid step to the interval
 

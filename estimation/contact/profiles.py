@@ -15,6 +15,8 @@ from typing import Literal
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
+from estimation.contact.en13715 import NAMES as EN13715_NAMES
+from estimation.contact.en13715 import en13715_wheel
 from estimation.contact.rail_definitions import RAIL_DEFINITIONS
 from estimation.contact.segments import Segment, sample
 from estimation.contact.wheel_definitions import WHEEL_DEFINITIONS
@@ -114,7 +116,9 @@ def profile_from_points(kind: ProfileKind, name: str, y: FloatArray, z: FloatArr
 
 
 def wheel_profile(name: str) -> Profile:
-    """Return the wheel profile of that name: P8, S1002, EN15302-A, -B, -C, -H or -I; case and punctuation are free.
+    """Return the wheel profile of that name: P8, S1002, EN15302-A, -B, -C, -H or -I, or one of EN 13715.
+
+    Case and punctuation are free; :func:`estimation.contact.en13715.en13715_wheel` lists the designations of EN 13715.
 
     Parameters
     ----------
@@ -126,7 +130,8 @@ def wheel_profile(name: str) -> Profile:
     ProfileError
         No such wheel; the message lists those there are.
     """
-    return _named("wheel", name, WHEEL_DEFINITIONS)
+    segments = en13715_wheel(name)
+    return _sampled("wheel", name, segments) if segments else _named("wheel", name, WHEEL_DEFINITIONS)
 
 
 def rail_profile(name: str) -> Profile:
@@ -147,13 +152,31 @@ def rail_profile(name: str) -> Profile:
     return _named("rail", name, RAIL_DEFINITIONS)
 
 
+def is_design(name: str) -> bool:
+    """Return whether a wheel or rail profile of that name is built in.
+
+    Parameters
+    ----------
+    name
+        As `wheel_profile` and `rail_profile` take it.
+    """
+    return en13715_wheel(name) is not None or any(
+        _plain(name) == _plain(known) for known in (*WHEEL_DEFINITIONS, *RAIL_DEFINITIONS)
+    )
+
+
 def _named(kind: ProfileKind, name: str, definitions: Mapping[str, Callable[[], tuple[Segment, ...]]]) -> Profile:
     wanted = _plain(name)
     for known, define in definitions.items():
         if _plain(known) == wanted:
-            y, z, slope = sample(define(), SAMPLING_STEP_MM)
-            return Profile(kind, known, y * _MILLIMETRE, z * _MILLIMETRE, slope)
-    raise ProfileError(f"no {kind} profile named {name!r}; known: {', '.join(definitions)}", field=kind)
+            return _sampled(kind, known, define())
+    others = f", {EN13715_NAMES}" if kind == "wheel" else ""
+    raise ProfileError(f"no {kind} profile named {name!r}; known: {', '.join(definitions)}{others}", field=kind)
+
+
+def _sampled(kind: ProfileKind, name: str, segments: tuple[Segment, ...]) -> Profile:
+    y, z, slope = sample(segments, SAMPLING_STEP_MM)
+    return Profile(kind, name, y * _MILLIMETRE, z * _MILLIMETRE, slope)
 
 
 def _plain(name: str) -> str:

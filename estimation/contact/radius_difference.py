@@ -40,7 +40,7 @@ def radius_difference_curve(
 ) -> RadiusDifferenceCurve:
     """Return the rolling radius difference, refined between the points of a grid.
 
-    Each cell is halved until the curve is straight in it to 0.05 um; a jump is placed by bisection of the contact
+    Each cell is halved until the curve is straight in it to 0.2 um; a jump is placed by bisection of the contact
     search to 1 nm. So integrals over the curve (EN 15302) do not depend on the grid.
 
     Parameters

@@ -135,13 +135,11 @@ def advancing(y: FloatArray, peak: int) -> IntArray:
 
 
 def _beyond_all_before(y: FloatArray) -> IntArray:
-    before = np.maximum.accumulate(y)
-    advance = np.concatenate([[True], y[1:] > before[:-1]])
-    kept = [0]
-    for index in np.flatnonzero(advance)[1:]:
-        if y[index] > y[kept[-1]] + CLOSEST:
-            kept.append(int(index))
-    return np.array(kept, dtype=np.int64)
+    """Return the indices of the points beyond all before them, and not too close to the last of these."""
+    kept = np.flatnonzero(np.concatenate([[True], y[1:] > np.maximum.accumulate(y)[:-1]]))
+    while len(close := np.flatnonzero(np.diff(y[kept]) <= CLOSEST)):
+        kept = np.delete(kept, close[np.concatenate([[True], np.diff(close) > 1])] + 1)
+    return kept.astype(np.int64)
 
 
 def _peak(kind: ProfileKind, z: FloatArray) -> int:

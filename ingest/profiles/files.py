@@ -11,7 +11,8 @@ from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ProfileError
 from ingest.profiles.columns import parse_columns
 from ingest.profiles.formats import FORMATS
-from ingest.profiles.orientation import Origin, oriented
+from ingest.profiles.orientation import oriented
+from ingest.profiles.origin import Origin
 from ingest.profiles.points import FilePoints
 
 _SLICES = (".slcs", ".slcw")  # CONTACT's lists of cross sections

@@ -13,8 +13,6 @@ What a file leaves open (SIMPACK leaves the gauge side and the origin of y) is d
 
 from __future__ import annotations
 
-from enum import StrEnum
-
 import numpy as np
 
 from estimation.contact.profiles import TREAD_DATUM, ProfileKind
@@ -22,6 +20,7 @@ from estimation.contact.smoothed_profile import SmoothedProfile, advancing, smoo
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray
 from ingest.profiles.gauge_side import gauge_side_is_positive
+from ingest.profiles.origin import Origin
 from ingest.profiles.points import FilePoints
 from ingest.profiles.steps import check_steps
 
@@ -38,14 +37,6 @@ _HEAD_DEPTH = 4.0  # mm below the crown, what is a head
 _GROOVE_DEPTH = 15.0  # mm
 _LEAST_HEAD = 20.0  # mm of width
 _LEAST_HEAD_DEPTH = 1.0  # mm on either side of the crown
-
-
-class Origin(StrEnum):
-    """What y = 0 of a wheel file is. A rail needs none: it is placed by its gauge."""
-
-    AUTO = "auto"  # by the distance from the tip of the flange
-    DATUM = "datum"  # the tread datum, 70 mm from the flange back
-    FLANGE_BACK = "flange-back"
 
 
 def oriented(

@@ -35,7 +35,7 @@ def test_json_has_the_agreed_keys_and_the_reference_values() -> None:
     result = _run("--wheel", "EN15302-A", "--rail", "EN15302-A", "--inclination", "0", "--gauge-mm", "1435.16")
     assert result.exit_code == 0
     document = json.loads(result.stdout, parse_constant=pytest.fail)
-    assert list(document) == [*KEYS, "equivalent_conicity", "nonlinearity_parameter", "contact_jumps_mm"]
+    assert list(document) == [*KEYS, "equivalent_conicity", "nonlinearity_parameter", "contact_jumps_mm", "profiles"]
     assert len({len(document[key]) for key in KEYS}) == 1
     conicity = document["equivalent_conicity"]
     found = dict(zip(conicity["amplitude_mm"], conicity["value"], strict=True))

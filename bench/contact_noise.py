@@ -1,0 +1,132 @@
+"""Noise on every design profile: error of the equivalent conicity of the smoothed profile, and its stated std."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.report import BenchRow
+from estimation.contact.conicity import equivalent_conicity
+from estimation.contact.conicity_uncertainty import MeasuredShapes, conicity_std
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.radius_difference import radius_difference_curve
+from estimation.contact.smoothed_profile import exact, smoothed_profile
+from estimation.contact.table import ContactMethod
+from estimation.values.arrays import BoolArray, FloatArray
+
+NOISE = 0.02  # mm of height at each point
+SPACING = 0.1  # mm of arc between points, as profile gauges have it
+SEEDS = 10
+AMPLITUDES = np.arange(2, 13) * 0.5e-3  # m
+DISPLACEMENT = np.linspace(-8e-3, 8e-3, 161)
+NEAR = 0.3e-3  # m around the end of an amplitude within which a contact moves ...
+MOVES = 2e-3  # ... by more than this: a jump, or as good as one
+REACH, LOW, HIGH = 0.01, 0.92, 0.98
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    wheel: str
+    rail: str
+    inclination: float
+    noisy: str  # "wheel" or "rail"
+
+
+PAIRS = (
+    _Pair("P8", "56E1", 1 / 20, "wheel"),
+    _Pair("S1002", "60E1", 1 / 40, "wheel"),
+    _Pair("EN13715-S1002/h30/e30", "60E1", 1 / 40, "wheel"),
+    _Pair("EN13715-1/40/h28/e32.5", "60E1", 1 / 40, "wheel"),
+    _Pair("EN15302-A", "60E1", 1 / 40, "wheel"),
+    _Pair("EN15302-B", "60E1", 1 / 40, "wheel"),
+    _Pair("EN15302-H", "60E1", 1 / 40, "wheel"),
+    _Pair("EN15302-I", "60E1", 1 / 40, "wheel"),
+    _Pair("P8", "56E1", 1 / 20, "rail"),
+    _Pair("S1002", "60E1", 1 / 40, "rail"),
+    _Pair("S1002", "60E2", 1 / 40, "rail"),
+    _Pair("S1002", "54E1", 1 / 40, "rail"),
+    _Pair("S1002", "UIC60", 1 / 40, "rail"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    error: FloatArray  # (seeds, k)
+    std: FloatArray  # (seeds, k)
+    away: BoolArray  # (k,) from jumps
+
+    @property
+    def covered(self) -> BoolArray:
+        return np.abs(self.error) <= 1.96 * self.std
+
+
+def noise_rows() -> Iterator[BenchRow]:
+    """Yield a row for each profile, and one for all of them."""
+    outcomes = []
+    for index, pair in enumerate(PAIRS):
+        outcome = _measure(pair, index)
+        outcomes.append(outcome)
+        error = np.abs(outcome.error[:, outcome.away])
+        yield BenchRow(
+            f"{NOISE} mm of noise on the {pair.noisy}, {pair.wheel} on {pair.rail}, {SEEDS} seeds, away from jumps",
+            f"95th percentile {np.quantile(error, 0.95):.4f}, covered {outcome.covered[:, outcome.away].mean():.0%}",
+            f"{REACH}",
+            bool(np.quantile(error, 0.95) <= REACH),
+        )
+    away = np.concatenate([np.abs(one.error[:, one.away]).ravel() for one in outcomes])
+    covered = np.concatenate([one.covered[:, one.away].ravel() for one in outcomes])
+    near = np.concatenate([one.covered[:, ~one.away].ravel() for one in outcomes])
+    percentile, share = float(np.quantile(away, 0.95)), float(covered.mean())
+    yield BenchRow(
+        f"{NOISE} mm of noise, all profiles, away from jumps",
+        f"95th percentile {percentile:.4f}, covered {share:.1%} (next to jumps {near.mean():.1%})",
+        f"{REACH}, {LOW:.0%} to {HIGH:.0%}",
+        percentile <= REACH and LOW <= share <= HIGH,
+    )
+
+
+def _measure(pair: _Pair, index: int) -> _Outcome:
+    wheel, rail = wheel_profile(pair.wheel), rail_profile(pair.rail)
+    design = WheelsetOnTrack.symmetric(wheel, rail, pair.inclination, 1.435)
+    truth = _conicity(design)
+    errors, stds = [], []
+    for seed in range(SEEDS):
+        random = np.random.default_rng((index, seed))
+        points = _points(wheel if pair.noisy == "wheel" else rail)
+        points[:, 1] += random.normal(0.0, NOISE, len(points))
+        if pair.noisy == "wheel":
+            shapes = smoothed_profile("wheel", "measured", points), exact(rail)
+        else:
+            shapes = exact(wheel), smoothed_profile("rail", "measured", points)
+        wheelset = WheelsetOnTrack.symmetric(shapes[0].profile, shapes[1].profile, pair.inclination, 1.435)
+        measured = MeasuredShapes(shapes[0], shapes[0], shapes[1], shapes[1])
+        errors.append(_conicity(wheelset) - truth)
+        stds.append(conicity_std(wheelset, measured, DISPLACEMENT, AMPLITUDES))
+    covered = np.isfinite(truth)
+    found, std = np.array(errors)[:, covered], np.array(stds)[:, covered]
+    return _Outcome(found, std, _away_from_jumps(design)[covered])
+
+
+def _points(profile: Profile) -> FloatArray:
+    """Return points (n, 2) along a profile, mm."""
+    y, z = profile.y * 1e3, profile.z * 1e3
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(y), np.diff(z)))])
+    across = np.clip(np.interp(np.arange(0.0, arc[-1], SPACING), arc, y), y[0], y[-1])
+    return np.column_stack([across, np.interp(across, y, z)])
+
+
+def _conicity(wheelset: WheelsetOnTrack) -> FloatArray:
+    curve = radius_difference_curve(wheelset, DISPLACEMENT, method=ContactMethod.EN15302)
+    return equivalent_conicity(curve.displacement, curve.difference, AMPLITUDES)
+
+
+def _away_from_jumps(wheelset: WheelsetOnTrack) -> BoolArray:
+    """Return at which amplitudes no contact of the design jumps, or moves as fast, near the end of the travel."""
+    table = contact_table(wheelset, np.linspace(-7e-3, 7e-3, 281), method=ContactMethod.EN15302, outside="hold")
+    y = table.lateral_displacement
+    positions = np.column_stack([table.contact_position_left[:, 0], table.contact_position_right[:, 0]])
+    ends = [[np.abs(y - side * amplitude) <= NEAR for side in (-1, 1)] for amplitude in AMPLITUDES]
+    return np.array([all(np.ptp(positions[near], axis=0).max() <= MOVES for near in both) for both in ends])
