@@ -18,7 +18,8 @@ CLOSEST = 1e-3  # mm across, nearer neighbours are one point
 STEEPEST = 50.0  # slope up to which a surface has one height per lateral position
 OUTLIER = 5.0  # times the local noise, across the curve
 LEAST_OUTLIER = 0.02  # mm across the curve, no point nearer to it is an outlier
-OUTLIER_ROUNDS = 4
+OUTLIER_ROUNDS = 8
+ALONE = 3  # points to either side, of which only the farthest is left out at a time
 NEIGHBOURHOOD = 40  # points to either side that show the local noise
 _MILLIMETRE = 1e-3
 
@@ -85,17 +86,28 @@ def smoothed_profile(
         kept = advancing(points[:, 0], _peak(kind, points[:, 1]))
         y, z = points[kept].T * _MILLIMETRE
         return SmoothedProfile(datum_at_zero(profile_from_points(kind, name, y, z)), 0.0)
+    spline, weight = _without_outliers(points, level, noise_std)
+    profile = _profile(kind, name, spline.knots, spline.coefficients)
+    outliers = tuple(int(index) for index in np.flatnonzero(weight == 0.0))
+    return SmoothedProfile(profile, spline.noise_std * _MILLIMETRE, outliers, spline)
+
+
+def _without_outliers(points: FloatArray, level: float, noise_std: float | None) -> tuple[PenalisedSpline, FloatArray]:
+    """Return the curve and the weights (n,) of the points, 0 for outliers."""
     weight = _without_spikes(points, level)
     spline = fit_spline(points, weight, noise_std)
     for _ in range(OUTLIER_ROUNDS):
-        far = _far(spline.residual, weight) & (weight > 0.0)
+        limit = _limit(spline.residual, weight)
+        far = (weight > 0.0) & (np.abs(spline.residual) > limit) & _farthest(spline.residual, weight)
         if not far.any():
             break
         weight[far] = 0.0
         spline = fit_spline(points, weight, noise_std)
-    profile = _profile(kind, name, spline.knots, spline.coefficients)
-    outliers = tuple(int(index) for index in np.flatnonzero(weight == 0.0))
-    return SmoothedProfile(profile, spline.noise_std * _MILLIMETRE, outliers, spline)
+    back = (weight == 0.0) & (np.abs(spline.residual) <= _limit(spline.residual, weight))
+    if back.any():  # they were far from a curve that an outlier had bent
+        weight[back] = 1.0
+        spline = fit_spline(points, weight, noise_std)
+    return spline, weight
 
 
 def datum_at_zero(profile: Profile) -> Profile:
@@ -168,10 +180,19 @@ def _without_spikes(points: FloatArray, level: float) -> FloatArray:
     return np.where(distance > np.maximum(8.0 * level, LEAST_OUTLIER) + 3.0 * reach, 0.0, 1.0)
 
 
-def _far(residual: FloatArray, weight: FloatArray) -> BoolArray:
-    """Return which points are far from the curve by the noise of their neighbours, the farthest of its neighbours."""
+def _limit(residual: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return how far from the curve each point may be by the noise of its neighbours, mm."""
     magnitude = np.where(weight > 0.0, np.abs(residual), np.nan)
-    padded = np.pad(magnitude, NEIGHBOURHOOD, constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURHOOD + 1)
-    local = 1.4826 * np.nanmedian(windows, axis=1)
-    return np.asarray(magnitude > np.maximum(OUTLIER * local, LEAST_OUTLIER))
+    local = 1.4826 * np.nanmedian(_windows(magnitude, NEIGHBOURHOOD), axis=1)
+    return np.maximum(OUTLIER * local, LEAST_OUTLIER)
+
+
+def _farthest(residual: FloatArray, weight: FloatArray) -> BoolArray:
+    """Return which points are farther from the curve than their nearest neighbours."""
+    magnitude = np.where(weight > 0.0, np.abs(residual), 0.0)
+    return np.asarray(magnitude >= np.nanmax(_windows(magnitude, ALONE), axis=1))
+
+
+def _windows(values: FloatArray, reach: int) -> FloatArray:
+    padded = np.pad(values, reach, constant_values=np.nan)
+    return np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)

@@ -13,7 +13,7 @@ import typer
 from typer.testing import CliRunner, Result
 
 from api.commands.contact import contact
-from estimation.contact.profiles import wheel_profile
+from estimation.contact.profiles import rail_profile, wheel_profile
 
 KEYS = [
     "lateral_displacement_mm",
@@ -132,6 +132,10 @@ def test_a_wheel_from_a_file_is_the_wheel(tmp_path: Path) -> None:
         (["--flange-back-mm", "nan"], "flange_back_distance"),
         (["--format", "png"], "--out"),
         (["--out", "nowhere/x.json"], "nowhere/x.json"),
+        (["--mirror"], "--mirror"),
+        (["--origin", "datum"], "none is given"),
+        (["--noise-mm", "0.02"], "--noise-mm"),
+        (["--wheel", "S1002/h40/e30"], "h = 40"),
     ],
 )
 def test_bad_input_is_one_clear_line_and_exit_code_2(arguments: list[str], words: str) -> None:
@@ -145,3 +149,47 @@ def test_bad_input_is_one_clear_line_and_exit_code_2(arguments: list[str], words
 def test_an_unknown_method_or_format_is_refused() -> None:
     assert _run("--method", "guess").exit_code == 2
     assert _run("--format", "xml").exit_code == 2
+
+
+def _measured(folder: Path, name: str = "wheel.csv") -> Path:
+    wheel = wheel_profile("S1002")
+    y = np.linspace(-69.0, 58.0, 900)
+    z = wheel.height(y * 1e-3) * 1e3 + np.random.default_rng(2).normal(0.0, 0.02, len(y))
+    z[700] += 1.0
+    file = folder / name
+    file.write_text("".join(f"{a + 70.0:.4f},{b:.4f}\n" for a, b in zip(y, z, strict=True)))
+    return file
+
+
+def test_a_measured_wheel_has_a_conicity_with_a_std(tmp_path: Path) -> None:
+    file = _measured(tmp_path)
+    pair = ("--rail", "60E1", "--inclination", "1:40")
+    result = _run("--wheel", str(file), "--origin", "flange-back", *pair)
+    assert result.exit_code == 0, result.stderr
+    assert "wheel: 1 points far from the profile are left out" in result.stderr
+    document = json.loads(result.stdout)
+    design = json.loads(_run("--wheel", "EN13715-S1002/h28/e32.5", *pair).stdout)
+    assert set(design["equivalent_conicity"]["std"]) == {0.0}
+    assert document["profiles"]["rails"] == {"name": "60E1", "noise_mm": 0.0, "points_left_out": 0}
+    assert document["profiles"]["left_wheel"]["noise_mm"] == pytest.approx(0.016, abs=0.003)
+    at = document["equivalent_conicity"]["amplitude_mm"].index(3.0)
+    value, std = (document["equivalent_conicity"][key][at] for key in ("value", "std"))
+    assert value == pytest.approx(design["equivalent_conicity"]["value"][at], abs=0.01)
+    assert 0.0003 < std < 0.01
+    raw = json.loads(_run("--wheel", str(file), "--noise-mm", "0", *pair).stdout)
+    assert raw["profiles"]["left_wheel"]["noise_mm"] == 0.0
+
+
+def test_a_rail_that_leans_already_is_noted(tmp_path: Path) -> None:
+    rail = rail_profile("60E1")
+    y, z = rail.y * 1e3, rail.z * 1e3
+    down = np.arange(0.5, 9.0, 0.5)
+    y = np.concatenate([y[0] - down[::-1] / 20.0, y, y[-1] + down / 20.0])
+    z = np.concatenate([z[0] + down[::-1], z, z[-1] + down])
+    file = tmp_path / "rail.txt"
+    file.write_text("".join(f"{a + b / 40.0:.6f} {b - a / 40.0:.6f}\n" for a, b in zip(y, z, strict=True)))
+    twice, once = (_run("--wheel", "S1002", "--rail", str(file), "--inclination", lean) for lean in ("1:40", "0"))
+    assert "rail: leans by 1:40 in its file and is inclined 1:40 besides" in twice.stderr
+    assert once.stderr == ""
+    mirrored = _run("--wheel", "S1002", "--rail", str(file), "--inclination", "0", "--mirror")
+    assert json.loads(mirrored.stdout)[KEYS[1]] != json.loads(once.stdout)[KEYS[1]]
