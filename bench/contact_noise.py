@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,6 +54,7 @@ PAIRS = (
 
 @dataclass(frozen=True, slots=True)
 class _Outcome:
+    amplitude: FloatArray  # (k,) m
     error: FloatArray  # (seeds, k)
     std: FloatArray  # (seeds, k)
     away: BoolArray  # (k,) from jumps
@@ -64,7 +65,7 @@ class _Outcome:
 
 
 def noise_rows() -> Iterator[BenchRow]:
-    """Yield a row for each profile, and one for all of them."""
+    """Yield a row for each profile, and two for all of them."""
     outcomes = []
     for index, pair in enumerate(PAIRS):
         outcome = _measure(pair, index)
@@ -76,12 +77,19 @@ def noise_rows() -> Iterator[BenchRow]:
             f"{REACH}",
             bool(np.quantile(error, 0.95) <= REACH),
         )
-    away = np.concatenate([np.abs(one.error[:, one.away]).ravel() for one in outcomes])
-    covered = np.concatenate([one.covered[:, one.away].ravel() for one in outcomes])
-    near = np.concatenate([one.covered[:, ~one.away].ravel() for one in outcomes])
-    percentile, share = float(np.quantile(away, 0.95)), float(covered.mean())
-    yield BenchRow(
-        f"{NOISE} mm of noise, all profiles, away from jumps",
+    yield _together(outcomes, "1 to 6 mm", 0.0)
+    yield _together(outcomes, "2 to 6 mm", 2e-3)
+
+
+def _together(outcomes: Sequence[_Outcome], named: str, smallest: float) -> BenchRow:
+    """Return the row of all profiles at amplitudes from ``smallest``, m."""
+    taken = [(one, one.amplitude >= smallest - 1e-9) for one in outcomes]
+    error = np.concatenate([np.abs(one.error[:, one.away & used]).ravel() for one, used in taken])
+    covered = np.concatenate([one.covered[:, one.away & used].ravel() for one, used in taken])
+    near = np.concatenate([one.covered[:, ~one.away & used].ravel() for one, used in taken])
+    percentile, share = float(np.quantile(error, 0.95)), float(covered.mean())
+    return BenchRow(
+        f"{NOISE} mm of noise, all {len(PAIRS)} profiles, amplitudes {named}, away from jumps",
         f"95th percentile {percentile:.4f}, covered {share:.1%} (next to jumps {near.mean():.1%})",
         f"{REACH}, {LOW:.0%} to {HIGH:.0%}",
         percentile <= REACH and LOW <= share <= HIGH,
@@ -107,7 +115,7 @@ def _measure(pair: _Pair, index: int) -> _Outcome:
         stds.append(conicity_std(wheelset, measured, DISPLACEMENT, AMPLITUDES))
     covered = np.isfinite(truth)
     found, std = np.array(errors)[:, covered], np.array(stds)[:, covered]
-    return _Outcome(found, std, _away_from_jumps(design)[covered])
+    return _Outcome(AMPLITUDES[covered], found, std, _away_from_jumps(design)[covered])
 
 
 def _points(profile: Profile) -> FloatArray:

@@ -79,14 +79,21 @@ def smoothed_profile(
     Raises
     ------
     ProfileError
-        Fewer than four points, or points that are not in order along the profile.
+        Fewer than four points, points that are not in order along the profile, or too few for their scatter.
     """
     level = rough_noise(points) if noise_std is None else noise_std
     if level < EXACT_BELOW:
         kept = advancing(points[:, 0], _peak(kind, points[:, 1]))
         y, z = points[kept].T * _MILLIMETRE
         return SmoothedProfile(datum_at_zero(profile_from_points(kind, name, y, z)), 0.0)
-    spline, weight = _without_outliers(points, level, noise_std)
+    try:
+        spline, weight = _without_outliers(points, level, noise_std)
+    except np.linalg.LinAlgError as error:
+        raise ProfileError(
+            f"{len(points)} points are too few for their scatter of about {level:.2g} mm to be smoothed; give more "
+            "points, or a noise of 0 to take them as they are",
+            field="z",
+        ) from error
     profile = _profile(kind, name, spline.knots, spline.coefficients)
     outliers = tuple(int(index) for index in np.flatnonzero(weight == 0.0))
     return SmoothedProfile(profile, spline.noise_std * _MILLIMETRE, outliers, spline)

@@ -35,6 +35,7 @@ _MOST_BACKWARDS = 2.0  # times the width: what rows run backwards in all
 _LEAST_FLANGE = 15.0  # mm of height
 _HEAD_DEPTH = 4.0  # mm below the crown, what is a head
 _GROOVE_DEPTH = 15.0  # mm
+_METRES_BELOW = 1.0  # mm of width: no profile is so narrow
 _LEAST_HEAD = 20.0  # mm of width
 _LEAST_HEAD_DEPTH = 1.0  # mm on either side of the crown
 
@@ -76,6 +77,7 @@ def oriented(
     lines = np.array(points.lines)
     if y[-1] < y[0]:
         y, z, lines = y[::-1], z[::-1], lines[::-1]
+    _check_unit(y, points.file)
     _check_order(y, z, kind, points)
     if kind == "wheel":
         y, z, lines = _from_datum(y, z, lines, origin, points.file)
@@ -135,6 +137,13 @@ def _is_mirrored(y: FloatArray, depth: FloatArray, points: FilePoints) -> bool:
             field="mirror",
         )
     return bool(shown)
+
+
+def _check_unit(y: FloatArray, file: str) -> None:
+    if np.ptp(y) < _METRES_BELOW:
+        raise ProfileError(
+            f"spans {np.ptp(y):.3g} mm: the numbers look like metres; give them in mm", file=file, field="y"
+        )
 
 
 def _check_head(y: FloatArray, depth: FloatArray, file: str) -> None:

@@ -14,14 +14,14 @@ SIGNIFICANT = 6.0  # standard deviations
 _REACH = 2.0  # mm to either side that are extrapolated
 _FEWEST = 4  # points to either side
 _TREAD = (-32.0, 28.0)  # mm from the tread datum: there a wheel has no corner of its own
-_GENTLE = 0.7  # slope of a rail up to which it has none
+_GENTLE = 0.5  # slope up to which a surface is no flank
 
 
 def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind, file: str) -> None:
     """Raise where tread or crown have a step that no wear makes.
 
     At each gap between points straight lines through the 2 mm on either side are continued to it; a step is where
-    they differ by more than 0.15 mm and by 6 standard deviations.
+    they differ by more than 0.15 mm and by 6 standard deviations, and both are flatter than 1:2.
 
     Parameters
     ----------
@@ -48,8 +48,9 @@ def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind
         gap = 0.5 * (y[index - 1] + y[index])
         before = _continued(y[:index], z[:index], gap)
         after = _continued(y[index:], z[index:], gap)
-        step, error = abs(before[0] - after[0]), SIGNIFICANT * noise * float(np.hypot(before[1], after[1]))
-        if step > max(LARGEST_STEP, error) and step > worst:
+        gentle = max(abs(before[1]), abs(after[1])) < _GENTLE
+        step, error = abs(before[0] - after[0]), SIGNIFICANT * noise * float(np.hypot(before[2], after[2]))
+        if gentle and step > max(LARGEST_STEP, error) and step > worst:
             worst, at = step, index
     if worst:
         raise ProfileError(
@@ -68,12 +69,13 @@ def _where(y: FloatArray, z: FloatArray, kind: ProfileKind) -> IntArray:
     return np.flatnonzero((np.abs(y - crown) < 25.0) & (z < 5.0))  # noqa: PLR2004 - mm, the running surface
 
 
-def _continued(y: FloatArray, z: FloatArray, at: float) -> tuple[float, float]:
-    """Return the line through the points near ``at`` continued to it, and its std for unit noise."""
+def _continued(y: FloatArray, z: FloatArray, at: float) -> tuple[float, float, float]:
+    """Return the line through the points near ``at`` continued to it, its slope, and its std for unit noise."""
     near = np.flatnonzero(np.abs(y - at) <= _REACH)
     if len(near) < _FEWEST:
-        return float("nan"), 0.0
+        return float("nan"), 0.0, 0.0
     offset = y[near] - at
     design = np.column_stack([np.ones(len(near)), offset])
     inverse = np.linalg.pinv(design.T @ design)
-    return float((inverse @ design.T @ z[near])[0]), float(np.sqrt(inverse[0, 0]))
+    value, slope = inverse @ design.T @ z[near]
+    return float(value), float(slope), float(np.sqrt(inverse[0, 0]))

@@ -143,3 +143,11 @@ def test_points_that_end_before_the_datum_are_refused() -> None:
     points = noisy(S1002, 9)
     with pytest.raises(ProfileError, match="tread datum"):
         smoothed_profile("wheel", "short", points[points[:, 0] < -5.0])
+
+
+def test_too_few_points_for_their_scatter_are_refused_but_for_those_who_want_them_as_they_are() -> None:
+    y = np.linspace(S1002.y[0], S1002.y[-1], 12)
+    points = np.column_stack([y, S1002.height(y)]) * 1e3
+    with pytest.raises(ProfileError, match="12 points are too few"):
+        smoothed_profile("wheel", "few", points)
+    assert len(smoothed_profile("wheel", "few", points, 0.0).profile.y) == 12
