@@ -51,7 +51,7 @@ class Contact:
 
 
 def measured_shapes(wheels: tuple[str, str], rail: str, options: FileOptions) -> MeasuredShapes:
-    """Return the profiles of both wheels and of the rail, by name or from files.
+    """Return the profiles of both wheels and of the rail, built-in ones or from files.
 
     Parameters
     ----------

@@ -131,7 +131,17 @@ def search_contacts(
 ) -> tuple[FloatArray, FloatArray, Setting, FloatArray, IntArray]:
     """Return displacements (n,), deviations (g,), the kernels' setting, values (5, n, g) and outcomes (n, g).
 
-    Parameters and errors as :func:`contact_table`; the values are those of :func:`estimation.contact.kernels.table`.
+    The values are those of :func:`estimation.contact.kernels.table`.
+
+    Parameters
+    ----------
+    wheelset, lateral_displacement, gauge_deviation, method, outside
+        As :func:`contact_table` takes them.
+
+    Raises
+    ------
+    ContactError
+        As :func:`contact_table`.
     """
     displacement = _grid(lateral_displacement, "lateral_displacement")
     deviation = _grid(gauge_deviation, "gauge_deviation")

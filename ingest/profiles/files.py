@@ -30,7 +30,15 @@ def read_profile(
 ) -> Profile:
     """Read a wheel or rail profile, in the format of ``FORMATS`` that has its suffix, else as two columns of text.
 
-    Parameters and errors as :func:`read_measured_profile`, whose profile it returns.
+    Parameters
+    ----------
+    path, kind, unit, mirror, origin, noise_std
+        As :func:`read_measured_profile` takes them, whose profile this is.
+
+    Raises
+    ------
+    ProfileError
+        The file cannot be read as that; the message names file, line and field.
     """
     return read_measured_profile(path, kind, unit=unit, mirror=mirror, origin=origin, noise_std=noise_std).profile
 
