@@ -21,6 +21,7 @@ GAUGE_DEPTH = 0.014
 _TIP = 2e-3  # m, part of the flange that counts as its tip
 _LEAST_FLANGE = 15e-3  # m, a wheel profile flatter than this has no flange
 _STEEPEST = math.tan(math.radians(82.0))
+_FEWEST_POINTS = 2
 _NOTCH = 1e-3  # m of height that may be steeper without ending the surface
 _FLANGE_FACE_END = -20e-3  # m from the tread datum
 _WALL = math.tan(math.radians(70.0))  # a gauge face at least this steep may be continued straight down
@@ -51,11 +52,18 @@ def wheel_surface(wheel: Profile) -> Surface:
     ----------
     wheel
         Profile of a wheel.
+
+    Raises
+    ------
+    ContactError
+        Nothing of it can touch: it ends in its flange.
     """
     margin = _TIP if np.ptp(wheel.z) > _LEAST_FLANGE else 0.0
     start = int(np.flatnonzero(wheel.z >= wheel.z.max() - margin)[-1])
     face = int(np.searchsorted(wheel.y, _FLANGE_FACE_END))  # a worn flange face may be as steep as it likes
     keep = slice(start, _run(wheel.slope, wheel.z, min(max(start, face), len(wheel.y) - 1), 1) + 1)
+    if keep.stop - keep.start < _FEWEST_POINTS:
+        raise ContactError(f"wheel {wheel.name!r} ends in its flange: it has no tread that can touch", field="wheel")
     return _gridded(wheel.y[keep], wheel.z[keep], wheel.slope[keep])
 
 

@@ -20,7 +20,8 @@ _FEWEST_DEPTHS = 9
 LEAST_LEAN = 0.012
 """Tangent from which a head counts as leaning; rails are inclined by 1:40 to 1:20."""
 
-_MOST_LEAN = 0.12
+_MOST_LEAN = 0.07
+_MOST_DIVERGENCE = 0.15  # of the sides, whose own slopes are 1:20 at most; a worn gauge face exceeds it
 _ALIKE = 0.05  # mm, root mean square
 _MEASURED_DEEPER = 3.0  # mm, by which the side is followed deeper that matters to who measured it
 
@@ -47,7 +48,7 @@ def gauge_side_is_positive(y: FloatArray, depth: FloatArray) -> bool | None:
 
 
 def lean(y: FloatArray, depth: FloatArray) -> float:
-    """Return the tangent by which the head leans towards negative y, from its sides; NaN where they end too early.
+    """Return the tangent by which the head leans towards negative y, from its sides; NaN if these are short or worn.
 
     Parameters
     ----------
@@ -61,7 +62,9 @@ def lean(y: FloatArray, depth: FloatArray) -> float:
     usable = np.isfinite(middle)
     if np.count_nonzero(usable) < _FEWEST_DEPTHS:
         return float("nan")
-    return float(np.polyfit(_DEPTHS[usable], middle[usable], 1)[0])
+    divergence = float(np.polyfit(_DEPTHS[usable], (right - left)[usable], 1)[0])
+    leaning = float(np.polyfit(_DEPTHS[usable], middle[usable], 1)[0])
+    return leaning if abs(divergence) <= _MOST_DIVERGENCE else float("nan")
 
 
 def _side(y: FloatArray, depth: FloatArray) -> FloatArray:

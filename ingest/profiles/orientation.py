@@ -15,8 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimation.contact.profiles import TREAD_DATUM, ProfileKind
+from estimation.contact.profiles import TREAD_DATUM, Profile, ProfileKind
 from estimation.contact.smoothed_profile import SmoothedProfile, advancing, smoothed_profile
+from estimation.contact.surface import GAUGE_DEPTH
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray
 from ingest.profiles.gauge_side import gauge_side_is_positive
@@ -33,10 +34,12 @@ _WIDER = 1.5  # times: crowns are flatter than grooves
 _LARGEST_GAP = 10.0  # mm between neighbours
 _MOST_BACKWARDS = 2.0  # times the width: what rows run backwards in all
 _LEAST_FLANGE = 15.0  # mm of height
+_TIP_WITHIN = (-70.0, -45.0)  # mm from the tread datum
+_LEAST_TREAD = 10.0  # mm outside the tread datum
 _HEAD_DEPTH = 4.0  # mm below the crown, what is a head
 _GROOVE_DEPTH = 15.0  # mm
 _METRES_BELOW = 1.0  # mm of width: no profile is so narrow
-_LEAST_HEAD = 20.0  # mm of width
+_HEAD_WIDTH = (40.0, 100.0)  # mm
 _LEAST_HEAD_DEPTH = 1.0  # mm on either side of the crown
 
 
@@ -83,15 +86,18 @@ def oriented(
         y, z, lines = _from_datum(y, z, lines, origin, points.file)
     else:
         z = z - z.min()
-        _check_head(y, z, points.file)
         _check_groove(y, z, points.file)
+        _check_head(y, z, points.file)
         if _is_mirrored(y, z, points) if mirror is None else mirror:
             y, z, lines = -y[::-1], z[::-1], lines[::-1]
     check_steps(y, z, lines, kind, points.file)
     try:
-        return smoothed_profile(kind, name, np.column_stack([y, z]), noise_std)
+        shape = smoothed_profile(kind, name, np.column_stack([y, z]), noise_std)
     except ProfileError as error:
         raise ProfileError(error.reason, file=points.file, field=error.field or "y") from error
+    if kind == "wheel":
+        _check_wheel(shape.profile, points.file)
+    return shape
 
 
 def _upright(y: FloatArray, z: FloatArray, kind: ProfileKind) -> FloatArray:
@@ -114,8 +120,8 @@ def _from_datum(
 ) -> tuple[FloatArray, FloatArray, np.ndarray[tuple[int], np.dtype[np.int64]]]:
     if np.ptp(z) < _LEAST_FLANGE:
         raise ProfileError(
-            f"no flange: its tip is expected between -70 and -45 mm from the tread datum, {_LEAST_FLANGE:.0f} mm "
-            f"high or more; the height of this profile varies by {np.ptp(z):.1f} mm",
+            f"no flange: its tip is expected between {_TIP_WITHIN[0]:.0f} and {_TIP_WITHIN[1]:.0f} mm from the tread "
+            f"datum, {_LEAST_FLANGE:.0f} mm high or more; the height of this profile varies by {np.ptp(z):.1f} mm",
             file=file,
             field="z",
         )
@@ -149,12 +155,34 @@ def _check_unit(y: FloatArray, file: str) -> None:
 def _check_head(y: FloatArray, depth: FloatArray, file: str) -> None:
     crown = int(np.argmin(depth))
     shoulders = min(float(depth[: crown + 1].max()), float(depth[crown:].max()))
-    if np.ptp(y) < _LEAST_HEAD or shoulders < _LEAST_HEAD_DEPTH:
+    width = float(np.ptp(y[depth <= GAUGE_DEPTH / _MILLIMETRE]))
+    if not _HEAD_WIDTH[0] <= width <= _HEAD_WIDTH[1] or shoulders < _LEAST_HEAD_DEPTH:
         raise ProfileError(
-            f"cannot be a rail head: {np.ptp(y):.1f} mm wide, falling by {shoulders:.1f} mm on the shallower side of "
-            "its crown; give a file of a whole head",
+            f"cannot be a rail head: {width:.1f} mm wide within 14 mm of its crown ({_HEAD_WIDTH[0]:.0f} to "
+            f"{_HEAD_WIDTH[1]:.0f} mm are expected), falling by {shoulders:.1f} mm on the shallower side; give a file "
+            "of a whole head",
             file=file,
             field="z",
+        )
+
+
+def _check_wheel(wheel: Profile, file: str) -> None:
+    """Raise where the profile has not the places of a wheel: the tip of a flange, and a tread outside it."""
+    tip = int(np.argmax(wheel.z))
+    at, end = float(wheel.y[tip]) / _MILLIMETRE, float(wheel.y[-1]) / _MILLIMETRE
+    if not _TIP_WITHIN[0] <= at <= _TIP_WITHIN[1] or wheel.z[tip] < _LEAST_FLANGE * _MILLIMETRE:
+        raise ProfileError(
+            f"no flange: its tip is expected between {_TIP_WITHIN[0]:.0f} and {_TIP_WITHIN[1]:.0f} mm from the tread "
+            f"datum, {_LEAST_FLANGE:.0f} mm high or more; the lowest point is {wheel.z[tip] / _MILLIMETRE:.1f} mm "
+            f"below the tread at {at:+.1f} mm",
+            file=file,
+            field="z",
+        )
+    if end < _LEAST_TREAD:
+        raise ProfileError(
+            f"ends {end:+.1f} mm from the tread datum; the tread to {_LEAST_TREAD:+.0f} mm is needed",
+            file=file,
+            field="y",
         )
 
 

@@ -14,7 +14,7 @@ from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.smoothed_profile import SmoothedProfile, exact, smoothed_profile
 from estimation.contact.surface import wheel_surface
 from estimation.contact.table import ContactMethod
-from estimation.errors import ProfileError
+from estimation.errors import ContactError, ProfileError
 from estimation.values.arrays import FloatArray
 
 NOISE = 0.02  # mm
@@ -151,3 +151,10 @@ def test_too_few_points_for_their_scatter_are_refused_but_for_those_who_want_the
     with pytest.raises(ProfileError, match="12 points are too few"):
         smoothed_profile("wheel", "few", points)
     assert len(smoothed_profile("wheel", "few", points, 0.0).profile.y) == 12
+
+
+def test_a_wheel_that_ends_in_its_flange_cannot_touch() -> None:
+    keep = np.argmax(S1002.z) + 1
+    flange = Profile("wheel", "flange", S1002.y[:keep], S1002.z[:keep], S1002.slope[:keep])
+    with pytest.raises(ContactError, match="ends in its flange"):
+        wheel_surface(flange)
