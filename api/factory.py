@@ -16,6 +16,7 @@ from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from fleet_db.raw import RawStore
 from fleet_db.revisions import check_head
 from fleet_db.session import database_engine
@@ -100,8 +101,10 @@ def estimation_settings(settings: Settings) -> EstimationSettings:
     ParameterError
         The catalogue has no estimator of that name; names the environment variable and lists the estimators.
     """
+    vehicle = VehicleParameters()
+    load = vehicle.load if settings.axle_load_n is None else settings.axle_load_n
     try:
-        return EstimationSettings(estimator=settings.estimator)
+        return EstimationSettings(estimator=settings.estimator, vehicle=replace(vehicle, load=load))
     except ParameterError as error:
         raise ParameterError(error.reason, field=f"{PREFIX}ESTIMATOR") from None
 

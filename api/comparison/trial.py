@@ -90,11 +90,13 @@ def deploy(scenario: Scenario, folder: Path) -> Settings:
     Parameters
     ----------
     scenario
-        Its registry and the track that is on file are written beside the data and loaded.
+        Its registry and the track that is on file are written beside the data and loaded; the axle load is its.
     folder
         Made where missing.
     """
-    settings = Settings(data_dir=folder / "data", database_url=None, _env_file=None)  # type: ignore[call-arg] # of pydantic-settings
+    settings = Settings(  # type: ignore[call-arg] # of pydantic-settings
+        data_dir=folder / "data", database_url=None, axle_load_n=scenario.parameters.load, _env_file=None
+    )
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     upgrade(settings.url)
     register(scenario, settings, folder)

@@ -26,6 +26,7 @@ import numpy.typing as npt
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 
+GRAVITY = 9.81  # m/s2
 _MAY_BE_ZERO = frozenset({"spin_creep_coefficient", "lateral_spin_creep_coefficient", "yaw_damping", "lateral_damping"})
 
 
@@ -37,6 +38,9 @@ class VehicleParameters:
     f23 lateral/spin, f33 spin creep; fy, ky lateral damper and spring between wheelset and mass; f_psi, k_psi yaw
     damper and spring; I yaw and Iwy pitch (spin) inertia of the wheelset; l half the distance between the contact
     points; m wheelset mass, mm suspended mass; W load; r0 nominal rolling radius.
+
+    W acts through the contact angles and the roll. The paper's is the wheelset's own weight, m g. What stands on the
+    rails is the ``axle_load`` of wheelset and suspended mass; with it f23/r0 - W/2, the factor of dL - dR, is negative.
 
     Raises
     ------
@@ -65,6 +69,11 @@ class VehicleParameters:
             value = getattr(self, item.name)
             if not math.isfinite(value) or value < 0.0 or (value == 0.0 and item.name not in _MAY_BE_ZERO):
                 raise ParameterError(f"{value!r} is not a possible value", field=item.name)
+
+    @property
+    def axle_load(self) -> float:
+        """Weight of the wheelset and its suspended mass, (m + mm) g, N."""
+        return (self.wheelset_mass + self.suspended_mass) * GRAVITY
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,9 +22,8 @@ import numpy as np
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 
-GRAVITY = 9.81  # m/s2
 ROUNDING = 6.0  # m over which the ends of transitions are rounded: no track has a kink in its cant
 
 

@@ -1,4 +1,4 @@
-"""Wheels and rails of a scenario: built-in ones by name, measured ones from files."""
+"""Wheels and rails of a scenario: built-in or measured ones from files."""
 
 from __future__ import annotations
 

@@ -14,7 +14,6 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from estimation.errors import ProfileError, ScenarioError
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml
 from ingest.simulator.campaign import MARGIN
 from ingest.simulator.drawn_fleet import with_seed
@@ -26,6 +25,7 @@ from ingest.simulator.scenario_schema.fleet import (
     FleetTable,
     VehicleErrorsTable,
     VehicleTable,
+    parameters_of,
 )
 from ingest.simulator.scenario_schema.measurement import BusTable, PositionTable, SensorsTable
 from ingest.simulator.scenario_schema.rails import RailFiles
@@ -112,7 +112,7 @@ class ScenarioTable(InputTable):
             seed=self.seed,
             fleet_code=self.fleet.code,
             fleet_name=self.fleet.name,
-            parameters=VehicleParameters(**self.dynamics),
+            parameters=parameters_of(self.dynamics),
             section=self.section.plan(folder),
             sensors=self.sensors.plan(),
             speed=self.speed.plan(),

@@ -28,6 +28,9 @@ seed = 5
 [fleet]
 code = "U"
 name = "Fleet"
+[dynamics]
+load = 12263.0
+
 [section]
 code = "U-1"
 number = 1

@@ -24,6 +24,9 @@ seed = 5
 [fleet]
 code = "U"
 name = "Unknown fleet"
+[dynamics]
+load = 12263.0
+
 [section]
 code = "U-1"
 number = 1

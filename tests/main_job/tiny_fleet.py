@@ -36,6 +36,9 @@ seed = 11
 code = "T"
 name = "Tiny fleet"
 
+[dynamics]
+load = 12263.0
+
 [section]
 code = "T-3"
 number = 3

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -44,6 +45,18 @@ def _known_parameters(given: dict[str, float]) -> dict[str, float]:
     except ParameterError as error:
         raise field_error(error.reason, *([error.field] if error.field else [])) from error
     return given
+
+
+def parameters_of(given: Mapping[str, float]) -> VehicleParameters:
+    """Return the parameters of the vehicles; the load is the whole axle load where the table has none.
+
+    Parameters
+    ----------
+    given
+        ``[dynamics]``.
+    """
+    parameters = VehicleParameters(**given)
+    return parameters if "load" in given else replace(parameters, load=parameters.axle_load)
 
 
 DynamicsTable = Annotated[dict[str, NotNegative], AfterValidator(_known_parameters)]

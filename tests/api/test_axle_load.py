@@ -1,0 +1,61 @@
+"""The load W: the paper's in its reproduction and unless set, the whole axle load in scenarios and where it is set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from scenario_text import SMALL
+
+from api.comparison.trial import deploy
+from api.factory import estimation_settings
+from api.settings import load_settings
+from estimation.errors import ParameterError
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from ingest.simulator.scenario_file import builtin_scenarios, load_scenario, read_scenario
+
+PAPER = 12263.0  # N
+
+
+def test_the_whole_axle_load_turns_the_factor_of_the_contact_angle_difference() -> None:
+    paper = VehicleParameters()
+    assert paper.load == PAPER
+    assert paper.wheelset_mass * 9.81 == pytest.approx(PAPER, abs=1.0)
+    assert paper.axle_load == pytest.approx(90.74e3, rel=1e-4)
+    creep = paper.lateral_spin_creep_coefficient / paper.nominal_radius
+    assert creep - paper.load / 2 > 0.0 > creep - paper.axle_load / 2
+
+
+def test_a_scenario_has_the_whole_axle_load_of_its_masses_if_it_gives_none(tmp_path: Path) -> None:
+    path = tmp_path / "scenario.toml"
+    path.write_text(SMALL)
+    assert read_scenario(path).parameters.load == pytest.approx(9.81 * 9250.0)
+    path.write_text(SMALL.replace("[fleet]", "[dynamics]\nsuspended_mass = 6000.0\n[fleet]"))
+    assert read_scenario(path).parameters.load == pytest.approx(9.81 * 7250.0)
+    path.write_text(SMALL.replace("[fleet]", "[dynamics]\nload = 50000.0\n[fleet]"))
+    assert read_scenario(path).parameters.load == 50000.0
+
+
+@pytest.mark.parametrize("name", builtin_scenarios())
+def test_scenarios_of_the_package_have_the_load_that_their_results_were_published_with(name: str) -> None:
+    assert load_scenario(name).parameters == VehicleParameters()
+
+
+def test_a_deployment_estimates_with_the_load_that_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("TREADWATCH_AXLE_LOAD_N", raising=False)
+    assert estimation_settings(load_settings()).vehicle == VehicleParameters()
+    monkeypatch.setenv("TREADWATCH_AXLE_LOAD_N", "90700")
+    assert estimation_settings(load_settings()).vehicle.load == 90700.0
+    monkeypatch.setenv("TREADWATCH_AXLE_LOAD_N", "")
+    assert estimation_settings(load_settings()).vehicle.load == PAPER
+    for wrong in ("-1", "0", "heavy", "9e9"):
+        monkeypatch.setenv("TREADWATCH_AXLE_LOAD_N", wrong)
+        with pytest.raises(ParameterError, match="TREADWATCH_AXLE_LOAD_N"):
+            load_settings()
+
+
+def test_a_simulated_deployment_has_the_load_of_its_scenario(tmp_path: Path) -> None:
+    path = tmp_path / "scenario.toml"
+    path.write_text(SMALL)
+    scenario = read_scenario(path)
+    assert estimation_settings(deploy(scenario, tmp_path)).vehicle == scenario.parameters
