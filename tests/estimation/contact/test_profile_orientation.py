@@ -106,8 +106,9 @@ def test_y_from_the_flange_back_or_from_the_datum(tmp_path: Path, name: str) -> 
         read_profile(file, "wheel", origin=Origin.FLANGE_BACK)
 
 
-def flat() -> str:
-    return simpack(np.column_stack([np.linspace(-100.0, 100.0, 41), np.zeros(41)]))
+def flat(slope: float = 0.0) -> str:
+    y = np.linspace(50.0, -50.0, 101)
+    return simpack(np.column_stack([y, slope * y]))
 
 
 GUARD = np.concatenate([leaning_rail(0.0), leaning_rail(0.0) + np.array([120.0, 0.0])])
@@ -117,7 +118,9 @@ GROOVE = np.insert(GUARD, len(GUARD) // 2, np.column_stack([np.linspace(38, 82, 
 @pytest.mark.parametrize(
     ("name", "kind", "text", "words", "field"),
     [
-        ("flat_ang200.prw", "wheel", flat(), "no flange", "z"),
+        ("flat.prw", "wheel", flat(), "no flange", "z"),
+        ("cone.prw", "wheel", flat(0.20271), "no flange", "z"),
+        ("leaning.prr", "rail", flat(0.20271), "cannot be a rail head", "z"),
         ("flat.prr", "rail", flat(), "cannot be a rail head", "z"),
         ("narrow.txt", "rail", "0 1\n1 0\n2 0\n3 0\n4 1\n", "cannot be a rail head", "z"),
         ("metres.txt", "rail", rows(leaning_rail() * 1e-3), "look like metres", "y"),
