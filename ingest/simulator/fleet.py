@@ -154,15 +154,15 @@ def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campa
         return [_write(scenario, out, plan, c, *simulate_campaign(scenario, track, plan, c)) for c in campaigns]
     scenario, records = _on_the_rails(scenario, track, vehicle, campaigns)
     plan = scenario.vehicle(vehicle)
+    # wear of a drawn fleet does not grow: one geometry is that of every campaign
+    first = scenario.odometer(campaigns[0])
+    geometries = [truth_of(contact_of(scenario, track, item, first)) for item in plan.wheelsets]
     written = []
     for campaign, axle_records in zip(campaigns, records, strict=True):
         run = vehicle_run(scenario, track, plan, campaign)
         batch = vehicle_frames(default_catalogue(), scenario, run, axle_records)
         truths = tuple(
-            wheelset_truth(
-                plan, axle, campaign, run.odometer, truth_of(contact_of(scenario, track, item, run.odometer))
-            )
-            for axle, item in enumerate(plan.wheelsets)
+            wheelset_truth(plan, axle, campaign, run.odometer, geometry) for axle, geometry in enumerate(geometries)
         )
         written.append(_write(scenario, out, plan, campaign, batch, truths))
     return written
