@@ -37,6 +37,7 @@ _COUNTED = {
     UpdateOutcome.SURVEY_KEPT: "kept",
     UpdateOutcome.NEW_VERSION: "versions",
     UpdateOutcome.SURVEY_EXTENDED: "versions",
+    UpdateOutcome.SURVEY_REFUSED: "versions",
 }
 _COUNTS = ("sections", "windows", "passes", "versions", "kept", "unestimated", "unchanged", "changed_meanwhile")
 
@@ -110,7 +111,7 @@ def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counte
     counts[_COUNTED[update.outcome] if stored else "changed_meanwhile"] += 1
     counts["windows"] += len(waiting.records)
     counts["passes"] += len(epoch_passes.found)
-    return stored and update.outcome is not UpdateOutcome.UNESTIMATED
+    return stored and not update.outcome.windows_wait
 
 
 def _waiting(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext) -> _Waiting:

@@ -47,7 +47,9 @@ def merged_alignment(
     gauge_std = known.gauge_std if results.gauge_std is None else results.gauge_std
     profiles = _profile_uncertainty(iterated)
     of_gauge = p.systematic_per_gauge[results.gauge is not None] * float(np.std(gauge))
-    std = _std(found, shared, iterated.solution.common_std, (p.systematic, of_gauge, profiles.std))
+    systematic = p.systematic**2 + of_gauge**2 + profiles.std**2 + (iterated.slope.std * found.curves) ** 2
+    std = _std(found, shared, iterated.solution.common_std, systematic)
+    of_prior = 0.0 if prior is None else prior.scale_std * float(np.median(weight / shared))
     return TrackAlignment(
         section=section,
         version=0,
@@ -60,20 +62,17 @@ def merged_alignment(
         status=Status.ESTIMATED,
         source=AlignmentSource.FLEET,
         cutoff_wavelength=p.cutoff_wavelength,
-        scale_std=float(np.hypot(_scale_std(results, p), profiles.scale_std)),
+        scale_std=float(np.linalg.norm([_scale_std(results, p), profiles.scale_std, iterated.slope.std, of_prior])),
         gauge_known=known.gauge_known and results.gauge is None,
         findings=results.findings,
     )
 
 
-def _std(
-    found: LongWaveAlignment, shared: FloatArray, of_curves: FloatArray, systematic: tuple[float, float, float]
-) -> FloatArray:
-    """Return the std (n,), m: of the curves, of the passes, and systematic terms, m, by the passes' share."""
+def _std(found: LongWaveAlignment, shared: FloatArray, of_curves: FloatArray, systematic: FloatArray) -> FloatArray:
+    """Return the std (n,), m: of curves and passes, and a systematic variance (n,), m2, by the passes' share."""
     common = np.where(np.isfinite(of_curves), of_curves, 0.0)
     std = np.hypot(common * found.passes / shared, found.pass_std / np.sqrt(shared))
-    first, second, third = systematic
-    return np.asarray(np.sqrt(std**2 + found.passes / shared * (first**2 + second**2 + third**2)))
+    return np.asarray(np.sqrt(std**2 + found.passes / shared * systematic))
 
 
 def _scale_std(results: SectionResults, p: SectionParameters) -> float:

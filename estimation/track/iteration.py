@@ -22,6 +22,7 @@ from estimation.track.gauge.wheel_functions import (
 from estimation.track.gridded_pass import GriddedPass, Placed, all_passes, place, with_ratios
 from estimation.track.journeys import Journey, PositionParameters
 from estimation.track.panel.basis import Panel
+from estimation.track.panel.errors_in_variables import SlopeCorrection, corrected, slope_correction
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, init, update
 from estimation.track.panel.prior_alignment import PriorAlignment, add_prior, fleet_step
@@ -29,7 +30,7 @@ from estimation.track.panel.solution import PanelSolution, residual_of_passes, r
 from estimation.track.panel.stiffness_ratio import Ratio, ratio_values, refine_ratios, with_ratio_std
 from estimation.track.passes import Pass
 from estimation.track.positions import compose, correlate_positions, refine, register
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import Correction
 
 Grouped = Mapping[Journey, Sequence[Pass]]
@@ -49,8 +50,10 @@ class IterationParameters:
     search: SearchParameters = field(default_factory=SearchParameters)
     gauge_trial: int = 2  # rounds after which the gauge must have explained something
     gauge_searches: int = 2  # rounds of wheels and search after that
-    wheel_rounds: int = 2  # of wheels where the gauge is known
+    wheel_rounds: int = 2  # of wheels where the gauge is known, at least
+    most_wheel_rounds: int = 8
     gauge_explains: float = 0.1  # of the residual's rms, for the gauge to be taken as varying
+    find_gauge: bool = True  # where none is on file
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +62,7 @@ class IterationResult:
 
     panel: Panel  # with the gauge, where it varies
     state: PanelState  # without the prior alignment
-    solution: PanelSolution
+    solution: PanelSolution  # curves corrected by ``slope``
     placed: Placed  # passes by journey, corrected, with the stiffness ratios of their vehicles
     ratios: dict[str, Ratio]  # by vehicle
     rounds: int
@@ -67,11 +70,21 @@ class IterationResult:
     changed: float  # by which the last round changed a stiffness ratio at most
     noise: float  # m, rms of y - d - h(R) over the passes
     gauge_convergence: tuple[Convergence, ...] = ()
+    slope: SlopeCorrection = field(default_factory=SlopeCorrection)
 
     @property
     def passes(self) -> list[GriddedPass]:
         """Passes of all journeys in order."""
         return all_passes(self.placed)
+
+    def restricted_to(self, covered: BoolArray) -> PanelState:
+        """Return the sums over the passes at some grid points (n,) alone."""
+        grid = self.panel.grid
+        kept = [
+            replace(item, inside=item.inside & covered[np.clip(item.points, 0, grid.points - 1)])
+            for item in self.passes
+        ]
+        return update(init(self.panel), kept)
 
     @property
     def corrections(self) -> dict[Journey, Correction]:
@@ -127,8 +140,23 @@ def iterate(
     parameters
         When the rounds end.
     """
-    anchored = prior is not None and prior.has_alignment
-    setting = _Setting(grouped, prior, anchored, parameters)
+    setting = _Setting(grouped, prior, prior is not None and prior.has_alignment, parameters)
+    return _with_slope(setting, _iterated(setting, panel, positions))
+
+
+def _with_slope(setting: _Setting, found: IterationResult) -> IterationResult:
+    """Return ``found`` with the curves as steep as they are without the errors of R."""
+    if found.solution.report.curves_fixed:
+        return found
+    state = _state_with_prior(found.state, setting, found.noise)
+    slope = slope_correction(state, found.solution)
+    if not np.isfinite(slope.std):
+        return replace(found, slope=slope)
+    return replace(found, solution=corrected(state, found.solution, slope.factor), slope=slope)
+
+
+def _iterated(setting: _Setting, panel: Panel, positions: PositionParameters) -> IterationResult:
+    grouped, prior, anchored, parameters = setting.grouped, setting.prior, setting.anchored, setting.parameters
     reference = prior.alignment if prior is not None and anchored else None
     corrections = correlate_positions(grouped, panel.grid, positions, reference)
     first = _rounds(setting, panel, corrections, {})
@@ -137,14 +165,18 @@ def iterate(
     if not (first.state.count >= FEWEST_PASSES).any():
         return first
     if prior is None or not prior.gauge_known:
+        if not parameters.find_gauge:
+            return first
         return _with_unknown_gauge(setting, first, parameters.gauge_searches)
     corrections, ratios = first.corrections, first.ratios
     if not anchored:
         corrections, ratios = _register_by_gauge(setting, first, prior.gauge, positions)
         setting = replace(setting, anchored=True)
     found = _rounds(setting, first.panel.with_gauge(prior.gauge, {}), corrections, ratios)
-    for _ in range(parameters.wheel_rounds):
+    for number in range(1, parameters.most_wheel_rounds + 1):
         found = _solved(setting, _repositioned(setting, found), _with_wheels(found))
+        if number >= parameters.wheel_rounds and _at_rest(found, parameters):
+            break
     return _finished(setting, found)
 
 
@@ -269,6 +301,10 @@ def _register_by_gauge(
     both = [register(sign * trial.panel.gauge, gauge, trial.panel.grid, positions) for sign in (1.0, -1.0)]
     correction = max(both, key=lambda found: found[1])[0]
     return {journey: compose(one, correction) for journey, one in trial.corrections.items()}, trial.ratios
+
+
+def _at_rest(found: IterationResult, p: IterationParameters) -> bool:
+    return found.moved < p.position_tolerance and found.changed < p.ratio_tolerance
 
 
 def _ratio_change(before: Mapping[str, Ratio], after: Mapping[str, Ratio]) -> float:

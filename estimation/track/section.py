@@ -44,7 +44,12 @@ class SectionEstimate:
     report: AlignmentReport
     grouped: Grouped  # passes by journey
     corrections: Mapping[Journey, Correction]  # of the journeys that were used
-    solution: PanelSolution | None
+    iterated: IterationResult | None = None
+
+    @property
+    def solution(self) -> PanelSolution | None:
+        """Curves and alignment as the panel found them; None where there was nothing to solve."""
+        return None if self.iterated is None else self.iterated.solution
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,18 +87,18 @@ def estimate_section(
     grouped: Grouped = journeys(passes, parameters.positions)
     panel = Panel.of(parameters.panel, KnownBeforehand(measured=measured or {}))
     if not grouped:
-        return SectionEstimate(None, nothing(Reason(ReasonCode.NO_PASS, "no pass"), named), grouped, {}, None)
+        return SectionEstimate(None, nothing(Reason(ReasonCode.NO_PASS, "no pass"), named), grouped, {})
     known = None if prior is None else prior_on_grid(prior, panel.grid, parameters.panel.cutoff_wavelength)
     reason = _too_few_passes(grouped, panel) if known is None or not known.has_alignment else None
     if reason is not None:
-        return SectionEstimate(None, nothing(reason, named), grouped, {}, None)
+        return SectionEstimate(None, nothing(reason, named), grouped, {})
     accepted = _reject_outliers(grouped, known, panel, parameters)
     iterated = accepted.iterated
     report = _report(accepted, grouped, known, parameters)
     used = (f"measured profiles of {one.name}" for one in iterated.measured_curves)
     report = replace(report, evidence=(*named, *used))
     if report.status is not Status.ESTIMATED:
-        return SectionEstimate(None, report, grouped, {}, iterated.solution)
+        return SectionEstimate(None, report, grouped, {}, iterated)
     alignment = merged_alignment(section, iterated, prior, parameters)
     certain = np.isfinite(alignment.alignment)
     report = replace(
@@ -101,7 +106,7 @@ def estimate_section(
         covered=float(certain.mean()),
         alignment_std_m=float(np.median(alignment.alignment_std[certain])) if certain.any() else float("nan"),
     )
-    return SectionEstimate(alignment, report, grouped, iterated.corrections, iterated.solution)
+    return SectionEstimate(alignment, report, grouped, iterated.corrections, iterated)
 
 
 def _too_few_passes(grouped: Grouped, panel: Panel) -> Reason | None:

@@ -1,7 +1,8 @@
-"""A surveyed alignment compared with the fleet's: whether section, unit, sign and place are right.
+"""What is wrong with a surveyed alignment that the passes contradict: section, unit, sign or place.
 
-Both are compared after the same high-pass, at every offset that is searched: how much they have in common beyond
-chance, by what factor, and how far apart they are there against what their standard deviations allow.
+It is compared with the alignment that the fleet finds without it, both after the same high-pass, at every offset that
+is searched: how much they have in common beyond chance, by what factor and where. Whether the passes contradict it is
+not decided here but by how well it explains them (``survey_fit``, ``survey_verdict``).
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
-from scipy.special import chdtri
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.filters.peak import peak_position
@@ -34,22 +34,19 @@ UNITS = {
     0.3048: "metres were taken for feet",
 }
 SAME_UNIT = 1.12  # a factor this near to that of a unit is that unit
-ALIGNING_STEPS = 5
 MEMORY = 60.0  # m: correlation length of a high-passed alignment
 NOT_ASSESSABLE = Reason(ReasonCode.SURVEY_NOT_ASSESSABLE, "the fleet does not know enough of the section")
 
 
 @dataclass(frozen=True, slots=True)
 class SurveyCheckParameters:
-    """When a surveyed alignment is used."""
+    """When two alignments are of one section, in one unit, at one place."""
 
     largest_offset: float = 60.0  # m, searched both ways
     log10_chance: float = -6.0  # of as much in common with another section, over all offsets
     least_samples: float = 20.0  # independent ones, below which the survey is not assessed
     most_factor: float = 1.25  # and its inverse the least, besides what the fleet leaves open
     largest_shift: float = 3.0  # m, besides the uncertainty of the fleet's place
-    most_misfit: float = 1.5  # times what the standard deviations allow, besides chance
-    chance: float = 1e-4  # of a misfit of a recording whose standard deviation is right
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +58,6 @@ class SurveyCheck:
     scale: float  # surveyed over measured, without its sign
     shift: float  # m: what is surveyed at s was measured at s + shift
     sign: int  # 1; -1 where left and right are exchanged; 0 where it cannot be assessed
-    misfit: float  # rms of the difference at its place now, over what the standard deviations allow
     correlation: float  # at the best shift
     samples: float  # independent ones
 
@@ -109,7 +105,6 @@ def check_survey(
         scale=float(np.abs(factor[k])),
         shift=shift,
         sign=int(np.sign(factor[k])),
-        misfit=_misfit(r, f, variance),
         correlation=float(np.sqrt(explained)),
         samples=samples,
     )
@@ -118,11 +113,6 @@ def check_survey(
     misplaced = combined(_misplaced(found, 1.0 + 4.0 * fleet.scale_std, 3.0 * place_std, p))
     if misplaced is not None:
         return _refused(found, misplaced)
-    left = _misfit(_aligned(r, f, variance, shift / step), f, variance)
-    limit = p.most_misfit * float(np.sqrt(chdtri(float(samples), p.chance) / samples))
-    if left > limit:
-        text = f"it differs {left:.1f} times as much as its standard deviation allows, {limit:.1f} is much"
-        return _refused(found, Reason(ReasonCode.SURVEY_DIFFERS, text))
     return found
 
 
@@ -147,9 +137,7 @@ def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: Sur
 
 def _nothing(reason: Reason) -> SurveyCheck:
     nan = float("nan")
-    return SurveyCheck(
-        usable=True, reason=reason, scale=nan, shift=nan, sign=0, misfit=nan, correlation=nan, samples=0.0
-    )
+    return SurveyCheck(usable=True, reason=reason, scale=nan, shift=nan, sign=0, correlation=nan, samples=0.0)
 
 
 def _refused(found: SurveyCheck, reason: Reason) -> SurveyCheck:
@@ -219,32 +207,3 @@ def _memory(r: FloatArray, f: FloatArray, step: float) -> float:
     own = [fft.irfft(np.abs(fft.rfft(signal, size)) ** 2, size)[: far + 1] for signal in (r, f)]
     first, second = (values / max(float(values[0]), 1e-300) for values in own)
     return step * max(1.0 + 2.0 * float((first[1:] * second[1:]).sum()), 1.0)
-
-
-def _aligned(r: FloatArray, f: FloatArray, variance: FloatArray, lag: float) -> FloatArray:
-    """Return r where it fits f best, moved and stretched a little, zero where it is not known.
-
-    A fixed number of Gauss-Newton steps from the lag of the correlation, each within 2 samples: no tolerance.
-    """
-    index = np.arange(len(r), dtype=np.float64)
-    u = index / len(r) - 0.5
-    moved = np.full(len(r), lag)
-    known = (r != 0.0).astype(np.float64)
-    for _ in range(ALIGNING_STEPS):
-        shifted = np.interp(index - moved, index, r, left=0.0, right=0.0)
-        seen = (np.interp(index - moved, index, known, left=0.0, right=0.0) > 1.0 - 1e-9) & (f != 0.0)
-        slope = -np.gradient(shifted)
-        design = np.stack([slope, slope * u]) * (seen / np.sqrt(variance))
-        rest = np.where(seen, f - shifted, 0.0) / np.sqrt(variance)
-        step = np.linalg.solve(design @ design.T + 1e-9 * np.eye(2), design @ rest)
-        moved = moved + np.clip(step[0] + step[1] * u, -2.0, 2.0)
-    shifted = np.interp(index - moved, index, r, left=0.0, right=0.0)
-    return np.asarray(np.where(np.interp(index - moved, index, known, left=0.0, right=0.0) > 1.0 - 1e-9, shifted, 0.0))
-
-
-def _misfit(r: FloatArray, f: FloatArray, variance: FloatArray) -> float:
-    """Return the rms of the difference over what the variance allows."""
-    seen = (r != 0.0) & (f != 0.0)
-    if not seen.any():
-        return float("nan")
-    return float(np.sqrt(np.mean((r - f)[seen] ** 2 / variance[seen])))

@@ -12,7 +12,9 @@ from enum import StrEnum
 import numpy as np
 
 from estimation.track.gauge.initial_shape import LEAST_GAUGE
+from estimation.track.iteration import IterationResult
 from estimation.track.panel.measured_curves import MeasuredCurve
+from estimation.track.panel.prior_alignment import prior_on_grid
 from estimation.track.passes import Pass
 from estimation.track.profile_life import ProfileLife
 from estimation.track.screening.screen import PassOutcome, Screened, screen
@@ -20,12 +22,14 @@ from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.track.survey_check import check_survey
+from estimation.track.survey_fit import fit_survey
+from estimation.track.survey_verdict import SurveyVerdict, place_of, survey_verdict
 from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
-from estimation.values.reasons import Reason, ReasonCode, prefixed
+from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, prefixed
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
 
 BETTER_SHARE = 0.5  # of the survey's std that a fleet's alignment must reach to replace it
-CONFIRMED = Reason(ReasonCode.SURVEY_CONFIRMED, "agrees with what the fleet has measured")
 
 
 class UpdateOutcome(StrEnum):
@@ -35,12 +39,18 @@ class UpdateOutcome(StrEnum):
     KEPT = "kept"  # the passes identify nothing; the fleet's alignment stays
     NEW_VERSION = "new_version"  # of the fleet
     SURVEY_KEPT = "survey_kept"
+    SURVEY_REFUSED = "survey_refused"  # it is wrong, and the fleet finds none by itself: none is known
     SURVEY_EXTENDED = "survey_extended"  # kept, with gauge shifts of wheelsets as a version of its own
 
     @property
     def makes_version(self) -> bool:
         """Whether a version is added."""
-        return self in {UpdateOutcome.NEW_VERSION, UpdateOutcome.SURVEY_EXTENDED}
+        return self in {UpdateOutcome.NEW_VERSION, UpdateOutcome.SURVEY_REFUSED, UpdateOutcome.SURVEY_EXTENDED}
+
+    @property
+    def windows_wait(self) -> bool:
+        """Whether the windows of the epoch are looked at again together with those that come."""
+        return self in {UpdateOutcome.UNESTIMATED, UpdateOutcome.SURVEY_REFUSED}
 
     @property
     def positions_valid(self) -> bool:
@@ -126,7 +136,7 @@ def _without_surveyed_alignment(epoch: _Epoch, in_force: TrackAlignment | None) 
     usable = in_force is not None and (surveyed or in_force.cutoff_wavelength == cutoff)
     estimate = epoch.estimate(in_force if usable else None)
     if estimate.alignment is None:
-        if in_force is None or surveyed:  # a survey of the gauge alone
+        if in_force is None or surveyed or not np.isfinite(in_force.alignment).any():  # at most the gauge is known
             return epoch.update(UpdateOutcome.UNESTIMATED, estimate, None)
         return epoch.update(UpdateOutcome.KEPT, estimate, in_force)
     return epoch.update(UpdateOutcome.NEW_VERSION, estimate, carry_over_findings(estimate.alignment, in_force))
@@ -135,40 +145,90 @@ def _without_surveyed_alignment(epoch: _Epoch, in_force: TrackAlignment | None) 
 def _with_survey(
     epoch: _Epoch, survey: TrackAlignment, settings: AlignmentSettings, *, survey_checked: bool
 ) -> AlignmentUpdate:
-    """Return the survey kept, or the fleet's alignment where that contradicts it or knows far more."""
-    verdict: Reason | None = None
-    if not survey_checked:
-        without_survey = epoch.estimate(None)
-        if without_survey.alignment is not None:
-            check = check_survey(survey, without_survey.alignment, place_std=_place_std(without_survey))
-            if check.reason is None:
-                verdict = CONFIRMED
-            elif not check.usable:
-                refusal = prefixed("not used: ", check.reason)
-                return epoch.update(UpdateOutcome.NEW_VERSION, without_survey, without_survey.alignment, survey=refusal)
+    """Return the survey kept, or the fleet's alignment where the passes contradict it or know far more."""
     estimate = epoch.estimate(survey)
-    if estimate.alignment is not None and better(estimate.alignment, survey):
-        return epoch.update(UpdateOutcome.NEW_VERSION, estimate, estimate.alignment, survey=verdict)
-    kept = epoch.update(UpdateOutcome.SURVEY_KEPT, estimate, survey, survey=verdict)
+    verdict = None if survey_checked else _judged(epoch, estimate, survey)
+    if verdict is not None and verdict.refused:
+        return _refused(epoch, survey, verdict)
+    reason = None if verdict is None else verdict.reason
+    if estimate.alignment is not None and estimate.report.converged and better(estimate.alignment, survey):
+        return epoch.update(UpdateOutcome.NEW_VERSION, estimate, estimate.alignment, survey=reason)
+    kept = epoch.update(UpdateOutcome.SURVEY_KEPT, estimate, survey, survey=reason)
     return _with_gauge_shifts(kept, survey, settings)
+
+
+def _judged(epoch: _Epoch, estimate: SectionEstimate, survey: TrackAlignment) -> SurveyVerdict | None:
+    """Return what the passes say of a survey; None where they have not been placed on it."""
+    if estimate.iterated is None:
+        return None
+    on_grid = prior_on_grid(survey, estimate.iterated.panel.grid, epoch.parameters.panel.cutoff_wavelength)
+    fit = fit_survey(estimate.iterated, on_grid)
+    return survey_verdict(fit, estimate.iterated.corrections, converged=estimate.report.converged)
+
+
+def _refused(epoch: _Epoch, survey: TrackAlignment, verdict: SurveyVerdict) -> AlignmentUpdate:
+    """Return the fleet's own alignment in place of a survey that is wrong; where it finds none, none is known."""
+    without = epoch.estimate(None)
+    reason = _mistake(epoch, survey, without) or verdict.reason
+    assert reason is not None
+    refusal = prefixed("not used: ", reason)
+    if without.alignment is not None:
+        return epoch.update(UpdateOutcome.NEW_VERSION, without, without.alignment, survey=refusal)
+    return epoch.update(UpdateOutcome.SURVEY_REFUSED, without, _unknown(survey), survey=refusal)
+
+
+def _mistake(epoch: _Epoch, survey: TrackAlignment, without: SectionEstimate) -> Reason | None:
+    """Return which mistake a wrong survey holds, by what the fleet finds without it; None where that shows none."""
+    if without.iterated is None:
+        return None
+    fleet = _as_found(epoch, without.iterated)
+    check = check_survey(survey, fleet, place_std=place_of(without.corrections)[1])
+    return None if check.usable else check.reason
+
+
+def _as_found(epoch: _Epoch, iterated: IterationResult) -> TrackAlignment:
+    """Return the alignment of a panel, good enough to be compared with even where it is too uncertain to be used."""
+    solution, grid = iterated.solution, iterated.panel.grid
+    zero = np.zeros(grid.points)
+    return TrackAlignment(
+        section=epoch.section,
+        version=0,
+        s=grid.s,
+        alignment=solution.alignment,
+        alignment_std=solution.alignment_std,
+        gauge_deviation=zero,
+        gauge_deviation_std=zero,
+        passes=zero.astype(np.int64),
+        status=Status.ESTIMATED,
+        source=AlignmentSource.FLEET,
+        cutoff_wavelength=epoch.parameters.panel.cutoff_wavelength,
+    )
+
+
+def _unknown(survey: TrackAlignment) -> TrackAlignment:
+    """Return the alignment of a section of which nothing is known but the survey's gauge."""
+    nothing = np.full(len(survey.s), np.nan)
+    return replace(
+        survey, alignment=nothing, alignment_std=nothing, source=AlignmentSource.FLEET, status=Status.UNESTIMATED
+    )
 
 
 def _with_gauge_shifts(kept: AlignmentUpdate, survey: TrackAlignment, settings: AlignmentSettings) -> AlignmentUpdate:
     """Return the survey with what its gauge does to wheelsets, as a version of its own where that is new."""
     found = kept.estimate.alignment
     varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= LEAST_GAUGE
-    if not varies or found is None or found.findings is None or not found.findings.gauge_shifts:
+    if (
+        not varies
+        or found is None
+        or not kept.estimate.report.converged
+        or found.findings is None
+        or not found.findings.gauge_shifts
+    ):
         return kept
     extended = carry_over_findings(replace(survey, findings=found.findings), survey)
     if not (requires_reestimation(survey, extended, settings) or gauge_shift_changed(survey, extended, settings)):
         return kept
     return replace(kept, outcome=UpdateOutcome.SURVEY_EXTENDED, alignment=extended)
-
-
-def _place_std(estimate: SectionEstimate) -> float:
-    """Return the std of the position of the fleet: the scatter of its journeys over the root of their number, m."""
-    offsets = [correction.offset for correction in estimate.corrections.values()]
-    return float(np.std(offsets) / np.sqrt(len(offsets))) if offsets else 0.0
 
 
 def better(fleet: TrackAlignment, survey: TrackAlignment, share: float = BETTER_SHARE) -> bool:

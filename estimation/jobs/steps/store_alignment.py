@@ -141,11 +141,11 @@ def _positions(
     for record in epoch.records:
         key = (record.wheelset, record.start_ns)
         uncorrected = WindowPosition(record.wheelset, record.start_ns, record.content_digest, version)
-        if key in refusals and (key in epoch.passes.refused or update.alignment is not None):
+        if key in refusals and (key in epoch.passes.refused or not update.outcome.windows_wait):
             # on a survey a window needs no pass, unless its pass contradicts the survey
             accepted = update.outcome.positions_valid and key not in contradicted
             found.append(uncorrected if accepted else replace(uncorrected, reason=refusals[key]))
-        elif update.alignment is not None and key in journey_of:
+        elif not update.outcome.windows_wait and key in journey_of:
             found.append(_corrected(uncorrected, journey_of[key], update, outliers, settings))
     return found
 

@@ -26,6 +26,7 @@ class LongWaveAlignment:
     alignment: FloatArray  # (n,) m, zero where no pass
     pass_std: float  # m, of one pass, from the spread of the passes
     passes: FloatArray  # (n,) sum of their weights
+    curves: FloatArray  # (n,) m, mean of h(R) over the passes, zero where no pass
 
 
 def long_wave_alignment(
@@ -43,20 +44,22 @@ def long_wave_alignment(
         Of the alignment that is returned, m.
     """
     weights = local_cubic_kernel(cutoff_wavelength, panel.grid.step)
-    total, square, count = np.zeros((3, panel.grid.points))
+    total, square, count, curves = np.zeros((4, panel.grid.points))
     for item in passes:
         curve = solution.curve_of(item.life)
         if item.empty or curve is None:
             continue
-        pass_residual = high_pass(unfiltered_residual(item, curve, panel), weights)
+        rest = unfiltered_residual(item, curve, panel)
+        pass_residual, y = high_pass(np.stack([rest, item.displacement]), weights)
         inside = valid_support(item.certain, weights) & panel.grid.contains(item.points)
         at = item.points[inside]
         weight = panel.known.weight_of(item.life)
         total[at] += weight * pass_residual[inside]
         square[at] += weight * pass_residual[inside] ** 2
+        curves[at] += weight * (y - pass_residual)[inside]
         count[at] += weight
     shared = np.where(count > 0.0, count, 1.0)
     mean = total / shared
     several = count > 1
     spread = (square - count * mean**2)[several].sum() / max(float((count - 1)[several].sum()), 1.0)
-    return LongWaveAlignment(cutoff_wavelength, mean, float(np.sqrt(max(spread, 0.0))), count)
+    return LongWaveAlignment(cutoff_wavelength, mean, float(np.sqrt(max(spread, 0.0))), count, curves / shared)

@@ -109,6 +109,33 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     )
 
 
+def curves_of_sum(state: PanelState, curves: FloatArray) -> FloatArray:
+    """Return the sum over passes (n,), m, of what curves (w, c) make of displacement.
+
+    Parameters
+    ----------
+    state
+        Sums over the passes.
+    curves
+        (w, c) coefficients of the wheelsets.
+    """
+    return np.asarray(_by_curves(curves[None], state)[0])
+
+
+def prior_of_curves(gram: FloatArray, panel: Panel) -> FloatArray:
+    """Return the normal matrix (c, c) of what is known of one wheelset's columns, for sums (w, c, c) of all.
+
+    Parameters
+    ----------
+    gram
+        (w, c, c) sums of products of the basis functions.
+    panel
+        Its basis functions.
+    """
+    size = float(np.einsum("wkk->wk", gram)[:, : panel.parameters.basis_count].mean())
+    return _prior(size if size > 0.0 else 1.0, panel)
+
+
 def _by_curves(curves: FloatArray, state: PanelState) -> FloatArray:
     """Return the sum over passes (r, n), m, of what curves (r, w, c) make of displacement; rounded to a nanometre."""
     summed = state.basis_sums.reshape(-1, state.panel.grid.points)
