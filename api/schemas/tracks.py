@@ -113,7 +113,9 @@ class Alignment(AlignmentVersion):
     position_m: list[float]
     alignment_mm: list[float | None] = Field(description="Positive to the left.")
     alignment_std_mm: list[float | None]
-    gauge_deviation_mm: list[float | None]
+    gauge_deviation_mm: list[float | None] = Field(
+        description="As surveyed. Null where no gauge is on file: passes do not determine its sign."
+    )
     gauge_deviation_std_mm: list[float | None]
     passes: list[int] = Field(description="Passes behind each value; 0 where a recording car measured it.")
     report: AlignmentReport | None = Field(description="Of the run that made it; null of a recording as registered.")
@@ -148,13 +150,14 @@ def section(record: TrackSectionRecord) -> TrackSection:
 
 def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackReport | None) -> Alignment:
     """Return the representation of an alignment."""
+    unknown: list[float | None] = [None] * len(found.s)
     return Alignment(
         **_version(record),
         position_m=[float(s) for s in found.s],
         alignment_mm=finite_list(found.alignment, MM),
         alignment_std_mm=finite_list(found.alignment_std, MM),
-        gauge_deviation_mm=finite_list(found.gauge_deviation, MM),
-        gauge_deviation_std_mm=finite_list(found.gauge_deviation_std, MM),
+        gauge_deviation_mm=finite_list(found.gauge_deviation, MM) if found.gauge_known else unknown,
+        gauge_deviation_std_mm=finite_list(found.gauge_deviation_std, MM) if found.gauge_known else unknown,
         passes=[int(n) for n in found.passes],
         report=None if made_by is None else report(made_by),
     )

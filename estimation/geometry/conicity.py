@@ -15,6 +15,7 @@ from estimation.values.reasons import Reason, ReasonCode
 
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
+LEAST_AMPLITUDE = 0.25e-3  # m
 REACH = 0.25e-3  # m of amplitude
 NO_AMPLITUDE = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "no amplitude is covered")
 NO_OFFSET = Reason(ReasonCode.OFFSET_NOT_OBSERVABLE, "band-limited signals carry no offset")
@@ -134,13 +135,24 @@ def _nonlinearity(
 
 
 def _rounding(row: _Row, amplitude: FloatArray, resolution: float) -> FloatArray:
-    """Return what rounding over ``resolution`` (m) changes of the conicity (a,), from its curvature over amplitude.
+    """Return what rounding over ``resolution`` (m) changes of the conicity (a,), from its bend over amplitude.
 
-    Where a contact jump is inside a bin, bins cannot show; the conicity just above it depends on that.
+    Where a contact jump is inside a bin, bins cannot show; the conicity just above it depends on that. A resolution
+    beyond ``REACH`` has rounded the bend itself, and moved where it shows: the largest within it counts.
     """
     x, difference = row
-    below, here, above = (equivalent_conicity(x, difference, amplitude + shift) for shift in (-REACH, 0.0, REACH))
-    return np.nan_to_num(0.5 * (below - 2 * here + above) * (resolution / REACH) ** 2)
+    reach = max(resolution, REACH)
+
+    def bend(shift: float) -> FloatArray:
+        below, here, above = (
+            equivalent_conicity(x, difference, np.maximum(amplitude + shift + at, LEAST_AMPLITUDE))
+            for at in (-reach, 0.0, reach)
+        )
+        return np.nan_to_num(0.5 * (below - 2 * here + above) * (min(resolution, REACH) / REACH) ** 2)
+
+    if resolution <= REACH:
+        return bend(0.0)
+    return np.asarray(np.max(np.abs([bend(shift) for shift in (-0.5 * reach, 0.0, 0.5 * reach)]), axis=0))
 
 
 def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:

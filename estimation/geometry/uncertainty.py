@@ -88,7 +88,8 @@ def _jump_position_std(track: TrackAlignment, wheelset: str | None) -> float:
         if track.gauge_known
         else JUMP_SHARE_GAUGE_ESTIMATED
     )
-    return share * float(np.std(track.gauge_deviation))
+    spread = float(np.std(track.gauge_deviation))
+    return share * (spread if track.gauge_known else max(spread, float(np.median(track.gauge_deviation_std))))
 
 
 SCALE_UNCERTAINTY = 0.003  # of a displacement that was integrated and projected

@@ -9,6 +9,7 @@ import numpy as np
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.long_waves import LongWaveAlignment, long_wave_alignment
 from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
+from estimation.track.panel.solution import between_pass_std_ratio
 from estimation.track.panel.stiffness_ratio import PRIOR_STD
 from estimation.track.results import SectionResults, findings
 from estimation.track.section_grid import SectionGrid
@@ -16,6 +17,10 @@ from estimation.track.section_parameters import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource, TrackAlignment
+
+SENSOR_RESIDUAL = 0.07e-3  # m, rms of y - d - h(R) that sensors and small terms of the equations make
+GAUGE_EFFECT = 0.1  # m by which a metre of gauge moves wheelsets of widely different wear apart
+WIDELY_DIFFERENT = 0.5  # std of R between the passes of a place over the std of R
 
 
 def merged_alignment(
@@ -36,7 +41,7 @@ def merged_alignment(
     """
     grid = iterated.panel.grid
     found = long_wave_alignment(iterated.passes, iterated.solution, iterated.panel, p.cutoff_wavelength)
-    known = _nothing_known(p, grid) if prior is None else prior_on_grid(prior, grid, p.cutoff_wavelength)
+    known = _nothing_known(grid) if prior is None else prior_on_grid(prior, grid, p.cutoff_wavelength)
     with np.errstate(divide="ignore"):
         weight = np.minimum((found.pass_std / known.std) ** 2, p.iteration.most_weight)
     shared = np.maximum(found.passes + weight, 1e-12)
@@ -44,10 +49,11 @@ def merged_alignment(
     certain = (found.passes >= p.panel.least_passes) | np.isfinite(known.std)
     results = findings(iterated, gauge_estimated=not known.gauge_known)
     gauge = known.gauge if results.gauge is None else results.gauge
-    gauge_std = known.gauge_std if results.gauge_std is None else results.gauge_std
+    gauge_std = _gauge_std(iterated, known, results)
     profiles = _profile_uncertainty(iterated)
+    slope_std = 0.0 if iterated.slope is None else iterated.slope.std
     of_gauge = p.systematic_per_gauge[results.gauge is not None] * float(np.std(gauge))
-    systematic = p.systematic**2 + of_gauge**2 + profiles.std**2 + (iterated.slope.std * found.curves) ** 2
+    systematic = p.systematic**2 + of_gauge**2 + profiles.std**2 + (slope_std * found.curves) ** 2
     std = _std(found, shared, iterated.solution.common_std, systematic)
     of_prior = 0.0 if prior is None else prior.scale_std * float(np.median(weight / shared))
     return TrackAlignment(
@@ -62,7 +68,7 @@ def merged_alignment(
         status=Status.ESTIMATED,
         source=AlignmentSource.FLEET,
         cutoff_wavelength=p.cutoff_wavelength,
-        scale_std=float(np.linalg.norm([_scale_std(results, p), profiles.scale_std, iterated.slope.std, of_prior])),
+        scale_std=float(np.linalg.norm([_scale_std(results, p), profiles.scale_std, slope_std, of_prior])),
         gauge_known=known.gauge_known and results.gauge is None,
         findings=results.findings,
     )
@@ -73,6 +79,21 @@ def _std(found: LongWaveAlignment, shared: FloatArray, of_curves: FloatArray, sy
     common = np.where(np.isfinite(of_curves), of_curves, 0.0)
     std = np.hypot(common * found.passes / shared, found.pass_std / np.sqrt(shared))
     return np.asarray(np.sqrt(std**2 + found.passes / shared * systematic))
+
+
+def _gauge_std(iterated: IterationResult, known: PriorAlignment, results: SectionResults) -> FloatArray:
+    """Return the std (n,), m, of the gauge deviation: as surveyed, or by what it does to passes that know none of it.
+
+    Passes disagree by more than sensors make them where a gauge that is not modelled moves their wheelsets apart;
+    wheelsets that are alike are moved alike.
+    """
+    if known.gauge_known:
+        return known.gauge_std
+    unexplained = float(np.sqrt(max(iterated.noise_without_gauge**2 - SENSOR_RESIDUAL**2, 0.0)))
+    differing = min(between_pass_std_ratio(iterated.state) / WIDELY_DIFFERENT, 1.0)
+    inferred = unexplained / (GAUGE_EFFECT * differing) if differing > 0.0 else 0.0
+    found = 0.0 if results.gauge is None else float(np.std(results.gauge))
+    return np.full_like(known.gauge_std, max(inferred, found))
 
 
 def _scale_std(results: SectionResults, p: SectionParameters) -> float:
@@ -100,13 +121,13 @@ def _profile_uncertainty(iterated: IterationResult) -> _ProfileUncertainty:
     return _ProfileUncertainty(float(std), float(np.hypot(scale, of_stiffness)))
 
 
-def _nothing_known(p: SectionParameters, grid: SectionGrid) -> PriorAlignment:
+def _nothing_known(grid: SectionGrid) -> PriorAlignment:
     zero = np.zeros(grid.points)
     return PriorAlignment(
         alignment=zero,
         std=np.full_like(zero, np.inf),
         passes=zero,
         gauge=zero,
-        gauge_std=np.full_like(zero, p.gauge_std),
+        gauge_std=zero,
         gauge_known=False,
     )

@@ -22,7 +22,7 @@ from estimation.track.gauge.wheel_functions import (
 from estimation.track.gridded_pass import GriddedPass, Placed, all_passes, place, with_ratios
 from estimation.track.journeys import Journey, PositionParameters
 from estimation.track.panel.basis import Panel
-from estimation.track.panel.errors_in_variables import SlopeCorrection, corrected, slope_correction
+from estimation.track.panel.errors_in_variables import SlopeCorrection, common_slope, corrected, slope_correction
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, init, update
 from estimation.track.panel.prior_alignment import PriorAlignment, add_prior, fleet_step
@@ -70,7 +70,13 @@ class IterationResult:
     changed: float  # by which the last round changed a stiffness ratio at most
     noise: float  # m, rms of y - d - h(R) over the passes
     gauge_convergence: tuple[Convergence, ...] = ()
-    slope: SlopeCorrection = field(default_factory=SlopeCorrection)
+    slope: SlopeCorrection | None = None
+    first_noise: float | None = None  # m, ``noise`` of the panel without the gauge that was found
+
+    @property
+    def noise_without_gauge(self) -> float:
+        """Rms of y - d - h(R) over the passes, m, where no gauge is modelled."""
+        return self.noise if self.first_noise is None else self.first_noise
 
     @property
     def passes(self) -> list[GriddedPass]:
@@ -149,7 +155,7 @@ def _with_slope(setting: _Setting, found: IterationResult) -> IterationResult:
     if found.solution.report.curves_fixed:
         return found
     state = _state_with_prior(found.state, setting, found.noise)
-    slope = slope_correction(state, found.solution)
+    slope = found.slope or slope_correction(state, found.solution)
     if not np.isfinite(slope.std):
         return replace(found, slope=slope)
     return replace(found, solution=corrected(state, found.solution, slope.factor), slope=slope)
@@ -250,7 +256,17 @@ def _with_unknown_gauge(setting: _Setting, first: IterationResult, searches: int
         found = _solved(setting, _repositioned(setting, found), _with_wheels(found, sized=True))
         change = _rms_change(before, found.panel.gauge)
     search = Convergence(Iterated.GAUGE, change < p.gauge_tolerance, searches, change)
-    return _finished(setting, replace(found, gauge_convergence=(*found.gauge_convergence, search)))
+    if not search.converged:
+        return first  # without a gauge, whose effect is then in the intervals
+    found = _finished(setting, replace(found, gauge_convergence=(*found.gauge_convergence, search)))
+    return replace(found, slope=_slope_without_gauge(setting, first, found), first_noise=first.noise)
+
+
+def _slope_without_gauge(setting: _Setting, first: IterationResult, found: IterationResult) -> SlopeCorrection:
+    """Return the factor with which curves are as steep as without the gauge: a gauge that is searched fits noise."""
+    slope = slope_correction(_state_with_prior(first.state, setting, first.noise), first.solution)
+    share = common_slope(found.solution, first.solution)
+    return replace(slope, factor=slope.factor * share, std=slope.std * share)
 
 
 def _with_wheels(found: IterationResult, *, sized: bool = False) -> Panel:

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 
-import numpy as np
-
 from estimation.track.convergence import Convergence
 from estimation.track.gauge.wheel_functions import contact_samples, gauge_sign, total_gauge_shifts
 from estimation.track.iteration import IterationResult
@@ -18,16 +16,13 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 from estimation.values.track import GaugeShift, TrackFindings
 
-UNKNOWN_SHARE = 0.3  # of its own std that an estimated gauge deviation may be off by
-
 
 @dataclass(frozen=True, slots=True)
 class SectionResults:
-    """Findings, and the gauge deviation (n,) with its std, m, where it is estimated from the passes."""
+    """Findings, and the gauge deviation (n,), m, where it is estimated from the passes."""
 
     findings: TrackFindings
     gauge: FloatArray | None
-    gauge_std: FloatArray | None
 
 
 def findings(iterated: IterationResult, *, gauge_estimated: bool) -> SectionResults:
@@ -44,7 +39,7 @@ def findings(iterated: IterationResult, *, gauge_estimated: bool) -> SectionResu
     std = max((one.std for one in iterated.ratios.values()), default=0.0)
     gauge = iterated.panel.gauge
     if gauge is None:
-        return SectionResults(TrackFindings(ratios, std, {}), None, None)
+        return SectionResults(TrackFindings(ratios, std, {}), None)
     panel = iterated.panel
     shifts = total_gauge_shifts(iterated.solution, panel)
     sign = gauge_sign(contact_samples(iterated.passes, iterated.solution, panel), shifts) if gauge_estimated else 1
@@ -53,8 +48,8 @@ def findings(iterated: IterationResult, *, gauge_estimated: bool) -> SectionResu
     latest = {life.wheelset: shifts[life] for life in sorted(shifts)}  # of several lives the latest
     found = TrackFindings(ratios, std, latest)
     if not gauge_estimated:
-        return SectionResults(found, None, None)
-    return SectionResults(found, sign * gauge, np.full(len(gauge), UNKNOWN_SHARE * float(gauge.std())))
+        return SectionResults(found, None)
+    return SectionResults(found, sign * gauge)
 
 
 def _turned(shift: GaugeShift) -> GaugeShift:

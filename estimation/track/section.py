@@ -174,7 +174,7 @@ def _report(
     iterated = accepted.iterated
     solution, state = iterated.solution, iterated.state
     passed = state.passes > 0
-    status, reason = _state_of(accepted, grouped, known)
+    status, reason = _state_of(accepted, grouped, known, p)
     not_converged = _not_converged_reason(iterated, p)
     journeys_reported = tuple(
         _journey(journey, members, iterated.corrections.get(journey, Correction()), accepted)
@@ -199,12 +199,18 @@ def _report(
     )
 
 
-def _state_of(accepted: _Accepted, grouped: Grouped, known: PriorAlignment | None) -> tuple[Status, Reason | None]:
+def _state_of(
+    accepted: _Accepted, grouped: Grouped, known: PriorAlignment | None, p: SectionParameters
+) -> tuple[Status, Reason | None]:
     """Return whether an alignment is estimated, and why not."""
     of_panel = accepted.iterated.solution.report
     status, reason = of_panel.status, of_panel.reason
     if known is not None and known.has_alignment:
         status, reason = Status.ESTIMATED, None
+    elif status is Status.ESTIMATED:
+        not_converged = _not_converged_reason(accepted.iterated, p)
+        if not_converged is not None:
+            return Status.UNESTIMATED, not_converged
     if status is Status.ESTIMATED and len(accepted.outliers) == len(grouped):
         first = next(iter(accepted.outliers.values()))
         return Status.UNESTIMATED, Reason(ReasonCode.NO_JOURNEY_AGREES, f"no journey agrees with another: {first}")

@@ -23,4 +23,3 @@ class SectionParameters:
     cutoff_wavelength: float = 120.0  # m, longest wavelength that the alignment holds
     outlier_factor: float = 2.0  # times the median residual of the other journeys
     least_outlier_m: float = 0.4e-3  # m
-    gauge_std: float = 1e-3  # m, expected of a gauge that is neither on file nor observable

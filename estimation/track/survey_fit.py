@@ -100,7 +100,8 @@ class _Sums:
         basis = np.stack([state.basis_sums[:, :, group == g] @ d[group == g] for g in range(count)])
         along = np.bincount(group, weights=state.displacement * d, minlength=count)
         own = np.bincount(group, weights=state.passes * d * d, minlength=count)
-        return cls(state, np.asarray(basis, dtype=np.float64), along, own, state.square)
+        basis_sums, with_y, squares = (np.asarray(part, dtype=np.float64) for part in (basis, along, own))
+        return cls(state, basis_sums, with_y, squares, state.square)
 
     def fit(self, groups: IntArray) -> tuple[float, float, float]:
         """Return the factor of the survey, the share that it explains, and that of the curves, from some groups."""

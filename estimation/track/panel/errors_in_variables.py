@@ -18,8 +18,8 @@ from estimation.track.panel.normal_equations import PanelState
 from estimation.track.panel.solution import PanelSolution, curves_of_sum
 from estimation.values.arrays import FloatArray
 
-EXCESS_SHARE = 1.25  # of 1 / r2 - 1, by which curves are too flat
-EXCESS_STD = 0.4  # of 1 / r2 - 1: what is not known of that
+EXCESS_SHARE = 1.4  # of 1 / r2 - 1, by which curves are too flat
+EXCESS_STD = 0.5  # of 1 / r2 - 1: what is not known of that
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +75,26 @@ def corrected(state: PanelState, solution: PanelSolution, factor: float) -> Pane
         curves=np.concatenate([factor * solution.curves[:, :, :-1], solution.curves[:, :, -1:]], axis=2),
         alignment=solution.alignment - added,
     )
+
+
+def common_slope(solution: PanelSolution, other: PanelSolution) -> float:
+    """Return the factor by which the curves of ``solution`` come nearest to those of another.
+
+    Parameters
+    ----------
+    solution, other
+        Of the same wheelsets, perhaps in another order; the second without a gauge.
+    """
+    count = len(solution.knots)
+    along, own = 0.0, 0.0
+    for number, life in enumerate(solution.lives):
+        curve = other.curve_of(life)
+        if curve is None:
+            continue
+        weight, mine = solution.weight[number], solution.curves[0, number, :count]
+        along += float((weight * mine) @ curve[:count])
+        own += float((weight * mine) @ mine)
+    return along / own if along > 0.0 else 1.0
 
 
 def _without_stiffness(curves: FloatArray) -> FloatArray:
