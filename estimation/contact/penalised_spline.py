@@ -25,6 +25,16 @@ ORDER = 3  # of the penalised derivative
 KNOT_STEP = 0.5  # mm of arc, unless points are farther apart
 NEIGHBOURS = 4  # to either side, over which the local variance is averaged
 NOISE_ROUNDS = 4
+NOISE_DISTANCES = (0.0, 0.2, 0.4, 0.8)  # mm of arc, of the differences that show whether neighbours share noise
+CORRELATION_LENGTHS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # mm
+SIGNIFICANT_CORRELATION = 0.15  # squares of logarithms by which a correlation must explain the differences better
+FEWEST_SPANS = 12  # a difference spans 4 steps
+FARTHEST_ALIKE = 2.0  # mm, beyond, noise is independent
+MOST_ALIKE = 0.98
+BAND = DEGREE + 5  # of the normal equations; noise that is alike links points up to 2 mm apart
+_PRODUCTS = tuple(2.0 * product / 4.375 for product in (-3.5, 1.75, -0.5, 0.0625))
+"""Of the coefficients 1/4, -1, 3/2, -1, 1/4 of the differences with themselves, 1 to 4 steps on."""
+
 LEAST_NOISE = 0.05  # of the larger variance, height or lateral
 FIRST_ROUNDS, ROUNDS = 8, 15
 UNKNOWN_PENALTY = 1.3
@@ -81,38 +91,74 @@ def fit_spline(points: FloatArray, weight: FloatArray, noise_std: float | None) 
     """
     arc, spacing = _first_arc(points)
     weights = weight.copy()
-    noise = noise_std**2 if noise_std is not None else max(rough_noise(points) ** 2, _TINY)
+    rough, length = correlated_noise(points)
+    noise = noise_std**2 if noise_std is not None else max(rough**2, _TINY)
     for rounds in (FIRST_ROUNDS, ROUNDS):
         knots, basis = _basis(arc, spacing)
-        fit = _evidence_fit(points, basis, weights, noise, rounds, known=noise_std is not None)
+        rows = _whitened(points, basis, weights, arc, length)
+        fit = _evidence_fit(rows, noise, rounds, known=noise_std is not None)
         arc, residual, tangent = _projected(points, arc, knots, fit.coefficients)
         if noise_std is None:
             weights = weight * _relative_precision(tangent, residual, weight)
     knots, basis = _basis(arc, spacing)
-    fit = _evidence_fit(points, basis, weights, fit.noise, ROUNDS, known=noise_std is not None)
-    fit = _levelled(points, basis, weights, fit, known=noise_std is not None)
+    rows = _whitened(points, basis, weights, arc, length)
+    fit = _evidence_fit(rows, fit.noise, ROUNDS, known=noise_std is not None)
+    fit = _levelled(rows, fit, known=noise_std is not None)
     _, residual, _ = _projected(points, arc, knots, fit.coefficients)
-    scale = UNKNOWN_PENALTY**2 * _correlation_factor(residual[weight > 0.0])
-    root = np.asarray(np.linalg.cholesky(fit.covariance * scale), dtype=np.float64)
+    root = np.asarray(np.linalg.cholesky(fit.covariance * UNKNOWN_PENALTY**2), dtype=np.float64)
     return PenalisedSpline(knots, fit.coefficients, root, float(np.sqrt(fit.noise)), residual)
 
 
-def rough_noise(points: FloatArray) -> float:
-    """Return the noise of points across their curve from second differences of neighbours, mm: robust, before any fit.
+def correlated_noise(points: FloatArray) -> tuple[float, float]:
+    """Return the noise of points across their curve, and the arc over which it is alike, both mm; before any fit.
+
+    Fourth differences at several distances: of white noise they are alike, of noise that neighbours share they grow
+    with the distance. The correlation is taken as exponential.
 
     Parameters
     ----------
     points
         (n, 2) mm, in their order along the curve.
     """
-    chord = points[2:] - points[:-2]
+    spacing = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
+    steps = sorted({max(1, round(distance / max(spacing, _TINY))) for distance in NOISE_DISTANCES})
+    steps = [step for step in steps if step == 1 or FEWEST_SPANS * step < len(points)]
+    found = np.log([max(rough_noise(points, step) ** 2, _TINY) for step in steps])
+    best = (np.inf, 0.0, 0.0)
+    white = np.inf
+    for length in CORRELATION_LENGTHS:
+        alike = np.exp(-np.outer(np.array(steps) * spacing, np.arange(1, 5)) / length) if length else np.zeros((1, 4))
+        expected = np.log(1.0 + alike @ np.array(_PRODUCTS))
+        level = float(np.mean(found - expected))
+        cost = float(((found - expected - level) ** 2).sum())
+        white = cost if length == 0.0 else white
+        best = min(best, (cost, length, level))
+    cost, length, level = best
+    if white - cost < SIGNIFICANT_CORRELATION:
+        return float(np.exp(0.5 * np.mean(found))), 0.0
+    return float(np.exp(0.5 * level)), length
+
+
+def rough_noise(points: FloatArray, step: int = 1) -> float:
+    """Return the noise of points across their curve from differences of neighbours, mm: robust, before any fit.
+
+    Parameters
+    ----------
+    points
+        (n, 2) mm, in their order along the curve.
+    step
+        To which neighbours.
+    """
+    if len(points) < 4 * step + 1:
+        return 0.0
+    chord = points[2 * step :] - points[: -2 * step]
     length = np.maximum(np.hypot(chord[:, 0], chord[:, 1]), _TINY)
-    offset = points[1:-1] - points[:-2]
+    offset = points[step:-step] - points[: -2 * step]
     share = (offset * chord).sum(axis=1) / length**2
     height = (offset[:, 1] * chord[:, 0] - offset[:, 0] * chord[:, 1]) / length
     bend = np.where(np.abs(share - _MIDDLE) < _MIDDLE, height, 0.0)
-    rest = bend[1:-1] - 0.5 * (bend[:-2] + bend[2:])
-    return float(1.4826 * np.median(np.abs(rest)) / np.sqrt(4.375)) if len(rest) else 0.0
+    rest = bend[step:-step] - 0.5 * (bend[: -2 * step] + bend[2 * step :])
+    return float(1.4826 * np.median(np.abs(rest)) / np.sqrt(4.375))
 
 
 def _first_arc(points: FloatArray) -> tuple[FloatArray, float]:
@@ -136,23 +182,40 @@ def _basis(arc: FloatArray, spacing: float) -> tuple[FloatArray, FloatArray]:
     return knots, np.asarray(BSpline.design_matrix(inside, knots, DEGREE).toarray())
 
 
-def _evidence_fit(
-    points: FloatArray, basis: FloatArray, weights: FloatArray, noise: float, rounds: int, *, known: bool
-) -> _Fit:
+_Rows = tuple[FloatArray, FloatArray]
+
+
+def _whitened(points: FloatArray, basis: FloatArray, weights: FloatArray, arc: FloatArray, length: float) -> _Rows:
+    """Return design (m, k) and target (m, 2) of the points that count, their noise white and of one variance."""
+    kept = weights > 0.0
+    scale = np.sqrt(weights[kept])[:, np.newaxis]
+    design, target = basis[kept] * scale, points[kept] * scale
+    if length == 0.0:
+        return design, target
+    gap = np.abs(np.diff(arc[kept]))
+    alike = np.where(gap > FARTHEST_ALIKE, 0.0, np.minimum(np.exp(-gap / length), MOST_ALIKE))[:, np.newaxis]
+    own = np.sqrt(1.0 - alike**2)
+    return (
+        np.concatenate([design[:1], (design[1:] - alike * design[:-1]) / own]),
+        np.concatenate([target[:1], (target[1:] - alike * target[:-1]) / own]),
+    )
+
+
+def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool) -> _Fit:
     """Return the fit whose local variance of the third difference explains the points best (MacKay's fixed point).
 
     The variance is the sum of squares over the number of well-determined differences, both over the neighbours.
     """
-    local = np.full(basis.shape[1] - ORDER, (FIRST_THIRD_DERIVATIVE * KNOT_STEP**ORDER) ** 2)
+    local = np.full(rows[0].shape[1] - ORDER, (FIRST_THIRD_DERIVATIVE * KNOT_STEP**ORDER) ** 2)
     least = (LEAST_THIRD_DERIVATIVE * KNOT_STEP**ORDER) ** 2
-    normal = _normal(points, basis, weights)
+    normal = rows[0].T @ rows[0], rows[0].T @ rows[1]
     fit = _posterior(normal, noise, local)
     for _ in range(rounds):
         third = np.diff(fit.coefficients, n=ORDER, axis=0)
         variance = np.diff(np.diff(fit.covariance, n=ORDER, axis=0), n=ORDER, axis=1).diagonal()
         determined = np.clip(1.0 - variance / fit.local, LEAST_DETERMINED, 1.0)
         local = np.maximum(_over_neighbours((third**2).sum(axis=1)) / _over_neighbours(determined), least)
-        noise = fit.noise if known else _noise(points, basis, weights, fit)
+        noise = fit.noise if known else _noise(rows, fit)
         fit = _posterior(normal, noise, local)
     return fit
 
@@ -162,48 +225,43 @@ def _over_neighbours(values: FloatArray) -> FloatArray:
     return np.asarray(np.convolve(np.pad(values, NEIGHBOURS, mode="edge"), kernel / kernel.sum(), "valid"))
 
 
-def _levelled(points: FloatArray, basis: FloatArray, weights: FloatArray, fit: _Fit, *, known: bool) -> _Fit:
+def _levelled(rows: _Rows, fit: _Fit, *, known: bool) -> _Fit:
     """Return the fit at the level of the penalty with the best score."""
-    n = float(np.count_nonzero(weights))
-    normal = _normal(points, basis, weights)
+    design, target = rows
+    n = float(len(design))
+    normal = design.T @ design, design.T @ target
     best, lowest = fit, np.inf
     for level in LEVELS:
         tried = _posterior(normal, fit.noise, fit.local * level)
-        squares = float((weights * ((points - basis @ tried.coefficients) ** 2).sum(axis=1)).sum())
+        squares = float(((target - design @ tried.coefficients) ** 2).sum())
         score = squares / n + 2.0 * fit.noise * tried.freedom / n if known else n * squares / (n - tried.freedom) ** 2
         if score < lowest:
             best, lowest = tried, score
     if known:
         return best
-    noise = _noise(points, basis, weights, best)
+    noise = _noise(rows, best)
     return _Fit(best.coefficients, best.covariance * (noise / best.noise), noise, best.local, best.freedom)
 
 
-_Normal = tuple[FloatArray, FloatArray]
-
-
-def _normal(points: FloatArray, basis: FloatArray, weights: FloatArray) -> _Normal:
-    weighted = basis * weights[:, np.newaxis]
-    return weighted.T @ basis, weighted.T @ points
-
-
-def _posterior(normal: _Normal, noise: float, local: FloatArray) -> _Fit:
+def _posterior(normal: tuple[FloatArray, FloatArray], noise: float, local: FloatArray) -> _Fit:
     """Return mean and covariance of the coefficients, given noise and the variance of their third differences."""
     gram, moment = normal
     k = len(gram)
     difference = np.diff(np.eye(k), n=ORDER, axis=0)
     precision = gram / noise + difference.T @ (difference / local[:, np.newaxis])
-    banded = np.zeros((DEGREE + 1, k))
-    for offset in range(DEGREE + 1):
-        banded[DEGREE - offset, offset:] = np.diagonal(precision, offset)
+    width = min(BAND, k - 1)
+    banded = np.zeros((width + 1, k))
+    for offset in range(width + 1):
+        banded[width - offset, offset:] = np.diagonal(precision, offset)
     covariance = cho_solve_banded((cholesky_banded(banded), False), np.eye(k))
     covariance = 0.5 * (covariance + covariance.T)
     return _Fit(covariance @ moment / noise, covariance, noise, local, float((covariance * gram).sum() / noise))
 
 
-def _noise(points: FloatArray, basis: FloatArray, weights: FloatArray, fit: _Fit) -> float:
-    squares = float((weights * ((points - basis @ fit.coefficients) ** 2).sum(axis=1)).sum())
-    return max(squares / max(np.count_nonzero(weights) - fit.freedom, 1.0), _TINY)
+def _noise(rows: _Rows, fit: _Fit) -> float:
+    design, target = rows
+    squares = float(((target - design @ fit.coefficients) ** 2).sum())
+    return max(squares / max(len(design) - fit.freedom, 1.0), _TINY)
 
 
 def _projected(
@@ -235,17 +293,3 @@ def _relative_precision(tangent: FloatArray, residual: FloatArray, weight: Float
         found = np.maximum(found, max(LEAST_NOISE * float(found.max()), _TINY))
         variance = share @ found
     return np.asarray(np.exp(np.log(variance).mean()) / variance)
-
-
-def _correlation_factor(residual: FloatArray) -> float:
-    """Return by how much noise that is alike in neighbouring points raises the variance of local means."""
-    n = len(residual)
-    scaled = residual - residual.mean()
-    power = float(scaled @ scaled)
-    factor = 1.0
-    for lag in range(1, min(20, n // 4)):
-        correlation = float(scaled[lag:] @ scaled[:-lag]) / max(power, _TINY)
-        if correlation < 2.0 / np.sqrt(n):
-            break
-        factor += 2.0 * correlation
-    return factor

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline
 
-from estimation.contact.penalised_spline import DEGREE, PenalisedSpline, fit_spline, rough_noise
+from estimation.contact.penalised_spline import DEGREE, PenalisedSpline, correlated_noise, fit_spline
 from estimation.contact.profiles import Profile, ProfileKind, profile_from_points
 from estimation.errors import ProfileError
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
@@ -18,7 +18,7 @@ CLOSEST = 1e-3  # mm across, nearer neighbours are one point
 STEEPEST = 50.0  # slope up to which a surface has one height per lateral position
 OUTLIER = 5.0  # times the local noise, across the curve
 LEAST_OUTLIER = 0.02  # mm across the curve, no point nearer to it is an outlier
-OUTLIER_ROUNDS = 8
+OUTLIER_ROUNDS = 5
 ALONE = 3  # points to either side, of which only the farthest is left out at a time
 NEIGHBOURHOOD = 40  # points to either side that show the local noise
 _MILLIMETRE = 1e-3
@@ -81,7 +81,7 @@ def smoothed_profile(
     ProfileError
         Fewer than four points, points that are not in order along the profile, or too few for their scatter.
     """
-    level = rough_noise(points) if noise_std is None else noise_std
+    level = correlated_noise(points)[0] if noise_std is None else noise_std
     if level < EXACT_BELOW:
         kept = advancing(points[:, 0], _peak(kind, points[:, 1]))
         y, z = points[kept].T * _MILLIMETRE

@@ -93,7 +93,13 @@ def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
     top = int(np.argmin(z))
     edge = _gauge_edge(rail.name, y[: top + 1], z[: top + 1] - z[top], wall=bool(forward[0] * _WALL < abs(rise[0])))
     first, last = _run(slope, z, top, -1), _run(slope, z, top, 1)
-    keep = slice(first, last + 1)
+    outwards = (
+        np.maximum.accumulate(y[top : last + 1]),
+        np.minimum.accumulate(y[top : first - 1 if first else None : -1]),
+    )
+    beyond = top + np.flatnonzero(np.diff(outwards[0], prepend=-np.inf) > 0)
+    before = top - np.flatnonzero(np.diff(outwards[1], prepend=np.inf) < 0)
+    keep = np.concatenate([before[:0:-1], beyond])
     return _gridded(y[keep] - edge + gauge / 2.0, z[keep] - z[top], np.clip(slope[keep], -_STEEPEST, _STEEPEST))
 
 

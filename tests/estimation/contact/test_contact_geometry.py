@@ -15,6 +15,7 @@ from estimation.contact.profiles import Profile, profile_from_points, rail_profi
 from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.rail_definitions import RAIL_DEFINITIONS
 from estimation.contact.segments import evaluate
+from estimation.contact.surface import rail_surface
 from estimation.contact.table import ContactMethod
 from estimation.contact.wear import TreadWear, worn
 from estimation.contact.wheel_definitions import WHEEL_DEFINITIONS
@@ -311,3 +312,17 @@ def test_a_refined_curve_is_that_of_a_fine_grid_with_jumps_where_they_are(method
         before, after = contact_table(wheelset, [jump - 3e-9, jump + 3e-9], method=method).contact_position_left[:, 0]
         both = contact_table(wheelset, [jump - 3e-9, jump + 3e-9], method=method).contact_position_right[:, 0]
         assert max(abs(after - before), abs(both[1] - both[0])) > 0.4e-3
+
+
+def test_a_notch_that_overhangs_when_the_rail_is_inclined_does_not_end_it() -> None:
+    rail = rail_profile("60E1")
+    near = int(np.searchsorted(rail.y, 20e-3))
+    z, slope = rail.z.copy(), rail.slope.copy()
+    z[near + 1 :] += 0.5e-3
+    slope[near : near + 2] = 40.0
+    y = rail.y.copy()
+    y[near + 1] = y[near] + 1e-6
+    notched = Profile("rail", "notched", y, z, slope)
+    surface = rail_surface(notched, 1 / 20, 1.435)
+    whole = rail_surface(rail, 1 / 20, 1.435)
+    assert surface.step * len(surface.height) == pytest.approx(whole.step * len(whole.height), abs=2e-4)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.conicity_uncertainty import MeasuredShapes, conicity_std
 from estimation.contact.geometry import WheelsetOnTrack
-from estimation.contact.penalised_spline import rough_noise
+from estimation.contact.penalised_spline import correlated_noise, rough_noise
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.smoothed_profile import SmoothedProfile, exact, smoothed_profile
@@ -110,20 +111,20 @@ def test_the_std_of_a_seed_is_pinned() -> None:
     assert std_of(shape) == pytest.approx(PINNED_STD, rel=0.03)
 
 
-def test_noise_that_neighbours_share_is_not_taken_for_averaged_out() -> None:
+def test_noise_that_neighbours_share_is_recognised_and_not_followed() -> None:
     random = np.random.default_rng(6)
-    white = random.normal(0.0, NOISE, 2000)
-    alike = np.convolve(white, np.ones(4) / 2.0, "same")[:1050]
-    points = points_along(S1002)
-    count = min(len(points), 1050)
-    points = points[:count]
-    points[:, 1] += alike[:count]
+    points = points_along(S1002, 0.1)
+    alike = np.exp(-0.1 / 0.4)
+    noise = lfilter([np.sqrt(1.0 - alike**2)], [1.0, -alike], random.normal(0.0, 0.01, len(points) + 100))[100:]
+    points[:, 1] += noise
+    level, length = correlated_noise(points)
+    assert level == pytest.approx(0.009, rel=0.3)
+    assert 0.2 <= length <= 0.8
     shape = smoothed_profile("wheel", "measured", points)
-    independent = smoothed_profile("wheel", "measured", noisy(S1002, 6)[:count])
-    assert shape.spline is not None
-    assert independent.spline is not None
-    tread = slice(-120, -60)
-    assert np.linalg.norm(shape.spline.root[tread]) > 1.3 * np.linalg.norm(independent.spline.root[tread])
+    error = conicity(shape.profile) - conicity(S1002)
+    assert np.abs(error).max() < 0.01
+    assert (np.abs(error) < 3.5 * std_of(shape)).all()
+    assert correlated_noise(noisy(S1002, 6))[1] == 0.0
 
 
 def test_rough_noise_is_that_of_the_points_and_not_of_their_shape() -> None:
