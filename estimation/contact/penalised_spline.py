@@ -28,6 +28,7 @@ NOISE_ROUNDS = 4
 NOISE_DISTANCES = (0.0, 0.2, 0.4, 0.8)  # mm of arc, of the differences that show whether neighbours share noise
 CORRELATION_LENGTHS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # mm
 SIGNIFICANT_CORRELATION = 0.15  # squares of logarithms by which a correlation must explain the differences better
+LEAST_SHARE = 1e-3  # of the variance that a difference keeps
 FEWEST_SPANS = 12  # a difference spans 4 steps
 FARTHEST_ALIKE = 2.0  # mm, beyond, noise is independent
 MOST_ALIKE = 0.98
@@ -128,7 +129,7 @@ def correlated_noise(points: FloatArray) -> tuple[float, float]:
     white = np.inf
     for length in CORRELATION_LENGTHS:
         alike = np.exp(-np.outer(np.array(steps) * spacing, np.arange(1, 5)) / length) if length else np.zeros((1, 4))
-        expected = np.log(1.0 + alike @ np.array(_PRODUCTS))
+        expected = np.log(np.maximum(1.0 + alike @ np.array(_PRODUCTS), LEAST_SHARE))
         level = float(np.mean(found - expected))
         cost = float(((found - expected - level) ** 2).sum())
         white = cost if length == 0.0 else white

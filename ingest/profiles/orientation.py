@@ -29,6 +29,7 @@ _MILLIMETRE = 1e-3
 _RAIL_MARGIN = 0.10
 _WHEEL_MARGIN = 0.05
 _FLANGE_BACK_WITHIN = 25.0  # mm from the tip of the flange
+_SAME_POINT = 1e-6  # mm, a row that repeats the one before is left out
 _TOP = 1.0  # mm
 _WIDER = 1.5  # times: crowns are flatter than grooves
 _LARGEST_GAP = 10.0  # mm between neighbours
@@ -78,6 +79,8 @@ def oriented(
     """
     y, z = points.y, points.z if points.axes_known else _upright(points.y, points.z, kind)
     lines = np.array(points.lines)
+    apart = np.concatenate([[True], np.hypot(np.diff(y), np.diff(z)) > _SAME_POINT])
+    y, z, lines = y[apart], z[apart], lines[apart]
     if y[-1] < y[0]:
         y, z, lines = y[::-1], z[::-1], lines[::-1]
     _check_unit(y, points.file)

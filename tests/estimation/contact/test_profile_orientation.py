@@ -175,3 +175,11 @@ def test_a_worn_gauge_face_is_no_lean(tmp_path: Path) -> None:
     with pytest.raises(ProfileError, match="--no-mirror"):
         read_profile(file, "rail")
     assert np.isnan(lean(points[:, 0], points[:, 1]))
+
+
+def test_rows_that_repeat_the_one_before_count_once(tmp_path: Path) -> None:
+    once, thrice = tmp_path / "once.txt", tmp_path / "thrice.txt"
+    points = stepped(S1002, 0.0)
+    once.write_text(rows(points))
+    thrice.write_text(rows(np.repeat(points, 3, axis=0)))
+    np.testing.assert_array_equal(read_profile(thrice, "wheel").z, read_profile(once, "wheel").z)
