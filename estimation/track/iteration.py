@@ -40,7 +40,7 @@ Grouped = Mapping[Journey, Sequence[Pass]]
 class IterationParameters:
     """When the rounds end."""
 
-    rounds: int = 8  # of positions and panel at most
+    rounds: int = 24  # of positions and panel at most
     position_tolerance: float = 0.1  # m: positions that move less have converged
     ratio_tolerance: float = 0.01
     gauge_tolerance: float = 0.3e-3  # m, rms: a gauge that changes less has converged
@@ -146,23 +146,8 @@ def iterate(
     parameters
         When the rounds end.
     """
-    setting = _Setting(grouped, prior, prior is not None and prior.has_alignment, parameters)
-    return _with_slope(setting, _iterated(setting, panel, positions))
-
-
-def _with_slope(setting: _Setting, found: IterationResult) -> IterationResult:
-    """Return ``found`` with the curves as steep as they are without the errors of R."""
-    if found.solution.report.curves_fixed:
-        return found
-    state = _state_with_prior(found.state, setting, found.noise)
-    slope = found.slope or slope_correction(state, found.solution)
-    if not np.isfinite(slope.std):
-        return replace(found, slope=slope)
-    return replace(found, solution=corrected(state, found.solution, slope.factor), slope=slope)
-
-
-def _iterated(setting: _Setting, panel: Panel, positions: PositionParameters) -> IterationResult:
-    grouped, prior, anchored, parameters = setting.grouped, setting.prior, setting.anchored, setting.parameters
+    anchored = prior is not None and prior.has_alignment
+    setting = _Setting(grouped, prior, anchored, parameters)
     reference = prior.alignment if prior is not None and anchored else None
     corrections = correlate_positions(grouped, panel.grid, positions, reference)
     first = _rounds(setting, panel, corrections, {})
@@ -184,6 +169,27 @@ def _iterated(setting: _Setting, panel: Panel, positions: PositionParameters) ->
         if number >= parameters.wheel_rounds and _at_rest(found, parameters):
             break
     return _finished(setting, found)
+
+
+def with_slope(found: IterationResult, prior: PriorAlignment | None, most_weight: float) -> IterationResult:
+    """Return ``found`` with the curves as steep as they are without the errors of R.
+
+    Parameters
+    ----------
+    found
+        Where the rounds ended.
+    prior
+        As the rounds had it.
+    most_weight
+        Of the prior alignment, in passes.
+    """
+    if found.solution.report.curves_fixed:
+        return found
+    state = found.state if prior is None else add_prior(found.state, prior, found.noise, most_weight)
+    slope = found.slope or slope_correction(state, found.solution)
+    if not np.isfinite(slope.std):
+        return replace(found, slope=slope)
+    return replace(found, solution=corrected(state, found.solution, slope.factor), slope=slope)
 
 
 def _rounds(

@@ -14,7 +14,7 @@ import numpy as np
 
 from estimation.track.alignment_std import merged_alignment
 from estimation.track.convergence import Iterated
-from estimation.track.iteration import Grouped, IterationResult, iterate
+from estimation.track.iteration import Grouped, IterationResult, iterate, with_slope
 from estimation.track.journeys import Journey, journeys
 from estimation.track.panel.basis import KnownBeforehand, Panel
 from estimation.track.panel.measured_curves import MeasuredCurve
@@ -93,7 +93,7 @@ def estimate_section(
     if reason is not None:
         return SectionEstimate(None, nothing(reason, named), grouped, {})
     accepted = _reject_outliers(grouped, known, panel, parameters)
-    iterated = accepted.iterated
+    iterated = with_slope(accepted.iterated, known, parameters.iteration.most_weight)
     report = _report(accepted, grouped, known, parameters)
     used = (f"measured profiles of {one.name}" for one in iterated.measured_curves)
     report = replace(report, evidence=(*named, *used))
