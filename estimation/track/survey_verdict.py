@@ -64,7 +64,7 @@ def survey_verdict(
     if fit is None or not fit.factor_std <= p.widest_factor:
         return SurveyVerdict(refused=False, reason=_open("the passes do not cover enough of the section"))
     if fit.followed < p.least_followed:
-        text = "the passes do not follow the equations of their vehicles: survey and vehicles cannot be told apart"
+        text = "the passes do not follow the equations of their vehicles: which of survey and vehicles is wrong is open"
         return SurveyVerdict(refused=False, reason=_open(text))
     if fit.explained < p.least_explained and fit.error > p.most_error * fit.size:
         text = (

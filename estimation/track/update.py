@@ -118,6 +118,14 @@ class _Epoch:
         """Return what the passes and a prior alignment give."""
         return estimate_section(self.section, self.screened.used, prior, self.parameters, self.measured)
 
+    def judge(self, estimate: SectionEstimate, survey: TrackAlignment) -> SurveyVerdict | None:
+        """Return what the passes say of the survey that they were placed on; None where they were not."""
+        if estimate.iterated is None:
+            return None
+        on_grid = prior_on_grid(survey, estimate.iterated.panel.grid, self.parameters.panel.cutoff_wavelength)
+        fit = fit_survey(estimate.iterated, on_grid)
+        return survey_verdict(fit, estimate.iterated.corrections, converged=estimate.report.converged)
+
     def update(
         self,
         outcome: UpdateOutcome,
@@ -147,7 +155,7 @@ def _with_survey(
 ) -> AlignmentUpdate:
     """Return the survey kept, or the fleet's alignment where the passes contradict it or know far more."""
     estimate = epoch.estimate(survey)
-    verdict = None if survey_checked else _judged(epoch, estimate, survey)
+    verdict = None if survey_checked else epoch.judge(estimate, survey)
     if verdict is not None and verdict.refused:
         return _refused(epoch, survey, verdict)
     reason = None if verdict is None else verdict.reason
@@ -155,15 +163,6 @@ def _with_survey(
         return epoch.update(UpdateOutcome.NEW_VERSION, estimate, estimate.alignment, survey=reason)
     kept = epoch.update(UpdateOutcome.SURVEY_KEPT, estimate, survey, survey=reason)
     return _with_gauge_shifts(kept, survey, settings)
-
-
-def _judged(epoch: _Epoch, estimate: SectionEstimate, survey: TrackAlignment) -> SurveyVerdict | None:
-    """Return what the passes say of a survey; None where they have not been placed on it."""
-    if estimate.iterated is None:
-        return None
-    on_grid = prior_on_grid(survey, estimate.iterated.panel.grid, epoch.parameters.panel.cutoff_wavelength)
-    fit = fit_survey(estimate.iterated, on_grid)
-    return survey_verdict(fit, estimate.iterated.corrections, converged=estimate.report.converged)
 
 
 def _refused(epoch: _Epoch, survey: TrackAlignment, verdict: SurveyVerdict) -> AlignmentUpdate:

@@ -167,8 +167,12 @@ def systematic_rows(item: CurveReplicates, amplitudes: tuple[float, ...]) -> Flo
         shifted.append(equivalent_conicity(x, row + further, amplitudes))
     coarse = np.interp(at, CENTRE, item.difference[0, :, 0])
     a = np.array(amplitudes)
-    low, here, high = (equivalent_conicity(x, row, a + step) for step in (-0.25e-3, 0.0, 0.25e-3))
-    bend = (low - 2.0 * here + high) / (0.25e-3) ** 2
+    here, resolution = equivalent_conicity(x, row, a), error.resolution(WIDTH)
+    reach = max(resolution, 0.25e-3)
+    bends = []
+    for middle in (0.0,) if resolution <= 0.25e-3 else (-0.5 * reach, 0.0, 0.5 * reach):
+        low, at_it, high = (equivalent_conicity(x, row, a + middle + step) for step in (-reach, 0.0, reach))
+        bends.append(0.5 * (low - 2.0 * at_it + high) * min(resolution / 0.25e-3, 1.0) ** 2)
     return np.stack(
         [
             *shifted,
@@ -176,14 +180,18 @@ def systematic_rows(item: CurveReplicates, amplitudes: tuple[float, ...]) -> Flo
             equivalent_conicity((1.0 + error.scale) * x, row, amplitudes),
             equivalent_conicity(x, error.rounded(x, row), amplitudes),
             equivalent_conicity(x, coarse, amplitudes),
-            here + 0.5 * bend * error.resolution(WIDTH) ** 2,
+            here + np.max(np.abs(bends), axis=0),
         ]
     )
 
 
 @pytest.mark.parametrize(
     "error",
-    [EXACT, DisplacementError(0.15e-3, 0.01, 0.004, 0.0, 0.3e-3)],
+    [
+        EXACT,
+        DisplacementError(0.15e-3, 0.01, 0.004, 0.0, 0.05e-3),
+        DisplacementError(0.15e-3, 0.01, 0.004, 0.0, 0.3e-3),
+    ],
 )
 def test_the_width_at_every_amplitude_is_the_sum_over_all_that_is_uncertain(error: DisplacementError) -> None:
     shape = cubic() + np.column_stack([0.2e-3 * (CENTRE > 1.6e-3), np.zeros(BINS), np.zeros(BINS)])

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.track.alignment_std import _scale_std, _std
+from estimation.track.alignment_std import _gauge_std, _scale_std, _std
 from estimation.track.gridded_pass import place
 from estimation.track.iteration import IterationParameters, IterationResult, _largest_move, _ratio_change
 from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.long_waves import LongWaveAlignment
 from estimation.track.panel.normal_equations import init
+from estimation.track.panel.prior_alignment import PriorAlignment
 from estimation.track.panel.solution import result
 from estimation.track.panel.stiffness_ratio import Ratio
 from estimation.track.passes import Pass
@@ -130,10 +131,10 @@ def test_residuals_are_those_of_passes_with_a_curve_where_the_alignment_is_known
 
 def test_the_std_of_an_alignment_is_that_of_curves_passes_and_what_blocks_cannot_show() -> None:
     passes, of_curves = np.array([4.0, 4.0, 1.0, 0.0]), np.array([0.1e-3, np.nan, 0.2e-3, 0.1e-3])
-    found = LongWaveAlignment(120.0, np.zeros(4), 0.3e-3, passes)
+    found = LongWaveAlignment(120.0, np.zeros(4), 0.3e-3, passes, np.zeros(4))
     prior = np.array([0.0, 0.0, 3.0, 2.0])  # in passes
-    std = _std(found, passes + prior, of_curves, (0.02e-3, 0.05e-3, 0.07e-3))
     systematic = 0.02e-3**2 + 0.05e-3**2 + 0.07e-3**2
+    std = _std(found, passes + prior, of_curves, np.full(4, systematic))
     assert std == pytest.approx(
         [
             np.sqrt(0.1e-3**2 + 0.3e-3**2 / 4.0 + systematic),
@@ -146,22 +147,22 @@ def test_the_std_of_an_alignment_is_that_of_curves_passes_and_what_blocks_cannot
 
 def test_the_scale_is_known_less_where_the_gauge_had_to_be_found() -> None:
     findings = TrackFindings({}, 0.0, {})
-    assert _scale_std(SectionResults(findings, None, None), P) == pytest.approx(0.009)
-    found = SectionResults(findings, np.zeros(3), np.zeros(3))
+    assert _scale_std(SectionResults(findings, None), P) == pytest.approx(0.009)
+    found = SectionResults(findings, np.zeros(3))
     assert _scale_std(found, P) == pytest.approx(np.sqrt(0.009**2 + 0.035**2))
 
 
 def test_the_shipped_figures_of_an_alignment() -> None:
     assert (P.systematic, P.systematic_per_gauge, P.cutoff_wavelength) == (0.02e-3, (0.025, 0.055), 120.0)
-    assert P.gauge_std == 1e-3
     iteration = IterationParameters()
-    assert (iteration.rounds, iteration.position_tolerance, iteration.ratio_tolerance) == (8, 0.1, 0.01)
+    assert (iteration.rounds, iteration.position_tolerance, iteration.ratio_tolerance) == (24, 0.1, 0.01)
     assert (iteration.gauge_tolerance, iteration.pass_std, iteration.most_weight) == (0.3e-3, 0.15e-3, 1000.0)
     assert (iteration.gauge_trial, iteration.gauge_searches, iteration.wheel_rounds) == (2, 2, 2)
+    assert iteration.most_wheel_rounds == 8
     assert iteration.gauge_explains == 0.1
     settings = AlignmentSettings()
     assert (settings.most_windows, settings.most_wheelsets, settings.pass_step) == (480, 48, 0.2)
-    assert (settings.trusted_offset, settings.measured_km) == (5.0, 1000.0)
+    assert (settings.trusted_offset, settings.measured_km) == (0.3, 1000.0)
 
 
 def test_the_largest_change_of_a_ratio_counts_and_a_new_one_was_one() -> None:
@@ -195,3 +196,26 @@ def test_a_report_of_nothing_claims_nothing() -> None:
     assert (stored["reason"], stored["reason_code"]) == ("no pass", "no_pass")
     assert stored["alignment_std_m"] is None
     assert stored["evidence"] == ["survey version 1"]
+
+
+def uncertain_gauge(noise: float, ratio: float, *, found: float | None = None, known: bool = False) -> float:
+    """Return the std of the gauge of passes that disagree by ``noise`` and whose R differs by ``ratio``."""
+    panel = Panel.of(PanelParameters(length=100.0, basis_count=5, groups=2, block=50.0))
+    n = panel.grid.points
+    sums = np.full((2, n), 2.0)  # of two passes whose squares are 1 each
+    sums[0] *= np.sqrt(1.0 - 0.5 * ratio**2)
+    state = replace(init(panel), passes=np.full(n, 2.0), difference=sums)
+    iterated = IterationResult(panel, state, result(state, std=False), {}, {}, 1, 0.0, 0.0, noise)
+    zero = np.zeros(n)
+    prior = PriorAlignment(zero, zero + np.inf, zero, zero, zero + 0.4e-3, gauge_known=known)
+    gauge = None if found is None else np.where(np.arange(n) % 2, found, -found)
+    return float(_gauge_std(iterated, prior, SectionResults(TrackFindings({}, 0.0, {}), gauge))[0])
+
+
+def test_what_passes_disagree_by_beyond_their_sensors_is_the_gauge_s() -> None:
+    assert uncertain_gauge(0.069e-3, 1.0) == 0.0
+    assert uncertain_gauge(0.2e-3, 1.0) == pytest.approx(np.sqrt(0.2**2 - 0.07**2) * 1e-3 / 0.1)
+    assert uncertain_gauge(0.2e-3, 0.6) == uncertain_gauge(0.2e-3, 1.0)
+    assert uncertain_gauge(0.2e-3, 0.25) == pytest.approx(2.0 * uncertain_gauge(0.2e-3, 1.0), rel=0.01)
+    assert uncertain_gauge(0.069e-3, 1.0, found=1e-3) == pytest.approx(1e-3, rel=0.01)
+    assert uncertain_gauge(0.2e-3, 1.0, known=True) == 0.4e-3

@@ -169,7 +169,7 @@ def state(
 ) -> tuple[Status, ReasonCode | None]:
     known = None if alignment is None else prior_on_grid(alignment, PANEL.grid, P.panel.cutoff_wavelength)
     grouped: dict[Journey, Sequence[Pass]] = {("V", 0): [a_pass(0)], ("V", 1): [a_pass(1)]}
-    status, reason = _state_of(_Accepted(iterated(report=of_panel), outliers, {}), grouped, known)
+    status, reason = _state_of(_Accepted(iterated(report=of_panel), outliers, {}), grouped, known, P)
     return status, code_of(reason)
 
 

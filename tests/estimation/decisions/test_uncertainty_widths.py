@@ -96,3 +96,11 @@ def test_a_recording_has_found_nothing_of_a_wheelset_that_it_does_not_name() -> 
     assert UNCERTAIN.on([track(of_another)], "W2").ratio == 0.01
     assert UNCERTAIN.on([track(of_another)]).ratio == 0.01
     assert UNCERTAIN.on([track(of_another, source=AlignmentSource.FLEET)], "W1").ratio == 0.01
+
+
+def test_a_gauge_that_is_not_known_moves_jumps_by_its_std_where_nothing_was_found_of_it() -> None:
+    wide = np.full(len(track(findings()).s), 2.0 * GAUGE_STD)
+    unknown = track(findings(), gauge_known=False)
+    assert UNCERTAIN.on([replace(unknown, gauge_deviation_std=wide)]).jump_position_std == pytest.approx(GAUGE_STD)
+    surveyed = replace(track(findings()), gauge_deviation_std=wide)
+    assert UNCERTAIN.on([surveyed]).jump_position_std == pytest.approx(0.5 * GAUGE_STD, rel=0.005)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from test_survey_limits import D, N, moved, track
+from test_survey_limits import D, N, track
 from test_version_limits import shift_of
 
 from estimation.track.results import nothing
@@ -14,6 +14,7 @@ from estimation.track.screening.screen import Screened
 from estimation.track.section import SectionEstimate
 from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
+from estimation.track.survey_verdict import CONFIRMED, SurveyVerdict
 from estimation.track.update import (
     AlignmentUpdate,
     UpdateOutcome,
@@ -34,9 +35,15 @@ NO_SHIFT = TrackFindings({}, 0.0, {})
 SHIFT = TrackFindings({}, 0.0, {"W": shift_of(0.3)})
 
 
+CONVERGED = replace(nothing(Reason(ReasonCode.NO_PASS, "no pass")), converged=True)
+RIGHT = SurveyVerdict(refused=False, reason=Reason(ReasonCode.SURVEY_CONFIRMED, CONFIRMED))
+WRONG = SurveyVerdict(refused=True, reason=Reason(ReasonCode.SURVEY_DIFFERS, "it differs"))
+OPEN = SurveyVerdict(refused=False, reason=None)
+
+
 def solved(alignment: TrackAlignment | None, offsets: tuple[float, ...] = ()) -> SectionEstimate:
     corrections = {("V", k): Correction(metres) for k, metres in enumerate(offsets)}
-    return SectionEstimate(alignment, nothing(Reason(ReasonCode.NO_PASS, "no pass")), {}, corrections, None)
+    return SectionEstimate(alignment, CONVERGED, {}, corrections)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,21 +52,28 @@ class Solved(_Epoch):
 
     alone: SectionEstimate
     with_prior: SectionEstimate
+    verdict: SurveyVerdict | None
 
     def estimate(self, prior: TrackAlignment | None) -> SectionEstimate:
         return self.alone if prior is None else self.with_prior
 
+    def judge(self, estimate: SectionEstimate, survey: TrackAlignment) -> SurveyVerdict | None:
+        assert (estimate, survey.source) == (self.with_prior, AlignmentSource.RECORDED)
+        return self.verdict
 
-def epoch(alone: TrackAlignment | None, with_prior: TrackAlignment | None, offsets: tuple[float, ...] = ()) -> Solved:
+
+def epoch(
+    alone: TrackAlignment | None, with_prior: TrackAlignment | None, verdict: SurveyVerdict | None = None
+) -> Solved:
     nobody = Screened((), (), known_contradicted=False)
-    return Solved("S", nobody, SectionParameters(), None, solved(alone, offsets), solved(with_prior))
+    return Solved("S", nobody, SectionParameters(), None, solved(alone), solved(with_prior), verdict)
 
 
 def by_survey(
-    alone: TrackAlignment | None, with_survey: TrackAlignment | None, *, checked: bool = False,
-    offsets: tuple[float, ...] = (), survey: TrackAlignment = SURVEY,
+    alone: TrackAlignment | None, with_survey: TrackAlignment | None, verdict: SurveyVerdict | None = None, *,
+    checked: bool = False, survey: TrackAlignment = SURVEY,
 ) -> AlignmentUpdate:  # fmt: skip
-    return _with_survey(epoch(alone, with_survey, offsets), survey, SETTINGS, survey_checked=checked)
+    return _with_survey(epoch(alone, with_survey, verdict), survey, SETTINGS, survey_checked=checked)
 
 
 def test_a_survey_is_kept_unless_the_fleet_knows_far_more() -> None:
@@ -68,39 +82,36 @@ def test_a_survey_is_kept_unless_the_fleet_knows_far_more() -> None:
         assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.SURVEY_KEPT, SURVEY, None)
     found = by_survey(None, CERTAIN, checked=True)
     assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.NEW_VERSION, CERTAIN, None)
+    moving = epoch(None, CERTAIN)
+    moving = replace(moving, with_prior=replace(moving.with_prior, report=replace(CONVERGED, converged=False)))
+    assert _with_survey(moving, SURVEY, SETTINGS, survey_checked=True).outcome is UpdateOutcome.SURVEY_KEPT
 
 
-def test_a_survey_is_confirmed_once_by_what_the_fleet_finds_without_it() -> None:
+def test_a_survey_is_judged_until_it_has_been() -> None:
     for known, outcome in ((None, UpdateOutcome.SURVEY_KEPT), (CERTAIN, UpdateOutcome.NEW_VERSION)):
-        found = by_survey(FLEET, known)
+        found = by_survey(FLEET, known, RIGHT)
         assert (found.outcome, code_of(found.survey)) == (outcome, ReasonCode.SURVEY_CONFIRMED)
-    assert by_survey(FLEET, None, checked=True).survey is None
-    assert by_survey(None, None).survey is None
+    assert by_survey(FLEET, None, RIGHT, checked=True).survey is None
+    for undecided in (OPEN, None):
+        found = by_survey(None, None, undecided)
+        assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.SURVEY_KEPT, SURVEY, None)
 
 
-def test_a_survey_that_the_fleet_contradicts_is_replaced() -> None:
-    contrary = replace(FLEET, alignment=2.0 * D)
-    found = by_survey(contrary, CERTAIN)
-    assert (found.outcome, found.alignment) == (UpdateOutcome.NEW_VERSION, contrary)
-    assert code_of(found.survey) is ReasonCode.SURVEY_UNIT
-    assert str(found.survey).startswith("not used: ")
-    assert by_survey(contrary, None, checked=True).outcome is UpdateOutcome.SURVEY_KEPT
+def test_a_survey_that_is_wrong_is_replaced_by_what_the_fleet_finds() -> None:
+    found = by_survey(FLEET, CERTAIN, WRONG)
+    assert (found.outcome, found.alignment) == (UpdateOutcome.NEW_VERSION, FLEET)
+    assert (code_of(found.survey), str(found.survey)) == (ReasonCode.SURVEY_DIFFERS, "not used: it differs")
+    assert by_survey(FLEET, None, WRONG, checked=True).outcome is UpdateOutcome.SURVEY_KEPT
 
 
-def test_a_survey_that_cannot_be_assessed_is_neither_confirmed_nor_replaced() -> None:
-    little = replace(FLEET, alignment=np.where(np.arange(N) < 100, D, np.nan))
-    found = by_survey(little, None)
-    assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.SURVEY_KEPT, SURVEY, None)
-
-
-@pytest.mark.parametrize(
-    ("offsets", "outcome"), [((1.0, 1.0), UpdateOutcome.NEW_VERSION), ((-3.0, 3.0), UpdateOutcome.SURVEY_KEPT)]
-)
-def test_a_survey_may_be_as_far_off_as_the_fleet_does_not_know_its_place(
-    offsets: tuple[float, float], outcome: UpdateOutcome
-) -> None:
-    displaced, wide = replace(FLEET, alignment_std=np.full(N, 1e-3)), track(moved(6.0), 1e-3)
-    assert by_survey(displaced, None, offsets=offsets, survey=wide).outcome is outcome
+def test_where_a_survey_is_wrong_and_the_fleet_finds_nothing_nothing_is_known() -> None:
+    found = by_survey(None, CERTAIN, WRONG)
+    assert (found.outcome, code_of(found.survey)) == (UpdateOutcome.SURVEY_REFUSED, ReasonCode.SURVEY_DIFFERS)
+    assert found.alignment is not None
+    assert np.isnan(found.alignment.alignment).all()
+    assert found.alignment.source is AlignmentSource.FLEET
+    later = _without_surveyed_alignment(epoch(None, None), found.alignment)
+    assert (later.outcome, later.alignment) == (UpdateOutcome.UNESTIMATED, None)  # the windows wait for more
 
 
 def test_without_a_survey_an_alignment_is_the_next_version_or_the_last_one_stays() -> None:

@@ -7,14 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.track.results import nothing
-from estimation.track.section import SectionEstimate
 from estimation.track.settings import AlignmentSettings
-from estimation.track.update import UpdateOutcome, _place_std, better
+from estimation.track.survey_verdict import place_of
+from estimation.track.update import UpdateOutcome, better
 from estimation.track.versions import _apart, carry_over_findings, gauge_shift_changed, requires_reestimation
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
-from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentSource, Correction, GaugeShift, TrackAlignment, TrackFindings
 
 N = 1000
@@ -232,15 +230,19 @@ def test_a_fleet_replaces_a_survey_only_where_it_covers_all_of_it() -> None:
 
 def test_a_fleet_knows_its_place_by_the_scatter_of_its_journeys() -> None:
     corrections = {("V", k): Correction(offset) for k, offset in enumerate((1.0, 3.0, 5.0, 7.0))}
-    estimate = SectionEstimate(None, nothing(Reason(ReasonCode.NO_PASS, "no pass")), {}, corrections, None)
-    assert _place_std(estimate) == pytest.approx(np.sqrt(5.0) / 2.0)
-    assert _place_std(replace(estimate, corrections={})) == 0.0
+    assert place_of(corrections) == (pytest.approx(4.0), pytest.approx(np.sqrt(5.0) / 2.0))
+    assert place_of({}) == (0.0, 0.0)
 
 
 def test_which_outcomes_make_a_version_and_have_valid_positions() -> None:
     assert {one for one in UpdateOutcome if one.makes_version} == {
         UpdateOutcome.NEW_VERSION,
         UpdateOutcome.SURVEY_EXTENDED,
+        UpdateOutcome.SURVEY_REFUSED,
+    }
+    assert {one for one in UpdateOutcome if one.windows_wait} == {
+        UpdateOutcome.UNESTIMATED,
+        UpdateOutcome.SURVEY_REFUSED,
     }
     assert {one for one in UpdateOutcome if one.positions_valid} == {
         UpdateOutcome.SURVEY_KEPT,

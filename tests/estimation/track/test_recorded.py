@@ -84,7 +84,6 @@ def test_a_shifted_recording_is_found_and_measured(shift: float) -> None:
         assert not verdict.usable
         assert f"{abs(verdict.shift):.1f} m too far {'along' if shift > 0 else 'back'}" in str(verdict.reason)
         assert verdict.shift == pytest.approx(-shift, abs=0.3)
-        assert verdict.misfit > 2.0
         excused = check_survey(replace(good, s=good.s + shift), fleet(seed), place_std=4.0)
         assert excused.usable  # a fleet that does not know its own place cannot say
 
@@ -128,12 +127,6 @@ def test_mirrored_and_foreign_recordings_are_refused() -> None:
             verdict = check_survey(other, found)
             assert not verdict.usable
             assert "no more in common" in str(verdict.reason)
-
-
-def test_a_recording_that_claims_too_much_is_refused() -> None:
-    verdict = check_survey(replace(recording(1, 0.5e-3), alignment_std=recording(1, 0.05e-3).alignment_std), fleet(1))
-    assert not verdict.usable
-    assert "standard deviation" in str(verdict.reason)
 
 
 def test_a_fleet_that_knows_too_little_says_nothing_against_a_recording() -> None:

@@ -76,11 +76,12 @@ def test_positions_and_alignment_converge_together() -> None:
         ({"position_tolerance": 1e-9}, "positions", "stiffness ratios"),
     ],
 )
-def test_what_has_not_converged_is_estimated_and_says_so(limits: dict[str, float], named: str, not_named: str) -> None:
+def test_what_has_not_converged_makes_no_alignment_and_says_so(
+    limits: dict[str, float], named: str, not_named: str
+) -> None:
     impatient = replace(SECTION, iteration=replace(SECTION.iteration, **limits))  # type: ignore[arg-type] - floats all
     found = estimate_section("S", displaced(fleet_passes()), None, impatient)
-    assert found.report.status is Status.ESTIMATED
-    assert found.alignment is not None
+    assert (found.report.status, found.alignment, found.corrections) == (Status.UNESTIMATED, None, {})
     assert not found.report.converged
     assert str(found.report.reason).startswith(f"not converged after {found.report.rounds} rounds: {named} still")
     assert not_named not in str(found.report.reason)

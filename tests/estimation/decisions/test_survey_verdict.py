@@ -1,0 +1,136 @@
+"""What the passes say of a survey: how well it explains them, and when that makes it right, wrong or open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_section_limits import ELSEWHERE, LENGTH, P, a_pass, estimated, prior
+
+from estimation.track.panel.basis import Panel
+from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
+from estimation.track.survey_fit import SurveyFit, fit_survey
+from estimation.track.survey_verdict import SurveyVerdict, survey_verdict
+from estimation.values.reasons import ReasonCode, code_of
+from estimation.values.track import Correction, TrackAlignment
+
+GRID = Panel.of(P.panel).grid
+FIT = SurveyFit(factor=1.0, factor_std=0.01, explained=0.99, followed=0.99, error=0.1e-3, size=1e-3, residual=0.1e-3)
+
+
+def on_grid(survey: TrackAlignment) -> PriorAlignment:
+    return prior_on_grid(survey, GRID, P.panel.cutoff_wavelength)
+
+
+def fitted(survey: TrackAlignment) -> SurveyFit:
+    """Return how well a survey fits passes that were placed on the right one."""
+    found = estimated(*(a_pass(k, start_ns=k) for k in range(4)), prior=prior())
+    assert found.iterated is not None
+    fit = fit_survey(found.iterated, on_grid(survey))
+    assert fit is not None
+    return fit
+
+
+def test_a_right_survey_has_the_factor_one_and_explains_the_passes() -> None:
+    fit = fitted(prior())
+    assert fit.factor == pytest.approx(1.0, abs=0.02)
+    assert fit.factor_std < 0.02
+    assert fit.explained > 0.98
+    assert fit.followed > 0.8
+    assert fit.error < 0.05 * fit.size
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.2, -1.0])
+def test_the_factor_is_the_inverse_of_the_scale(scale: float) -> None:
+    wrong = replace(prior(), alignment=scale * prior().alignment)
+    assert fitted(wrong).factor == pytest.approx(1.0 / scale, rel=0.03)
+
+
+def test_a_survey_of_another_section_explains_nothing() -> None:
+    fit = fitted(replace(prior(), alignment=ELSEWHERE[200 : 200 + LENGTH + 1]))
+    assert abs(fit.factor) < 0.2
+    assert fit.explained < 0.2
+    assert fit.error > 0.5 * fit.size
+
+
+def test_an_error_of_the_survey_is_measured_and_taken_back_from_its_factor() -> None:
+    error = 0.25 * ELSEWHERE[200 : 200 + LENGTH + 1]
+    fit = fitted(replace(prior(), alignment=prior().alignment + error))
+    size = float(np.std(on_grid(replace(prior(), alignment=error)).alignment))
+    assert fit.error == pytest.approx(size, rel=0.2)
+    assert fit.factor < 0.97
+    assert abs(1.0 / fit.scale - 1.0) < abs(fit.factor - 1.0)
+
+
+def test_only_where_the_survey_is_known_counts() -> None:
+    part = replace(prior(), alignment=np.where(np.arange(LENGTH + 1) < 400, prior().alignment, np.nan))
+    assert fitted(part).factor == pytest.approx(1.0, abs=0.05)
+    found = estimated(*(a_pass(k) for k in range(3)), prior=prior())
+    assert found.iterated is not None
+    nowhere = replace(prior(), alignment=np.full(LENGTH + 1, np.nan))
+    assert fit_survey(found.iterated, on_grid(nowhere)) is None
+
+
+def test_the_scale_takes_back_at_most_half() -> None:
+    assert replace(FIT, error=0.0, factor=0.8).scale == pytest.approx(1.25)
+    assert replace(FIT, error=0.3e-3).scale == pytest.approx(0.91)
+    assert replace(FIT, error=0.9e-3).scale == pytest.approx(0.5)
+    assert replace(FIT, factor=0.0).scale == np.inf
+
+
+def verdict(fit: SurveyFit | None, *offsets: float, converged: bool = True) -> tuple[bool, ReasonCode | None]:
+    corrections = {("V", k): Correction(offset) for k, offset in enumerate(offsets)}
+    found: SurveyVerdict = survey_verdict(fit, corrections, converged=converged)
+    return found.refused, code_of(found.reason)
+
+
+RIGHT, MOVING = (False, ReasonCode.SURVEY_CONFIRMED), (False, None)
+OPEN = (False, ReasonCode.SURVEY_NOT_ASSESSABLE)
+
+
+def refused(code: ReasonCode) -> tuple[bool, ReasonCode]:
+    return (True, code)
+
+
+def scaled(by: float, std: float = 0.0) -> SurveyFit:
+    return replace(FIT, factor=1.0 / by, factor_std=std, error=0.0)
+
+
+def test_a_right_survey_is_confirmed_once_positions_have_converged() -> None:
+    assert verdict(FIT, 1.0, -1.0) == RIGHT
+    assert verdict(FIT, 1.0, -1.0, converged=False) == MOVING
+
+
+def test_a_survey_may_be_six_percent_and_three_stds_too_large() -> None:
+    for std, most in ((0.0, 1.06), (0.02, 1.12)):
+        assert verdict(scaled(most - 0.005, std)) == RIGHT
+        assert verdict(scaled(1.0 / (most - 0.005), std)) == RIGHT
+        assert verdict(scaled(most + 0.005, std)) == refused(ReasonCode.SURVEY_UNIT)
+        assert verdict(scaled(1.0 / (most + 0.005), std)) == refused(ReasonCode.SURVEY_UNIT)
+    assert verdict(scaled(1.2), converged=False) == MOVING
+    assert verdict(scaled(-1.0)) == refused(ReasonCode.SURVEY_MIRRORED)
+
+
+def test_a_survey_may_be_three_metres_and_three_stds_off() -> None:
+    for sign in (-1.0, 1.0):
+        assert verdict(FIT, sign * 2.9, sign * 2.9) == RIGHT
+        assert verdict(FIT, sign * 3.1, sign * 3.1) == refused(ReasonCode.SURVEY_DISPLACED)
+    limit = 3.0 + 3.0 * np.sqrt(2.0)  # of two journeys, each 2 m from their mean
+    assert verdict(FIT, limit - 2.1, limit + 1.9) == RIGHT
+    assert verdict(FIT, limit - 1.9, limit + 2.1) == refused(ReasonCode.SURVEY_DISPLACED)
+
+
+def test_a_survey_that_explains_less_than_half_is_of_another_section() -> None:
+    other = replace(FIT, explained=0.49, error=0.51e-3, factor=0.75)
+    assert verdict(other) == verdict(other, converged=False) == refused(ReasonCode.SURVEY_UNRELATED)
+    assert verdict(replace(other, explained=0.51)) == refused(ReasonCode.SURVEY_DIFFERS)
+    assert verdict(replace(other, error=0.49e-3)) == RIGHT
+
+
+def test_what_the_passes_do_not_know_is_left_open() -> None:
+    assert verdict(None) == OPEN
+    assert verdict(replace(FIT, factor_std=0.051)) == OPEN
+    assert verdict(replace(FIT, factor_std=0.049)) == RIGHT
+    assert verdict(replace(FIT, followed=0.49)) == OPEN
+    assert verdict(replace(FIT, followed=0.51)) == RIGHT
