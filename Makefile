@@ -6,7 +6,7 @@ ARGS ?=
 # what one process has compiled serves the others: the tests start many
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test check lint bench bench-estimation mutants house clean
+.PHONY: demo test check lint bench bench-estimation bench-world mutants house clean
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	@echo "building the virtual environment in $(VENV) (about a minute)"
@@ -35,6 +35,9 @@ check: lint test
 
 bench-estimation: $(VENV)/.dev
 	$(BIN)/python -m bench section $(ARGS)
+
+bench-world: $(VENV)/.dev
+	$(BIN)/python -m bench world $(ARGS)
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m bench $(ARGS)

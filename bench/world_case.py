@@ -1,0 +1,85 @@
+"""One row of the world bench for one seed: simulate, ingest, jobs; what is published, against the truth."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from api.comparison.trial import deploy, opened, receive, record, run_jobs
+from api.comparison.truth import read_truth
+from bench.section_case import WheelsetScore, wheelset_score
+from estimation.storage import Storage
+from ingest.simulator.scenario import Scenario
+
+
+@dataclass(frozen=True, slots=True)
+class WorldScore:
+    """One row, one seed."""
+
+    row: str
+    seed: int
+    wheelsets: tuple[WheelsetScore, ...]
+    half_widths: tuple[float, ...]  # of the 95 % intervals of conicity that are published
+    survey: str  # code of the verdict on the survey; empty without one
+    source: str  # of the alignment in force; empty without one
+    reason: str  # why there is none
+    diversity: float  # of the last epoch; 0 where nothing was solved
+    scale_std: float  # of the alignment in force
+    seconds: float  # ingest and jobs, wall clock
+
+    def as_json(self) -> dict[str, object]:
+        """Return everything as JSON values."""
+        return asdict(self)
+
+
+def score(scenario: Scenario, cache: Path, folder: Path) -> WorldScore:
+    """Run a scenario through the product and compare what is published with the truth.
+
+    Parameters
+    ----------
+    scenario
+        The row, with its seed.
+    cache
+        Folder that keeps recordings.
+    folder
+        Where the deployment keeps its data; empty.
+    """
+    recorded = record(scenario, cache, workers=1)
+    began = time.perf_counter()
+    settings = deploy(scenario, folder)
+    receive(recorded, settings)
+    with opened(settings) as (storage, context):
+        run_jobs(context)
+        return _stored(storage, scenario, recorded.truth, began)
+
+
+def _stored(storage: Storage, scenario: Scenario, truth_file: Path, began: float) -> WorldScore:
+    wheelsets, widths = [], []
+    with storage.read() as unit:
+        for truth in read_truth(truth_file):
+            current = unit.geometries.current(truth.serial)
+            if current is None or not current.geometry.samples.sum() > 0:
+                continue
+            wheelsets.append(wheelset_score(current.geometry, truth))
+            widths += [
+                0.5 * (one.high - one.low)
+                for one in current.geometry.conicity
+                if one.low is not None and one.high is not None
+            ]
+        alignment = unit.tracks.alignment(scenario.section.code)
+        report = unit.tracks.report(scenario.section.code)
+    found = {} if report is None else report.report
+    diversity = found.get("diversity")
+    return WorldScore(
+        row=scenario.name,
+        seed=scenario.seed,
+        wheelsets=tuple(wheelsets),
+        half_widths=tuple(widths),
+        survey=str(found.get("recording_code") or ""),
+        source="" if alignment is None else str(alignment.source),
+        reason="" if report is None or report.reason is None else str(report.reason),
+        diversity=diversity if isinstance(diversity, float) else 0.0,
+        scale_std=0.0 if alignment is None else alignment.scale_std,
+        seconds=time.perf_counter() - began,
+    )
