@@ -20,6 +20,8 @@ JUMP_SHARE_CORRECTED = 0.22  # the same where what the gauge does to the wheelse
 
 JUMP_SHARE_GAUGE_ESTIMATED = 0.32  # the same where the gauge had to be found too
 
+SCALE_PER_GAUGE_SQUARE = 0.01e6  # 1/m2, of y - d per variance of the gauge: far out a wheelset runs in wide gauge
+
 
 @dataclass(frozen=True, slots=True)
 class ParameterUncertainty:
@@ -53,7 +55,7 @@ class ParameterUncertainty:
         return replace(
             self,
             ratio=max(ratio_stds) if ratio_stds and len(ratio_stds) == len(used) else self.ratio,
-            displacement=max((track.scale_std for track in used), default=self.displacement),
+            displacement=max((_scale_std(track) for track in used), default=self.displacement),
             jump_position_std=max(
                 (_jump_position_std(track, wheelset) for track in used), default=self.jump_position_std
             ),
@@ -75,6 +77,11 @@ def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings 
     if track.findings is None or wheelset is None or track.source != AlignmentSource.RECORDED:
         return track.findings
     return track.findings if wheelset in track.findings.gauge_shifts else None
+
+
+def _scale_std(track: TrackAlignment) -> float:
+    """Return the relative std of y - d on ``track``: what its alignment leaves open, and the square of its gauge."""
+    return float(np.hypot(track.scale_std, SCALE_PER_GAUGE_SQUARE * float(np.var(track.gauge_deviation))))
 
 
 def _jump_position_std(track: TrackAlignment, wheelset: str | None) -> float:

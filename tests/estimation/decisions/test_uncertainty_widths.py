@@ -104,3 +104,11 @@ def test_a_gauge_that_is_not_known_moves_jumps_by_its_std_where_nothing_was_foun
     assert UNCERTAIN.on([replace(unknown, gauge_deviation_std=wide)]).jump_position_std == pytest.approx(GAUGE_STD)
     surveyed = replace(track(findings()), gauge_deviation_std=wide)
     assert UNCERTAIN.on([surveyed]).jump_position_std == pytest.approx(0.5 * GAUGE_STD, rel=0.005)
+
+
+@pytest.mark.parametrize("std", [0.0, 1e-3, 3e-3])
+def test_the_scale_is_known_less_by_the_square_of_the_gauge(std: float) -> None:
+    n = len(track().s)
+    gauge = std * np.where(np.arange(n) % 2, 1.0, -1.0)
+    found = UNCERTAIN.on([replace(track(), gauge_deviation=gauge, scale_std=0.02)]).displacement
+    assert found == pytest.approx(np.hypot(0.02, 0.01 * (1e3 * std) ** 2), rel=0.01)
