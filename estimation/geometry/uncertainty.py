@@ -22,6 +22,8 @@ JUMP_SHARE_GAUGE_ESTIMATED = 0.32  # the same where the gauge had to be found to
 
 SCALE_PER_GAUGE_SQUARE = 0.01e6  # 1/m2, of y - d per variance of the gauge: far out a wheelset runs in wide gauge
 
+SCALE_PER_MEAN_GAUGE = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm, by contact tables
+
 
 @dataclass(frozen=True, slots=True)
 class ParameterUncertainty:
@@ -55,7 +57,7 @@ class ParameterUncertainty:
         return replace(
             self,
             ratio=max(ratio_stds) if ratio_stds and len(ratio_stds) == len(used) else self.ratio,
-            displacement=max((_scale_std(track) for track in used), default=self.displacement),
+            displacement=max((_scale_std(track, wheelset) for track in used), default=self.displacement),
             jump_position_std=max(
                 (_jump_position_std(track, wheelset) for track in used), default=self.jump_position_std
             ),
@@ -79,18 +81,29 @@ def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings 
     return track.findings if wheelset in track.findings.gauge_shifts else None
 
 
-def _scale_std(track: TrackAlignment) -> float:
-    """Return the relative std of y - d on ``track``: what its alignment leaves open, and the square of its gauge."""
-    return float(np.hypot(track.scale_std, SCALE_PER_GAUGE_SQUARE * float(np.var(track.gauge_deviation))))
+def _scale_std(track: TrackAlignment, wheelset: str | None) -> float:
+    """Return the relative std of y - d on ``track``: what its alignment leaves open, and what its gauge does.
+
+    A surveyed gauge that is wide as a whole changes the conicity as a whole. What is found of a wheelset on a gauge that
+    varies covers that only as far as it varies.
+    """
+    mean, std = abs(float(np.mean(track.gauge_deviation))), float(np.std(track.gauge_deviation))
+    beyond = max(mean - std, 0.0) if _gauge_taken_off(track, wheelset) else mean
+    of_gauge = (SCALE_PER_GAUGE_SQUARE * std**2, SCALE_PER_MEAN_GAUGE * beyond)
+    return float(np.linalg.norm([track.scale_std, *of_gauge]))
+
+
+def _gauge_taken_off(track: TrackAlignment, wheelset: str | None) -> bool:
+    """Whether what the gauge of ``track`` does to a wheelset has been found, and is subtracted."""
+    shifts = {} if track.findings is None else track.findings.gauge_shifts
+    return bool(shifts) if wheelset is None else wheelset in shifts
 
 
 def _jump_position_std(track: TrackAlignment, wheelset: str | None) -> float:
     """Return the std, m, of where contact jumps are on the gauge of ``track``: until its effect is known, all of it."""
-    shifts = {} if track.findings is None else track.findings.gauge_shifts
-    taken_off = bool(shifts) if wheelset is None else wheelset in shifts
     share = (
         JUMP_SHARE_UNCORRECTED
-        if not taken_off
+        if not _gauge_taken_off(track, wheelset)
         else JUMP_SHARE_CORRECTED
         if track.gauge_known
         else JUMP_SHARE_GAUGE_ESTIMATED
