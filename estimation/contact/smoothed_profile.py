@@ -9,6 +9,7 @@ from scipy.interpolate import BSpline
 
 from estimation.contact.penalised_spline import DEGREE, PenalisedSpline, correlated_noise, fit_spline
 from estimation.contact.profiles import Profile, ProfileKind, profile_from_points
+from estimation.contact.thinning import thinned
 from estimation.errors import ProfileError
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 
@@ -65,7 +66,8 @@ def smoothed_profile(
     """Return the smooth profile through measured points; the penalty is chosen from the points or by known noise.
 
     Points that are farther from the curve than 5 times the local noise are left out, one after another where they
-    are alone. Points without noise (less than 0.1 um) are taken as they are.
+    are alone. Points without noise (less than 0.1 um) are taken as they are. Of more points than
+    `estimation.contact.thinning.MOST_POINTS` so many are smoothed, evenly spaced along the arc.
 
     Parameters
     ----------
@@ -86,8 +88,9 @@ def smoothed_profile(
         kept = advancing(points[:, 0], _peak(kind, points[:, 1]))
         y, z = points[kept].T * _MILLIMETRE
         return SmoothedProfile(datum_at_zero(profile_from_points(kind, name, y, z)), 0.0)
+    chosen = thinned(points)
     try:
-        spline, weight = _without_outliers(points, level, noise_std)
+        spline, weight = _without_outliers(points[chosen], level, noise_std)
     except np.linalg.LinAlgError as error:
         raise ProfileError(
             f"{len(points)} points are too few for their scatter of about {level:.2g} mm to be smoothed; give more "
@@ -95,7 +98,7 @@ def smoothed_profile(
             field="z",
         ) from error
     profile = _profile(kind, name, spline.knots, spline.coefficients)
-    outliers = tuple(int(index) for index in np.flatnonzero(weight == 0.0))
+    outliers = tuple(int(index) for index in chosen[weight == 0.0])
     return SmoothedProfile(profile, spline.noise_std * _MILLIMETRE, outliers, spline)
 
 

@@ -18,8 +18,9 @@ import numpy as np
 from estimation.contact.profiles import TREAD_DATUM, Profile, ProfileKind
 from estimation.contact.smoothed_profile import SmoothedProfile, advancing, smoothed_profile
 from estimation.contact.surface import GAUGE_DEPTH
+from estimation.contact.thinning import thinned
 from estimation.errors import ProfileError
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, IntArray
 from ingest.profiles.gauge_side import gauge_side_is_positive
 from ingest.profiles.origin import Origin
 from ingest.profiles.points import FilePoints
@@ -40,6 +41,7 @@ _LEAST_TREAD = 10.0  # mm outside the tread datum
 _HEAD_DEPTH = 4.0  # mm below the crown, what is a head
 _GROOVE_DEPTH = 15.0  # mm
 _METRES_BELOW = 1.0  # mm of width: no profile is so narrow
+_LARGEST_SPAN = 500.0  # mm, in either direction: wheels are up to 150 mm wide, whole rails 180 mm high
 _HEAD_WIDTH = (40.0, 100.0)  # mm
 _LEAST_HEAD_DEPTH = 1.0  # mm on either side of the crown
 
@@ -77,23 +79,25 @@ def oriented(
         such a profile; a wheel does not reach from its flange to the tread datum; the shape of a rail does not show
         its gauge side and ``mirror`` is None.
     """
+    _check_span(points, kind)
     y, z = points.y, points.z if points.axes_known else _upright(points.y, points.z, kind)
     lines = np.array(points.lines)
     apart = np.concatenate([[True], np.hypot(np.diff(y), np.diff(z)) > _SAME_POINT])
     y, z, lines = y[apart], z[apart], lines[apart]
     if y[-1] < y[0]:
         y, z, lines = y[::-1], z[::-1], lines[::-1]
-    _check_unit(y, points.file)
-    _check_order(y, z, kind, points)
+    shown = thinned(np.column_stack([y, z]))
+    _check_order(y[shown], z[shown], lines[shown], kind, points.file)
     if kind == "wheel":
         y, z, lines = _from_datum(y, z, lines, origin, points.file)
     else:
         z = z - z.min()
-        _check_groove(y, z, points.file)
+        _check_groove(y[shown], z[shown], points.file)
         _check_head(y, z, points.file)
         if _is_mirrored(y, z, points) if mirror is None else mirror:
             y, z, lines = -y[::-1], z[::-1], lines[::-1]
-    check_steps(y, z, lines, kind, points.file)
+    shown = thinned(np.column_stack([y, z]))
+    check_steps(y[shown], z[shown], lines[shown], kind, points.file)
     try:
         shape = smoothed_profile(kind, name, np.column_stack([y, z]), noise_std)
     except ProfileError as error:
@@ -119,8 +123,8 @@ def _width_at(y: FloatArray, depth: FloatArray) -> float:
 
 
 def _from_datum(
-    y: FloatArray, z: FloatArray, lines: np.ndarray[tuple[int], np.dtype[np.int64]], origin: Origin, file: str
-) -> tuple[FloatArray, FloatArray, np.ndarray[tuple[int], np.dtype[np.int64]]]:
+    y: FloatArray, z: FloatArray, lines: IntArray, origin: Origin, file: str
+) -> tuple[FloatArray, FloatArray, IntArray]:
     if np.ptp(z) < _LEAST_FLANGE:
         raise ProfileError(
             f"no flange: its tip is expected between {_TIP_WITHIN[0]:.0f} and {_TIP_WITHIN[1]:.0f} mm from the tread "
@@ -141,18 +145,29 @@ def _is_mirrored(y: FloatArray, depth: FloatArray, points: FilePoints) -> bool:
     if shown is None and not points.axes_known:
         raise ProfileError(
             "both sides reach 14 mm below the crown, they differ, and the head does not lean enough to show which one "
-            "is the gauge side; give --mirror if it is at positive y of the file, else --no-mirror",
+            "is the gauge side; say whether it is at positive y of the file: --mirror or --no-mirror, in a scenario "
+            "rail_file_mirror = true or false",
             file=points.file,
             field="mirror",
         )
     return bool(shown)
 
 
-def _check_unit(y: FloatArray, file: str) -> None:
-    if np.ptp(y) < _METRES_BELOW:
+def _check_span(points: FilePoints, kind: ProfileKind) -> None:
+    """Raise where the numbers are in another unit, or are no profile at all, as those of a track are none."""
+    width = float(np.ptp(points.y))
+    if width < _METRES_BELOW:
         raise ProfileError(
-            f"spans {np.ptp(y):.3g} mm: the numbers look like metres; give them in mm", file=file, field="y"
+            f"spans {width:.3g} mm: the numbers look like metres; give them in mm", file=points.file, field="y"
         )
+    for field, values in (("y", points.y), ("z", points.z)):
+        if np.ptp(values) > _LARGEST_SPAN:
+            raise ProfileError(
+                f"spans {np.ptp(values):.0f} mm, and a {kind} at most {_LARGEST_SPAN:.0f} mm: give a file of the "
+                "lateral and the vertical coordinate of one profile, in mm",
+                file=points.file,
+                field=field,
+            )
 
 
 def _check_head(y: FloatArray, depth: FloatArray, file: str) -> None:
@@ -204,18 +219,17 @@ def _check_groove(y: FloatArray, depth: FloatArray, file: str) -> None:
         )
 
 
-def _check_order(y: FloatArray, z: FloatArray, kind: ProfileKind, points: FilePoints) -> None:
+def _check_order(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind, file: str) -> None:
     kept = advancing(y, int(np.argmax(z) if kind == "wheel" else np.argmin(z)))
     gap = float(np.diff(y[kept]).max(initial=0.0))
-    rows = np.diff(points.y) * np.sign(points.y[-1] - points.y[0])
+    rows = np.diff(y)
     back = float(-rows[rows < 0.0].sum())
     if back > _MOST_BACKWARDS * np.ptp(y) or gap > _LARGEST_GAP:
-        backwards = np.flatnonzero(rows < 0)
-        line = points.lines[int(backwards[0]) + 1] if len(backwards) else points.lines[0]
+        first = np.maximum(lines[1:], lines[:-1])[rows < 0.0].min(initial=lines.max())
         raise ProfileError(
             f"points are not in order along the profile (rows run {back:.0f} mm backwards in all, largest gap "
             f"{gap:.1f} mm)",
-            file=points.file,
-            line=line,
+            file=file,
+            line=int(first) if back > 0.0 else int(lines.min()),
             field="y",
         )

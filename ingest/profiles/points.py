@@ -11,6 +11,8 @@ import numpy as np
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray
 
+MOST_ROWS = 50_000  # of a profile: one in some 3 um
+
 
 @dataclass(frozen=True, slots=True)
 class FilePoints:
@@ -50,10 +52,18 @@ def points_of(file: str, rows: list[tuple[int, float, float]], *, axes_known: bo
     Raises
     ------
     ProfileError
-        Fewer than four rows.
+        Fewer than four rows, or more than 50,000.
     """
     if len(rows) < 4:  # noqa: PLR2004 - a profile needs four points
         raise ProfileError(f"{len(rows)} profile points found, at least 4 are needed", file=file)
+    if len(rows) > MOST_ROWS:
+        raise ProfileError(
+            f"{len(rows):,} profile points found, at most {MOST_ROWS:,} are possible; give a file of one profile, or "
+            "every so many points of it",
+            file=file,
+            line=rows[MOST_ROWS][0],
+            field="y",
+        )
     table = np.array([row[1:] for row in rows])
     return FilePoints(file, table[:, 0], table[:, 1], tuple(row[0] for row in rows), axes_known)
 

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.profiles import Profile, ProfileKind, rail_profile, wheel_profile
+from estimation.contact.thinning import MOST_POINTS, thinned
 from estimation.errors import ProfileError
-from ingest.profiles.files import read_profile
+from ingest.profiles.files import read_measured_profile, read_profile
+from ingest.profiles.points import MOST_ROWS
 
 WHEEL, RAIL = wheel_profile("S1002"), rail_profile("60E1")
 WHEEL_Y = np.linspace(-69.3, 59.0, 643)
@@ -201,3 +203,54 @@ def test_what_is_no_profile_is_refused(tmp_path: Path) -> None:
 
 def _rows_exact(y: np.ndarray, z: np.ndarray) -> str:
     return "".join(f"{a:.15e} {b:.15e}\n" for a, b in zip(y, z, strict=True))
+
+
+def test_a_wheel_of_many_points_is_read_as_one_of_few(tmp_path: Path) -> None:
+    y = np.linspace(-69.3, 59.0, 16_000)
+    z = WHEEL.height(y * 1e-3) * 1e3 + 0.02 * np.random.default_rng(1).standard_normal(len(y))
+    z[8000] -= 1.0
+    file = tmp_path / "wheel.csv"
+    file.write_text(_rows(y, z))
+    found = read_measured_profile(file, "wheel")
+    at = np.linspace(-0.030, 0.055, 500)
+    np.testing.assert_allclose(found.profile.height(at), WHEEL.height(at), atol=12e-6)
+    assert found.noise_std == pytest.approx(20e-6, rel=0.2)
+    assert found.spline is not None
+    assert len(found.spline.residual) <= MOST_POINTS
+    file.write_text(_rows(np.roll(y, 7)[::-1], np.roll(z, 7)[::-1]))
+    with pytest.raises(ProfileError, match="not in order") as caught:
+        read_profile(file, "wheel")
+    assert caught.value.field == "y"
+
+
+def test_points_that_are_thinned_are_evenly_spaced_along_the_arc() -> None:
+    """Also where one half was measured ten times as densely: taking every so many rows would not be."""
+    y = np.concatenate([np.linspace(0.0, 50.0, 20_000), np.linspace(50.0, 100.0, 2_001)[1:]])
+    points = np.column_stack([y, 0.1 * y])
+    kept = points[thinned(points)]
+    assert 0.9 * MOST_POINTS * 0.75 < len(kept) <= MOST_POINTS
+    assert np.diff(kept[:, 0]).max() < 0.06
+    few = points[:MOST_POINTS]
+    np.testing.assert_array_equal(thinned(few), np.arange(MOST_POINTS))
+
+
+@pytest.mark.parametrize("kind", ["wheel", "rail"])
+def test_a_track_given_as_a_profile_is_refused(tmp_path: Path, kind: ProfileKind) -> None:
+    s = np.arange(16_000) * 0.25
+    file = tmp_path / "track.csv"
+    file.write_text("s_m,alignment_mm\n" + _rows(s, np.sin(s / 5.0), separator=","))
+    with pytest.raises(ProfileError, match=f"spans 4000 mm, and a {kind} at most 500 mm: give a file") as caught:
+        read_profile(file, kind)
+    assert (caught.value.file, caught.value.field) == (str(file), "y")
+    file.write_text(_rows(np.sin(s / 5.0) * 30.0, s, separator=","))
+    with pytest.raises(ProfileError, match="spans 4000 mm") as caught:
+        read_profile(file, kind)
+    assert caught.value.field == "z"
+
+
+def test_a_file_of_too_many_points_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "many.txt"
+    file.write_text("0 0\n" * (MOST_ROWS + 1))
+    with pytest.raises(ProfileError, match="50,001 profile points found, at most 50,000") as caught:
+        read_profile(file, "wheel")
+    assert (caught.value.line, caught.value.field) == (MOST_ROWS + 1, "y")
