@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +17,7 @@ from ingest.simulator.scenario import NORMAL_REACH, Scenario, SpeedRange, Vehicl
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
 from ingest.simulator.table_range import displacement_limit, first_climb, gauge_grid
 from ingest.simulator.track import TrackRecipe, TrackTruth, from_zero, make_track, read_track
-from ingest.simulator.wear import wear_at, worn_contact
+from ingest.simulator.wear import GeometryTruth, truth_of, wear_at, worn_contact
 
 MARGIN = 200.0  # m of track beyond both ends of a section that runs cross as a whole
 LEAD_IN = 160.0  # m before such a section where a run begins
@@ -207,8 +209,32 @@ def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odomet
         The profiles do not touch on both sides at every gauge of the track, or cannot wear that much.
     """
     gauges, limit = gauge_grid(track), displacement_limit(scenario, track)
-    try:
+    with _named(scenario, plan):
         return worn_contact(plan, wear_at(plan, odometer), scenario.section, gauges, limit)
+
+
+def true_geometry(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> GeometryTruth:
+    """Return the true geometry of a wheelset at nominal gauge, at one mileage of its vehicle.
+
+    Parameters
+    ----------
+    scenario, track, plan, odometer
+        As :func:`contact_of` takes them; the gauge of the track decides no more than the range of displacements.
+
+    Raises
+    ------
+    ScenarioError
+        The profiles do not touch on both sides, or cannot wear that much.
+    """
+    with _named(scenario, plan):
+        return truth_of(plan, wear_at(plan, odometer), scenario.section, displacement_limit(scenario, track))
+
+
+@contextmanager
+def _named(scenario: Scenario, plan: WheelsetPlan) -> Iterator[None]:
+    """Name wheelset and section in what profiles and contact search raise."""
+    try:
+        yield
     except (ContactError, ProfileError) as error:
         raise ScenarioError(f"{plan.serial} on {scenario.section.code}: {error.reason}", field=error.field) from error
 

@@ -19,6 +19,7 @@ from ingest.simulator.campaign import (
     contact_of,
     failed,
     scenario_track,
+    true_geometry,
     vehicle_run,
     wheelset_motion,
     wheelset_record,
@@ -29,7 +30,6 @@ from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, wheelset_truth, write_registry, write_truth
 from ingest.simulator.survey import surveyed
 from ingest.simulator.track import TrackTruth
-from ingest.simulator.wear import truth_of
 
 STAMP = "%Y%m%dT%H%M%SZ"
 
@@ -156,7 +156,7 @@ def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campa
     plan = scenario.vehicle(vehicle)
     # wear of a drawn fleet does not grow: one geometry is that of every campaign
     first = scenario.odometer(campaigns[0])
-    geometries = [truth_of(contact_of(scenario, track, item, first)) for item in plan.wheelsets]
+    geometries = [true_geometry(scenario, track, item, first) for item in plan.wheelsets]
     written = []
     for campaign, axle_records in zip(campaigns, records, strict=True):
         run = vehicle_run(scenario, track, plan, campaign)
@@ -255,11 +255,12 @@ def simulate_campaign(
     records: list[SensorRecord | None] = []
     truths: list[WheelsetTruth] = []
     for axle, plan in enumerate(vehicle.wheelsets):
-        table = contact_of(scenario, track, plan, run.odometer)
-        truths.append(wheelset_truth(vehicle, axle, campaign, run.odometer, truth_of(table)))
+        geometry = true_geometry(scenario, track, plan, run.odometer)
+        truths.append(wheelset_truth(vehicle, axle, campaign, run.odometer, geometry))
         if failed(plan, campaign):
             records.append(None)
             continue
+        table = contact_of(scenario, track, plan, run.odometer)
         records.append(wheelset_record(scenario, run, axle, wheelset_motion(scenario, track, run, axle, table)))
     return vehicle_frames(default_catalogue(), scenario, run, records), tuple(truths)
 

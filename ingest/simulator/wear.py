@@ -9,6 +9,7 @@ import numpy as np
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile
+from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.table import ContactTable
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray, frozen_array
@@ -64,10 +65,13 @@ def worn_contact(
     ContactError
         The profiles never touch.
     """
+    return contact_table(_on_track(plan, wear, section), _grid(limit), gauge_deviation, outside="hold")
+
+
+def _on_track(plan: WheelsetPlan, wear: WearState, section: SectionPlan) -> WheelsetOnTrack:
     left_rail, right_rail, inclination = rails_of(section)
     left_wheel, right_wheel = worn_profiles(plan, wear)
-    half = round(limit / DISPLACEMENT_STEP)
-    wheelset = WheelsetOnTrack(
+    return WheelsetOnTrack(
         left_wheel=left_wheel,
         right_wheel=right_wheel,
         left_rail=left_rail,
@@ -77,13 +81,20 @@ def worn_contact(
         left_radius=plan.nominal_radius + 0.25 * plan.diameter_difference,
         right_radius=plan.nominal_radius - 0.25 * plan.diameter_difference,
     )
-    displacement = DISPLACEMENT_STEP * np.arange(-half, half + 1)
-    return contact_table(wheelset, displacement, gauge_deviation, outside="hold")
+
+
+def _grid(limit: float) -> FloatArray:
+    half = round(limit / DISPLACEMENT_STEP)
+    return np.asarray(DISPLACEMENT_STEP * np.arange(-half, half + 1))
 
 
 @dataclass(frozen=True, slots=True)
 class GeometryTruth:
-    """True contact geometry of a wheelset at nominal (or the section's constant) gauge."""
+    """True contact geometry of a wheelset at nominal gauge.
+
+    The curves are those of the contact table; conicity, nonlinearity and zero crossing have every contact jump where it
+    is, and are NaN where they reach beyond the last displacement with contact.
+    """
 
     lateral_displacement: FloatArray  # (n,) m
     rolling_radius_sum: FloatArray  # (n,) m
@@ -112,16 +123,29 @@ _CURVES = (
 )
 
 
-def truth_of(table: ContactTable) -> GeometryTruth:
-    """Return the true geometry in ``table``, at the gauge deviation nearest to 0."""
-    column = int(np.argmin(np.abs(table.gauge_deviation)))
-    x, R = table.lateral_displacement, table.rolling_radius_difference[:, column]
+def truth_of(plan: WheelsetPlan, wear: WearState, section: SectionPlan, limit: float) -> GeometryTruth:
+    """Return the true geometry of a worn wheelset on ``section`` at nominal gauge, whatever gauge its line has.
+
+    Parameters
+    ----------
+    plan, wear, section, limit
+        As :func:`worn_contact` takes them.
+
+    Raises
+    ------
+    ContactError
+        The profiles never touch.
+    """
+    wheelset, displacement = _on_track(plan, wear, section), _grid(limit)
+    table = contact_table(wheelset, displacement, (0.0,), outside="hold")
+    curve = radius_difference_curve(wheelset, displacement)
+    x, R = curve.displacement, curve.difference
     return GeometryTruth(
-        lateral_displacement=x,
-        rolling_radius_sum=table.rolling_radius_sum[:, column],
-        rolling_radius_difference=R,
-        contact_angle_sum=table.contact_angle_sum[:, column],
-        contact_angle_difference=table.contact_angle_difference[:, column],
+        lateral_displacement=displacement,
+        rolling_radius_sum=table.rolling_radius_sum[:, 0],
+        rolling_radius_difference=table.rolling_radius_difference[:, 0],
+        contact_angle_sum=table.contact_angle_sum[:, 0],
+        contact_angle_difference=table.contact_angle_difference[:, 0],
         amplitude=np.array(AMPLITUDES),
         equivalent_conicity=equivalent_conicity(x, R, AMPLITUDES),
         nonlinearity=nonlinearity_parameter(x, R),

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import WheelsetOnTrack
 from estimation.contact.profiles import Profile, rail_profile
+from estimation.contact.radius_difference import radius_difference_curve
 from estimation.values.arrays import FloatArray, frozen_array
 
 REACH = 8e-3  # m of lateral displacement
@@ -69,8 +70,8 @@ def measured_curve(
     rails = rail_profile(rail)
     wheelset = WheelsetOnTrack(left, right, rails, rails, inclination, gauge)
     x = STEP * np.arange(-round(REACH / STEP), round(REACH / STEP) + 1)
-    table = contact_table(wheelset, x, np.zeros(1), outside="hold")
-    R = table.rolling_radius_difference[:, 0]
+    curve = radius_difference_curve(wheelset, x)
+    x, R = curve.displacement, curve.difference
     risen = np.maximum.accumulate(R)  # h(R) is the inverse of what rises: a step of R is a flat of h
     first = np.concatenate([[True], np.diff(risen) > 0.0])
     difference, displacement = risen[first], x[first]

@@ -12,6 +12,7 @@ from test_panel import PARAMETERS, fleet_passes
 
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.errors import ContactError, ProfileError
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
@@ -66,6 +67,21 @@ def test_the_curve_is_the_contact_geometry_turned_round(depth: float) -> None:
     np.testing.assert_allclose(back, grid, atol=0.06e-3)  # a step of the grid, where R hardly rises
     assert found.at(np.zeros(1))[0][0] == pytest.approx(0.0, abs=1e-9)
     assert found.at(np.array([1.0]))[1][0] == 0.0
+
+
+def test_a_contact_jump_is_a_level_part_of_the_curve() -> None:
+    """As deep as the jump itself; on a grid it would be a slope as wide as the grid's step."""
+    wheel = worn(wheel_profile("P8"), wear_course(WearFamily.P8_ON_56E1, 0.8e-3))
+    found = measured_curve("W", wheel, wheel, STD, rail="56E1", inclination=0.05, gauge=1.435)
+    wheelset = WheelsetOnTrack.symmetric(wheel, rail_profile("56E1"), 0.05, 1.435)
+    jumps = radius_difference_curve(wheelset, np.arange(-70, 71) * 0.05e-3).jumps
+    assert len(jumps) == 2
+    across = contact_table(wheelset, np.sort(np.concatenate([jumps - 2e-9, jumps + 2e-9]))).rolling_radius_difference
+    for before, after in across[:, 0].reshape(2, 2):
+        assert after - before > 20e-6
+        displacement, reached = found.at(np.linspace(before, after, 5)[1:-1])
+        assert reached.all()
+        assert np.ptp(displacement) < 5e-9
 
 
 def test_profiles_that_cannot_be_used_are_named() -> None:
