@@ -84,8 +84,8 @@ def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings 
 def _scale_std(track: TrackAlignment, wheelset: str | None) -> float:
     """Return the relative std of y - d on ``track``: what its alignment leaves open, and what its gauge does.
 
-    A surveyed gauge that is wide as a whole changes the conicity as a whole. What is found of a wheelset on a gauge that
-    varies covers that only as far as it varies.
+    A surveyed gauge that is wide as a whole changes the conicity as a whole. What is found of a wheelset on a gauge
+    that varies covers that only as far as it varies.
     """
     mean, std = abs(float(np.mean(track.gauge_deviation))), float(np.std(track.gauge_deviation))
     beyond = max(mean - std, 0.0) if _gauge_taken_off(track, wheelset) else mean

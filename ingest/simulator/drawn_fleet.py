@@ -45,7 +45,8 @@ def with_seed(scenario: Scenario, seed: int) -> Scenario:
     pair = scenario.drawn.pairs[seed % len(scenario.drawn.pairs)]
     section = replace(scenario.section, rail_profile=pair.rail_profile, inclination=pair.inclination)
     if pair.rail_files != (None, None):
-        section = replace(section, rail_files=pair.rail_files, file_inclination=pair.file_inclination)
+        inclination, files, mirrors = pair.file_inclination, pair.rail_files, pair.rail_mirrors
+        section = replace(section, rail_files=files, rail_mirrors=mirrors, file_inclination=inclination)
     return replace(scenario, seed=seed, section=section, vehicles=_vehicles(scenario.drawn, seed))
 
 

@@ -24,15 +24,22 @@ def wheel_in(path: Path) -> Profile:
 
 
 @lru_cache(maxsize=16)
-def rail_in(path: Path) -> Profile:
+def rail_in(path: Path, mirror: bool | None) -> Profile:  # noqa: FBT001 - a place beside the path, as the plans have it
     """Return the rail profile in a file, read once in a process.
+
+    Parameters
+    ----------
+    path
+        The file.
+    mirror
+        Whether its gauge side is at positive y of the file; None decides from the shape.
 
     Raises
     ------
     ProfileError
         As ``read_profile``.
     """
-    return read_profile(path, "rail")
+    return read_profile(path, "rail", mirror=mirror)
 
 
 def wheels_of(plan: WheelsetPlan) -> tuple[Profile, Profile]:
@@ -46,5 +53,8 @@ def rails_of(section: SectionPlan) -> tuple[Profile, Profile, float]:
     if section.rail_files == (None, None):
         rail = rail_profile(section.rail_profile)
         return rail, rail, section.inclination
-    left, right = (rail_profile(section.rail_profile) if path is None else rail_in(path) for path in section.rail_files)
+    left, right = (
+        rail_profile(section.rail_profile) if path is None else rail_in(path, mirror)
+        for path, mirror in zip(section.rail_files, section.rail_mirrors, strict=True)
+    )
     return left, right, section.file_inclination

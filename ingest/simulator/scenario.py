@@ -34,6 +34,9 @@ class Fault:
 SideFiles = tuple[Path | None, Path | None]
 """Files of the left and of the right profile; None: the built-in one."""
 
+SideMirrors = tuple[bool | None, bool | None]
+"""Of left and right rail: whether the gauge side is at positive y of the file; None: the shape shows it."""
+
 
 @dataclass(frozen=True, slots=True)
 class WheelsetPlan:
@@ -106,6 +109,7 @@ class SectionPlan:
     longitude: float
     survey: SurveyPlan = field(default_factory=SurveyPlan)
     rail_files: SideFiles = (None, None)
+    rail_mirrors: SideMirrors = (None, None)
     file_inclination: float = 0.0  # tangent, given to rails of which one or both are from files
 
     @property
@@ -186,6 +190,7 @@ class ProfilePair:
     wheel_files: tuple[SideFiles, ...] = ()  # measured wheels that the wheelsets have; empty: the built-in one
     wheels_drawn: bool = False  # which wheelset has which is drawn; False: in turn
     rail_files: SideFiles = (None, None)
+    rail_mirrors: SideMirrors = (None, None)
     file_inclination: float = 0.0
 
 

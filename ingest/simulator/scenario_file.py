@@ -6,13 +6,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Self
 
 from pydantic import Field, model_validator
 
+from estimation.contact.profiles import Profile
 from estimation.errors import ProfileError, ScenarioError
 from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml
 from ingest.simulator.campaign import MARGIN
@@ -177,21 +179,28 @@ def read_scenario(path: Path) -> Scenario:
 
 def _check_profile_files(file: InputFile, table: ScenarioTable) -> None:
     """Read every wheel and rail that the scenario names, so that one which cannot be read is refused at once."""
-    for names, read in ((_rail_names(table), rail_in), (_wheel_names(table), wheel_in)):
-        for location, name in names:
-            try:
-                read(file.path.parent / name)
-            except ProfileError as error:
-                raise file.error(str(error), location) from error
+    for location, read in (*_rail_reads(file, table), *_wheel_reads(file, table)):
+        try:
+            read()
+        except ProfileError as error:
+            raise file.error(str(error), location) from error
 
 
-def _rail_names(table: ScenarioTable) -> Iterator[tuple[Location, str]]:
+_Read = tuple[Location, Callable[[], Profile]]
+
+
+def _rail_reads(file: InputFile, table: ScenarioTable) -> Iterator[_Read]:
     tables: list[tuple[Location, RailFiles]] = [(("section",), table.section)]
     for index, pair in enumerate([] if table.drawn_fleet is None else table.drawn_fleet.pairs):
         tables.append((("drawn_fleet", "pairs", index), pair))
     for place, rails in tables:
-        for key, name in rails.rail_names():
-            yield (*place, key), name
+        for key, name, mirror in rails.rail_names():
+            yield (*place, key), partial(rail_in, file.path.parent / name, mirror)
+
+
+def _wheel_reads(file: InputFile, table: ScenarioTable) -> Iterator[_Read]:
+    for location, name in _wheel_names(table):
+        yield location, partial(wheel_in, file.path.parent / name)
 
 
 def _wheel_names(table: ScenarioTable) -> Iterator[tuple[Location, str]]:

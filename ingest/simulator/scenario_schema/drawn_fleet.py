@@ -61,6 +61,7 @@ class PairTable(RailFiles):
             wheel_files=tuple((folder / item.left, folder / (item.right or item.left)) for item in self.wheel_files),
             wheels_drawn=self.wheels_drawn,
             rail_files=self.files(folder),
+            rail_mirrors=self.mirrors,
             file_inclination=self.inclination_of_files(self.rail_inclination_1_in),
         )
 

@@ -8,7 +8,7 @@ from typing import Annotated, Self
 from pydantic import AfterValidator, model_validator
 
 from ingest.input_file import InputTable, NotNegative, Text, field_error
-from ingest.simulator.scenario import SideFiles
+from ingest.simulator.scenario import SideFiles, SideMirrors
 
 
 def _as_built(run: float) -> float:
@@ -27,6 +27,9 @@ class RailFiles(InputTable):
     rail_left_file: Text | None = None
     rail_right_file: Text | None = None
     rail_file_inclination_1_in: Annotated[NotNegative, AfterValidator(_as_built)] | None = None
+    rail_file_mirror: bool | None = None
+    rail_left_file_mirror: bool | None = None
+    rail_right_file_mirror: bool | None = None
 
     @model_validator(mode="after")
     def _check_rail_files(self) -> Self:
@@ -40,14 +43,21 @@ class RailFiles(InputTable):
             raise field_error(reason, "rail_file_inclination_1_in")
         return self
 
-    def rail_names(self) -> list[tuple[str, str]]:
-        """Return keys and names of the files that are given."""
-        named = {
-            "rail_file": self.rail_file,
-            "rail_left_file": self.rail_left_file,
-            "rail_right_file": self.rail_right_file,
-        }
-        return [(key, name) for key, name in named.items() if name is not None]
+    @model_validator(mode="after")
+    def _check_mirrors(self) -> Self:
+        for key in ("rail_file", "rail_left_file", "rail_right_file"):
+            if getattr(self, f"{key}_mirror") is not None and getattr(self, key) is None:
+                raise field_error(f"needs '{key}'", f"{key}_mirror")
+        return self
+
+    def rail_names(self) -> list[tuple[str, str, bool | None]]:
+        """Return key, name and mirror of the files that are given."""
+        named = (
+            ("rail_file", self.rail_file, self.rail_file_mirror),
+            ("rail_left_file", self.rail_left_file, self.rail_left_file_mirror),
+            ("rail_right_file", self.rail_right_file, self.rail_right_file_mirror),
+        )
+        return [(key, name, mirror) for key, name, mirror in named if name is not None]
 
     def files(self, folder: Path) -> SideFiles:
         """Return the files of left and right rail.
@@ -59,6 +69,13 @@ class RailFiles(InputTable):
         """
         left, right = (self.rail_file or side for side in (self.rail_left_file, self.rail_right_file))
         return None if left is None else folder / left, None if right is None else folder / right
+
+    @property
+    def mirrors(self) -> SideMirrors:
+        """Whether the gauge side is at positive y of the file, of left and right rail; None: the shape shows it."""
+        if self.rail_file is not None:
+            return self.rail_file_mirror, self.rail_file_mirror
+        return self.rail_left_file_mirror, self.rail_right_file_mirror
 
     def inclination_of_files(self, built_1_in: float) -> float:
         """Return the inclination that rails from files are given, as a tangent.

@@ -175,6 +175,7 @@ class SectionTable(RailFiles):
             gauge_surveyed=self.gauge_surveyed,
             survey=self.survey.plan(folder),
             rail_files=self.files(folder),
+            rail_mirrors=self.mirrors,
             file_inclination=self.inclination_of_files(self.rail_inclination_1_in),
             latitude=self.latitude_deg,
             longitude=self.longitude_deg,

@@ -14,6 +14,7 @@ from estimation.errors import ScenarioError
 from ingest.simulator.campaign import contact_of, scenario_track
 from ingest.simulator.drawn_fleet import shares_of_wear, with_seed
 from ingest.simulator.fleet import prepare, run_fleet
+from ingest.simulator.profile_files import rails_of
 from ingest.simulator.scenario import Scenario, WheelsetPlan
 from ingest.simulator.scenario_file import read_scenario
 
@@ -218,3 +219,49 @@ def test_a_fleet_has_as_many_wheelsets_as_asked_for(tmp_path: Path, count: int, 
     assert [item.serial for item in plans(scenario)] == [f"W{rank:02d}" for rank in range(count)]
     registry = prepare(scenario, tmp_path / "out").read_text()
     assert registry.count('"serial"') == count
+
+
+def ambiguous(path: Path) -> None:
+    """Write an upright rail whose sides differ without showing which one is the gauge side."""
+    rail = rail_profile("60E1")
+    y, z, down = 1e3 * rail.y, 1e3 * rail.z, np.arange(0.5, 9.0, 0.5)
+    y = np.concatenate([y[0] - down[::-1] / 20.0, y, y[-1] + down / 20.0])
+    z = np.concatenate([z[0] + down[::-1], z, z[-1] + down])
+    y -= 1.5 * np.clip((y - 20.0) / 16.0, 0.0, 1.0)
+    np.savetxt(path, np.column_stack([y, z]), fmt="%.6f")
+
+
+def test_rail_file_mirror_says_which_side_is_the_gauge_side(tmp_path: Path) -> None:
+    ambiguous(tmp_path / "rail.txt")
+
+    def with_keys(keys: str) -> str:
+        return NO_GAUGE.replace('name = "Short section"', f'name = "S"\n{keys}')
+
+    with pytest.raises(ScenarioError, match="rail_file_mirror = true or false") as refused:
+        scenario_of(tmp_path, with_keys('rail_file = "rail.txt"'))
+    assert refused.value.field == "section.rail_file"
+    kept, turned = (
+        scenario_of(tmp_path, with_keys(f'rail_file = "rail.txt"\nrail_file_mirror = {value}')).section
+        for value in ("false", "true")
+    )
+    (left, right, _), (mirrored, _, _) = rails_of(kept), rails_of(turned)
+    assert left is right
+    np.testing.assert_allclose(mirrored.height(-left.y), left.z, atol=1e-9)
+    assert np.nanmax(np.abs(mirrored.height(left.y) - left.z)) > 1e-4
+    sides = 'rail_left_file = "rail.txt"\nrail_left_file_mirror = true\nrail_right_file = "rail.txt"\n'
+    apart = scenario_of(tmp_path, with_keys(f"{sides}rail_right_file_mirror = false")).section
+    assert rails_of(apart)[:2] == (mirrored, left)
+
+
+def test_rail_file_mirror_goes_with_the_pair_of_a_drawn_fleet(tmp_path: Path) -> None:
+    ambiguous(tmp_path / "rail.txt")
+    pair = 'deepest_wear_mm = 1\nrail_file = "rail.txt"\nrail_file_mirror = true\n'
+    scenario = scenario_of(tmp_path, f"{DRAWN}[drawn_fleet]\n{PAIR}{pair}")
+    assert with_seed(scenario, 1).section.rail_mirrors == (True, True)
+
+
+@pytest.mark.parametrize("key", ["rail_file", "rail_left_file", "rail_right_file"])
+def test_a_mirror_without_its_file_is_refused(tmp_path: Path, key: str) -> None:
+    with pytest.raises(ScenarioError, match=f"needs '{key}'") as refused:
+        scenario_of(tmp_path, NO_GAUGE.replace('name = "Short section"', f'name = "S"\n{key}_mirror = true'))
+    assert refused.value.field == f"section.{key}_mirror"
