@@ -94,7 +94,7 @@ def job_context(
 
 
 def estimation_settings(settings: Settings) -> EstimationSettings:
-    """Return the settings of estimation that this deployment asks for.
+    """Return the settings of estimation that this deployment asks for; W is the whole axle load unless it sets another.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def estimation_settings(settings: Settings) -> EstimationSettings:
         The catalogue has no estimator of that name; names the environment variable and lists the estimators.
     """
     vehicle = VehicleParameters()
-    load = vehicle.load if settings.axle_load_n is None else settings.axle_load_n
+    load = vehicle.axle_load if settings.axle_load_n is None else settings.axle_load_n
     try:
         return EstimationSettings(estimator=settings.estimator, vehicle=replace(vehicle, load=load))
     except ParameterError as error:

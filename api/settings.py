@@ -35,7 +35,7 @@ class Settings(BaseSettings):
     jobs_every_s
         Interval of all scheduled jobs, in seconds; left out, each job has its own.
     axle_load_n
-        Weight of a wheelset with what it carries, N; left out, that of the published example, the wheelset alone.
+        Weight of a wheelset with what it carries, N; left out, that of the default vehicle, (m + mm) g.
     estimator
         Which estimator of ``estimation.estimators.catalogue`` turns windows into geometries.
     shutdown_timeout_s

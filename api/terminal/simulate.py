@@ -66,7 +66,7 @@ def write_recordings(scenario: Scenario, out: Path, vehicles: list[str] | None, 
         soft_wrap=True,
     )
     axle_load = scenario.parameters.load
-    if axle_load != VehicleParameters().load:
+    if axle_load != VehicleParameters().axle_load:  # the default of a deployment
         hint = f"set {PREFIX}AXLE_LOAD_N={axle_load:.0f} to estimate with the load of these vehicles"
         console.print(hint, highlight=False, soft_wrap=True)
 

@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
-from estimation.geometry.uncertainty import DisplacementError, ParameterUncertainty
+from estimation.geometry.uncertainty import DisplacementError, ParameterUncertainty, quotient_widening
 from estimation.tables import least_squares
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import BinStatus, BinTable, BinValues, WheelsetGeometry
 from estimation.values.intervals import jackknife_std, normal_equivalent
-from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS
+from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS, angle_difference_derivatives
 
 FEWEST_GROUPS = 4
 
@@ -73,7 +73,7 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
     screening = _screened(table, replicates, bins, parameters)
     unc = parameters.uncertainty
     S = _combination(replicates.lateral[:, :, 0], unc.lateral(), screening, parameters.prior_radius)
-    D = _combination(replicates.lateral[:, :, 2], unc.lateral(), screening, parameters.prior_angle)
+    D = _angle_difference(replicates, screening, bins, parameters)
     A = _combination(replicates.yaw[:, :, 0], unc.yaw(), screening, parameters.prior_angle)
     R = _combination(replicates.yaw[:, :, 1], unc.yaw(), screening, parameters.prior_radius)
     curve = curve_estimates(_curve(table, replicates, screening, bins, unc), parameters.curve)
@@ -196,14 +196,28 @@ class _BinScreening:
 _STATUSES = (BinStatus.ESTIMATED, BinStatus.TOO_FEW, BinStatus.CONTACT_JUMP, BinStatus.UNOBSERVABLE)
 
 
-def _combination(theta: FloatArray, relative: FloatArray, screening: _BinScreening, prior: float) -> BinValues:
+def _angle_difference(
+    replicates: _Replicates, screening: _BinScreening, bins: BinParameters, parameters: GeometryParameters
+) -> BinValues:
+    """D over the bins: what the data determine, divided by f23/r0 - W/2, of which f23 and W are uncertain."""
+    relative = parameters.uncertainty.lateral()
+    derivatives = angle_difference_derivatives(bins.vehicle)
+    widening = quotient_widening(float(np.linalg.norm(derivatives * relative)))
+    theta = replicates.lateral[:, :, 2].copy()
+    theta[0, :, 1:] -= theta[0, :, :1] * derivatives
+    return _combination(theta, relative, screening, parameters.prior_angle, widening)
+
+
+def _combination(
+    theta: FloatArray, relative: FloatArray, screening: _BinScreening, prior: float, widening: float = 1.0
+) -> BinValues:
     """One coefficient over the bins: (1 + g, b, 1 + k) replicates and sensitivities to value, std, status."""
     value = theta[0, :, 0]
     sampled = normal_equivalent(jackknife_std(theta[:, :, 0]), len(theta) - 1)
     parameters = np.sqrt(((theta[0, :, 1:] * relative) ** 2).sum(axis=1))
     observed = ~screening.too_few & np.isfinite(value)
     displaced = screening.error.std_of_bins(screening.centre, value, observed & ~screening.jump, observed)
-    std = np.sqrt(sampled**2 + parameters**2 + displaced**2)
+    std = widening * np.sqrt(sampled**2 + parameters**2 + displaced**2)
     imprecise = ~(std < screening.informative * prior)
     codes = np.select([screening.too_few, screening.jump, imprecise], [1, 2, 3], default=0)
     status = tuple(_STATUSES[code] for code in codes)

@@ -22,6 +22,7 @@ from estimation.vehicle.equations_of_motion import VehicleParameters
 LATERAL_TARGETS = ("z1", "lateral_creep", "spin_creep", "mass", "load", "lateral_stiffness", "lateral_damping")
 YAW_TARGETS = ("z2", "longitudinal_creep", "yaw_stiffness", "yaw_inertia", "spin_creep")
 REGRESSORS = 4
+SMALLEST_FACTOR = 1e-6  # N; in place of zero, with which the data say nothing of D
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,33 @@ class Regression:
     lateral_targets: FloatArray  # (n, 7), see LATERAL_TARGETS
     yaw: FloatArray  # (n, 2) (l W/2) psi, c
     yaw_targets: FloatArray  # (n, 5), see YAW_TARGETS
+
+
+def angle_difference_factor(parameters: VehicleParameters) -> float:
+    """Return x2 = f23/r0 - W/2, N: the factor of D in Eq. 1, positive or negative.
+
+    Parameters
+    ----------
+    parameters
+        Of the vehicle.
+    """
+    return parameters.lateral_spin_creep_coefficient / parameters.nominal_radius - parameters.load / 2
+
+
+def angle_difference_derivatives(parameters: VehicleParameters) -> FloatArray:
+    """Return (6,) derivatives of ln |x2| by the logarithms of the parameters, in the order of LATERAL_TARGETS after z1.
+
+    The data determine the product x2 D, so that D changes by as much the other way, whatever the samples.
+
+    Parameters
+    ----------
+    parameters
+        Of the vehicle; f23 and W make the factor.
+    """
+    by_name = dict.fromkeys(LATERAL_TARGETS[1:], 0.0)
+    by_name["spin_creep"] = parameters.lateral_spin_creep_coefficient / parameters.nominal_radius
+    by_name["load"] = -parameters.load / 2
+    return np.array(list(by_name.values())) / (angle_difference_factor(parameters) or SMALLEST_FACTOR)
 
 
 def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
@@ -61,7 +89,7 @@ def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
     weight = p.load * motion.roll
     z1 = inertia + (2 * f22 / V) * slip + 2 * f11 * ψ + spin + weight + spring + damper
     x1 = (f11 / r0) * ψ - (f22 / V) * motion.roll_rate
-    x2 = np.full(len(motion), f23 / r0 - p.load / 2)
+    x2 = np.full(len(motion), angle_difference_factor(p))
 
     yaw_inertia = p.yaw_inertia * ddψ
     creep = 2 * l**2 * f11 * dψ / V

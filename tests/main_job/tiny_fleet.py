@@ -86,6 +86,7 @@ kind = "sensor_fault"
 from_campaign = 3
 """
 WINDOW_S = 30.0
+TINY_LOAD = 12263.0  # N, as in the scenario
 HOUR_NS = 3_600_000_000_000
 BOOK_KEEPING = ("job_runs",)
 
@@ -127,7 +128,14 @@ class Deployment:
 
 def deployment(url: str, directory: Path, report: FleetReport) -> Deployment:
     """Return a deployment on a migrated database that knows the registry."""
-    settings = Settings(data_dir=directory, database_url=url, window_length_s=WINDOW_S, port=0, _env_file=None)
+    settings = Settings(
+        data_dir=directory,
+        database_url=url,
+        window_length_s=WINDOW_S,
+        axle_load_n=TINY_LOAD,
+        port=0,
+        _env_file=None,
+    )
     storage = SqlStorage(database_engine(url), directory)
     with storage.write() as unit:
         load_registry(report.registry, unit)

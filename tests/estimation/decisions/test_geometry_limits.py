@@ -187,20 +187,20 @@ UNCERTAIN = replace(CERTAIN, uncertainty=ParameterUncertainty(creep=0.1, stiffne
 
 
 @pytest.mark.parametrize(
-    ("name", "derivative", "half_of_prior"),
+    ("name", "derivative", "half_of_prior", "widening"),
     [
-        ("rolling_radius_sum", "S_by_creep", 1.0e-3),
-        ("rolling_radius_difference", "R_by_creep", 1.0e-3),
-        ("contact_angle_sum", "A_by_creep", 0.075),
-        ("contact_angle_difference", "D_by_creep", 0.075),
+        ("rolling_radius_sum", "S_by_creep", 1.0e-3, 1.0),
+        ("rolling_radius_difference", "R_by_creep", 1.0e-3, 1.0),
+        ("contact_angle_sum", "A_by_creep", 0.075, 1.0),
+        ("contact_angle_difference", "D_by_creep", 0.075, 1.0 / (1.0 - 0.1252191)),
     ],
 )
 @pytest.mark.parametrize(("share", "status"), [(0.99, BinStatus.ESTIMATED), (1.01, BinStatus.UNOBSERVABLE)])
 def test_a_number_is_published_below_half_of_what_is_known_beforehand(
-    name: str, derivative: str, half_of_prior: float, share: float, status: BinStatus
+    name: str, derivative: str, half_of_prior: float, widening: float, share: float, status: BinStatus
 ) -> None:
-    """A creep coefficient that is known to a tenth."""
-    wheelset = replace(Wheelset(), **{derivative: share * half_of_prior / 0.1})
+    """Creep coefficients that are known to a tenth, the factor of D therefore to an eighth."""
+    wheelset = replace(Wheelset(D=0.0), **{derivative: share * half_of_prior / widening / 0.1})
     geometry = found(wheelset, UNCERTAIN)
     values = getattr(geometry, name)
     assert values.status[MIDDLE] is status
@@ -209,6 +209,26 @@ def test_a_number_is_published_below_half_of_what_is_known_beforehand(
         np.testing.assert_allclose(values.std, share * half_of_prior, rtol=1e-6)
     others = {getattr(geometry, other).status[MIDDLE] for other in COMBINATIONS if other != name}
     assert others == {BinStatus.ESTIMATED}
+
+
+@pytest.mark.parametrize(("load", "of_factor"), [(12263.0, 0.12538), (90742.5, 0.21765)])
+def test_the_angle_difference_is_as_uncertain_as_the_factor_it_is_divided_by(load: float, of_factor: float) -> None:
+    """The factor is f23/r0 - W/2; creep is known to 10 %, masses and load to 2.5 %, as standard deviations."""
+    bins = replace(PARAMETERS, vehicle=replace(VEHICLE, load=load))
+    geometry = estimate_geometry(Wheelset().table(bins), bins, replace(CERTAIN, uncertainty=ParameterUncertainty()))
+    found = geometry.contact_angle_difference
+    np.testing.assert_allclose(found.value, 0.02, rtol=1e-6)
+    np.testing.assert_allclose(found.std, 0.02 * of_factor / (1 - of_factor), rtol=1e-3)
+
+
+@pytest.mark.parametrize(("load", "status"), [(76.5e3, BinStatus.UNOBSERVABLE), (77.0e3, BinStatus.ESTIMATED)])
+def test_no_angle_difference_is_published_where_its_factor_is_unknown_by_two_fifths(
+    load: float, status: BinStatus
+) -> None:
+    bins = replace(PARAMETERS, vehicle=replace(VEHICLE, load=load))
+    geometry = estimate_geometry(Wheelset().table(bins), bins, replace(CERTAIN, uncertainty=ParameterUncertainty()))
+    assert set(geometry.contact_angle_difference.status) == {status}
+    assert set(geometry.rolling_radius_difference.status) == {BinStatus.ESTIMATED}
 
 
 def test_the_std_of_a_bin_is_that_of_its_groups_with_students_t() -> None:
