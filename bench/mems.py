@@ -44,8 +44,9 @@ def conicity_errors() -> list[ConicityError]:
 
 def _one(seed: int) -> list[ConicityError]:
     with tempfile.TemporaryDirectory(prefix="treadwatch-bench-") as folder:
-        report = run_fleet(replace(load_scenario("mems"), seed=seed), Path(folder) / "recordings")
-        settings = Settings(data_dir=Path(folder) / "data", database_url=None)
+        scenario = replace(load_scenario("mems"), seed=seed)
+        report = run_fleet(scenario, Path(folder) / "recordings")
+        settings = Settings(data_dir=Path(folder) / "data", database_url=None, axle_load_n=scenario.parameters.load)
         upgrade(settings.url)
         with closing(open_store(settings)) as storage:
             with storage.write() as unit:
