@@ -24,18 +24,21 @@ class TrendStore:
     connection: Connection
 
     def put(self, record: TrendRecord) -> bool:
-        """Append a trend; False if the newest of its wheelset, baseline and quantity has the same inputs and code."""
+        """Append a trend; False if the newest of its wheelset and baseline is of the same quantity, inputs and code.
+
+        It is then the newest, whatever the clock says.
+        """
         serialise(self.connection, Subject.GEOMETRIES)
         newest = self.connection.execute(
-            select(TRENDS.c.input_digest, TRENDS.c.code_version, TRENDS.c.recorded_ns)
+            select(TRENDS.c.quantity, TRENDS.c.input_digest, TRENDS.c.code_version, TRENDS.c.recorded_ns)
             .where(TRENDS.c.wheelset == record.wheelset, TRENDS.c.baseline == record.baseline)
-            .where(TRENDS.c.quantity == record.trend.quantity)
             .order_by(*NEWEST_FIRST)
             .limit(1)
         ).first()
         values = _values(record)
         if newest is not None:
-            if (newest.input_digest, newest.code_version) == (record.input_digest, record.code_version):
+            ours = (record.trend.quantity, record.input_digest, record.code_version)
+            if (newest.quantity, newest.input_digest, newest.code_version) == ours:
                 return False
             values["recorded_ns"] = max(record.recorded_ns, newest.recorded_ns)
         self.connection.execute(insert(TRENDS).values(**values))
