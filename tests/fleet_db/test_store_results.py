@@ -145,6 +145,20 @@ def test_trends_are_appended_and_reproducible(fleet: SqlStorage) -> None:
         assert make.same(unit.trends.latest("WS-1"), turned)
 
 
+def test_a_trend_of_another_quantity_is_the_newest_once_put_whatever_the_clock_says(fleet: SqlStorage) -> None:
+    at_3_mm = make.trend_record(1, 200)
+    quantity = "equivalent_conicity_2.75_mm"
+    other = replace(at_3_mm, trend=replace(at_3_mm.trend, quantity=quantity), recorded_ns=100)
+    with fleet.write() as unit:
+        assert [unit.trends.put(one) for one in (at_3_mm, other)] == [True, True]
+        latest = unit.trends.latest("WS-1")
+        assert latest is not None
+        assert (latest.trend.quantity, latest.recorded_ns) == (quantity, 200)
+        assert not unit.trends.put(other)
+        assert unit.trends.put(at_3_mm)  # and back again
+        assert make.same(unit.trends.latest("WS-1"), at_3_mm)
+
+
 def test_receipts(fleet: SqlStorage) -> None:
     decoded = replace(
         make.CHUNK, state=ChunkState.DECODED, first_ns=1000, last_ns=2000, frames=7, counts={"unknown identifier": 3}
