@@ -236,6 +236,15 @@ def _refined_corrections(
 
 
 def _with_unknown_gauge(setting: _Setting, first: IterationResult, searches: int) -> IterationResult:
+    """Return the solution with a gauge deviation of the place, where that is found for certain; else as it was.
+
+    Without a gauge, its effect is in the intervals.
+    """
+    found = _with_searched_gauge(setting, first, searches)
+    return found if all(one.converged for one in found.gauge_convergence if one.of is Iterated.GAUGE) else first
+
+
+def _with_searched_gauge(setting: _Setting, first: IterationResult, searches: int) -> IterationResult:
     """Return the solution with a gauge deviation of the place, where that explains the residuals; else as it was."""
     p = setting.parameters
     effect = initial_gauge_effect(first.passes, first.solution, first.panel, p.gauge)
@@ -262,8 +271,6 @@ def _with_unknown_gauge(setting: _Setting, first: IterationResult, searches: int
         found = _solved(setting, _repositioned(setting, found), _with_wheels(found, sized=True))
         change = _rms_change(before, found.panel.gauge)
     search = Convergence(Iterated.GAUGE, change < p.gauge_tolerance, searches, change)
-    if not search.converged:
-        return first  # without a gauge, whose effect is then in the intervals
     found = _finished(setting, replace(found, gauge_convergence=(*found.gauge_convergence, search)))
     return replace(found, slope=_slope_without_gauge(setting, first, found), first_noise=first.noise)
 
@@ -317,7 +324,7 @@ def _register_by_gauge(
     setting: _Setting, first: IterationResult, gauge: FloatArray, positions: PositionParameters
 ) -> tuple[dict[Journey, Correction], dict[str, Ratio]]:
     """Return corrections and ratios of the fleet moved to a surveyed gauge, by the gauge that the passes show."""
-    trial = _with_unknown_gauge(setting, first, 1)
+    trial = _with_searched_gauge(setting, first, 1)
     if trial.panel.gauge is None:
         return trial.corrections, trial.ratios  # the gauge hardly shows: then it hardly matters where it is
     both = [register(sign * trial.panel.gauge, gauge, trial.panel.grid, positions) for sign in (1.0, -1.0)]
