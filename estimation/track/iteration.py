@@ -53,7 +53,6 @@ class IterationParameters:
     wheel_rounds: int = 2  # of wheels where the gauge is known, at least
     most_wheel_rounds: int = 8
     gauge_explains: float = 0.1  # of the residual's rms, for the gauge to be taken as varying
-    find_gauge: bool = True  # where none is on file
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +61,7 @@ class IterationResult:
 
     panel: Panel  # with the gauge, where it varies
     state: PanelState  # without the prior alignment
-    solution: PanelSolution  # curves corrected by ``slope``
+    solution: PanelSolution
     placed: Placed  # passes by journey, corrected, with the stiffness ratios of their vehicles
     ratios: dict[str, Ratio]  # by vehicle
     rounds: int
@@ -70,7 +69,7 @@ class IterationResult:
     changed: float  # by which the last round changed a stiffness ratio at most
     noise: float  # m, rms of y - d - h(R) over the passes
     gauge_convergence: tuple[Convergence, ...] = ()
-    slope: SlopeCorrection | None = None
+    slope: SlopeCorrection | None = None  # of the curves, where the gauge search or ``with_slope`` has found it
     first_noise: float | None = None  # m, ``noise`` of the panel without the gauge that was found
 
     @property
@@ -156,8 +155,6 @@ def iterate(
     if not (first.state.count >= FEWEST_PASSES).any():
         return first
     if prior is None or not prior.gauge_known:
-        if not parameters.find_gauge:
-            return first
         return _with_unknown_gauge(setting, first, parameters.gauge_searches)
     corrections, ratios = first.corrections, first.ratios
     if not anchored:

@@ -1,8 +1,8 @@
 """How well a survey explains what the passes have measured: y = a d + h_w(R), with the survey's d and all curves free.
 
 Nothing is compared with an alignment that the fleet has found by itself: that one may be wrong, however small its
-standard deviation, where wheelsets are alike. The factor ``a`` is 1 for a right survey, its inverse tells another unit
-or scale, and it is near zero for the survey of another section. The sums of the panel hold all that is needed.
+standard deviation, where wheelsets are alike. The factor ``a`` is 1 for a right survey, its inverse is that of another
+unit or scale, and it is near zero for the survey of another section. The sums of the panel hold all that is needed.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ class SurveyFit:
     followed: float  # share of y - a d that the curves explain: little where vehicles obey other equations
     error: float  # m, rms of the survey's own error in the band, sensors' noise taken off
     size: float  # m, rms of the survey in the band
-    residual: float  # m, rms of y - d - h(R) over the passes
 
     @property
     def scale(self) -> float:
@@ -69,7 +68,6 @@ def fit_survey(iterated: IterationResult, survey: PriorAlignment) -> SurveyFit |
         followed=followed,
         error=_survey_error(state, iterated, survey.alignment),
         size=float(np.sqrt(np.mean(survey.alignment[np.isfinite(survey.std)] ** 2))),
-        residual=iterated.noise,
     )
 
 

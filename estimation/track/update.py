@@ -143,7 +143,7 @@ def _without_surveyed_alignment(epoch: _Epoch, in_force: TrackAlignment | None) 
     cutoff = epoch.parameters.cutoff_wavelength
     usable = in_force is not None and (surveyed or in_force.cutoff_wavelength == cutoff)
     estimate = epoch.estimate(in_force if usable else None)
-    if estimate.alignment is None:
+    if estimate.alignment is None or not estimate.report.converged:
         if in_force is None or surveyed or not np.isfinite(in_force.alignment).any():  # at most the gauge is known
             return epoch.update(UpdateOutcome.UNESTIMATED, estimate, None)
         return epoch.update(UpdateOutcome.KEPT, estimate, in_force)

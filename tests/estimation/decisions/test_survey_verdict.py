@@ -16,7 +16,7 @@ from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.track import Correction, TrackAlignment
 
 GRID = Panel.of(P.panel).grid
-FIT = SurveyFit(factor=1.0, factor_std=0.01, explained=0.99, followed=0.99, error=0.1e-3, size=1e-3, residual=0.1e-3)
+FIT = SurveyFit(factor=1.0, factor_std=0.01, explained=0.99, followed=0.99, error=0.1e-3, size=1e-3)
 
 
 def on_grid(survey: TrackAlignment) -> PriorAlignment:

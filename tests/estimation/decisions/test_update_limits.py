@@ -126,6 +126,10 @@ def test_without_a_survey_an_alignment_is_the_next_version_or_the_last_one_stays
     ):
         found = _without_surveyed_alignment(epoch(alignment, alignment), in_force)
         assert (found.outcome, found.alignment, found.survey) == (outcome, expected, None)
+    moving = epoch(CERTAIN, CERTAIN)
+    report = replace(CONVERGED, converged=False)
+    moving = replace(moving, with_prior=replace(moving.with_prior, report=report))
+    assert _without_surveyed_alignment(moving, last).outcome is UpdateOutcome.KEPT
     gauge = 1e-3 * np.sin(np.arange(N))
     varied = replace(CERTAIN, gauge_deviation=gauge, findings=TrackFindings({}, 0.0, {"X": shift_of(0.1)}))
     carried = _without_surveyed_alignment(epoch(None, varied), replace(last, gauge_deviation=gauge)).alignment
