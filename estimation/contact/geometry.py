@@ -28,8 +28,8 @@ _REASONS = {
 
 
 _PlainSurface = tuple[float, float, FloatArray, FloatArray]
-_Plain = tuple[float, tuple[float, float], tuple[_PlainSurface, _PlainSurface], tuple[_PlainSurface, _PlainSurface]]
-Setting = tuple[bool, *_Plain]
+_Sides = tuple[_PlainSurface, _PlainSurface]
+Setting = tuple[bool, float, tuple[float, float], _Sides, _Sides]
 """Whether the wheelset rolls, half the distance of the tread datums, the radii, wheels and rails, for the kernels."""
 
 
@@ -145,20 +145,21 @@ def search_contacts(
     """
     displacement = _grid(lateral_displacement, "lateral_displacement")
     deviation = _grid(gauge_deviation, "gauge_deviation")
-    setting = (method is ContactMethod.RIGID, *_plain_setting(wheelset))
+    setting = search_setting(wheelset, method)
     values, outcomes = kernels.table(displacement, deviation, *setting)
     if not (outcomes == kernels.FOUND).all():
         _check_outcomes(displacement, deviation, outcomes, outside)
     return displacement, deviation, setting, values, outcomes
 
 
-def _plain_setting(wheelset: WheelsetOnTrack) -> _Plain:
-    """Return half the distance of the tread datums, the radii, wheels and rails as the compiled search takes them."""
+def search_setting(wheelset: WheelsetOnTrack, method: ContactMethod) -> Setting:
+    """Return what the compiled search takes of a wheelset beside displacement and gauge."""
     wheels = (_plain(wheel_surface(wheelset.left_wheel)), _plain(wheel_surface(wheelset.right_wheel)))
     left_rail = _plain(rail_surface(wheelset.left_rail, wheelset.inclination, wheelset.gauge))
     right_rail = _plain(rail_surface(wheelset.right_rail, wheelset.inclination, wheelset.gauge))
     half = wheelset.flange_back_distance / 2.0 + TREAD_DATUM
-    return half, (wheelset.left_radius, wheelset.right_radius), wheels, (left_rail, right_rail)
+    radii = (wheelset.left_radius, wheelset.right_radius)
+    return method is ContactMethod.RIGID, half, radii, wheels, (left_rail, right_rail)
 
 
 def _plain(surface: Surface) -> _PlainSurface:

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.contact import kernels
-from estimation.contact.geometry import WheelsetOnTrack, search_contacts
-from estimation.contact.table import ContactMethod
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.contact.geometry import Setting, WheelsetOnTrack, search_contacts, search_setting
+from estimation.contact.table import ContactMethod, ContactTable
+from estimation.values.arrays import FloatArray, IntArray, frozen_array
 
 _HOLD = 1.5 * kernels.CURVE_INTERVAL  # m, neighbours on both sides of a jump are no farther apart
 
@@ -62,7 +62,46 @@ def radius_difference_curve(
     grid, _, setting, values, outcomes = search_contacts(
         wheelset, lateral_displacement, (gauge_deviation,), method=method, outside="hold"
     )
-    displacement, (left, right) = kernels.refined(grid, gauge_deviation, values[:, :, 0], outcomes[:, 0], *setting)
+    return _refined(wheelset, grid, gauge_deviation, values[:, :, 0], outcomes[:, 0], setting)
+
+
+def refined_curve(wheelset: WheelsetOnTrack, table: ContactTable, column: int) -> RadiusDifferenceCurve:
+    """Return the same curve from a contact table that has been searched already, at one of its gauges.
+
+    Parameters
+    ----------
+    wheelset
+        That of the table.
+    table
+        As :func:`estimation.contact.geometry.contact_table` returns it.
+    column
+        Of ``table.gauge_deviation``, from 0.
+    """
+    contacts = (
+        table.roll,
+        table.contact_position_left,
+        table.contact_position_right,
+        table.rail_position_left,
+        table.rail_position_right,
+    )
+    values = np.array([values[:, column] for values in contacts])
+    outcomes = np.where(table.exists[:, column], kernels.FOUND, kernels.NO_ROLL)
+    grid = np.array(table.lateral_displacement)  # writable, as the kernel is compiled for
+    gauge_deviation = float(table.gauge_deviation[column])
+    setting = search_setting(wheelset, table.method)
+    return _refined(wheelset, grid, gauge_deviation, values, outcomes, setting)
+
+
+def _refined(
+    wheelset: WheelsetOnTrack,
+    grid: FloatArray,
+    gauge_deviation: float,
+    values: FloatArray,
+    outcomes: IntArray,
+    setting: Setting,
+) -> RadiusDifferenceCurve:
+    """Return the curve from contacts on the wheels and rails (5, n) on ``grid`` (n,), and their outcomes (n,)."""
+    displacement, (left, right) = kernels.refined(grid, gauge_deviation, values, outcomes, *setting)
     radius_left = wheelset.left_radius + wheelset.left_wheel.height(left)
     radius_right = wheelset.right_radius + wheelset.right_wheel.height(right)
     moved = np.maximum(np.abs(np.diff(left)), np.abs(np.diff(right)))

@@ -17,7 +17,7 @@ from ingest.simulator.scenario import NORMAL_REACH, Scenario, SpeedRange, Vehicl
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
 from ingest.simulator.table_range import displacement_limit, first_climb, gauge_grid
 from ingest.simulator.track import TrackRecipe, TrackTruth, from_zero, make_track, read_track
-from ingest.simulator.wear import GeometryTruth, truth_of, wear_at, worn_contact
+from ingest.simulator.wear import GeometryTruth, WornContact, truth_of, wear_at, worn_contact
 
 MARGIN = 200.0  # m of track beyond both ends of a section that runs cross as a whole
 LEAD_IN = 160.0  # m before such a section where a run begins
@@ -174,7 +174,7 @@ def wheelset_motion(
     """
     plan = run.vehicle.wheelsets[axle]
     if table is None:
-        table = contact_of(scenario, track, plan, run.odometer)
+        table = contact_of(scenario, track, plan, run.odometer).table
     start = float(run.distance[0]) - run.vehicle.axle_offsets[axle]
     parameters = vehicle_parameters(scenario, run.vehicle.code)
     motion = simulate_wheelset(parameters, table, track, run.speed, start)
@@ -189,7 +189,7 @@ def wheelset_motion(
     return motion
 
 
-def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> ContactTable:
+def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> WornContact:
     """Return the contact geometry of a wheelset at one mileage of its vehicle.
 
     Parameters
@@ -213,21 +213,23 @@ def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odomet
         return worn_contact(plan, wear_at(plan, odometer), scenario.section, gauges, limit)
 
 
-def true_geometry(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> GeometryTruth:
-    """Return the true geometry of a wheelset at nominal gauge, at one mileage of its vehicle.
+def true_geometry(scenario: Scenario, plan: WheelsetPlan, contact: WornContact) -> GeometryTruth:
+    """Return the true geometry of a wheelset at nominal gauge.
 
     Parameters
     ----------
-    scenario, track, plan, odometer
-        As :func:`contact_of` takes them; the gauge of the track decides no more than the range of displacements.
+    scenario, plan
+        As :func:`contact_of` takes them.
+    contact
+        What that returns; the gauge of its track decides no more than the range of displacements.
 
     Raises
     ------
     ScenarioError
-        The profiles do not touch on both sides, or cannot wear that much.
+        The profiles do not touch on both sides at nominal gauge.
     """
     with _named(scenario, plan):
-        return truth_of(plan, wear_at(plan, odometer), scenario.section, displacement_limit(scenario, track))
+        return truth_of(contact)
 
 
 @contextmanager

@@ -30,6 +30,7 @@ from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, wheelset_truth, write_registry, write_truth
 from ingest.simulator.survey import surveyed
 from ingest.simulator.track import TrackTruth
+from ingest.simulator.wear import GeometryTruth
 
 STAMP = "%Y%m%dT%H%M%SZ"
 
@@ -152,62 +153,65 @@ def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campa
     if scenario.drawn is None:
         plan = scenario.vehicle(vehicle)
         return [_write(scenario, out, plan, c, *simulate_campaign(scenario, track, plan, c)) for c in campaigns]
-    scenario, records = _on_the_rails(scenario, track, vehicle, campaigns)
+    scenario, axles = _on_the_rails(scenario, track, vehicle, campaigns)
     plan = scenario.vehicle(vehicle)
-    # wear of a drawn fleet does not grow: one geometry is that of every campaign
-    first = scenario.odometer(campaigns[0])
-    geometries = [true_geometry(scenario, track, item, first) for item in plan.wheelsets]
     written = []
-    for campaign, axle_records in zip(campaigns, records, strict=True):
+    for order, campaign in enumerate(campaigns):
         run = vehicle_run(scenario, track, plan, campaign)
-        batch = vehicle_frames(default_catalogue(), scenario, run, axle_records)
+        batch = vehicle_frames(default_catalogue(), scenario, run, [axle.records[order] for axle in axles])
         truths = tuple(
-            wheelset_truth(plan, axle, campaign, run.odometer, geometry) for axle, geometry in enumerate(geometries)
+            wheelset_truth(plan, place, campaign, run.odometer, axle.geometry) for place, axle in enumerate(axles)
         )
         written.append(_write(scenario, out, plan, campaign, batch, truths))
     return written
 
 
+@dataclass(frozen=True, slots=True)
+class _Axle:
+    """A wheelset of a drawn fleet: wear does not grow, so that it has one geometry in all campaigns."""
+
+    records: tuple[SensorRecord, ...]  # of each campaign
+    geometry: GeometryTruth
+
+
 def _on_the_rails(
     scenario: Scenario, track: TrackTruth, vehicle: str, campaigns: Campaigns
-) -> tuple[Scenario, list[list[SensorRecord | None]]]:
-    """Return the scenario with as much wear as keeps a vehicle on the rails, and its records by campaign and axle.
+) -> tuple[Scenario, list[_Axle]]:
+    """Return the scenario with as much wear as keeps a vehicle on the rails, and its wheelsets.
 
     In narrow places a worn wheelset may hunt until it leaves the rails, and a nearly new one too: no railway runs them.
     """
-    records: list[list[SensorRecord | None]] = [[] for _ in campaigns]
+    axles = []
     for axle in range(len(scenario.vehicle(vehicle).wheelsets)):
         scenario, found = _axle_on_the_rails(scenario, track, vehicle, axle, campaigns)
-        for axle_records, record_ in zip(records, found, strict=True):
-            axle_records.append(record_)
-    return scenario, records
+        axles.append(found)
+    return scenario, axles
 
 
 def _axle_on_the_rails(
     scenario: Scenario, track: TrackTruth, vehicle: str, axle: int, campaigns: Campaigns
-) -> tuple[Scenario, list[SensorRecord]]:
+) -> tuple[Scenario, _Axle]:
     derailed: list[DerailmentError] = []
     for share in shares_of_wear(scenario.vehicle(vehicle).wheelsets[axle]):
         tried = with_less_wear(scenario, vehicle, axle, share)
         try:
-            return tried, _axle_records(tried, track, vehicle, axle, campaigns)
+            return tried, _axle(tried, track, vehicle, axle, campaigns)
         except DerailmentError as error:
             derailed.append(error)
     raise no_wear_left(scenario, vehicle, axle, derailed[-1])
 
 
-def _axle_records(
-    scenario: Scenario, track: TrackTruth, vehicle: str, axle: int, campaigns: Campaigns
-) -> list[SensorRecord]:
-    """Return what the node of one wheelset measures in every campaign."""
+def _axle(scenario: Scenario, track: TrackTruth, vehicle: str, axle: int, campaigns: Campaigns) -> _Axle:
+    """Return what the node of one wheelset measures in every campaign, and its true geometry."""
     plan = scenario.vehicle(vehicle)
-    table = contact_of(scenario, track, plan.wheelsets[axle], scenario.odometer(campaigns[0]))
-    found = []
+    wheelset = plan.wheelsets[axle]
+    contact = contact_of(scenario, track, wheelset, scenario.odometer(campaigns[0]))
+    records = []
     for campaign in campaigns:
         run = vehicle_run(scenario, track, plan, campaign)
-        motion = wheelset_motion(scenario, track, run, axle, table)
-        found.append(wheelset_record(scenario, run, axle, motion))
-    return found
+        motion = wheelset_motion(scenario, track, run, axle, contact.table)
+        records.append(wheelset_record(scenario, run, axle, motion))
+    return _Axle(tuple(records), true_geometry(scenario, wheelset, contact))
 
 
 def _write(
@@ -255,13 +259,14 @@ def simulate_campaign(
     records: list[SensorRecord | None] = []
     truths: list[WheelsetTruth] = []
     for axle, plan in enumerate(vehicle.wheelsets):
-        geometry = true_geometry(scenario, track, plan, run.odometer)
+        contact = contact_of(scenario, track, plan, run.odometer)
+        geometry = true_geometry(scenario, plan, contact)
         truths.append(wheelset_truth(vehicle, axle, campaign, run.odometer, geometry))
         if failed(plan, campaign):
             records.append(None)
             continue
-        table = contact_of(scenario, track, plan, run.odometer)
-        records.append(wheelset_record(scenario, run, axle, wheelset_motion(scenario, track, run, axle, table)))
+        motion = wheelset_motion(scenario, track, run, axle, contact.table)
+        records.append(wheelset_record(scenario, run, axle, motion))
     return vehicle_frames(default_catalogue(), scenario, run, records), tuple(truths)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile
-from estimation.contact.radius_difference import radius_difference_curve
+from estimation.contact.radius_difference import refined_curve
 from estimation.contact.table import ContactTable
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray, frozen_array
@@ -40,13 +40,21 @@ def wear_at(plan: WheelsetPlan, odometer: float) -> WearState:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class WornContact:
+    """A worn wheelset on a section, and its contact geometry."""
+
+    wheelset: WheelsetOnTrack
+    table: ContactTable
+
+
 def worn_contact(
     plan: WheelsetPlan,
     wear: WearState,
     section: SectionPlan,
     gauge_deviation: FloatArray,
     limit: float,
-) -> ContactTable:
+) -> WornContact:
     """Return the contact geometry of a worn wheelset on ``section``, rigid with roll.
 
     Parameters
@@ -65,7 +73,8 @@ def worn_contact(
     ContactError
         The profiles never touch.
     """
-    return contact_table(_on_track(plan, wear, section), _grid(limit), gauge_deviation, outside="hold")
+    wheelset = _on_track(plan, wear, section)
+    return WornContact(wheelset, contact_table(wheelset, _grid(limit), gauge_deviation, outside="hold"))
 
 
 def _on_track(plan: WheelsetPlan, wear: WearState, section: SectionPlan) -> WheelsetOnTrack:
@@ -123,29 +132,31 @@ _CURVES = (
 )
 
 
-def truth_of(plan: WheelsetPlan, wear: WearState, section: SectionPlan, limit: float) -> GeometryTruth:
-    """Return the true geometry of a worn wheelset on ``section`` at nominal gauge, whatever gauge its line has.
+def truth_of(contact: WornContact) -> GeometryTruth:
+    """Return the true geometry of a worn wheelset at nominal gauge, whatever gauge its line has.
 
     Parameters
     ----------
-    plan, wear, section, limit
-        As :func:`worn_contact` takes them.
+    contact
+        As :func:`worn_contact` returns it; contact is searched again only where its table lacks nominal gauge.
 
     Raises
     ------
     ContactError
         The profiles never touch.
     """
-    wheelset, displacement = _on_track(plan, wear, section), _grid(limit)
-    table = contact_table(wheelset, displacement, (0.0,), outside="hold")
-    curve = radius_difference_curve(wheelset, displacement)
+    table = contact.table
+    if 0.0 not in table.gauge_deviation:
+        table = contact_table(contact.wheelset, table.lateral_displacement, (0.0,), outside="hold")
+    nominal = int(np.argmin(np.abs(table.gauge_deviation)))
+    curve = refined_curve(contact.wheelset, table, nominal)
     x, R = curve.displacement, curve.difference
     return GeometryTruth(
-        lateral_displacement=displacement,
-        rolling_radius_sum=table.rolling_radius_sum[:, 0],
-        rolling_radius_difference=table.rolling_radius_difference[:, 0],
-        contact_angle_sum=table.contact_angle_sum[:, 0],
-        contact_angle_difference=table.contact_angle_difference[:, 0],
+        lateral_displacement=table.lateral_displacement,
+        rolling_radius_sum=table.rolling_radius_sum[:, nominal],
+        rolling_radius_difference=table.rolling_radius_difference[:, nominal],
+        contact_angle_sum=table.contact_angle_sum[:, nominal],
+        contact_angle_difference=table.contact_angle_difference[:, nominal],
         amplitude=np.array(AMPLITUDES),
         equivalent_conicity=equivalent_conicity(x, R, AMPLITUDES),
         nonlinearity=nonlinearity_parameter(x, R),

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile, profile_from_points, rail_profile, wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve
+from estimation.contact.radius_difference import radius_difference_curve, refined_curve
 from estimation.contact.rail_definitions import RAIL_DEFINITIONS
 from estimation.contact.segments import evaluate
 from estimation.contact.surface import rail_surface
@@ -312,6 +312,19 @@ def test_a_refined_curve_is_that_of_a_fine_grid_with_jumps_where_they_are(method
         before, after = contact_table(wheelset, [jump - 3e-9, jump + 3e-9], method=method).contact_position_left[:, 0]
         both = contact_table(wheelset, [jump - 3e-9, jump + 3e-9], method=method).contact_position_right[:, 0]
         assert max(abs(after - before), abs(both[1] - both[0])) > 0.4e-3
+
+
+def test_a_refined_curve_of_a_searched_table_is_that_of_a_search_of_its_own() -> None:
+    wheelset = WheelsetOnTrack.symmetric(wheel_profile("S1002"), rail_profile("60E1"), 1 / 40, 1.435)
+    x = np.linspace(-15e-3, 15e-3, 61)
+    table = contact_table(wheelset, x, (-2e-3, 0.0), outside="hold")
+    assert not table.exists[:, 0].all()
+    for column, gauge_deviation in enumerate((-2e-3, 0.0)):
+        expected = radius_difference_curve(wheelset, x, gauge_deviation)
+        found = refined_curve(wheelset, table, column)
+        np.testing.assert_array_equal(found.displacement, expected.displacement)
+        np.testing.assert_array_equal(found.difference, expected.difference)
+        np.testing.assert_array_equal(found.jumps, expected.jumps)
 
 
 def test_a_notch_that_overhangs_when_the_rail_is_inclined_does_not_end_it() -> None:

@@ -52,10 +52,10 @@ def test_a_wheel_from_a_file_runs_as_the_built_in_one_that_it_is(wheels: Path) -
     on_file = NO_GAUGE.replace('name = "Short section"', 'name = "S"\nrail_file = "rail.txt"')
     both = scenario_of(wheels, on_file.replace('serial = "C"', 'serial = "C"\nwheel_file = "worn.txt"'))
     track = scenario_track(both)
-    table = contact_of(both, track, both.vehicles[0].wheelsets[2], 0.0)
+    table = contact_of(both, track, both.vehicles[0].wheelsets[2], 0.0).table
     by_name = NO_GAUGE.replace('serial = "C"', 'serial = "C"\ninitial_wear_mm = 1.0\nflange_wear_share = 1.0')
     built_in = scenario_of(wheels, by_name)
-    expected = contact_of(built_in, track, built_in.vehicles[0].wheelsets[2], 0.0)
+    expected = contact_of(built_in, track, built_in.vehicles[0].wheelsets[2], 0.0).table
     found, named = (
         item.rolling_radius_difference[np.abs(item.lateral_displacement) < 4e-3] for item in (table, expected)
     )
@@ -67,7 +67,7 @@ def test_the_wheels_of_a_wheelset_may_differ(wheels: Path) -> None:
     scenario = scenario_of(wheels, text)
     plan = scenario.vehicles[0].wheelsets[2]
     assert plan.wheel_files == (wheels / "worn.txt", None)
-    table = contact_of(scenario, scenario_track(scenario), plan, 0.0)
+    table = contact_of(scenario, scenario_track(scenario), plan, 0.0).table
     near = np.abs(table.lateral_displacement) < 4e-3
     left, right = table.contact_angle_left[near], table.contact_angle_right[near][::-1]
     assert np.abs(left - right).max() > 0.01
@@ -81,7 +81,7 @@ def test_a_rail_from_a_file_may_contain_its_inclination(wheels: Path) -> None:
     assert (scenario.section.file_inclination, leaning.section.file_inclination) == (0.0, 1 / 40)
     assert scenario.section.inclination == 1 / 20
     track, plan = scenario_track(scenario), scenario.vehicles[0].wheelsets[0]
-    upright, inclined = (contact_of(item, track, plan, 0.0) for item in (scenario, leaning))
+    upright, inclined = (contact_of(item, track, plan, 0.0).table for item in (scenario, leaning))
     assert np.abs(upright.rolling_radius_left - inclined.rolling_radius_left).max() > 1e-4
 
 

@@ -157,7 +157,7 @@ def test_a_wheelset_that_climbs_is_reported_with_its_place(tmp_path: Path) -> No
     s1002 = replace(vehicle.wheelsets[0], wheel_profile="S1002")
     vehicle = replace(vehicle, wheelsets=(s1002, *vehicle.wheelsets[1:]))
     rough = replace(scenario, vehicles=(vehicle,))
-    table = contact_of(rough, track, s1002, 0.0)
+    table = contact_of(rough, track, s1002, 0.0).table
     assert not table.exists.all()
     run = vehicle_run(rough, track, vehicle, 0)
     shaken = replace(track, alignment=4.0 * track.alignment)

@@ -17,7 +17,7 @@ from estimation.values.arrays import FloatArray
 from ingest.simulator.campaign import contact_of, scenario_track, true_geometry
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
-from ingest.simulator.wear import AMPLITUDES
+from ingest.simulator.wear import AMPLITUDES, truth_of, wear_at, worn_contact
 
 NO_GAUGE = SMALL.replace("gauge_std_mm = 0.5\nsurvey_alignment_std_mm = 0.1\nsurvey_gauge_std_mm = 0.2\n", "")
 FINE = 2e-6  # m
@@ -42,13 +42,14 @@ def finely_tabulated(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
 def test_the_true_conicity_has_the_contact_jumps_where_they_are(tmp_path: Path) -> None:
     scenario = scenario_of(tmp_path, NO_GAUGE.replace('serial = "C"', WEAR))
     track, plan = scenario_track(scenario), scenario.vehicles[0].wheelsets[2]
-    truth = true_geometry(scenario, track, plan, 0.0)
+    contact = contact_of(scenario, track, plan, 0.0)
+    truth = true_geometry(scenario, plan, contact)
     x, R = finely_tabulated(scenario)
     expected = equivalent_conicity(x, R, AMPLITUDES)
     np.testing.assert_allclose(truth.equivalent_conicity, expected, atol=1e-3)
     assert truth.nonlinearity == pytest.approx(nonlinearity_parameter(x, R), abs=5e-4)
     assert truth.zero_crossing == pytest.approx(zero_crossing(x, R), abs=1e-6)
-    table = contact_of(scenario, track, plan, 0.0)
+    table = contact.table
     coarse = equivalent_conicity(table.lateral_displacement, table.rolling_radius_difference[:, 0], AMPLITUDES)
     assert np.nanmax(np.abs(coarse - expected)) > 3e-3  # the case is one where that matters
 
@@ -60,13 +61,27 @@ def test_the_truth_is_at_nominal_gauge_on_a_line_that_never_has_it(tmp_path: Pat
     wide = replace(
         scenario, section=replace(scenario.section, recipe=replace(scenario.section.recipe, gauge_offset=4e-3))
     )
-    nominal, on_wide = (true_geometry(item, scenario_track(item), plan, 0.0) for item in (scenario, wide))
+    contacts = [contact_of(item, scenario_track(item), plan, 0.0) for item in (scenario, wide)]
+    nominal, on_wide = (true_geometry(scenario, plan, contact) for contact in contacts)
     np.testing.assert_array_equal(on_wide.equivalent_conicity, nominal.equivalent_conicity)
     same = np.searchsorted(on_wide.lateral_displacement, nominal.lateral_displacement - 1e-9)
     np.testing.assert_allclose(
         on_wide.rolling_radius_difference[same], nominal.rolling_radius_difference, rtol=0.0, atol=1e-12
     )
-    table = contact_of(wide, scenario_track(wide), plan, 0.0)
+    table = contacts[1].table
     assert table.gauge_deviation.min() > 1e-3
     found = equivalent_conicity(table.lateral_displacement, table.rolling_radius_difference[:, 0], AMPLITUDES)
     assert np.nanmax(np.abs(found - nominal.equivalent_conicity)) > 0.01
+
+
+def test_the_truth_does_not_depend_on_which_gauges_the_line_has_beside_the_nominal_one(tmp_path: Path) -> None:
+    scenario = scenario_of(tmp_path, NO_GAUGE.replace('serial = "C"', WEAR))
+    plan = scenario.vehicles[0].wheelsets[2]
+    wear = wear_at(plan, 0.0)
+    alone, among = (
+        truth_of(worn_contact(plan, wear, scenario.section, np.array(gauges), 6e-3))
+        for gauges in ((0.0,), (-1e-3, 0.0, 1e-3))
+    )
+    np.testing.assert_array_equal(among.rolling_radius_difference, alone.rolling_radius_difference)
+    np.testing.assert_array_equal(among.equivalent_conicity, alone.equivalent_conicity)
+    assert among.nonlinearity == alone.nonlinearity
