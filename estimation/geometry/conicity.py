@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
+from estimation.geometry.sharpening import (
+    Sharpening,
+    edges_and_centres,
+    jumps_displaced,
+    nodes_of,
+    sharpen,
+)
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.intervals import jackknife_std, with_interval
+from estimation.values.intervals import NORMAL_95, jackknife_std, with_interval
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
 
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
-LEAST_AMPLITUDE = 0.25e-3  # m
-REACH = 0.25e-3  # m of amplitude
+BLUR_SHARE = 0.5  # of what sharpening changes: what is not known of it
 NO_AMPLITUDE = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "no amplitude is covered")
 NO_OFFSET = Reason(ReasonCode.OFFSET_NOT_OBSERVABLE, "band-limited signals carry no offset")
 NO_ZERO = Reason(ReasonCode.NO_ZERO_CROSSING, "rL - rR has no zero in the range covered")
@@ -79,10 +86,7 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
         return CurveEstimates(
             amplitude, (unknown,) * len(amplitude), parameters.reference_amplitude, unknown, unknown, unknown
         )
-    rows = _rows(curve, run)
-    values = np.stack([equivalent_conicity(x, difference, amplitude) for x, difference in rows])
-    rounded = values[:1] + _rounding(rows[0], amplitude, curve.error.resolution(float(np.diff(curve.edges[:2])[0])))
-    values = np.concatenate([values, rounded])
+    rows, values = _rows(curve, run, amplitude)
     conicity = tuple(_estimate(values[:, k], groups, curve.count, not_covered(a)) for k, a in enumerate(amplitude))
     at_reference, reported_amplitude = at_reference_amplitude(amplitude, conicity, parameters)
     nonlinearity = _nonlinearity(amplitude, values, groups, curve.count, parameters)
@@ -134,27 +138,6 @@ def _nonlinearity(
     return _estimate(per_mm * both, groups, count, not_covered(ends[1]))
 
 
-def _rounding(row: _Row, amplitude: FloatArray, resolution: float) -> FloatArray:
-    """Return what rounding over ``resolution`` (m) changes of the conicity (a,), from its bend over amplitude.
-
-    Where a contact jump is inside a bin, bins cannot show; the conicity just above it depends on that. A resolution
-    beyond ``REACH`` has rounded the bend itself, and moved where it shows: the largest within it counts.
-    """
-    x, difference = row
-    reach = max(resolution, REACH)
-
-    def bend(shift: float) -> FloatArray:
-        below, here, above = (
-            equivalent_conicity(x, difference, np.maximum(amplitude + shift + at, LEAST_AMPLITUDE))
-            for at in (-reach, 0.0, reach)
-        )
-        return np.nan_to_num(0.5 * (below - 2 * here + above) * (min(resolution, REACH) / REACH) ** 2)
-
-    if resolution <= REACH:
-        return bend(0.0)
-    return np.asarray(np.max(np.abs([bend(shift) for shift in (-0.5 * reach, 0.0, 0.5 * reach)]), axis=0))
-
-
 def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:
     """Return the unbroken run of usable bins that holds the bin nearest to zero displacement."""
     usable = curve.usable & np.isfinite(curve.difference).all(axis=(0, 2))
@@ -168,38 +151,62 @@ def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:
     return run if run.sum() >= FEWEST_NODES else None
 
 
-def _rows(curve: CurveReplicates, run: BoolArray) -> list[_Row]:
-    """Return the curve from all data, with each group left out, then shifted by each systematic uncertainty.
+def _rows(curve: CurveReplicates, run: BoolArray, amplitude: FloatArray) -> tuple[list[_Row], FloatArray]:
+    """Return the curve from all data, each group left out, each systematic uncertainty; and conicities (1 + g + k, a).
 
     The error of the displacement (std e) flattens the curve: a large measured displacement is too large on average,
-    by the factor 1/(1 - e^2/var). That is taken back; as much as was taken back stands for what remains unknown. So
-    do a scale error, the rounding of kinks by e, and the difference between bins that bend and straight lines
-    between their centres.
+    by the factor 1/(1 - e^2/var). That is taken back, as is the blur of contact jumps.
     """
-    excess = curve.error.excess
     low, high = curve.edges[:-1][run], curve.edges[1:][run]
-    at = _nodes(low, high)
-    x = (1 - excess) * at
-    values = [_evaluate(shape[run]) for shape in curve.difference]
-    shifted = [values[0] + _evaluate(curve.sensitivity[run, k]) for k in range(curve.sensitivity.shape[1])]
-    coarse = np.interp(at, 0.5 * (low + high), curve.difference[0, run, 0])
-    rounded = curve.error.rounded(x, values[0])
-    stretched = ((1 + curve.error.scale) * x, values[0])
-    return [*((x, row) for row in (*values, *shifted)), (at, values[0]), stretched, (x, rounded), (x, coarse)]
+    nodes = np.stack([nodes_of(shape[run]) for shape in curve.difference])
+    blur = float(np.hypot(curve.error.std, curve.error.jump_position_std))
+    sharp = sharpen(low, high, nodes[0], jackknife_std(nodes), blur)
+    x = (1 - curve.error.excess) * sharp.displacement
+    shifted = nodes[0] + nodes_of(np.moveaxis(curve.sensitivity[run], 1, -1)).T  # (k, m)
+    rows = [(x, sharp.curve(row)) for row in (*nodes, *shifted)]
+    conicity = np.stack([equivalent_conicity(*row, amplitude) for row in rows])
+    plain = (1 - curve.error.excess) * edges_and_centres(low, high)
+    others = _systematic(curve.error, sharp, rows[0], (plain, nodes[0]), amplitude)
+    stretched = ((1 + curve.error.scale) * x, rows[0][1])
+    return [*rows, (sharp.displacement, rows[0][1]), stretched], np.concatenate([conicity, conicity[0] + others])
 
 
-def _nodes(low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return edges and centres of adjoining bins, ascending: (2 b + 1,)."""
-    return np.append(np.column_stack([low, 0.5 * (low + high)]).ravel(), high[-1])
+def _systematic(
+    error: DisplacementError, sharp: Sharpening, row: _Row, plain: _Row, amplitude: FloatArray
+) -> FloatArray:
+    """Return what each systematic error of the displacement changes of the conicity: (4, a).
+
+    As much as was taken back for the error stands for what remains unknown; half as much for the blur. A stretch and
+    contact jumps that are elsewhere change the conicity in steps.
+    """
+    x, curve = row
+    here = equivalent_conicity(x, curve, amplitude)
+    middle = zero_crossing(x, curve)
+    jump = error.jump_place_std(sharp.blur)
+
+    def stretched(share: float) -> FloatArray:
+        return equivalent_conicity((1.0 + share * error.scale) * x, curve, amplitude)
+
+    def displaced(share: float) -> FloatArray:
+        return equivalent_conicity(x, jumps_displaced(x, curve, middle, share * jump), amplitude)
+
+    return np.stack(
+        [
+            equivalent_conicity(sharp.displacement, curve, amplitude) - here,
+            BLUR_SHARE * (equivalent_conicity(*plain, amplitude) - here),
+            _widest(stretched, here),
+            _widest(displaced, here) if np.isfinite(middle) else np.zeros(len(here)),
+        ]
+    )
 
 
-def _evaluate(shape: FloatArray) -> FloatArray:
-    """Return the locally quadratic curve (b, 3) at the nodes; at an edge between two bins the mean of both."""
-    value, slope, curvature = shape.T
-    at_low, at_high = value - slope / 2 + curvature / 4, value + slope / 2 + curvature / 4
-    edge = at_low.copy()
-    edge[1:] = 0.5 * (at_low[1:] + at_high[:-1])
-    return np.append(np.column_stack([edge, value]).ravel(), at_high[-1])
+def _widest(changed: Callable[[float], FloatArray], here: FloatArray) -> FloatArray:
+    """Return the largest change per std within a 95 % interval, either way: a jump may be passed far out only.
+
+    Where a change leaves the range covered, the other way counts.
+    """
+    changes = [np.abs(changed(share) - here) / abs(share) for share in (-NORMAL_95, -1.0, 1.0, NORMAL_95)]
+    return np.asarray(np.nanmax(np.nan_to_num(changes), axis=0))
 
 
 def _estimate(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:

@@ -114,6 +114,7 @@ def _screened(
         integrated=bins.band_limited,
         scale=unc.displacement,
         jump_position_std=unc.jump_position_std,
+        jump_mean_std=unc.jump_mean_std,
     )
     return _BinScreening(too_few, jump, centre, error, parameters.informative)
 

@@ -55,7 +55,8 @@ class ParameterUncertainty:
     mass: float = 0.025
     ratio: float | None = None
     displacement: float = 0.0  # of a common scale error of y - d that the alignment leaves open
-    jump_position_std: float = 0.0  # m, of where contact jumps are on a gauge that varies
+    jump_position_std: float = 0.0  # m, of where contact jumps are from place to place, on a gauge that varies
+    jump_mean_std: float = 0.0  # m, of where they are on average: a gauge that is not on file
 
     def on(self, tracks: Iterable[TrackAlignment], wheelset: str | None = None) -> ParameterUncertainty:
         """Return what is left unknown of a geometry that rests on these alignments.
@@ -77,6 +78,7 @@ class ParameterUncertainty:
             jump_position_std=max(
                 (_jump_position_std(track, wheelset) for track in used), default=self.jump_position_std
             ),
+            jump_mean_std=max((_jump_mean_std(track) for track in used), default=self.jump_mean_std),
         )
 
     def lateral(self) -> FloatArray:
@@ -128,6 +130,13 @@ def _jump_position_std(track: TrackAlignment, wheelset: str | None) -> float:
     return share * (spread if track.gauge_known else max(spread, float(np.median(track.gauge_deviation_std))))
 
 
+def _jump_mean_std(track: TrackAlignment) -> float:
+    """Return the std, m, of where contact jumps are on average: narrow gauge counts for more where a wheelset runs less."""
+    return 0.0 if track.gauge_known else JUMP_SHARE_UNCORRECTED * float(np.median(track.gauge_deviation_std))
+
+
+JUMP_PLACE = 0.02e-3  # m, std of where a contact jump is found without any gauge
+JUMP_PLACE_SHARE = 0.2  # of the blur, the same
 SCALE_UNCERTAINTY = 0.003  # of a displacement that was integrated and projected
 SCATTER = 2.5  # std over which samples scatter across a jump, in std of the error
 ORIGIN = 0.005e-3  # m, std of the origin of band-limited motion: it is the mean of the observed displacements
@@ -143,11 +152,12 @@ class DisplacementError:
     excess: float  # share
     scale: float  # share, std
     origin: float = 0.0  # m, std
-    jump_position_std: float = 0.0  # m, std of where contact jumps are besides
+    jump_position_std: float = 0.0  # m, std of where contact jumps are besides, from place to place
+    jump_mean_std: float = 0.0  # m, the same on average
 
-    def resolution(self, width: float) -> float:
-        """Return the length, m, over which bins of ``width`` (m) smooth a curve: error, half a bin, place of jumps."""
-        return float(np.sqrt(self.std**2 + (0.4 * width) ** 2 + self.jump_position_std**2))
+    def jump_place_std(self, blur: float) -> float:
+        """Return the std, m, of where contact jumps are found on average behind a blur (m, std)."""
+        return float(np.linalg.norm([JUMP_PLACE, JUMP_PLACE_SHARE * blur, self.jump_mean_std]))
 
     @staticmethod
     def of(
@@ -158,16 +168,19 @@ class DisplacementError:
         integrated: bool,
         scale: float = 0.0,
         jump_position_std: float = 0.0,
+        jump_mean_std: float = 0.0,
     ) -> DisplacementError:
         """Return the error for displacements distributed as ``samples`` (b,) over bins at ``centre`` (b,), m.
 
         ``scale`` is the relative std of a common scale error of y - d besides that of the integration,
-        ``jump_position_std``, m, that of where contact jumps are.
+        ``jump_position_std`` and ``jump_mean_std``, m, those of where contact jumps are.
         """
         variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
         excess = min(std**2 / variance, MOST_EXCESS) if variance > 0 else 0.0
         known = (0.0, 0.0) if not integrated else (SCALE_UNCERTAINTY, ORIGIN)
-        return DisplacementError(std, excess, float(np.hypot(known[0], scale)), known[1], jump_position_std)
+        return DisplacementError(
+            std, excess, float(np.hypot(known[0], scale)), known[1], jump_position_std, jump_mean_std
+        )
 
     def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
         """Return the curve averaged over a normal error of x (three-point Gauss-Hermite); straight beyond its ends."""

@@ -1,0 +1,193 @@
+"""A rolling radius difference without the blur of its displacement.
+
+The error of y - d, and a gauge that moves contact jumps, blur a curve R(x) over some tenths of a millimetre; the
+quadratics of the bins blur it further. What is behind is found by least squares with bounds (Lawson and Hanson, Solving
+Least Squares Problems, 1974, ch. 23): R is the integral of slopes in cells of a fifth of a bin. Blurred by a normal
+error and reduced to the quadratics of the bins, it has to give the nodes that were observed. A slope is not negative,
+or no more than twice what was observed; this is what brings a jump back into one place.
+
+How far the blur reaches is known roughly. The longest that the nodes allow is taken: one that is too long leaves a
+misfit, because no curve within the bounds becomes as sharp as what was observed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.special import ndtr
+
+from estimation.values.arrays import FloatArray
+
+CELLS = 5  # in a bin
+LEAST_STD = 5e-6  # m of a node: blurs are not quite normal
+ROUGHNESS = 1.0  # std that a change of the slope by 1 from cell to cell counts for
+MOST_MISFIT = 1.0  # rms, in std of the nodes
+BLURS = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)  # of the longest that is to be expected
+SAMPLES = 8  # in a bin, for its quadratic
+REACH = 3.0  # std of the blur that the cells go beyond the bins
+_KEPT = 64  # operators: the bins and blurs of wheelsets are much alike
+
+
+@dataclass(frozen=True, slots=True)
+class Sharpening:
+    """How nodes of a curve become a sharp one; linear in the nodes, with the slopes that were at their bound kept there."""
+
+    displacement: FloatArray  # (n,) m
+    blur: float  # m, std that is taken away
+    inverse: FloatArray  # (n, m) value at a displacement per value at a node
+    constant: FloatArray  # (n,) m
+
+    def curve(self, nodes: FloatArray) -> FloatArray:
+        """Return the sharp curve (n,), m, of values at the nodes (m,)."""
+        return np.asarray(self.inverse @ nodes + self.constant)
+
+
+def edges_and_centres(low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return the nodes of adjoining bins, ascending: (2 b + 1,).
+
+    Parameters
+    ----------
+    low, high
+        (b,) edges of the bins.
+    """
+    return np.append(np.column_stack([low, 0.5 * (low + high)]).ravel(), high[-1])
+
+
+def nodes_of(shape: FloatArray) -> FloatArray:
+    """Return quadratics of bins (b, 3, ...) over u at the nodes (2 b + 1, ...); at an edge the mean of both bins.
+
+    Parameters
+    ----------
+    shape
+        Value, slope and curvature over u = (x - centre)/width.
+    """
+    value, slope, curvature = shape[:, 0], shape[:, 1], shape[:, 2]
+    at_low, at_high = value - slope / 2 + curvature / 4, value + slope / 2 + curvature / 4
+    at_edge = np.concatenate([at_low[:1], 0.5 * (at_low[1:] + at_high[:-1])])
+    return np.concatenate([np.stack([at_edge, value], axis=1).reshape(-1, *value.shape[1:]), at_high[-1:]])
+
+
+def unsharpened(low: FloatArray, high: FloatArray) -> Sharpening:
+    """Return what leaves the nodes of bins (b,) as they are.
+
+    Parameters
+    ----------
+    low, high
+        (b,) m, edges of adjoining bins.
+    """
+    x = edges_and_centres(low, high)
+    return Sharpening(x, 0.0, np.eye(len(x)), np.zeros(len(x)))
+
+
+def sharpen(low: FloatArray, high: FloatArray, nodes: FloatArray, std: FloatArray, longest: float) -> Sharpening:
+    """Return how to take away the longest blur up to ``longest`` that the nodes allow.
+
+    Parameters
+    ----------
+    low, high
+        (b,) m, edges of adjoining bins of one width.
+    nodes
+        (2 b + 1,) m, the curve at :func:`edges_and_centres`.
+    std
+        (2 b + 1,) m, of the nodes.
+    longest
+        m, std of the blur that is to be expected at most.
+    """
+    weight = 1.0 / np.hypot(std, LEAST_STD)
+    least = min(0.0, 2.0 * float(np.min(np.diff(nodes[1::2]) / np.diff(low)))) if len(low) > 1 else 0.0
+    for share in BLURS:
+        found = _sharpen(low, high, nodes, weight, share * longest, least)
+        if found is not None:
+            return found
+    return unsharpened(low, high)
+
+
+def _sharpen(
+    low: FloatArray, high: FloatArray, nodes: FloatArray, weight: FloatArray, blur: float, least: float
+) -> Sharpening | None:
+    """Return how to take away a blur (m); None where no curve with slopes of at least ``least`` becomes these nodes."""
+    width = float(high[0] - low[0])
+    step, beyond = width / CELLS, _beyond(width, blur)
+    response = _response(len(low), width, blur)
+    cells = response.shape[1]
+    base = least * response.sum(axis=1)
+    rough = ROUGHNESS * np.diff(np.eye(cells), axis=0)
+    system = np.vstack(
+        [
+            np.column_stack([weight, weight[:, None] * response]),
+            np.column_stack([np.zeros(cells - 1), rough]),
+        ]
+    )
+    wanted = np.append(weight * (nodes - base), np.zeros(cells - 1))
+    found, _ = nnls(np.column_stack([system, -system[:, 0]]), wanted, maxiter=30 * cells)  # the offset has any sign
+    theta = np.append(found[0] - found[-1], found[1:-1])
+    misfit = system[: len(nodes)] @ theta - wanted[: len(nodes)]
+    if np.sqrt(np.mean(misfit**2)) > MOST_MISFIT:
+        return None
+    free = np.append(True, found[1:-1] > 0.0)
+    solved = np.zeros((cells + 1, len(nodes)))
+    solved[free] = np.linalg.pinv(system[:, free])[:, : len(nodes)] * weight
+    inside = slice(beyond, cells + 1 - beyond)
+    integral = np.concatenate([np.zeros((1, len(nodes))), np.cumsum(step * solved[1:], axis=0)]) + solved[0]
+    slope = least * step * np.arange(cells + 1)
+    return Sharpening(
+        displacement=low[0] + step * np.arange(cells + 1 - 2 * beyond),
+        blur=blur,
+        inverse=integral[inside],
+        constant=(slope - integral @ base)[inside],
+    )
+
+
+def _beyond(width: float, blur: float) -> int:
+    """Return how many cells there are beyond the bins at each end."""
+    return max(CELLS, int(np.ceil(REACH * blur * CELLS / width)))
+
+
+@lru_cache(maxsize=_KEPT)
+def _response(bins: int, width: float, blur: float) -> FloatArray:
+    """Return what a slope of 1 in each cell makes of the nodes of the bins, blurred: (2 b + 1, cells), m."""
+    beyond = _beyond(width, blur)
+    edges = width / CELLS * (np.arange(CELLS * bins + 2 * beyond + 1) - beyond)
+    u = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+    x = width * (np.arange(bins)[:, None] + 0.5 + u)
+    ramp = _blurred_ramp(x.ravel()[:, None] - edges, blur)
+    curves = (ramp[:, :-1] - ramp[:, 1:]).reshape(bins, SAMPLES, -1)
+    quadratic = np.linalg.pinv(np.vander(u, 3, increasing=True))
+    response = nodes_of(np.einsum("kq,bqn->bkn", quadratic, curves))
+    response.flags.writeable = False
+    return response
+
+
+def _blurred_ramp(x: FloatArray, blur: float) -> FloatArray:
+    """Return max(x, 0) averaged over a normal error of x with std ``blur``."""
+    if blur <= 0.0:
+        return np.maximum(x, 0.0)
+    z = x / blur
+    return np.asarray(x * ndtr(z) + blur / np.sqrt(2.0 * np.pi) * np.exp(-0.5 * z**2))
+
+
+STEEP = 2.0  # times the median slope: what is steeper is part of a jump
+
+
+def jumps_displaced(x: FloatArray, curve: FloatArray, middle: float, by: float) -> FloatArray:
+    """Return a curve (n,) whose contact jumps are further from ``middle`` by ``by`` (m; negative: nearer).
+
+    Parameters
+    ----------
+    x, curve
+        (n,) m, strictly increasing displacement and its rolling radius difference.
+    middle
+        m, displacement from which jumps move away.
+    by
+        m.
+    """
+    slope = np.diff(curve) / np.diff(x)
+    beyond = np.maximum(slope - STEEP * max(float(np.median(slope)), 0.0), 0.0)
+    steep = np.append(0.0, np.cumsum(beyond * np.diff(x)))
+    steep -= np.interp(middle, x, steep)
+    away = x - middle
+    nearer = middle + np.sign(away) * np.maximum(np.abs(away) - by, 0.0)
+    return np.asarray(curve - steep + np.interp(nearer, x, steep))
