@@ -33,7 +33,7 @@ _KEPT = 64  # operators: the bins and blurs of wheelsets are much alike
 
 @dataclass(frozen=True, slots=True)
 class Sharpening:
-    """How nodes of a curve become a sharp one; linear in the nodes, with the slopes that were at their bound kept there."""
+    """How nodes of a curve become a sharp one; linear in the nodes: slopes that were at their bound stay there."""
 
     displacement: FloatArray  # (n,) m
     blur: float  # m, std that is taken away
