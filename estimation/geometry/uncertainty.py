@@ -131,7 +131,7 @@ def _jump_position_std(track: TrackAlignment, wheelset: str | None) -> float:
 
 
 def _jump_mean_std(track: TrackAlignment) -> float:
-    """Return the std, m, of where contact jumps are on average: a wheelset runs further in wide gauge than in narrow."""
+    """Return the std, m, of where contact jumps are on average: a wheelset runs further in wide gauge."""
     return 0.0 if track.gauge_known else JUMP_SHARE_UNCORRECTED * float(np.median(track.gauge_deviation_std))
 
 
