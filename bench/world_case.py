@@ -6,9 +6,9 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from api.comparison.trial import deploy, opened, receive, record, run_jobs
-from api.comparison.truth import read_truth
-from bench.section_case import WheelsetScore, wheelset_score
+from api.comparison.trial import record, run_jobs
+from bench.deployment import published, received
+from bench.wheelset_score import WheelsetScore, wheelset_score
 from estimation.storage import Storage
 from ingest.simulator.scenario import Scenario
 
@@ -47,9 +47,7 @@ def score(scenario: Scenario, cache: Path, folder: Path) -> WorldScore:
     """
     recorded = record(scenario, cache, workers=1)
     began = time.perf_counter()
-    settings = deploy(scenario, folder)
-    receive(recorded, settings)
-    with opened(settings) as (storage, context):
+    with received(scenario, recorded, folder) as (storage, context):
         run_jobs(context)
         return _stored(storage, scenario, recorded.truth, began)
 
@@ -57,16 +55,10 @@ def score(scenario: Scenario, cache: Path, folder: Path) -> WorldScore:
 def _stored(storage: Storage, scenario: Scenario, truth_file: Path, began: float) -> WorldScore:
     wheelsets, widths = [], []
     with storage.read() as unit:
-        for truth in read_truth(truth_file):
-            current = unit.geometries.current(truth.serial)
-            if current is None or not current.geometry.samples.sum() > 0:
-                continue
-            wheelsets.append(wheelset_score(current.geometry, truth))
-            widths += [
-                0.5 * (one.high - one.low)
-                for one in current.geometry.conicity
-                if one.low is not None and one.high is not None
-            ]
+        for truth, geometry in published(unit, truth_file):
+            wheelsets.append(wheelset_score(geometry, truth))
+            intervals = ((one.low, one.high) for one in geometry.conicity)
+            widths += [0.5 * (high - low) for low, high in intervals if low is not None and high is not None]
         alignment = unit.tracks.alignment(scenario.section.code)
         report = unit.tracks.report(scenario.section.code)
     found = {} if report is None else report.report

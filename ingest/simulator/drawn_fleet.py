@@ -64,10 +64,27 @@ def with_less_wear(scenario: Scenario, vehicle: str, axle: int, share: float) ->
     share
         Of the wear at odometer 0.
     """
-    plan = scenario.vehicle(vehicle)
-    worn = plan.wheelsets[axle]
+    worn = scenario.vehicle(vehicle).wheelsets[axle]
     less = replace(worn, initial_left=share * worn.initial_left, initial_right=share * worn.initial_right)
-    wheelsets = tuple(less if place == axle else item for place, item in enumerate(plan.wheelsets))
+    return with_wheelset(scenario, vehicle, axle, less)
+
+
+def with_wheelset(scenario: Scenario, vehicle: str, axle: int, wheelset: WheelsetPlan) -> Scenario:
+    """Return the scenario with another wheelset at one place.
+
+    Parameters
+    ----------
+    scenario
+        The fleet as drawn.
+    vehicle
+        Code of the vehicle.
+    axle
+        From 0.
+    wheelset
+        What is there instead.
+    """
+    plan = scenario.vehicle(vehicle)
+    wheelsets = tuple(wheelset if place == axle else item for place, item in enumerate(plan.wheelsets))
     changed = replace(plan, wheelsets=wheelsets)
     return replace(scenario, vehicles=tuple(changed if item is plan else item for item in scenario.vehicles))
 

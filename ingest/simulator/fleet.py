@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -155,22 +155,17 @@ def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campa
         return [_write(scenario, out, plan, c, *simulate_campaign(scenario, track, plan, c)) for c in campaigns]
     scenario, axles = _on_the_rails(scenario, track, vehicle, campaigns)
     plan = scenario.vehicle(vehicle)
-    written = []
-    for order, campaign in enumerate(campaigns):
-        run = vehicle_run(scenario, track, plan, campaign)
-        batch = vehicle_frames(default_catalogue(), scenario, run, [axle.records[order] for axle in axles])
-        truths = tuple(
-            wheelset_truth(plan, place, campaign, run.odometer, axle.geometry) for place, axle in enumerate(axles)
-        )
-        written.append(_write(scenario, out, plan, campaign, batch, truths))
-    return written
+    return [
+        _write(scenario, out, plan, campaign, *_campaign(scenario, track, plan, axles, campaign))
+        for campaign in campaigns
+    ]
 
 
 @dataclass(frozen=True, slots=True)
 class _Axle:
-    """A wheelset of a drawn fleet: wear does not grow, so that it has one geometry in all campaigns."""
+    """A wheelset over campaigns between which it does not wear."""
 
-    records: tuple[SensorRecord, ...]  # of each campaign
+    records: Mapping[int, SensorRecord | None]  # by campaign; None where its node has failed
     geometry: GeometryTruth
 
 
@@ -202,16 +197,29 @@ def _axle_on_the_rails(
 
 
 def _axle(scenario: Scenario, track: TrackTruth, vehicle: str, axle: int, campaigns: Campaigns) -> _Axle:
-    """Return what the node of one wheelset measures in every campaign, and its true geometry."""
+    """Return what the node of one wheelset measures in every campaign, and its true geometry in the first."""
     plan = scenario.vehicle(vehicle)
     wheelset = plan.wheelsets[axle]
     contact = contact_of(scenario, track, wheelset, scenario.odometer(campaigns[0]))
-    records = []
+    records: dict[int, SensorRecord | None] = {}
     for campaign in campaigns:
+        if failed(wheelset, campaign):
+            records[campaign] = None
+            continue
         run = vehicle_run(scenario, track, plan, campaign)
         motion = wheelset_motion(scenario, track, run, axle, contact.table)
-        records.append(wheelset_record(scenario, run, axle, motion))
-    return _Axle(tuple(records), true_geometry(scenario, wheelset, contact))
+        records[campaign] = wheelset_record(scenario, run, axle, motion)
+    return _Axle(records, true_geometry(scenario, wheelset, contact))
+
+
+def _campaign(
+    scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, axles: Sequence[_Axle], campaign: int
+) -> tuple[FrameBatch, tuple[WheelsetTruth, ...]]:
+    """Return all frames of one campaign of one vehicle, and the truth of its wheelsets."""
+    run = vehicle_run(scenario, track, vehicle, campaign)
+    batch = vehicle_frames(default_catalogue(), scenario, run, [axle.records[campaign] for axle in axles])
+    truths = (wheelset_truth(vehicle, place, campaign, run.odometer, axle.geometry) for place, axle in enumerate(axles))
+    return batch, tuple(truths)
 
 
 def _write(
@@ -255,19 +263,8 @@ def simulate_campaign(
     DerailmentError
         A wheelset leaves the range of its contact geometry.
     """
-    run = vehicle_run(scenario, track, vehicle, campaign)
-    records: list[SensorRecord | None] = []
-    truths: list[WheelsetTruth] = []
-    for axle, plan in enumerate(vehicle.wheelsets):
-        contact = contact_of(scenario, track, plan, run.odometer)
-        geometry = true_geometry(scenario, plan, contact)
-        truths.append(wheelset_truth(vehicle, axle, campaign, run.odometer, geometry))
-        if failed(plan, campaign):
-            records.append(None)
-            continue
-        motion = wheelset_motion(scenario, track, run, axle, contact.table)
-        records.append(wheelset_record(scenario, run, axle, motion))
-    return vehicle_frames(default_catalogue(), scenario, run, records), tuple(truths)
+    axles = [_axle(scenario, track, vehicle.code, axle, (campaign,)) for axle in range(len(vehicle.wheelsets))]
+    return _campaign(scenario, track, vehicle, axles, campaign)
 
 
 def _recordings(
