@@ -1,0 +1,50 @@
+"""Tables of the world bench: rows against what they have to reach, and intervals against diversity."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bench.world_table import HEADER, WIDTH_HEADER, page_body, summary_rows, width_rows
+
+
+def case(row: str, diversity: float, widths: list[float], *, covered: int, error: float = 0.01) -> dict[str, Any]:
+    conicity = {"published": len(widths), "covered": covered}
+    wheelsets = [{"error": error, "conicity": conicity}] if widths else []
+    survey = "survey_confirmed" if row.startswith("known") else ""
+    return {"row": row, "survey": survey, "wheelsets": wheelsets, "half_widths": widths, "diversity": diversity}
+
+
+def cells(header: tuple[str, ...], row: tuple[str, ...]) -> dict[str, str]:
+    return dict(zip(header, row, strict=True))
+
+
+def test_widths_are_printed_against_the_diversity_of_fleets_on_unknown_track() -> None:
+    cases = [
+        case("unknown_alike_02", 0.05, [], covered=0),
+        case("unknown_alike_02", 0.15, [0.2, 0.3, 0.4], covered=3, error=0.02),
+        case("unknown_alike_05", 0.2, [0.6], covered=0, error=0.04),
+        case("unknown_alike_08", 0.0, [], covered=0),
+        case("unknown_long_gauge", 1.2, [0.01], covered=1),
+        case("known_alike", 0.15, [9.0], covered=0),
+    ]
+    rows = [cells(WIDTH_HEADER, row) for row in width_rows(cases)]
+    assert [row["diversity"] for row in rows] == ["0 to 0.1", "0.1 to 0.2", "above 0.8", "none"]
+    assert [row["fleets"] for row in rows] == ["1", "2", "1", "1"]
+    assert [row["nothing published"] for row in rows] == ["1", "0", "0", "1"]
+    assert rows[1]["covers"] == "75.0 % of 4"
+    assert rows[1]["half width: median"] == "0.350"
+    assert rows[1]["error: median"] == "0.0300"
+
+
+def test_a_row_counts_the_fleets_of_which_nothing_was_published() -> None:
+    cases = [
+        case("unknown_alike_02", 0.1, [], covered=0),
+        case("unknown_alike_02", 0.1, [0.2], covered=1),
+        case("known_alike", 0.2, [0.02] * 20, covered=19, error=0.016),
+    ]
+    known, unknown = (cells(HEADER, row) for row in summary_rows(cases))
+    assert (unknown["seeds"], unknown["nothing published"], unknown["met"]) == ("2", "1", "yes")
+    assert (known["survey right"], known["covers"], known["met"]) == ("1 of 1", "95.0 % of 20", "NO")
+    page = "\n".join(page_body(cases))
+    assert "| unknown_alike_02 | 2 | 1 |" in page
+    assert "| 0 to 0.1 | 2 | 1 | 100.0 % of 1 | 0.200 | 0.0100 |" in page
