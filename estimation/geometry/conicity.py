@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -176,16 +176,18 @@ def _systematic(
 ) -> FloatArray:
     """Return what each systematic error of the displacement changes of the conicity: (4, a).
 
-    As much as was taken back for the error stands for what remains unknown; half as much for the blur. A stretch and
-    contact jumps that are elsewhere change the conicity in steps.
+    As much as was taken back for the error stands for what remains unknown; half as much for the blur, or all that as
+    much again changes where it is left. A stretch and contact jumps that are elsewhere change the conicity in steps.
     """
     x, curve = row
     here = equivalent_conicity(x, curve, amplitude)
     middle = zero_crossing(x, curve)
-    jump = error.jump_place_std(sharp.blur)
+    jump = error.jump_place_std(sharp.blur + sharp.left)
+    blurred = replace(error, std=sharp.left).rounded(*plain)
 
     def stretched(share: float) -> FloatArray:
-        return equivalent_conicity((1.0 + share * error.scale) * x, curve, amplitude)
+        factor = 1.0 + share * error.scale
+        return equivalent_conicity(factor * x, curve, amplitude) if factor > 0.0 else np.full(len(here), np.nan)
 
     def displaced(share: float) -> FloatArray:
         return equivalent_conicity(x, jumps_displaced(x, curve, middle, share * jump), amplitude)
@@ -193,7 +195,7 @@ def _systematic(
     return np.stack(
         [
             equivalent_conicity(sharp.displacement, curve, amplitude) - here,
-            BLUR_SHARE * (equivalent_conicity(*plain, amplitude) - here),
+            (1.0 if sharp.left else BLUR_SHARE) * (equivalent_conicity(plain[0], blurred, amplitude) - here),
             _widest(stretched, here),
             _widest(displaced, here) if np.isfinite(middle) else np.zeros(len(here)),
         ]
@@ -206,7 +208,7 @@ def _widest(changed: Callable[[float], FloatArray], here: FloatArray) -> FloatAr
     Where a change leaves the range covered, the other way counts.
     """
     changes = [np.abs(changed(share) - here) / abs(share) for share in (-NORMAL_95, -1.0, 1.0, NORMAL_95)]
-    return np.asarray(np.nanmax(np.nan_to_num(changes), axis=0))
+    return np.asarray(np.max(np.nan_to_num(changes), axis=0))
 
 
 def _estimate(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:

@@ -37,6 +37,7 @@ class Sharpening:
 
     displacement: FloatArray  # (n,) m
     blur: float  # m, std that is taken away
+    left: float  # m, std that is not taken away because nothing fits
     inverse: FloatArray  # (n, m) value at a displacement per value at a node
     constant: FloatArray  # (n,) m
 
@@ -67,19 +68,23 @@ def nodes_of(shape: FloatArray) -> FloatArray:
     value, slope, curvature = shape[:, 0], shape[:, 1], shape[:, 2]
     at_low, at_high = value - slope / 2 + curvature / 4, value + slope / 2 + curvature / 4
     at_edge = np.concatenate([at_low[:1], 0.5 * (at_low[1:] + at_high[:-1])])
-    return np.concatenate([np.stack([at_edge, value], axis=1).reshape(-1, *value.shape[1:]), at_high[-1:]])
+    inner = np.stack([at_edge, value], axis=1).reshape(2 * len(value), *value.shape[1:])
+    return np.concatenate([inner, at_high[-1:]])
 
 
-def unsharpened(low: FloatArray, high: FloatArray) -> Sharpening:
-    """Return what leaves the nodes of bins (b,) as they are.
+def unsharpened(low: FloatArray, high: FloatArray, longest: float) -> Sharpening:
+    """Return what leaves the nodes of bins (b,) as they are: blurred, and jumps anywhere in their bins.
 
     Parameters
     ----------
     low, high
-        (b,) m, edges of adjoining bins.
+        (b,) m, edges of adjoining bins of one width.
+    longest
+        m, std of the blur that is to be expected at most.
     """
     x = edges_and_centres(low, high)
-    return Sharpening(x, 0.0, np.eye(len(x)), np.zeros(len(x)))
+    in_bin = float(high[0] - low[0]) / np.sqrt(12.0)
+    return Sharpening(x, 0.0, float(np.hypot(longest, in_bin)), np.eye(len(x)), np.zeros(len(x)))
 
 
 def sharpen(low: FloatArray, high: FloatArray, nodes: FloatArray, std: FloatArray, longest: float) -> Sharpening:
@@ -102,7 +107,7 @@ def sharpen(low: FloatArray, high: FloatArray, nodes: FloatArray, std: FloatArra
         found = _sharpen(low, high, nodes, weight, share * longest, least)
         if found is not None:
             return found
-    return unsharpened(low, high)
+    return unsharpened(low, high, longest)
 
 
 def _sharpen(
@@ -136,6 +141,7 @@ def _sharpen(
     return Sharpening(
         displacement=low[0] + step * np.arange(cells + 1 - 2 * beyond),
         blur=blur,
+        left=0.0,
         inverse=integral[inside],
         constant=(slope - integral @ base)[inside],
     )
