@@ -22,6 +22,8 @@ JUMP_SHARE_CORRECTED = 0.22  # the same where what the gauge does to the wheelse
 
 JUMP_SHARE_GAUGE_ESTIMATED = 0.32  # the same where the gauge had to be found too
 
+JUMP_MEAN_SHARE = 0.25  # of a gauge that is not on file: by how much contact jumps are off on average
+
 SCALE_PER_GAUGE_SQUARE = 0.01e6  # 1/m2, of y - d per variance of the gauge: far out a wheelset runs in wide gauge
 
 SCALE_PER_MEAN_GAUGE = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm, by contact tables
@@ -132,7 +134,7 @@ def _jump_position_std(track: TrackAlignment, wheelset: str | None) -> float:
 
 def _jump_mean_std(track: TrackAlignment) -> float:
     """Return the std, m, of where contact jumps are on average: a wheelset runs further in wide gauge."""
-    return 0.0 if track.gauge_known else JUMP_SHARE_UNCORRECTED * float(np.median(track.gauge_deviation_std))
+    return 0.0 if track.gauge_known else JUMP_MEAN_SHARE * float(np.median(track.gauge_deviation_std))
 
 
 JUMP_PLACE = 0.02e-3  # m, std of where a contact jump is found without any gauge
