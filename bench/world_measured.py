@@ -25,6 +25,7 @@ from estimation.values.arrays import FloatArray
 from ingest.simulator.campaign import DerailmentError, contact_of, scenario_track, vehicle_run, wheelset_motion
 from ingest.simulator.drawn_fleet import NOMINAL_RADIUS, with_wheelset
 from ingest.simulator.profile_files import rails_of, wheel_in
+from ingest.simulator.random_streams import Stream, generator
 from ingest.simulator.scenario import Scenario, SectionPlan
 from ingest.simulator.track import TrackTruth
 
@@ -36,7 +37,6 @@ FURTHEST_ZERO = 3e-3  # m from the track centre, where both wheels roll on the s
 STEEPEST = math.radians(30.0)  # contact angle on the tread and its root; beyond is flange contact
 MOST_FLANGING = 0.01  # of a journey
 HIGHEST_CONICITY = 0.4  # the highest at which running gear is tested (EN 14363)
-_WHEELS = 24  # first word of the key of a random stream, beside those of ``drawn_fleet``
 
 WheelPair = tuple[Path, Path]
 """Files of the left and of the right wheel."""
@@ -97,7 +97,7 @@ def with_wheels(scenario: Scenario, pairs: Sequence[WheelPair]) -> tuple[Scenari
     track, left_out = scenario_track(scenario), []
     places = [(plan.code, axle) for plan in scenario.vehicles for axle in range(len(plan.wheelsets))]
     for place, (vehicle, axle) in enumerate(places):
-        drawn = np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=(_WHEELS, place)))
+        drawn = generator(scenario.seed, Stream.MEASURED_WHEELSET, place)
         for index in drawn.permutation(len(pairs)):
             wheelset = replace(scenario.vehicle(vehicle).wheelsets[axle], wheel_files=pairs[index])
             tried = with_wheelset(scenario, vehicle, axle, wheelset)

@@ -16,8 +16,9 @@ from ingest.canopen import sync_counter, time_of_day
 from ingest.catalogue import Catalogue, MessagePlan
 from ingest.codec import encode
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
-from ingest.simulator.campaign import BUS, VehicleRun, failed, seed_of
+from ingest.simulator.campaign import VehicleRun, failed
 from ingest.simulator.motion import STEP
+from ingest.simulator.random_streams import Stream, generator
 from ingest.simulator.scenario import FaultKind, Scenario
 from ingest.simulator.sensors import SensorRecord
 
@@ -77,7 +78,7 @@ def vehicle_frames(
             f"the bus samples every {interval_ns / 1e6:g} ms, not at {scenario.sensors.rate_hz} Hz",
             field="sensors.rate_hz",
         )
-    rng = np.random.default_rng(seed_of(scenario, BUS, scenario.vehicles.index(run.vehicle), run.campaign))
+    rng = generator(scenario.seed, Stream.BUS, scenario.vehicles.index(run.vehicle), run.campaign)
     ticks = _ticks(catalogue, scenario, run, rng)
     batches = [*_master(catalogue, ticks), *_vehicle_node(catalogue, scenario, run, ticks)]
     for axle, record in enumerate(records):

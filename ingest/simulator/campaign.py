@@ -13,6 +13,7 @@ from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.drawn_fleet import vehicle_parameters
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset, travelled
+from ingest.simulator.random_streams import Stream, generator, seed_of
 from ingest.simulator.scenario import NORMAL_REACH, Scenario, SpeedRange, VehiclePlan, WheelsetPlan
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
 from ingest.simulator.table_range import displacement_limit, first_climb, gauge_grid
@@ -22,8 +23,6 @@ from ingest.simulator.wear import GeometryTruth, WornContact, truth_of, wear_at,
 MARGIN = 200.0  # m of track beyond both ends of a section that runs cross as a whole
 LEAD_IN = 160.0  # m before such a section where a run begins
 RUN_OUT = 50.0  # m behind it where the last axle ends
-_TRACK, _SPEED, _SENSOR, _OFFSETS, BUS, _, _POSITION = range(7)
-"""First word of the key of each random stream, so that no two share one."""
 
 
 class DerailmentError(ScenarioError):
@@ -60,7 +59,7 @@ def scenario_track(scenario: Scenario) -> TrackTruth:
     if section.file is not None:
         return from_zero(read_track(section.file))
     assert section.recipe is not None
-    return make_track(with_margins(scenario, section.recipe), seed_of(scenario, _TRACK))
+    return make_track(with_margins(scenario, section.recipe), seed_of(scenario.seed, Stream.TRACK))
 
 
 def with_margins(scenario: Scenario, recipe: TrackRecipe) -> TrackRecipe:
@@ -97,7 +96,7 @@ def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, cam
     ScenarioError
         The track is too short for the run.
     """
-    rng = np.random.default_rng(seed_of(scenario, _SPEED, scenario.vehicles.index(vehicle), campaign))
+    rng = generator(scenario.seed, Stream.SPEED, scenario.vehicles.index(vehicle), campaign)
     speed = _speed(scenario, rng)
     if scenario.sessions.whole_section:
         speed, distance = _across(scenario, vehicle, speed)
@@ -139,7 +138,7 @@ def _run(
 
 def _reported(scenario: Scenario, vehicle: VehiclePlan, campaign: int, distance: FloatArray) -> FloatArray:
     """Return the positions (n,) that a vehicle reports: off by an offset and a scale error of this run."""
-    rng = np.random.default_rng(seed_of(scenario, _POSITION, scenario.vehicles.index(vehicle), campaign))
+    rng = generator(scenario.seed, Stream.POSITION, scenario.vehicles.index(vehicle), campaign)
     errors = scenario.position
     offset, scale = rng.uniform(-1.0, 1.0, 2) * (errors.offset, errors.scale)
     normal = np.clip(rng.standard_normal(2), -NORMAL_REACH, NORMAL_REACH) * (errors.offset_std, errors.scale_std)
@@ -256,19 +255,14 @@ def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: Whee
         True motion of the wheelset over the run.
     """
     order = scenario.vehicles.index(run.vehicle)
-    offsets = draw_offsets(scenario.sensors, np.random.default_rng(seed_of(scenario, _OFFSETS, order, axle)))
-    rng = np.random.default_rng(seed_of(scenario, _SENSOR, order, axle, run.campaign))
+    offsets = draw_offsets(scenario.sensors, generator(scenario.seed, Stream.OFFSETS, order, axle))
+    rng = generator(scenario.seed, Stream.SENSOR, order, axle, run.campaign)
     return measure(motion, scenario.sensors, rng, offsets)
 
 
 def failed(plan: WheelsetPlan, campaign: int) -> bool:
     """Whether the node of the wheelset has failed in ``campaign`` (from 0)."""
     return plan.fault is not None and campaign + 1 >= plan.fault.from_campaign
-
-
-def seed_of(scenario: Scenario, *key: int) -> np.random.SeedSequence:
-    """Return the seed of one random stream: the same for the same scenario seed and key, whatever ran before."""
-    return np.random.SeedSequence(scenario.seed, spawn_key=key)
 
 
 def _speed(scenario: Scenario, rng: np.random.Generator) -> FloatArray:

@@ -10,6 +10,7 @@ import numpy as np
 from estimation.contact.wear import WearFamily, wear_course
 from estimation.errors import ScenarioError
 from estimation.vehicle.equations_of_motion import VehicleParameters
+from ingest.simulator.random_streams import Stream, generator
 from ingest.simulator.scenario import (
     DrawnFleet,
     FleetWear,
@@ -19,15 +20,13 @@ from ingest.simulator.scenario import (
     VehiclePlan,
     WearDistribution,
     WheelsetPlan,
+    usual_offsets,
 )
 
-AXLE_SPACING = 2.6  # m
 NOMINAL_RADIUS = 0.45  # m
 MOST_DRAWS = 1000  # of a wear within its limits
 NORMAL_95 = 1.96  # a 95 % limit in standard deviations
 WEAR_SHARES = (1.0, 0.85, 0.7, 0.5, 1.5)  # tried in turn until a wheelset stays on the rails
-_WEAR, _CREEP, _VEHICLE, _WHEEL = 20, 21, 22, 23
-"""First words of the keys of random streams, beside those of ``campaign``."""
 
 
 def with_seed(scenario: Scenario, seed: int) -> Scenario:
@@ -103,8 +102,8 @@ def vehicle_parameters(scenario: Scenario, vehicle: str) -> VehicleParameters:
     if limits is None:
         return assumed
     order = [plan.code for plan in scenario.vehicles].index(vehicle)
-    creep = 1.0 + limits.creep / NORMAL_95 * _stream(scenario.seed, _CREEP).standard_normal()
-    lateral, yaw, wheelset, body = _stream(scenario.seed, _VEHICLE, order).standard_normal(4) / NORMAL_95
+    creep = 1.0 + limits.creep / NORMAL_95 * generator(scenario.seed, Stream.CREEP).standard_normal()
+    lateral, yaw, wheelset, body = generator(scenario.seed, Stream.VEHICLE, order).standard_normal(4) / NORMAL_95
     stiff_lateral, stiff_yaw = 1.0 + limits.stiffness * lateral, 1.0 + limits.stiffness * yaw
     heavy_wheelset, heavy_body = 1.0 + limits.mass * wheelset, 1.0 + limits.mass * body
     return replace(
@@ -162,7 +161,7 @@ def _vehicles(fleet: DrawnFleet, seed: int) -> tuple[VehiclePlan, ...]:
                 code=f"V{number}",
                 vehicle_class=fleet.vehicle_class,
                 max_speed=fleet.max_speed,
-                axle_offsets=tuple(AXLE_SPACING * axle for axle in range(len(ranks))),
+                axle_offsets=usual_offsets(len(ranks)),
                 wheelsets=tuple(_wheelset(fleet, seed, rank) for rank in ranks),
             )
         )
@@ -171,7 +170,7 @@ def _vehicles(fleet: DrawnFleet, seed: int) -> tuple[VehiclePlan, ...]:
 
 def _wheelset(fleet: DrawnFleet, seed: int, rank: int) -> WheelsetPlan:
     pair = fleet.pairs[seed % len(fleet.pairs)]
-    rng = _stream(seed, _WEAR, rank)
+    rng = generator(seed, Stream.WEAR, rank)
     depth, apart = _depth(fleet, pair, rank, rng), rng.normal(0.0, fleet.wear.asymmetry)
     if fleet.wear_alike:
         depth, apart = pair.deepest_wear * 0.5, 0.0
@@ -221,9 +220,5 @@ def _unlimited(wear: FleetWear, rng: np.random.Generator) -> float:
 def _wheel_files(pair: ProfilePair, seed: int, rank: int) -> SideFiles:
     if not pair.wheel_files:
         return None, None
-    place = int(_stream(seed, _WHEEL, rank).integers(len(pair.wheel_files))) if pair.wheels_drawn else rank
+    place = int(generator(seed, Stream.WHEEL, rank).integers(len(pair.wheel_files))) if pair.wheels_drawn else rank
     return pair.wheel_files[place % len(pair.wheel_files)]
-
-
-def _stream(seed: int, *key: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

@@ -13,6 +13,7 @@ from ingest.simulator.track import TrackRecipe
 
 DAY_NS = 86_400_000_000_000
 SECOND_NS = 1_000_000_000
+_AXLE_SPACING = 2.6  # m
 NORMAL_REACH = 3.0  # standard deviations that a normal error of the position is at most
 
 
@@ -73,6 +74,11 @@ class VehiclePlan:
     max_speed: float  # m/s
     axle_offsets: tuple[float, ...]  # m behind the position reference
     wheelsets: tuple[WheelsetPlan, ...]
+
+
+def usual_offsets(axles: int) -> tuple[float, ...]:
+    """Return the distances of ``axles`` axles behind the position reference, m, where none are given."""
+    return tuple(_AXLE_SPACING * axle for axle in range(axles))
 
 
 @dataclass(frozen=True, slots=True)

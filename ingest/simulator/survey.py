@@ -9,11 +9,11 @@ from scipy.interpolate import CubicSpline
 
 from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray
-from ingest.simulator.campaign import seed_of, with_margins
+from ingest.simulator.campaign import with_margins
+from ingest.simulator.random_streams import Stream, generator, seed_of
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.track import TrackTruth, from_zero, make_track, read_track
 
-SURVEY, _OTHER_SECTION = 5, 7  # first words of the keys of random streams, beside those of ``campaign``
 LEAST_SHARE = 0.9  # of the section that the survey of another one must cover
 
 
@@ -39,7 +39,7 @@ def surveyed(scenario: Scenario, track: TrackTruth) -> TrackTruth:
     source = _other_section(scenario, track) if plan.other_section else track
     if plan.shift:
         source = _shifted(source, plan.shift)
-    rng = np.random.default_rng(seed_of(scenario, SURVEY))
+    rng = generator(scenario.seed, Stream.SURVEY)
     alignment_error = _error(len(track.s), section.survey_alignment_std, track.interval, rng)
     gauge_error = _error(len(track.s), section.survey_gauge_std, track.interval, rng)
     alignment, gauge = plan.alignment_factor * source.alignment, plan.gauge_factor * source.gauge_deviation
@@ -53,7 +53,7 @@ def _other_section(scenario: Scenario, track: TrackTruth) -> TrackTruth:
     section = scenario.section
     if section.survey.file is None:
         assert section.recipe is not None
-        return make_track(with_margins(scenario, section.recipe), seed_of(scenario, _OTHER_SECTION))
+        return make_track(with_margins(scenario, section.recipe), seed_of(scenario.seed, Stream.OTHER_SECTION))
     other = from_zero(read_track(section.survey.file))
     if other.length < LEAST_SHARE * track.length:
         reason = f"has {other.length:.0f} m of track, the section {track.length:.0f} m"

@@ -20,12 +20,12 @@ from ingest.simulator.scenario import (
     VehicleErrors,
     VehiclePlan,
     WheelsetPlan,
+    usual_offsets,
 )
 from ingest.simulator.scenario_schema.drawn_fleet import MAX_AXLES
 from ingest.simulator.scenario_schema.profile_names import WheelName
 from ingest.simulator.scenario_schema.units import KM, KM_PER_HOUR, MM
 
-DEFAULT_AXLE_SPACING = 2.6  # m
 FLANGE_SHARE = 0.6
 
 
@@ -180,8 +180,7 @@ class VehicleTable(InputTable):
 
     def offsets(self) -> tuple[float, ...]:
         """Return the distances of the axles behind the position reference, m."""
-        default = [DEFAULT_AXLE_SPACING * axle for axle in range(len(self.wheelsets))]
-        return tuple(default if self.axle_offsets_m is None else self.axle_offsets_m)
+        return usual_offsets(len(self.wheelsets)) if self.axle_offsets_m is None else tuple(self.axle_offsets_m)
 
     def plan(self, folder: Path) -> VehiclePlan:
         """Return the vehicle in SI units.

@@ -1,0 +1,49 @@
+"""Random streams of a scenario: each thing that is drawn has one of its own, whatever else is drawn before it."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+
+class Stream(IntEnum):
+    """First word of the key of a stream; its number decides the recordings of a seed and stays."""
+
+    TRACK = 0
+    SPEED = 1  # by vehicle and campaign
+    SENSOR = 2  # by vehicle, axle and campaign
+    OFFSETS = 3  # of the sensors, by vehicle and axle
+    BUS = 4  # by vehicle and campaign
+    SURVEY = 5
+    POSITION = 6  # by vehicle and campaign
+    OTHER_SECTION = 7  # that a wrong survey belongs to
+    WEAR = 20  # by wheelset
+    CREEP = 21
+    VEHICLE = 22  # errors of its parameters, by vehicle
+    WHEEL = 23  # file of a measured one, by wheelset
+    MEASURED_WHEELSET = 24  # of the bench, by wheelset
+
+
+def seed_of(seed: int, stream: Stream, *key: int) -> np.random.SeedSequence:
+    """Return the seed of one random stream: the same for the same seed of the scenario and key.
+
+    Parameters
+    ----------
+    seed
+        Of the scenario.
+    stream, key
+        Which stream.
+    """
+    return np.random.SeedSequence(seed, spawn_key=(stream, *key))
+
+
+def generator(seed: int, stream: Stream, *key: int) -> np.random.Generator:
+    """Return the generator of one random stream.
+
+    Parameters
+    ----------
+    seed, stream, key
+        As :func:`seed_of` takes them.
+    """
+    return np.random.default_rng(seed_of(seed, stream, *key))
