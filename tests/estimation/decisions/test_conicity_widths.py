@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import ndtr
 
-from estimation.contact.conicity import equivalent_conicity
+from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.geometry.conicity import (
     CurveEstimates,
     CurveParameters,
@@ -18,9 +19,10 @@ from estimation.geometry.conicity import (
     not_covered,
     too_few_blocks,
 )
+from estimation.geometry.sharpening import jumps_displaced, sharpen
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import FloatArray
-from estimation.values.intervals import jackknife_std
+from estimation.values.intervals import NORMAL_95, jackknife_std
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import ReasonCode, code_of
 
@@ -33,6 +35,7 @@ PARAMETERS = CurveParameters()
 CONE = 0.1  # tan gamma_e: rL - rR = 2 x 0.1 x
 GROUPS = 6
 AT_3 = PARAMETERS.amplitudes.index(3e-3)
+STRETCHED = (CONE / (1.0 - NORMAL_95 * 0.02) - CONE) / NORMAL_95  # by a scale of 0.02, at the end of 95 %
 
 
 def line(slope: float, offset: float = 0.0) -> FloatArray:
@@ -99,9 +102,9 @@ def test_the_spread_of_the_groups_is_the_interval_of_students_t(groups: int) -> 
 @pytest.mark.parametrize(
     ("error", "conicity", "width"),
     [
-        (DisplacementError(0.0, 0.0, 0.02), CONE, CONE - CONE / 1.02),  # a stretch
+        (DisplacementError(0.0, 0.0, 0.02), CONE, STRETCHED),
         (DisplacementError(0.0, 0.05, 0.0), CONE / 0.95, CONE / 0.95 - CONE),  # what was taken back
-        (DisplacementError(0.1e-3, 0.0, 0.0), CONE, 0.0),  # a straight line has nothing to be rounded
+        (DisplacementError(0.1e-3, 0.0, 0.0), CONE, 0.0),  # a straight line has nothing to be sharpened
     ],
 )
 def test_an_error_of_the_displacement_stretches_a_cone(error: DisplacementError, conicity: float, width: float) -> None:
@@ -119,8 +122,7 @@ def test_uncertain_parameters_add_up() -> None:
 def test_four_fifths_of_what_is_systematic_at_one_end_of_the_nonlinearity_is_not_at_the_other() -> None:
     """A stretch changes the conicity of a cone alike at 2 and 4 mm; NP is their difference over 2 mm."""
     found = estimates(curve(error=DisplacementError(0.0, 0.0, 0.02))).nonlinearity
-    change = CONE - CONE / 1.02
-    assert std(found) == pytest.approx(0.8 * np.sqrt(2.0) * change / 2.0, rel=1e-3)
+    assert std(found) == pytest.approx(0.8 * np.sqrt(2.0) * STRETCHED / 2.0, rel=1e-3)
 
 
 def test_the_nonlinearity_is_the_change_of_conicity_over_two_millimetres() -> None:
@@ -131,10 +133,8 @@ def test_the_nonlinearity_is_the_change_of_conicity_over_two_millimetres() -> No
     change = value(found.conicity[high]) - value(found.conicity[low])
     assert change > 0.01
     assert value(found.nonlinearity) == pytest.approx(change / 2.0)
-    x, rows = nodes(item)
-    conicity = np.stack([equivalent_conicity(x, row, (2e-3, 4e-3)) for row in rows])
+    conicity, others = by_hand(item, (2e-3, 4e-3))
     jackknife = float(jackknife_std((conicity[:, 1] - conicity[:, 0]) / 2.0))
-    others = systematic_rows(item, (2e-3, 4e-3)) - conicity[0]
     assert std(found.nonlinearity) == pytest.approx(np.hypot(jackknife, 0.4 * np.sqrt((others**2).sum())), rel=1e-6)
 
 
@@ -156,51 +156,50 @@ def nodes(item: CurveReplicates) -> tuple[FloatArray, list[FloatArray]]:
     return np.asarray(x), rows
 
 
-def systematic_rows(item: CurveReplicates, amplitudes: tuple[float, ...]) -> FloatArray:
-    """Return the conicities (r, a) of a curve with each systematic error in turn."""
+def by_hand(item: CurveReplicates, amplitudes: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return the conicities (1 + g, a) of all replicates, and what each systematic error changes (k, a)."""
     at, rows = nodes(item)
-    error, row = item.error, rows[0]
-    x = (1.0 - error.excess) * at
+    error, low, high = item.error, EDGES[:-1], EDGES[1:]
+    blur = float(np.hypot(error.std, error.jump_position_std))
+    sharp = sharpen(low, high, rows[0], jackknife_std(np.stack(rows)), blur)
+    x, row = (1.0 - error.excess) * sharp.displacement, sharp.curve(rows[0])
+
+    def conicity(at: FloatArray, curve: FloatArray) -> FloatArray:
+        return equivalent_conicity(at, curve, amplitudes)
+
+    found = np.stack([conicity(x, sharp.curve(each)) for each in rows])
     shifted = []
     for k in range(item.sensitivity.shape[1]):
         _, (further,) = nodes(replace(item, difference=item.sensitivity[None, :, k]))
-        shifted.append(equivalent_conicity(x, row + further, amplitudes))
-    coarse = np.interp(at, CENTRE, item.difference[0, :, 0])
-    a = np.array(amplitudes)
-    here, resolution = equivalent_conicity(x, row, a), error.resolution(WIDTH)
-    reach = max(resolution, 0.25e-3)
-    bends = []
-    for middle in (0.0,) if resolution <= 0.25e-3 else (-0.5 * reach, 0.0, 0.5 * reach):
-        low, at_it, high = (equivalent_conicity(x, row, a + middle + step) for step in (-reach, 0.0, reach))
-        bends.append(0.5 * (low - 2.0 * at_it + high) * min(resolution / 0.25e-3, 1.0) ** 2)
-    return np.stack(
-        [
-            *shifted,
-            equivalent_conicity(at, row, amplitudes),
-            equivalent_conicity((1.0 + error.scale) * x, row, amplitudes),
-            equivalent_conicity(x, error.rounded(x, row), amplitudes),
-            equivalent_conicity(x, coarse, amplitudes),
-            here + np.max(np.abs(bends), axis=0),
-        ]
-    )
+        shifted.append(conicity(x, sharp.curve(rows[0] + further)) - found[0])
+    place = np.sqrt(0.02e-3**2 + (0.2 * (sharp.blur + sharp.left)) ** 2 + error.jump_mean_std**2)
+    middle = zero_crossing(x, row)
+    stretches, places = [], []
+    for share in (-1.959964, -1.0, 1.0, 1.959964):
+        stretches.append(conicity((1.0 + share * error.scale) * x, row) - found[0])
+        places.append(conicity(x, jumps_displaced(x, row, middle, share * place)) - found[0])
+    per_std = np.array([1.959964, 1.0, 1.0, 1.959964])[:, None]
+    blurred = 0.5 * (conicity((1.0 - error.excess) * at, rows[0]) - found[0])
+    others = [conicity(sharp.displacement, row) - found[0], blurred]
+    others += [np.max(np.abs(changes) / per_std, axis=0) for changes in (stretches, places)]
+    return found, np.stack([*shifted, *others])
 
 
 @pytest.mark.parametrize(
     "error",
     [
         EXACT,
+        DisplacementError(0.0, 0.0, 0.03),
         DisplacementError(0.15e-3, 0.01, 0.004, 0.0, 0.05e-3),
-        DisplacementError(0.15e-3, 0.01, 0.004, 0.0, 0.3e-3),
+        DisplacementError(0.15e-3, 0.01, 0.004, 0.0, 0.3e-3, 0.1e-3),
     ],
 )
 def test_the_width_at_every_amplitude_is_the_sum_over_all_that_is_uncertain(error: DisplacementError) -> None:
-    shape = cubic() + np.column_stack([0.2e-3 * (CENTRE > 1.6e-3), np.zeros(BINS), np.zeros(BINS)])
+    shape = cubic() + np.column_stack([0.2e-3 * ndtr((CENTRE - 1.6e-3) / 0.2e-3), np.zeros(BINS), np.zeros(BINS)])
     replicates = [shape + line(0.002 * np.sin(k)) for k in range(GROUPS)]
     item = curve(shape, *replicates, error=error, sensitivity=np.stack([line(0.004), cubic(0.002, 100.0)], axis=1))
     amplitudes = (1e-3, 1.75e-3, 3e-3, 5e-3)
-    at, rows = nodes(item)
-    conicity = np.stack([equivalent_conicity((1.0 - error.excess) * at, row, amplitudes) for row in rows])
-    others = systematic_rows(item, amplitudes) - conicity[0]
+    conicity, others = by_hand(item, amplitudes)
     expected = np.hypot(jackknife_std(conicity), np.sqrt((others**2).sum(axis=0)))
     found = estimates(item)
     for a, wanted, true in zip(amplitudes, expected, conicity[0], strict=True):
@@ -209,16 +208,47 @@ def test_the_width_at_every_amplitude_is_the_sum_over_all_that_is_uncertain(erro
         assert std(estimate) == pytest.approx(wanted, rel=1e-6)
 
 
+def test_where_nothing_fits_all_that_the_blur_changes_once_more_is_unknown() -> None:
+    """Centres 40 um inwards of a line and edges 40 um outwards: no curve within the bounds gives them."""
+    wave = 40e-6 * np.sign(CENTRE)
+    item = curve(line(2 * CONE) + np.column_stack([-wave, np.zeros(BINS), 8.0 * wave]))
+    amplitudes = PARAMETERS.amplitudes[:-4]
+    at, (row, *_) = nodes(item)
+    left = WIDTH / np.sqrt(12.0)
+    here = equivalent_conicity(at, row, amplitudes)
+    again = equivalent_conicity(at, DisplacementError(left, 0.0, 0.0).rounded(at, row), amplitudes)
+    place, middle = np.hypot(0.02e-3, 0.2 * left), zero_crossing(at, row)
+    moved = [
+        np.abs(equivalent_conicity(at, jumps_displaced(at, row, middle, share * place), amplitudes) - here) / abs(share)
+        for share in (-1.959964, -1.0, 1.0, 1.959964)
+    ]
+    found = estimates(item).conicity[:-4]
+    np.testing.assert_allclose([value(estimate) for estimate in found], here, rtol=1e-9)
+    stds = [std(estimate) for estimate in found]
+    np.testing.assert_allclose(stds, np.hypot(again - here, np.max(moved, axis=0)), rtol=1e-5, atol=1e-9)
+    assert max(stds) > 0.01
+
+
+@pytest.mark.parametrize("scale", [0.4, 0.6, 1.5])
+def test_a_scale_as_large_as_the_curve_leaves_a_wide_interval(scale: float) -> None:
+    """A stretch to nothing has no conicity; that to 1 + 1.96 scale has."""
+    found = estimates(curve(error=DisplacementError(0.0, 0.0, scale))).conicity[0]
+    assert value(found) == pytest.approx(CONE, rel=1e-4)
+    assert std(found) >= CONE * scale / (1.0 + scale) * (1.0 - 1e-4)
+
+
 def test_the_curve_ends_at_the_edges_of_its_last_bins() -> None:
     """Seventeen bins of 0.25 mm; where 3 % is taken back of the displacement, 2 mm lie between centre and edge."""
     item = curve(cubic(), error=DisplacementError(0.0, 0.03, 0.0), **usable(-8, 8))
     first, last = BINS // 2 - 8, BINS // 2 + 8
-    at, rows = nodes(item)
+    _, rows = nodes(item)
     row, (r_low, slope_low, bend_low), (r_high, slope_high, bend_high) = rows[0], cubic()[first], cubic()[last]
     row[2 * first] = r_low - 0.5 * slope_low + 0.25 * bend_low
     row[2 * last + 2] = r_high + 0.5 * slope_high + 0.25 * bend_high
     kept = slice(2 * first, 2 * last + 3)
-    expected = equivalent_conicity(0.97 * at[kept], row[kept], (2e-3,))
+    low, high = EDGES[first : last + 1], EDGES[first + 1 : last + 2]
+    sharp = sharpen(low, high, row[kept], np.zeros(35), 0.0)
+    expected = equivalent_conicity(0.97 * sharp.displacement, sharp.curve(row[kept]), (2e-3,))
     found = estimates(item)
     assert found.reported_amplitude == pytest.approx(2e-3)
     assert value(found.at_reference) == pytest.approx(expected[0], rel=1e-9)

@@ -40,9 +40,15 @@ def test_the_variance_is_that_of_the_samples() -> None:
     assert DisplacementError.of(0.1e-3, CENTRE, at_zero, integrated=False).excess == 0.0
 
 
-def test_the_resolution_is_error_bin_and_place_of_jumps_together() -> None:
-    error = DisplacementError(0.12e-3, 0.0, 0.0, 0.0, 0.4e-3)
-    assert error.resolution(0.75e-3) == pytest.approx(np.sqrt(0.12**2 + 0.3**2 + 0.4**2) * 1e-3)
+@pytest.mark.parametrize(
+    ("blur", "mean", "expected"),
+    [(0.0, 0.0, 0.02e-3), (0.3e-3, 0.0, 0.0632e-3), (0.3e-3, 0.1e-3, 0.1183e-3)],
+)
+def test_a_contact_jump_is_placed_to_a_fiftieth_of_a_millimetre_and_a_fifth_of_the_blur(
+    blur: float, mean: float, expected: float
+) -> None:
+    error = DisplacementError.of(0.1e-3, CENTRE, SAMPLES, integrated=True, jump_mean_std=mean)
+    assert error.jump_place_std(blur) == pytest.approx(expected, rel=1e-3)
 
 
 def rounded(std: float, x: FloatArray, values: FloatArray) -> FloatArray:

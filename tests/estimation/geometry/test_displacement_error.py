@@ -113,14 +113,6 @@ def test_a_jump_inside_a_bin_widens_the_intervals_of_amplitudes_near_it() -> Non
     assert np.nanmax(width[0][near]) > 2 * np.nanmin(width[0])
 
 
-def test_coarser_bins_resolve_less() -> None:
-    error = DisplacementError(0.3e-3, 0.0, 0.0)
-    assert error.resolution(0.0) == pytest.approx(0.3e-3)
-    assert error.resolution(0.25e-3) < error.resolution(0.8e-3) <= 0.5e-3 + 1e-12  # half a bin at most
-    blurred = replace(error, jump_position_std=0.4e-3)
-    assert blurred.resolution(0.0) == pytest.approx(0.5e-3)
-
-
 @pytest.mark.parametrize("std", [0.1e-3, 0.4e-3])
 def test_a_measured_displacement_is_too_large_by_the_excess(std: float) -> None:
     rng = np.random.default_rng(1)
