@@ -1,8 +1,9 @@
 """How near the published geometry of a wheelset comes to the truth.
 
 Band-limited signals carry no offset. Bins are therefore compared with the true curve counted from the place on it that
-fits them best, within 0.6 mm of the true zero crossing, and less its mean over the samples (R and D): where on the true
-curve they lie is not scored, and the zero crossing is published as unknown. Conicity and NP do not depend on it.
+fits them best, and less its mean over the samples (R and D). The place is between the track centre and the true zero
+crossing, or within 0.6 mm of either; it is not scored, and the zero crossing is published as unknown. Conicity and NP
+do not depend on it.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from estimation.values.intervals import NORMAL_95
 from estimation.values.quantities import Estimate
 
 SEARCHED = 0.6e-3  # m
+SEARCH_STEP = 5e-6  # m
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,14 +87,16 @@ def origin(found: WheelsetGeometry, truth: TrueWheelset) -> tuple[float, float]:
     """Return (y - d, R) of the true curve, m, from which the estimated one is counted.
 
     Band-limited signals have lost their means, so the estimated curve has its origin at the mean of both: it may lie
-    anywhere along the true curve, with its own R zero on average. The place where it fits best is taken.
+    anywhere along the true curve, with its own R zero on average. The place where it fits best is taken; a wheelset of
+    unlike wheels runs nearer to the track centre than its zero crossing is.
     """
     centre, R = found.bin_centres, found.rolling_radius_difference
     known = np.isfinite(R.value)
     if not known.any():
         return truth.zero_crossing, 0.0
     best = (np.inf, truth.zero_crossing, 0.0)
-    for shift in truth.zero_crossing + np.linspace(-SEARCHED, SEARCHED, 241):
+    low, high = min(truth.zero_crossing, 0.0) - SEARCHED, max(truth.zero_crossing, 0.0) + SEARCHED
+    for shift in np.linspace(low, high, round((high - low) / SEARCH_STEP) + 1):
         curve = np.interp(centre + shift, truth.displacement, truth.difference)
         mean = float(found.samples @ curve / found.samples.sum())
         deviation = (R.value - curve + mean)[known] / R.std[known]
