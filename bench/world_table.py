@@ -159,29 +159,31 @@ def _summary(name: str, cases: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
 
 
 def tables(cases: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """Return both tables for a terminal.
+    """Return the tables for a terminal; that of the intervals where there are fleets on unknown track.
 
     Parameters
     ----------
     cases
         Of all rows and seeds.
     """
-    return [_table(TITLE, HEADER, summary_rows(cases)), _table(WIDTH_TITLE, WIDTH_HEADER, width_rows(cases))]
+    found = [_table(TITLE, HEADER, summary_rows(cases))]
+    widths = width_rows(cases)
+    return [*found, _table(WIDTH_TITLE, WIDTH_HEADER, widths)] if widths else found
 
 
 def page_body(cases: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return both tables for a page of results.
+    """Return the same tables for a page of results.
 
     Parameters
     ----------
     cases
         Of all rows and seeds.
     """
-    return [
-        markdown_table(HEADER, summary_rows(cases), range(1, len(HEADER) - 2)),
-        f"{WIDTH_TITLE}.",
-        markdown_table(WIDTH_HEADER, width_rows(cases), range(1, len(WIDTH_HEADER))),
-    ]
+    found = [markdown_table(HEADER, summary_rows(cases), range(1, len(HEADER) - 2))]
+    widths = width_rows(cases)
+    if widths:
+        found += [f"{WIDTH_TITLE}.", markdown_table(WIDTH_HEADER, widths, range(1, len(WIDTH_HEADER)))]
+    return found
 
 
 def _table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

@@ -48,3 +48,4 @@ def test_a_row_counts_the_fleets_of_which_nothing_was_published() -> None:
     page = "\n".join(page_body(cases))
     assert "| unknown_alike_02 | 2 | 1 |" in page
     assert "| 0 to 0.1 | 2 | 1 | 100.0 % of 1 | 0.200 | 0.0100 |" in page
+    assert len(page_body(cases[2:])) == 1  # nothing of unknown track
