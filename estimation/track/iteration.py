@@ -70,7 +70,7 @@ class IterationResult:
     noise: float  # m, rms of y - d - h(R) over the passes
     gauge_convergence: tuple[Convergence, ...] = ()
     slope: SlopeCorrection | None = None  # of the curves, where the gauge search or ``with_slope`` has found it
-    first_noise: float | None = None  # m, ``noise`` of the panel without the gauge that was found
+    first_noise: float | None = None  # m, ``noise`` of the panel without the gauge
 
     @property
     def noise_without_gauge(self) -> float:
@@ -165,7 +165,7 @@ def iterate(
         found = _solved(setting, _repositioned(setting, found), _with_wheels(found))
         if number >= parameters.wheel_rounds and _at_rest(found, parameters):
             break
-    return _finished(setting, found)
+    return replace(_finished(setting, found), first_noise=first.noise)
 
 
 def with_slope(found: IterationResult, prior: PriorAlignment | None, most_weight: float) -> IterationResult:

@@ -23,12 +23,14 @@ from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.track.survey_check import check_survey
 from estimation.track.survey_fit import fit_survey
+from estimation.track.survey_gauge import judge_gauge
 from estimation.track.survey_verdict import SurveyVerdict, place_of, survey_verdict
 from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
 from estimation.values.quantities import Status
-from estimation.values.reasons import Reason, prefixed
+from estimation.values.reasons import Reason, combined, prefixed
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
 
+NOT_USED = "not used: "
 BETTER_SHARE = 0.5  # of the survey's std that a fleet's alignment must reach to replace it
 
 
@@ -143,11 +145,22 @@ def _without_surveyed_alignment(epoch: _Epoch, in_force: TrackAlignment | None) 
     cutoff = epoch.parameters.cutoff_wavelength
     usable = in_force is not None and (surveyed or in_force.cutoff_wavelength == cutoff)
     estimate = epoch.estimate(in_force if usable else None)
+    gauge = judge_gauge(estimate.iterated, in_force) if in_force is not None and surveyed else None
+    if gauge is not None:
+        estimate = epoch.estimate(None)
+    return _of_fleet(epoch, in_force, estimate, None if gauge is None else prefixed(NOT_USED, gauge))
+
+
+def _of_fleet(
+    epoch: _Epoch, in_force: TrackAlignment | None, estimate: SectionEstimate, survey: Reason | None
+) -> AlignmentUpdate:
+    """Return what the fleet's own estimate makes of the alignment in force."""
+    surveyed = in_force is not None and in_force.source == AlignmentSource.RECORDED
     if estimate.alignment is None or not estimate.report.converged:
         if in_force is None or surveyed or not np.isfinite(in_force.alignment).any():  # at most the gauge is known
-            return epoch.update(UpdateOutcome.UNESTIMATED, estimate, None)
-        return epoch.update(UpdateOutcome.KEPT, estimate, in_force)
-    return epoch.update(UpdateOutcome.NEW_VERSION, estimate, carry_over_findings(estimate.alignment, in_force))
+            return epoch.update(UpdateOutcome.UNESTIMATED, estimate, None, survey)
+        return epoch.update(UpdateOutcome.KEPT, estimate, in_force, survey)
+    return epoch.update(UpdateOutcome.NEW_VERSION, estimate, carry_over_findings(estimate.alignment, in_force), survey)
 
 
 def _with_survey(
@@ -158,11 +171,14 @@ def _with_survey(
     verdict = None if survey_checked else epoch.judge(estimate, survey)
     if verdict is not None and verdict.refused:
         return _refused(epoch, survey, verdict)
-    reason = None if verdict is None else verdict.reason
+    gauge = judge_gauge(estimate.iterated, survey)
+    reason = combined(
+        [None if verdict is None else verdict.reason, None if gauge is None else prefixed(NOT_USED, gauge)]
+    )
     if estimate.alignment is not None and estimate.report.converged and better(estimate.alignment, survey):
         return epoch.update(UpdateOutcome.NEW_VERSION, estimate, estimate.alignment, survey=reason)
     kept = epoch.update(UpdateOutcome.SURVEY_KEPT, estimate, survey, survey=reason)
-    return _with_gauge_shifts(kept, survey, settings)
+    return kept if gauge is not None else _with_gauge_shifts(kept, survey, settings)
 
 
 def _refused(epoch: _Epoch, survey: TrackAlignment, verdict: SurveyVerdict) -> AlignmentUpdate:
@@ -170,7 +186,7 @@ def _refused(epoch: _Epoch, survey: TrackAlignment, verdict: SurveyVerdict) -> A
     without = epoch.estimate(None)
     reason = _mistake(epoch, survey, without) or verdict.reason
     assert reason is not None
-    refusal = prefixed("not used: ", reason)
+    refusal = prefixed(NOT_USED, reason)
     if without.alignment is not None:
         return epoch.update(UpdateOutcome.NEW_VERSION, without, without.alignment, survey=refusal)
     return epoch.update(UpdateOutcome.SURVEY_REFUSED, without, _unknown(survey), survey=refusal)

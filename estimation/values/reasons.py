@@ -73,6 +73,11 @@ class ReasonCode(StrEnum):
     SURVEY_MIRRORED = "survey_mirrored", "The survey has left and right exchanged. Register it with the other sign."
     SURVEY_DISPLACED = "survey_displaced", "The survey is displaced along the section. Check its zero point."
     SURVEY_DIFFERS = "survey_differs", "The survey differs by more than its standard deviation allows."
+    SURVEY_GAUGE_UNRELATED = (
+        "survey_gauge_unrelated",
+        "The gauge on file is not that of the section. Check which section and date it is of.",
+    )
+    SURVEY_GAUGE_UNIT = "survey_gauge_unit", "The gauge on file has another scale. Register it again in the right unit."
     # geometry
     TOO_FEW_BLOCKS = "too_few_blocks", "Too few blocks of running time for an interval."
     TOO_FEW_BINS = "too_few_bins", "Too few bins around the centre have samples."
