@@ -19,11 +19,15 @@ from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.intervals import NORMAL_95, jackknife_std, with_interval
 from estimation.values.quantities import Estimate
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason, ReasonCode, code_of
 
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
+LARGEST_STD = 0.1  # of a conicity that is published: wheelsets in service have 0.02 to 0.6
 BLUR_SHARE = 0.5  # of what sharpening changes: what is not known of it
+ALIKE_SHARE = 0.15  # of the part of R that is alike on both sides: what the high-pass makes of it
+ALIKE_REACH = 3e-3  # m of y - d: wheelsets hardly run further
+ALIKE_POINTS = 61
 NO_AMPLITUDE = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "no amplitude is covered")
 NO_OFFSET = Reason(ReasonCode.OFFSET_NOT_OBSERVABLE, "band-limited signals carry no offset")
 NO_ZERO = Reason(ReasonCode.NO_ZERO_CROSSING, "rL - rR has no zero in the range covered")
@@ -87,7 +91,7 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
             amplitude, (unknown,) * len(amplitude), parameters.reference_amplitude, unknown, unknown, unknown
         )
     rows, values = _rows(curve, run, amplitude)
-    conicity = tuple(_estimate(values[:, k], groups, curve.count, not_covered(a)) for k, a in enumerate(amplitude))
+    conicity = tuple(_conicity(values[:, k], groups, curve.count, a) for k, a in enumerate(amplitude))
     at_reference, reported_amplitude = at_reference_amplitude(amplitude, conicity, parameters)
     nonlinearity = _nonlinearity(amplitude, values, groups, curve.count, parameters)
     crossing = _zero_crossing(rows, curve, groups)
@@ -167,8 +171,24 @@ def _rows(curve: CurveReplicates, run: BoolArray, amplitude: FloatArray) -> tupl
     conicity = np.stack([equivalent_conicity(*row, amplitude) for row in rows])
     plain = (1 - curve.error.excess) * edges_and_centres(low, high)
     others = _systematic(curve.error, sharp, rows[0], (plain, nodes[0]), amplitude)
+    lost = _lost_to_filters(*rows[0], amplitude) if curve.band_limited else np.zeros(len(amplitude))
     stretched = ((1 + curve.error.scale) * x, rows[0][1])
-    return [*rows, (sharp.displacement, rows[0][1]), stretched], np.concatenate([conicity, conicity[0] + others])
+    conicities = np.concatenate([conicity, conicity[0] + others, conicity[:1] + lost])
+    return [*rows, (sharp.displacement, rows[0][1]), stretched], conicities
+
+
+def _lost_to_filters(x: FloatArray, curve: FloatArray, amplitude: FloatArray) -> FloatArray:
+    """Return what the high-pass changes of the conicity (a,) where left and right wheel are unlike.
+
+    The part of R that is alike on both sides of the centre grows and falls with the amplitude; what is slow of that is
+    lost, and comes back as an error of R of some share of it.
+    """
+    reach = min(-x[0], x[-1], ALIKE_REACH)
+    if reach <= 0.0:
+        return np.zeros(len(amplitude))
+    beside = np.linspace(0.0, reach, ALIKE_POINTS)
+    alike = 0.5 * (np.interp(beside, x, curve) + np.interp(-beside, x, curve)) - np.interp(0.0, x, curve)
+    return np.asarray(ALIKE_SHARE * np.mean(np.abs(alike)) / (2.0 * amplitude))
 
 
 def _systematic(
@@ -220,6 +240,15 @@ def _estimate(values: FloatArray, groups: int, count: float, reason: Reason) -> 
     return with_interval(float(values[0]), jackknife, systematic, groups, count)
 
 
+def _conicity(values: FloatArray, groups: int, count: float, amplitude: float) -> Estimate:
+    """Return the conicity at an amplitude (m) from its rows; unknown where its interval says nothing of a wheelset."""
+    found = _estimate(values, groups, count, not_covered(amplitude))
+    if found.std is None or found.std <= LARGEST_STD:
+        return found
+    text = f"the data leave the conicity at {1e3 * amplitude:g} mm open by {NORMAL_95 * found.std:.2f} either way"
+    return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), count)
+
+
 def at_reference_amplitude(
     amplitude: FloatArray, conicity: tuple[Estimate, ...], parameters: CurveParameters
 ) -> tuple[Estimate, float]:
@@ -237,7 +266,8 @@ def at_reference_amplitude(
     for a, value in sorted(zip(amplitude, conicity, strict=True), key=lambda pair: -pair[0]):
         if a <= parameters.reference_amplitude + 1e-9 and value.value is not None:
             return value, float(a)
-    return Estimate.unknown(NO_AMPLITUDE, conicity[0].count), parameters.reference_amplitude
+    open_at = (one.reason for one in conicity if code_of(one.reason) is ReasonCode.CONICITY_OPEN)
+    return Estimate.unknown(next(open_at, NO_AMPLITUDE), conicity[0].count), parameters.reference_amplitude
 
 
 def _zero_crossing(rows: list[_Row], curve: CurveReplicates, groups: int) -> Estimate:

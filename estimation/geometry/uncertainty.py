@@ -137,7 +137,7 @@ def _jump_mean_std(track: TrackAlignment) -> float:
     return 0.0 if track.gauge_known else JUMP_MEAN_SHARE * float(np.median(track.gauge_deviation_std))
 
 
-JUMP_PLACE = 0.02e-3  # m, std of where a contact jump is found without any gauge
+JUMP_PLACE = 0.03e-3  # m, std of where a contact jump is found without any gauge
 JUMP_PLACE_SHARE = 0.2  # of the blur, the same
 SCALE_UNCERTAINTY = 0.003  # of a displacement that was integrated and projected
 SCATTER = 2.5  # std over which samples scatter across a jump, in std of the error

@@ -81,6 +81,10 @@ class ReasonCode(StrEnum):
     # geometry
     TOO_FEW_BLOCKS = "too_few_blocks", "Too few blocks of running time for an interval."
     TOO_FEW_BINS = "too_few_bins", "Too few bins around the centre have samples."
+    CONICITY_OPEN = (
+        "conicity_open",
+        "The data leave the conicity open. A survey of the section, its gauge included, or more passes narrow it down.",
+    )
     AMPLITUDE_NOT_COVERED = "amplitude_not_covered", "The wheelset has not moved as far as this amplitude."
     OFFSET_NOT_OBSERVABLE = "offset_not_observable", "Band-limited signals carry no constant offset."
     NO_ZERO_CROSSING = "no_zero_crossing", "rL - rR has no zero in the range covered."
