@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from api.plots.contact import save_contact_figure
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter
 from estimation.contact.conicity_uncertainty import MeasuredShapes, conicity_std
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
-from estimation.contact.profiles import ProfileKind, is_design, rail_profile, wheel_profile
+from estimation.contact.profiles import TREAD_DATUM, ProfileKind, is_design, rail_profile, wheel_profile
 from estimation.contact.radius_difference import RadiusDifferenceCurve, radius_difference_curve
 from estimation.contact.smoothed_profile import SmoothedProfile, exact
 from estimation.contact.table import ContactMethod, ContactTable
@@ -27,6 +28,10 @@ from ingest.profiles.files import read_measured_profile
 from ingest.profiles.gauge_side import LEAST_LEAN, lean
 from ingest.profiles.origin import Origin
 
+LEAST_PLAY_MM = 2.5  # a flange of 32.5 mm, the thickest of EN 13715, leaves 5 mm at 1435 and 1360 mm
+LEAST_TURN = 2e-3  # rad, of a wheel against its design
+FACE_DEPTH = 0.010  # m below the tread, where the thickness of a flange is measured
+_MILLIMETRE = 1e-3
 _DISPLACEMENT_MM = np.linspace(-8.0, 8.0, 161)
 _AMPLITUDE_MM = np.linspace(0.5, 7.0, 66)
 
@@ -41,6 +46,16 @@ class FileOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class Dimensions:
+    """Of a wheelset and its track, as they are given."""
+
+    inclination: str  # of the rails, as 1:20
+    gauge_mm: float
+    radii_mm: tuple[float, float]  # left and right, at the tread datum
+    flange_back_mm: float  # from one to the other
+
+
+@dataclass(frozen=True, slots=True)
 class Contact:
     """A wheelset on a track, how well its profiles are known, and how contact points are found."""
 
@@ -48,6 +63,40 @@ class Contact:
     shapes: MeasuredShapes
     method: ContactMethod
     inclination: str  # as it was written
+
+
+def contact_of(
+    wheels: tuple[str, str], rail: str, options: FileOptions, dimensions: Dimensions, method: ContactMethod
+) -> Contact:
+    """Return a wheelset on a track from the names or files of its profiles.
+
+    Parameters
+    ----------
+    wheels, rail, options
+        As `measured_shapes` takes them.
+    dimensions
+        Of wheelset and track.
+    method
+        How contact points are found.
+
+    Raises
+    ------
+    ProfileError, ParameterError, ContactError
+        As `measured_shapes`; an inclination or a dimension that is none.
+    """
+    shapes = measured_shapes(wheels, rail, options)
+    wheelset = WheelsetOnTrack(
+        left_wheel=shapes.left_wheel.profile,
+        right_wheel=shapes.right_wheel.profile,
+        left_rail=shapes.left_rail.profile,
+        right_rail=shapes.right_rail.profile,
+        inclination=parse_inclination(dimensions.inclination),
+        gauge=dimensions.gauge_mm * _MILLIMETRE,
+        left_radius=dimensions.radii_mm[0] * _MILLIMETRE,
+        right_radius=dimensions.radii_mm[1] * _MILLIMETRE,
+        flange_back_distance=dimensions.flange_back_mm * _MILLIMETRE,
+    )
+    return Contact(wheelset, shapes, method, dimensions.inclination)
 
 
 def measured_shapes(wheels: tuple[str, str], rail: str, options: FileOptions) -> MeasuredShapes:
@@ -97,7 +146,7 @@ def _shape(name: str, kind: ProfileKind, options: FileOptions) -> SmoothedProfil
 
 
 def notes(contact: Contact) -> list[str]:
-    """Return what a user should know of the files: points left out, a rail that is inclined twice.
+    """Return what a user should know: points left out, flanges without play, a rail that is inclined twice.
 
     Parameters
     ----------
@@ -110,6 +159,18 @@ def notes(contact: Contact) -> list[str]:
         for shape in (*shapes.values(), contact.shapes.left_rail)
         if shape.outliers
     ]
+    said += [
+        f"{shape.profile.name}: is {shape.design.name}, turned by {math.degrees(shape.design.turn):+.2f} degrees "
+        "in its file: an error of the measurement? The conicity is that of the file"
+        for shape in shapes.values()
+        if shape.design is not None and abs(shape.design.turn) >= LEAST_TURN
+    ]
+    play = _play(contact.wheelset) / _MILLIMETRE
+    if play < LEAST_PLAY_MM:
+        said.append(
+            f"the flanges leave {play:.1f} mm of play to either side; is --flange-back-mm that of this vehicle, and "
+            "--gauge-mm that of this track?"
+        )
     rail = contact.wheelset.left_rail
     leaning = lean(rail.y * 1e3, rail.z * 1e3)
     if abs(leaning) >= LEAST_LEAN and contact.wheelset.inclination != 0.0:
@@ -118,6 +179,18 @@ def notes(contact: Contact) -> list[str]:
             "give --inclination 0 for a rail in track axes"
         )
     return said
+
+
+def _play(wheelset: WheelsetOnTrack) -> float:
+    """Return how far a wheelset moves from the middle until its flange, 10 mm below the tread, is at the gauge face, m.
+
+    NaN if a flange does not reach so deep.
+    """
+    faces = []
+    for wheel in (wheelset.left_wheel, wheelset.right_wheel):
+        deep = np.flatnonzero(wheel.z >= FACE_DEPTH)
+        faces.append(float(wheel.y[deep[-1]]) if len(deep) else float("nan"))
+    return 0.5 * (wheelset.gauge - wheelset.flange_back_distance - 2.0 * TREAD_DATUM - sum(faces))
 
 
 def parse_inclination(text: str) -> float:
@@ -247,6 +320,7 @@ def _described(shape: SmoothedProfile) -> dict[str, object]:
         "name": shape.profile.name,
         "noise_mm": round(shape.noise_std * 1e3, 6),
         "points_left_out": len(shape.outliers),
+        "design": None if shape.design is None else shape.design.name,
     }
 
 

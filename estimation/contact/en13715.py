@@ -13,6 +13,7 @@ import math
 import re
 
 from estimation.contact.segments import Arc, Line, Polynomial, Segment
+from estimation.contact.wheel_definitions import S1002_THROAT, S1002_TREAD
 from estimation.errors import ProfileError
 
 NAMES = "EN13715-S1002/h28/e32.5, EN13715-1/40/h28/e32.5 (h 28 to 32, e 28.5 to 32.5, outer slope as /6.7%)"
@@ -31,27 +32,6 @@ _TIP_RADIUS = 12.0
 _TREAD_INSIDE = -0.5  # T1
 _RIM = 60.0  # wheel width 135 mm
 _USUAL_SLOPE = 100.0 / 15.0
-_THROAT = (
-    -4.320221063e3,
-    -1.038384026e3,
-    -1.065501873e2,
-    -6.051367875,
-    -2.054332446e-1,
-    -4.169739389e-3,
-    -4.687195829e-5,
-    -2.252755540e-7,
-)
-_TREAD = (
-    0.0,
-    -3.358537058e-2,
-    1.565681624e-3,
-    -2.810427944e-5,
-    5.844240864e-8,
-    -1.562379023e-8,
-    5.309217349e-15,
-    -5.957839843e-12,
-    2.646656573e-13,
-)
 
 
 def en13715_wheel(name: str) -> tuple[Segment, ...] | None:
@@ -132,13 +112,13 @@ def _s1002_tread(thinner: float) -> list[Segment]:
     inside = _TREAD_INSIDE - thinner
     throat: list[Segment] = [
         Arc(_FACE_END[0] - thinner, -35.0 - thinner, y - thinner, z, radius, -1),
-        _moved(Polynomial(-35.0, -26.0, _THROAT), -thinner),
+        _moved(Polynomial(-35.0, -26.0, S1002_THROAT), -thinner),
     ]
-    outside = Polynomial(0.0, 32.15796, _TREAD)
+    outside = Polynomial(0.0, 32.15796, S1002_TREAD)
     if thinner == 0.0:
-        return [*throat, Polynomial(-26.0, 32.15796, _TREAD)]
-    tread = _moved(Polynomial(-26.0, _TREAD_INSIDE, _TREAD), -thinner)
-    joint = _height_at_end(Polynomial(-26.0, _TREAD_INSIDE, _TREAD))
+        return [*throat, Polynomial(-26.0, 32.15796, S1002_TREAD)]
+    tread = _moved(Polynomial(-26.0, _TREAD_INSIDE, S1002_TREAD), -thinner)
+    joint = _height_at_end(Polynomial(-26.0, _TREAD_INSIDE, S1002_TREAD))
     return [*throat, tread, Line(inside, 0.0, 0.0, 0.0, joint / inside), outside]
 
 

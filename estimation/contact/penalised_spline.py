@@ -7,6 +7,9 @@ neighbouring coefficients together), so that a corner, or a joint of two arcs, i
 level of the penalty then minimises the generalised cross-validation score (Craven and Wahba, 1979), or, where the
 noise is known, the unbiased estimate of the risk (Mallows' Cp). The covariance is that of Wahba's Bayesian model
 (1983), for white noise with one variance in height and one in lateral position.
+
+Where the points are those of a known design but for their noise, the curve is this design and a spline: the difference,
+of which all third derivatives have one variance, and which no joint of arcs bends.
 """
 
 from __future__ import annotations
@@ -18,7 +21,8 @@ from scipy.interpolate import BSpline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import nnls
 
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.contact.design_curve import DesignCurve
+from estimation.values.arrays import BoolArray, FloatArray, frozen_array
 
 DEGREE = 5
 ORDER = 3  # of the penalised derivative
@@ -45,6 +49,7 @@ The bench of contact geometry (noise on every design profile) shows what it cove
 
 FIRST_THIRD_DERIVATIVE = 1e-2  # 1/mm^2, where the search for the local variance begins
 LEAST_THIRD_DERIVATIVE = 1e-5  # 1/mm^2
+UNSEEN = 1e-2  # 1/mm^3, of the noise: the third derivative that a difference from a design may have unseen
 LEAST_DETERMINED = 1e-3
 LEVELS = tuple(float(10.0**exponent) for exponent in np.arange(-2.0, 2.01, 0.25))
 _TINY = 1e-20
@@ -60,6 +65,7 @@ class PenalisedSpline:
     root: FloatArray  # (k, k) mm: square root of the covariance of the coefficients of either coordinate
     noise_std: float  # mm, root mean square across the curve
     residual: FloatArray  # (n,) mm, of each point across the curve
+    design: DesignCurve | None = None  # to which the spline is added
 
     def __post_init__(self) -> None:
         k = len(self.coefficients)
@@ -67,6 +73,21 @@ class PenalisedSpline:
         object.__setattr__(self, "coefficients", frozen_array(self.coefficients, (k, 2), name="coefficients"))
         object.__setattr__(self, "root", frozen_array(self.root, (k, k), name="root"))
         object.__setattr__(self, "residual", frozen_array(self.residual, (None,), name="residual"))
+
+    def at(self, arc: FloatArray, coefficients: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return points and derivatives (n, 2) at arc (n,), mm; of other coefficients, if some are given."""
+        return _curve(arc, self.knots, self.coefficients if coefficients is None else coefficients, self.design)
+
+
+def _curve(
+    arc: FloatArray, knots: FloatArray, coefficients: FloatArray, design: DesignCurve | None
+) -> tuple[FloatArray, FloatArray]:
+    spline = BSpline(knots, coefficients, DEGREE)
+    point, derivative = np.asarray(spline(arc)), np.asarray(spline(arc, nu=1))
+    if design is None:
+        return point, derivative
+    at, tangent = design.at(arc)
+    return at + point, tangent + derivative
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +99,9 @@ class _Fit:
     freedom: float  # equivalent number of parameters
 
 
-def fit_spline(points: FloatArray, weight: FloatArray, noise_std: float | None) -> PenalisedSpline:
+def fit_spline(
+    points: FloatArray, weight: FloatArray, noise_std: float | None, design: DesignCurve | None = None
+) -> PenalisedSpline:
     """Return the smooth curve through points and its uncertainty.
 
     Parameters
@@ -89,25 +112,43 @@ def fit_spline(points: FloatArray, weight: FloatArray, noise_std: float | None) 
         (n,) 1, or 0 for points that are left out.
     noise_std
         Of the points across the curve, mm; None if it is to be estimated.
+    design
+        The curve is the sum of this and a spline; without, the spline is all of it.
     """
     arc, spacing = _first_arc(points)
+    arc = arc if design is None else design.foot(points)
     weights = weight.copy()
     rough, length = correlated_noise(points)
     noise = noise_std**2 if noise_std is not None else max(rough**2, _TINY)
     for rounds in (FIRST_ROUNDS, ROUNDS):
         knots, basis = _basis(arc, spacing)
-        rows = _whitened(points, basis, weights, arc, length)
-        fit = _evidence_fit(rows, noise, rounds, known=noise_std is not None)
-        arc, residual, tangent = _projected(points, arc, knots, fit.coefficients)
+        rows = _whitened(_beyond(design, points, arc), basis, weights, arc, length)
+        pooled = _on_design(design, knots)
+        fit = _evidence_fit(rows, noise, rounds, known=noise_std is not None, pooled=pooled)
+        arc, residual, tangent = _projected(points, arc, knots, fit.coefficients, design)
         if noise_std is None:
             weights = weight * _relative_precision(tangent, residual, weight)
     knots, basis = _basis(arc, spacing)
-    rows = _whitened(points, basis, weights, arc, length)
-    fit = _evidence_fit(rows, fit.noise, ROUNDS, known=noise_std is not None)
-    fit = _levelled(rows, fit, known=noise_std is not None)
-    _, residual, _ = _projected(points, arc, knots, fit.coefficients)
+    rows = _whitened(_beyond(design, points, arc), basis, weights, arc, length)
+    fit = _evidence_fit(rows, fit.noise, ROUNDS, known=noise_std is not None, pooled=_on_design(design, knots))
+    if design is None:
+        fit = _levelled(rows, fit, known=noise_std is not None)
+    _, residual, _ = _projected(points, arc, knots, fit.coefficients, design)
     root = np.asarray(np.linalg.cholesky(fit.covariance * UNKNOWN_PENALTY**2), dtype=np.float64)
-    return PenalisedSpline(knots, fit.coefficients, root, float(np.sqrt(fit.noise)), residual)
+    return PenalisedSpline(knots, fit.coefficients, root, float(np.sqrt(fit.noise)), residual, design)
+
+
+def _beyond(design: DesignCurve | None, points: FloatArray, arc: FloatArray) -> FloatArray:
+    """Return what the spline has to be at the arc of each point."""
+    return points if design is None else points - design.at(arc)[0]
+
+
+def _on_design(design: DesignCurve | None, knots: FloatArray) -> BoolArray | None:
+    """Return of which third differences (k - ORDER,) the points were found to be those of the design."""
+    if design is None:
+        return None
+    middle = 0.5 * (knots[ORDER + 1 : -DEGREE] + knots[DEGREE : -ORDER - 1])
+    return np.asarray((middle >= design.inner[0]) & (middle <= design.inner[1]))
 
 
 def correlated_noise(points: FloatArray) -> tuple[float, float]:
@@ -202,10 +243,11 @@ def _whitened(points: FloatArray, basis: FloatArray, weights: FloatArray, arc: F
     )
 
 
-def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool) -> _Fit:
+def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool, pooled: BoolArray | None = None) -> _Fit:
     """Return the fit whose local variance of the third difference explains the points best (MacKay's fixed point).
 
-    The variance is the sum of squares over the number of well-determined differences, both over the neighbours.
+    The variance is the sum of squares over the number of well-determined differences, both over the neighbours, or
+    over all that are ``pooled``.
     """
     local = np.full(rows[0].shape[1] - ORDER, (FIRST_THIRD_DERIVATIVE * KNOT_STEP**ORDER) ** 2)
     least = (LEAST_THIRD_DERIVATIVE * KNOT_STEP**ORDER) ** 2
@@ -215,7 +257,11 @@ def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool) -> _Fi
         third = np.diff(fit.coefficients, n=ORDER, axis=0)
         variance = np.diff(np.diff(fit.covariance, n=ORDER, axis=0), n=ORDER, axis=1).diagonal()
         determined = np.clip(1.0 - variance / fit.local, LEAST_DETERMINED, 1.0)
-        local = np.maximum(_over_neighbours((third**2).sum(axis=1)) / _over_neighbours(determined), least)
+        squares = (third**2).sum(axis=1)
+        local = np.maximum(_over_neighbours(squares) / _over_neighbours(determined), least)
+        if pooled is not None:
+            unseen = (UNSEEN * np.sqrt(noise) * KNOT_STEP**ORDER) ** 2
+            local[pooled] = max(float(squares[pooled].sum() / determined[pooled].sum()), unseen)
         noise = fit.noise if known else _noise(rows, fit)
         fit = _posterior(normal, noise, local)
     return fit
@@ -266,18 +312,21 @@ def _noise(rows: _Rows, fit: _Fit) -> float:
 
 
 def _projected(
-    points: FloatArray, arc: FloatArray, knots: FloatArray, coefficients: FloatArray
+    points: FloatArray, arc: FloatArray, knots: FloatArray, coefficients: FloatArray, design: DesignCurve | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the arc length of each point's foot on the curve, its signed distance, and the tangent (n, 2) there."""
-    curve = BSpline(knots, coefficients, DEGREE)
     inside = np.clip(arc, knots[DEGREE], knots[-DEGREE - 1])
-    tangent = curve(inside, nu=1)
-    rest = points - curve(inside)
+    at, tangent = _curve(inside, knots, coefficients, design)
+    rest = points - at
     speed = np.maximum((tangent**2).sum(axis=1), _TINY)
     foot = np.clip(inside + (rest * tangent).sum(axis=1) / speed, knots[DEGREE], knots[-DEGREE - 1])
     across = (rest[:, 1] * tangent[:, 0] - rest[:, 0] * tangent[:, 1]) / np.sqrt(speed)
+    if design is not None:  # whose arc is that of the curve but for the slope of the difference
+        return foot, across, tangent
     fine = np.linspace(knots[DEGREE], knots[-DEGREE - 1], 8 * len(coefficients))
-    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(curve(fine), axis=0).T))])
+    length = np.concatenate(
+        [[0.0], np.cumsum(np.hypot(*np.diff(_curve(fine, knots, coefficients, None)[0], axis=0).T))]
+    )
     return np.interp(foot, fine, length), across, tangent
 
 

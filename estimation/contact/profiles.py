@@ -135,9 +135,9 @@ def wheel_profile(name: str) -> Profile:
 
 
 def rail_profile(name: str) -> Profile:
-    """Return the rail profile of that name: 56E1 (BS113A), 60E1, 60E2, 54E1, UIC60 or EN15302-A; spelling is free.
+    """Return the rail profile of that name: one of EN 13674-1 as 60E1 or 49E1, BS113A, UIC60, EN15302-A.
 
-    EN15302-A is given in track axes (inclined already); all others are uninclined.
+    Case and punctuation are free. EN15302-A is given in track axes (inclined already); all others are uninclined.
 
     Parameters
     ----------
@@ -171,7 +171,10 @@ def _named(kind: ProfileKind, name: str, definitions: Mapping[str, Callable[[], 
         if _plain(known) == wanted:
             return _sampled(kind, known, define())
     others = f", {EN13715_NAMES}" if kind == "wheel" else ""
-    raise ProfileError(f"no {kind} profile named {name!r}; known: {', '.join(definitions)}{others}", field=kind)
+    raise ProfileError(
+        f"no {kind} profile named {name!r}; known: {', '.join(definitions)}{others}; give any other as a file",
+        field=kind,
+    )
 
 
 def _sampled(kind: ProfileKind, name: str, segments: tuple[Segment, ...]) -> Profile:

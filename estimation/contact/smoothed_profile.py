@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline
 
+from estimation.contact.design_curve import DesignCurve, explains, nearest_design
 from estimation.contact.penalised_spline import DEGREE, PenalisedSpline, correlated_noise, fit_spline
 from estimation.contact.profiles import Profile, ProfileKind, profile_from_points
 from estimation.contact.thinning import thinned
@@ -22,6 +22,7 @@ LEAST_OUTLIER = 0.02  # mm across the curve, no point nearer to it is an outlier
 OUTLIER_ROUNDS = 5
 ALONE = 3  # points to either side, of which only the farthest is left out at a time
 NEIGHBOURHOOD = 40  # points to either side that show the local noise
+NEAR = 15  # points to either side, whose noise is that of the point between them
 _MILLIMETRE = 1e-3
 
 
@@ -33,6 +34,11 @@ class SmoothedProfile:
     noise_std: float  # m, of a point across the profile; 0 where the points are taken as they are
     outliers: tuple[int, ...] = ()  # indices of points that were left out
     spline: PenalisedSpline | None = None  # None where the points are taken as they are
+
+    @property
+    def design(self) -> DesignCurve | None:
+        """The design from which the points differ by their noise only; None if there is none, or none was sought."""
+        return None if self.spline is None else self.spline.design
 
     def draw(self, random: np.random.Generator) -> Profile:
         """Return a profile that the measurement allows: the smooth one plus an error as probable as its own.
@@ -46,7 +52,7 @@ class SmoothedProfile:
             return self.profile
         error = self.spline.root @ random.standard_normal(self.spline.coefficients.shape)
         kind, name = self.profile.kind, self.profile.name
-        return _profile(kind, name, self.spline.knots, self.spline.coefficients + error)
+        return _profile(kind, name, self.spline, self.spline.coefficients + error)
 
 
 def exact(profile: Profile) -> SmoothedProfile:
@@ -97,14 +103,15 @@ def smoothed_profile(
             "points, or a noise of 0 to take them as they are",
             field="z",
         ) from error
-    profile = _profile(kind, name, spline.knots, spline.coefficients)
+    spline = _on_design(kind, points[chosen], weight, noise_std, spline)
+    profile = _profile(kind, name, spline, spline.coefficients)
     outliers = tuple(int(index) for index in chosen[weight == 0.0])
     return SmoothedProfile(profile, spline.noise_std * _MILLIMETRE, outliers, spline)
 
 
 def _without_outliers(points: FloatArray, level: float, noise_std: float | None) -> tuple[PenalisedSpline, FloatArray]:
     """Return the curve and the weights (n,) of the points, 0 for outliers."""
-    weight = _without_spikes(points, level)
+    weight = without_spikes(points, level)
     spline = fit_spline(points, weight, noise_std)
     for _ in range(OUTLIER_ROUNDS):
         limit = _limit(spline.residual, weight)
@@ -118,6 +125,18 @@ def _without_outliers(points: FloatArray, level: float, noise_std: float | None)
         weight[back] = 1.0
         spline = fit_spline(points, weight, noise_std)
     return spline, weight
+
+
+def _on_design(
+    kind: ProfileKind, points: FloatArray, weight: FloatArray, noise_std: float | None, spline: PenalisedSpline
+) -> PenalisedSpline:
+    """Return the spline; of points that differ from a design by their noise only, the one that is added to it."""
+    kept = weight > 0.0
+    design = nearest_design(kind, points[kept])
+    local = np.sqrt(np.nanmean(_windows(spline.residual[kept] ** 2, NEAR), axis=1))
+    if design is None or not explains(design, points[kept], local, correlated_noise(points)[1]):
+        return spline
+    return fit_spline(points, weight, noise_std, design)
 
 
 def datum_at_zero(profile: Profile) -> Profile:
@@ -137,7 +156,11 @@ def datum_at_zero(profile: Profile) -> Profile:
         return profile
     level = float(profile.height(np.zeros(1))[0])
     if not np.isfinite(level):
-        raise ProfileError("the wheel does not reach the tread datum, 70 mm from the flange back", field="y")
+        raise ProfileError(
+            "the wheel does not reach the tread datum, 70 mm from the flange back; is it a wheel, with y in the first "
+            "column? Say where its y = 0 is (--origin datum or flange-back), or measure farther out",
+            field="y",
+        )
     return Profile("wheel", profile.name, profile.y, profile.z - level, profile.slope)
 
 
@@ -168,20 +191,27 @@ def _peak(kind: ProfileKind, z: FloatArray) -> int:
     return int(np.argmax(z) if kind == "wheel" else np.argmin(z))
 
 
-def _profile(kind: ProfileKind, name: str, knots: FloatArray, coefficients: FloatArray) -> Profile:
-    curve = BSpline(knots, coefficients, DEGREE)
-    first, last = float(knots[DEGREE]), float(knots[-DEGREE - 1])
+def _profile(kind: ProfileKind, name: str, spline: PenalisedSpline, coefficients: FloatArray) -> Profile:
+    first, last = float(spline.knots[DEGREE]), float(spline.knots[-DEGREE - 1])
     arc = np.linspace(first, last, 2 + int((last - first) / SAMPLING_STEP))
-    y, z = curve(arc).T
-    across, down = curve(arc, nu=1).T
+    point, derivative = spline.at(arc, coefficients)
+    (y, z), (across, down) = point.T, derivative.T
     kept = advancing(y, _peak(kind, z))
     kept = kept[across[kept] * STEEPEST > np.abs(down[kept])]
     profile = Profile(kind, name, y[kept] * _MILLIMETRE, z[kept] * _MILLIMETRE, down[kept] / across[kept])
     return datum_at_zero(profile)
 
 
-def _without_spikes(points: FloatArray, level: float) -> FloatArray:
-    """Return weight 0 for points far off the median of their neighbours, which would bend the first fit."""
+def without_spikes(points: FloatArray, level: float) -> FloatArray:
+    """Return weight 0 (n,) for points far off the median of their neighbours, which would bend the first fit, else 1.
+
+    Parameters
+    ----------
+    points
+        (n, 2) mm, in their order along the curve.
+    level
+        Noise across the curve, mm.
+    """
     n = len(points)
     index = np.clip(np.arange(n)[:, np.newaxis] + np.arange(-3, 4), 0, n - 1)
     middle = np.median(points[index], axis=1)

@@ -7,6 +7,8 @@ import re
 from estimation.errors import ProfileError
 from ingest.profiles.points import FilePoints, number, points_of
 
+_DECIMAL_COMMAS = re.compile(r"^[+-]?\d+,\d+(\s*;\s*|\s+)[+-]?\d+(,\d+)?$")
+
 
 def parse_columns(text: str, file: str, unit: float) -> FilePoints:
     """Return the points of a two-column file; separators are commas, semicolons or blanks.
@@ -23,13 +25,15 @@ def parse_columns(text: str, file: str, unit: float) -> FilePoints:
     Raises
     ------
     ProfileError
-        A row with fewer than two columns or with something that is not a finite number.
+        Decimal commas, a row with fewer than two columns or with something that is not a finite number.
     """
     rows: list[tuple[int, float, float]] = []
     for line, raw in enumerate(text.lstrip("\ufeff").splitlines(), start=1):
         content = raw.split("#", maxsplit=1)[0].strip()
         if not content or (not rows and not re.match(r"^[+-]?(\d|\.\d|nan|inf)", content, re.IGNORECASE)):
             continue
+        if _DECIMAL_COMMAS.match(content):
+            raise ProfileError("decimal commas; write decimal points", file=file, line=line)
         cells = [cell for cell in re.split(r"[\s,;]+", content) if cell]
         if len(cells) < 2:  # noqa: PLR2004 - y and z
             raise ProfileError(f"{len(cells)} column, two are expected", file=file, line=line)

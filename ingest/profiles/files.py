@@ -91,7 +91,7 @@ def read_measured_profile(
     except OSError as error:
         raise ProfileError(f"cannot be read: {error.strerror}", file=file) from error
     if "\x00" in text:
-        raise ProfileError("is not a text file", file=file)
+        raise ProfileError("is not a text file; export the profile as text", file=file)
     points = _parsed(text, str(file), file.suffix.lower(), unit)
     noise = None if noise_std is None else noise_std / _MILLIMETRE
     return oriented(points, kind, file.stem, mirror=mirror, origin=origin, noise_std=noise)

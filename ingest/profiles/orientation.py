@@ -41,6 +41,7 @@ _LEAST_TREAD = 10.0  # mm outside the tread datum
 _HEAD_DEPTH = 4.0  # mm below the crown, what is a head
 _GROOVE_DEPTH = 15.0  # mm
 _METRES_BELOW = 1.0  # mm of width: no profile is so narrow
+_NARROWEST = 30.0  # mm, in another unit below
 _LARGEST_SPAN = 500.0  # mm, in either direction: wheels are up to 150 mm wide, whole rails 180 mm high
 _HEAD_WIDTH = (40.0, 100.0)  # mm
 _LEAST_HEAD_DEPTH = 1.0  # mm on either side of the crown
@@ -160,6 +161,13 @@ def _check_span(points: FilePoints, kind: ProfileKind) -> None:
         raise ProfileError(
             f"spans {width:.3g} mm: the numbers look like metres; give them in mm", file=points.file, field="y"
         )
+    if width < _NARROWEST:
+        raise ProfileError(
+            f"spans {width:.3g} mm, and a {kind} at least {_NARROWEST:.0f} mm: is it in another unit? "
+            "Give the whole profile in mm",
+            file=points.file,
+            field="y",
+        )
     for field, values in (("y", points.y), ("z", points.z)):
         if np.ptp(values) > _LARGEST_SPAN:
             raise ProfileError(
@@ -228,7 +236,7 @@ def _check_order(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKin
         first = np.maximum(lines[1:], lines[:-1])[rows < 0.0].min(initial=lines.max())
         raise ProfileError(
             f"points are not in order along the profile (rows run {back:.0f} mm backwards in all, largest gap "
-            f"{gap:.1f} mm)",
+            f"{gap:.1f} mm); sort them along it, and measure what a gap leaves out",
             file=file,
             line=int(first) if back > 0.0 else int(lines.min()),
             field="y",

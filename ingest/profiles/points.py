@@ -55,7 +55,7 @@ def points_of(file: str, rows: list[tuple[int, float, float]], *, axes_known: bo
         Fewer than four rows, or more than 50,000.
     """
     if len(rows) < 4:  # noqa: PLR2004 - a profile needs four points
-        raise ProfileError(f"{len(rows)} profile points found, at least 4 are needed", file=file)
+        raise ProfileError(f"{len(rows)} profile points found, at least 4 are needed: rows of y and z in mm", file=file)
     if len(rows) > MOST_ROWS:
         raise ProfileError(
             f"{len(rows):,} profile points found, at most {MOST_ROWS:,} are possible; give a file of one profile, or "

@@ -6,10 +6,12 @@ import numpy as np
 
 from estimation.contact.penalised_spline import rough_noise
 from estimation.contact.profiles import ProfileKind
+from estimation.contact.smoothed_profile import without_spikes
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray, IntArray
 
-LARGEST_STEP = 0.15  # mm
+LARGEST_STEP = 0.08  # mm
+LEAST_NOISE = 1e-4  # mm
 SIGNIFICANT = 6.0  # standard deviations
 _REACH = 2.0  # mm to either side that are extrapolated
 _FEWEST = 4  # points to either side
@@ -21,7 +23,8 @@ def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind
     """Raise where tread or crown have a step that no wear makes.
 
     At each gap between points straight lines through the 2 mm on either side are continued to it; a step is where
-    they differ by more than 0.15 mm and by 6 standard deviations, and both are flatter than 1:2.
+    they differ by more than 0.08 mm and by 6 standard deviations, and both are flatter than 1:2. Single points far from
+    their neighbours make no step.
 
     Parameters
     ----------
@@ -41,8 +44,12 @@ def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind
     """
     order = np.argsort(y, kind="stable")
     order = order[_where(y[order], z[order], kind)]
+    if len(order) <= 2 * _FEWEST:
+        return
+    points = np.column_stack([y[order], z[order]])
+    noise = max(rough_noise(points), LEAST_NOISE)
+    order = order[without_spikes(points, noise) > 0.0]
     y, z, lines = y[order], z[order], lines[order]
-    noise = max(rough_noise(np.column_stack([y, z])), 1e-4) if len(y) > 2 * _FEWEST else 0.0
     worst, at = 0.0, 0
     for index in range(_FEWEST, len(y) - _FEWEST):
         gap = 0.5 * (y[index - 1] + y[index])

@@ -125,6 +125,8 @@ def test_a_wheel_from_a_file_is_the_wheel(tmp_path: Path) -> None:
     [
         (["--wheel", "P9"], "known: P8"),
         (["--rail", "nowhere/rail.ban"], "nowhere/rail.ban"),
+        (["--rail", "54E2"], "49E1, 49E2"),
+        (["--rail", "54E2"], "give any other as a file"),
         (["--inclination", "steep"], "'steep' is no inclination"),
         (["--inclination", "1:0"], "inclination"),
         (["--gauge-mm", "1900"], "never touch"),
@@ -170,7 +172,8 @@ def test_a_measured_wheel_has_a_conicity_with_a_std(tmp_path: Path) -> None:
     document = json.loads(result.stdout)
     design = json.loads(_run("--wheel", "EN13715-S1002/h28/e32.5", *pair).stdout)
     assert set(design["equivalent_conicity"]["std"]) == {0.0}
-    assert document["profiles"]["rails"] == {"name": "60E1", "noise_mm": 0.0, "points_left_out": 0}
+    assert document["profiles"]["rails"] == {"name": "60E1", "noise_mm": 0.0, "points_left_out": 0, "design": None}
+    assert document["profiles"]["left_wheel"]["design"] == "EN13715-S1002/h28/e32.5"
     assert document["profiles"]["left_wheel"]["noise_mm"] == pytest.approx(0.016, abs=0.003)
     at = document["equivalent_conicity"]["amplitude_mm"].index(3.0)
     value, std = (document["equivalent_conicity"][key][at] for key in ("value", "std"))

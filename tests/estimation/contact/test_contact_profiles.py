@@ -58,7 +58,29 @@ def test_a_sampled_profile_meets_its_definition_between_its_points(name: str) ->
 
 @pytest.mark.parametrize(
     ("rail", "width_mm", "depth_mm"),
-    [("56E1", 69.85, 14.53), ("60E1", 72.0, 14.3), ("60E2", 72.0, 14.3), ("54E1", 70.0, 14.1)],
+    [
+        ("56E1", 69.85, 14.53),
+        ("60E1", 72.0, 14.3),
+        ("60E2", 72.0, 14.3),
+        ("54E1", 70.0, 14.1),
+        ("46E1", 65.0, 14.3),
+        ("46E2", 62.0, 13.42),
+        ("46E3", 73.72, 14.18),  # 72 mm where its sides, continued, meet the top
+        ("46E4", 65.0, 13.745),
+        ("49E1", 67.0, 14.0),
+        ("49E2", 67.0, 13.621),
+        ("49E5", 67.0, 14.28),
+        ("50E1", 65.0, 13.58),
+        ("50E2", 72.0, 14.3),
+        ("50E3", 70.0, 14.23),
+        ("50E4", 70.0, 14.1),
+        ("50E5", 67.0, 13.621),
+        ("50E6", 65.0, 13.58),
+        ("52E1", 65.0, 12.622),
+        ("54E3", 67.0, 14.0),
+        ("54E4", 67.0, 14.28),
+        ("55E1", 62.0, 13.42),
+    ],
 )
 def test_rail_heads_have_the_published_width(rail: str, width_mm: float, depth_mm: float) -> None:
     profile = rail_profile(rail)

@@ -1,0 +1,218 @@
+"""The design that a measured profile comes from: a curve along its arc, moved to where the measured points are.
+
+A new wheel or rail is its design. The corners and joints of arcs that noise hides in its points are known from it.
+Which design it is, and where, is found by the rigid movement that brings the points nearest; it is used only where the
+points differ from it by no more than their noise, because wear removes corners.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial import cKDTree
+
+from estimation.contact.en13715 import HEIGHTS, THICKNESSES
+from estimation.contact.profiles import ProfileKind, rail_profile, wheel_profile
+from estimation.contact.rail_definitions import RAIL_DEFINITIONS
+from estimation.contact.segments import Segment
+from estimation.contact.wheel_definitions import WHEEL_DEFINITIONS
+from estimation.values.arrays import FloatArray, IntArray, frozen_array
+
+FARTHEST = 0.3  # mm, median distance of the points, beyond which no design is tried
+SIGNIFICANT = 5.0  # standard deviations of a mean distance that noise does not explain
+WINDOWS = (2.0, 6.0, 20.0)  # mm of arc, over which distances are averaged
+INNER_WHEEL = (-43.0, 50.0)  # mm from the tread datum: flange face to the outer tread
+INNER_RAIL = 13.0  # mm below the top
+REACHES = (3.0, 1.0, 0.3)  # mm, beyond which a distance counts little, in the rounds of the search
+ROUNDS = 5  # with each reach
+FEWEST_INSIDE = 100  # points
+POINTS = 300  # that place a design
+FINALISTS = 3
+THICKNESS_STEP = 0.5  # mm
+HEAD_DEPTH = 5.0  # mm below its top, where the middle of a head is taken
+_MILLIMETRE = 1e-3
+_TREADS = ("S1002", "1/40")
+
+_Movement = tuple[float, float, float]
+"""Shift across and down (mm) after a turn about the origin (rad)."""
+
+
+@dataclass(frozen=True, slots=True)
+class DesignCurve:
+    """A design profile over its arc, in the axes of the points; mm."""
+
+    name: str
+    arc: FloatArray  # (m,) mm
+    points: FloatArray  # (m, 2) mm
+    tangent: FloatArray  # (m, 2) of length 1
+    inner: tuple[float, float]  # arc of what is or may be in contact, mm
+    turn: float = 0.0  # rad, by which the points are turned against the design
+
+    def __post_init__(self) -> None:
+        m = len(self.arc)
+        for field, shape in (("arc", (m,)), ("points", (m, 2)), ("tangent", (m, 2))):
+            object.__setattr__(self, field, frozen_array(getattr(self, field), shape, name=field))
+
+    def at(self, arc: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return points and derivatives (n, 2) at arc (n,), mm; beyond the ends straight on."""
+        inside = np.clip(arc, self.arc[0], self.arc[-1])
+        curve = CubicHermiteSpline(self.arc, self.points, self.tangent)
+        derivative = np.asarray(curve(inside, nu=1))
+        return np.asarray(curve(inside)) + (arc - inside)[:, np.newaxis] * derivative, derivative
+
+    def foot(self, points: FloatArray) -> FloatArray:
+        """Return the arc (n,) of the nearest point of the curve to each of the points (n, 2), mm."""
+        return _foot(self, cKDTree(self.points), points)[0]
+
+
+def nearest_design(kind: ProfileKind, points: FloatArray) -> DesignCurve | None:
+    """Return the design nearest to measured points, moved to them; None if they are of no known design.
+
+    Parameters
+    ----------
+    kind
+        Of which designs.
+    points
+        (n, 2) mm, y to the field side and z down, along the profile; a wheel's y from about its tread datum.
+    """
+    shown = points[np.unique(np.linspace(0, len(points) - 1, POINTS).astype(np.int64))]
+    found = []
+    for name in _names(kind, shown):
+        start = _start(_design(kind, name)[0], shown) if kind == "rail" else (0.0, 0.0, 0.0)
+        movement = _moved(kind, name, start, shown, REACHES[:1])
+        found.append((_distance(kind, name, movement, shown), name, movement))
+    finals = [(name, _moved(kind, name, start, shown, REACHES[1:])) for _, name, start in sorted(found)[:FINALISTS]]
+    name, movement = min(finals, key=lambda final: _distance(kind, final[0], final[1], shown))
+    design = _design(kind, name)[0]
+    if float(np.median(np.abs(_across(kind, name, movement, shown)[0]))) > FARTHEST:
+        return None
+    turn = _rotation(movement[2])
+    return DesignCurve(
+        name, design.arc, design.points @ turn + movement[:2], design.tangent @ turn, design.inner, movement[2]
+    )
+
+
+def explains(design: DesignCurve, points: FloatArray, noise: FloatArray, length: float) -> bool:
+    """Return whether points differ from a design by no more than their noise, where wheel and rail may touch.
+
+    Parameters
+    ----------
+    design
+        Moved to the points.
+    points
+        (n, 2) mm, without outliers.
+    noise
+        (n,) standard deviation of each across the profile, mm.
+    length
+        Arc over which neighbours share it, mm.
+    """
+    arc = design.foot(points)
+    at, tangent = design.at(arc)
+    across = ((points - at) * np.column_stack([-tangent[:, 1], tangent[:, 0]])).sum(axis=1)
+    inside = (arc >= design.inner[0]) & (arc <= design.inner[1])
+    if np.count_nonzero(inside) < FEWEST_INSIDE:
+        return False
+    across = across[inside] / noise[inside]
+    spacing = float(np.median(np.diff(np.sort(arc[inside]))))
+    alike = math.exp(-spacing / length) if length > 0.0 else 0.0
+    for window in WINDOWS:
+        count = max(1, round(window / spacing))
+        if count >= len(across):
+            break
+        mean = np.convolve(across, np.full(count, 1.0 / count), "valid")
+        std = math.sqrt((1.0 + alike) / (1.0 - alike) / count)
+        if float(np.abs(mean).max()) > SIGNIFICANT * std:
+            return False
+    return True
+
+
+def _names(kind: ProfileKind, points: FloatArray) -> list[str]:
+    """Return the designs that come into question; the flange of EN 13715 is the one of the nearest height."""
+    if kind == "rail":
+        return _different(RAIL_DEFINITIONS)
+    height = min(
+        np.arange(HEIGHTS[0], HEIGHTS[1] + 0.1, 2.0), key=lambda value: abs(float(value) - float(points[:, 1].max()))
+    )
+    thicknesses = np.arange(THICKNESSES[0], THICKNESSES[1] + 0.1, THICKNESS_STEP)
+    family = [f"EN13715-{tread}/h{height:g}/e{thickness:g}" for tread in _TREADS for thickness in thicknesses]
+    return [*(name for name in _different(WHEEL_DEFINITIONS) if name != "S1002"), *family]  # S1002 is of the family
+
+
+def _different(definitions: Mapping[str, Callable[[], tuple[Segment, ...]]]) -> list[str]:
+    """Return one name of each definition."""
+    return list({define: name for name, define in reversed(list(definitions.items()))}.values())
+
+
+@cache
+def _design(kind: ProfileKind, name: str) -> tuple[DesignCurve, cKDTree]:
+    profile = wheel_profile(name) if kind == "wheel" else rail_profile(name)
+    points = np.column_stack([profile.y, profile.z]) / _MILLIMETRE
+    tangent = np.column_stack([np.ones(len(profile.y)), profile.slope]) / np.hypot(1.0, profile.slope)[:, np.newaxis]
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    y, z = points.T
+    inside = (y >= INNER_WHEEL[0]) & (y <= INNER_WHEEL[1]) if kind == "wheel" else z - z.min() <= INNER_RAIL
+    inner = float(arc[inside][0]), float(arc[inside][-1])
+    return DesignCurve(name, arc, points, tangent, inner), cKDTree(points)
+
+
+def _start(design: DesignCurve, points: FloatArray) -> _Movement:
+    """Return the movement that brings the top and the middle of a rail head to those of the points."""
+    middles = []
+    for head in (design.points, points):
+        upper = head[head[:, 1] < head[:, 1].min() + HEAD_DEPTH, 0]
+        middles.append(0.5 * float(upper.min() + upper.max()))
+    return middles[1] - middles[0], float(points[:, 1].min() - design.points[:, 1].min()), 0.0
+
+
+def _moved(
+    kind: ProfileKind, name: str, movement: _Movement, points: FloatArray, reaches: tuple[float, ...]
+) -> _Movement:
+    """Return the movement of the design to the points, by Gauss and Newton; far distances count little."""
+    for reach in reaches:
+        for _ in range(ROUNDS):
+            across, at, normal = _across(kind, name, movement, points)
+            # a small turn moves the foot at right angles to its arm
+            matrix = np.column_stack([normal, at[:, 0] * normal[:, 1] - at[:, 1] * normal[:, 0]])
+            weight = 1.0 / (1.0 + (across / reach) ** 2) ** 2
+            step = np.linalg.lstsq(matrix * weight[:, np.newaxis], across * weight, rcond=None)[0]
+            shift = np.array(movement[:2]) @ _rotation(float(step[2])) + step[:2]
+            movement = float(shift[0]), float(shift[1]), movement[2] + float(step[2])
+    return movement
+
+
+def _rotation(turn: float) -> FloatArray:
+    """Return the matrix by which rows of points are multiplied to turn them."""
+    cos, sin = math.cos(turn), math.sin(turn)
+    return np.array([[cos, sin], [-sin, cos]])
+
+
+def _across(
+    kind: ProfileKind, name: str, movement: _Movement, points: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the distance (n,) of each point across the moved design, the foot of each, and the normal there (n, 2)."""
+    design, tree = _design(kind, name)
+    turn = _rotation(movement[2])
+    arc, nearest = _foot(design, tree, (points - movement[:2]) @ turn.T)
+    tangent = design.tangent[nearest] @ turn
+    at = design.points[nearest] @ turn + movement[:2] + (arc - design.arc[nearest])[:, np.newaxis] * tangent
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    return ((points - at) * normal).sum(axis=1), at, normal
+
+
+def _foot(design: DesignCurve, tree: cKDTree, points: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return the arc (n,) of the foot of each point, and the index of the point of the design nearest to it."""
+    nearest = np.asarray(tree.query(points)[1], dtype=np.int64)
+    along = ((points - design.points[nearest]) * design.tangent[nearest]).sum(axis=1)
+    step = float(np.diff(design.arc).max())
+    inner = (nearest > 0) & (nearest < len(design.arc) - 1)
+    return np.asarray(design.arc[nearest] + np.where(inner, np.clip(along, -step, step), along)), nearest
+
+
+def _distance(kind: ProfileKind, name: str, movement: _Movement, points: FloatArray) -> float:
+    across = np.abs(_across(kind, name, movement, points)[0])
+    return float(np.minimum(across, REACHES[-1]).mean())
