@@ -196,3 +196,31 @@ def test_a_rail_that_leans_already_is_noted(tmp_path: Path) -> None:
     assert once.stderr == ""
     mirrored = _run("--wheel", "S1002", "--rail", str(file), "--inclination", "0", "--mirror")
     assert json.loads(mirrored.stdout)[KEYS[1]] != json.loads(once.stdout)[KEYS[1]]
+
+
+def _wheel_file(folder: Path, *, turn: float = 0.0, step: float = 0.0) -> Path:
+    """Write an S1002, turned (rad), with a step of the tread (mm)."""
+    wheel = wheel_profile("S1002")
+    y = np.linspace(-69.0, 58.0, 900)
+    z = wheel.height(y * 1e-3) * 1e3 + np.random.default_rng(3).normal(0.0, 0.01, len(y)) + np.where(y > 5.0, step, 0.0)
+    points = np.column_stack([y, z]) @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    file = folder / "wheel.txt"
+    file.write_text("".join(f"{a:.5f} {b:.5f}\n" for a, b in points))
+    return file
+
+
+def test_a_wheel_that_is_turned_against_its_design_is_noted(tmp_path: Path) -> None:
+    assert "turned by +0.57 degrees" in _run("--wheel", str(_wheel_file(tmp_path, turn=0.01))).stderr
+    assert _run("--wheel", str(_wheel_file(tmp_path, turn=0.001))).stderr == ""
+
+
+def test_flanges_without_play_are_noted() -> None:
+    assert "2.4 mm of play" in _run("--wheel", "S1002", "--flange-back-mm", "1365.2").stderr
+    assert _run("--wheel", "S1002", "--flange-back-mm", "1364.8").stderr == ""
+
+
+def test_a_small_step_and_decimal_commas_are_refused(tmp_path: Path) -> None:
+    assert "a step of 0.1" in _run("--wheel", str(_wheel_file(tmp_path, step=0.12))).stderr
+    file = _wheel_file(tmp_path)
+    file.write_text(file.read_text().replace(" ", ";").replace(".", ","))
+    assert "write decimal points" in _run("--wheel", str(file)).stderr
