@@ -19,7 +19,7 @@ from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.intervals import NORMAL_95, jackknife_std, with_interval
 from estimation.values.quantities import Estimate
-from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.reasons import Reason, ReasonCode
 
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
@@ -266,8 +266,9 @@ def at_reference_amplitude(
     for a, value in sorted(zip(amplitude, conicity, strict=True), key=lambda pair: -pair[0]):
         if a <= parameters.reference_amplitude + 1e-9 and value.value is not None:
             return value, float(a)
-    open_at = (one.reason for one in conicity if code_of(one.reason) is ReasonCode.CONICITY_OPEN)
-    return Estimate.unknown(next(open_at, NO_AMPLITUDE), conicity[0].count), parameters.reference_amplitude
+    given = (one.reason for one in conicity if one.reason is not None)
+    reason = next((one for one in given if one.code is ReasonCode.CONICITY_OPEN), NO_AMPLITUDE)
+    return Estimate.unknown(reason, conicity[0].count), parameters.reference_amplitude
 
 
 def _zero_crossing(rows: list[_Row], curve: CurveReplicates, groups: int) -> Estimate:

@@ -35,6 +35,8 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import Correction, TrackAlignment
 
+MOST_SLOPE_STD = 0.4  # of the curves of all wheelsets together: beyond, nothing is known of them
+
 
 @dataclass(frozen=True, slots=True)
 class SectionEstimate:
@@ -94,7 +96,7 @@ def estimate_section(
         return SectionEstimate(None, nothing(reason, named), grouped, {})
     accepted = _reject_outliers(grouped, known, panel, parameters)
     iterated = with_slope(accepted.iterated, known, parameters.iteration.most_weight)
-    report = _report(accepted, grouped, known, parameters)
+    report = _report(replace(accepted, iterated=iterated), grouped, known, parameters)
     used = (f"measured profiles of {one.name}" for one in iterated.measured_curves)
     report = replace(report, evidence=(*named, *used))
     if report.status is not Status.ESTIMATED:
@@ -208,13 +210,21 @@ def _state_of(
     if known is not None and known.has_alignment:
         status, reason = Status.ESTIMATED, None
     elif status is Status.ESTIMATED:
-        not_converged = _not_converged_reason(accepted.iterated, p)
-        if not_converged is not None:
-            return Status.UNESTIMATED, not_converged
+        unknown = _not_converged_reason(accepted.iterated, p) or _slope_open(accepted.iterated)
+        if unknown is not None:
+            return Status.UNESTIMATED, unknown
     if status is Status.ESTIMATED and len(accepted.outliers) == len(grouped):
         first = next(iter(accepted.outliers.values()))
         return Status.UNESTIMATED, Reason(ReasonCode.NO_JOURNEY_AGREES, f"no journey agrees with another: {first}")
     return status, reason
+
+
+def _slope_open(iterated: IterationResult) -> Reason | None:
+    """Return by how much the slope of all curves together is open, where that is too much; else None."""
+    if iterated.slope is None or iterated.slope.std <= MOST_SLOPE_STD:
+        return None
+    text = f"the passes are too alike: they leave the slope of all curves open by {100 * iterated.slope.std:.0f} %"
+    return Reason(ReasonCode.PASSES_ALIKE, text)
 
 
 def _low_weight_reason(iterated: IterationResult) -> Reason | None:

@@ -16,7 +16,7 @@ from estimation.values.intervals import jackknife_std
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 
-LEAST_DIVERSITY = 0.15
+LEAST_DIVERSITY = 0.05
 LEAST_WHEELSETS = 2
 SINGLE_WHEELSET = Reason(
     ReasonCode.SINGLE_WHEELSET, "one wheelset alone cannot separate the track from its own geometry"

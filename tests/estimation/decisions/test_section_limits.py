@@ -13,6 +13,7 @@ from estimation.track.convergence import Convergence, Iterated
 from estimation.track.iteration import IterationResult
 from estimation.track.journeys import Journey, journeys
 from estimation.track.panel.basis import KnownBeforehand, Panel, PanelParameters
+from estimation.track.panel.errors_in_variables import SlopeCorrection
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import init
 from estimation.track.panel.prior_alignment import prior_on_grid
@@ -43,10 +44,10 @@ KNOWN = MeasuredCurve("W9", np.array([-5e-3, 5e-3]), np.array([-5e-3, 5e-3]), 0.
 WHY = Reason(ReasonCode.JOURNEY_DISAGREES, "agrees with no other")
 
 
-def a_pass(number: int, place: FloatArray = D, start_ns: int = 0, noise: float = 0.01e-3) -> Pass:
+def a_pass(number: int, place: FloatArray = D, start_ns: int = 0, noise: float = 0.01e-3, slope: float = 0.2) -> Pass:
     n = len(place)
     R = 0.3e-3 * smooth(100 + number, n, width=8)
-    y = place + 0.2 * R + noise * smooth(200 + number, n)
+    y = place + slope * R + noise * smooth(200 + number, n)
     return Pass(ProfileLife(f"W{number}"), f"V{number}", start_ns, np.arange(-200.0, n - 200.0), y, R)
 
 
@@ -88,7 +89,7 @@ def test_a_journey_of_another_place_is_left_out_of_it(three: SectionEstimate) ->
 
 
 def test_a_wheelset_that_fits_badly_counts_less() -> None:
-    found = estimated(*(a_pass(k) for k in range(4)), a_pass(4, noise=0.3e-3))
+    found = estimated(*(a_pass(k, slope=0.8) for k in range(4)), a_pass(4, noise=0.3e-3, slope=0.8))
     assert code_of(found.report.reason) is ReasonCode.LOW_WEIGHT
     assert "W4 (0." in str(found.report.reason)
     assert all(one.used for one in found.report.journeys)
@@ -184,6 +185,17 @@ def test_a_section_is_estimated_where_its_panel_or_what_was_known_is_and_a_journ
     assert [state(good, {}), state(good, one), state(good, both)] == [yes, yes, none]
     assert [state(bad, {}), state(bad, both), state(bad, {}, nowhere)] == [refused] * 3
     assert [state(bad, {}, prior()), state(bad, one, prior()), state(bad, both, prior())] == [yes, yes, none]
+
+
+@pytest.mark.parametrize(("std", "reason"), [(0.39, None), (0.41, ReasonCode.PASSES_ALIKE)])
+def test_curves_whose_slope_is_open_by_two_fifths_make_no_alignment(std: float, reason: ReasonCode | None) -> None:
+    good = PanelReport(Status.ESTIMATED, None, curves_fixed=False)
+    accepted = _Accepted(replace(iterated(report=good), slope=SlopeCorrection(1.5, std)), {}, {})
+    grouped: dict[Journey, Sequence[Pass]] = {("V", 0): [a_pass(0)]}
+    status, found = _state_of(accepted, grouped, None, P)
+    assert (status, code_of(found)) == (Status.UNESTIMATED if reason else Status.ESTIMATED, reason)
+    known = prior_on_grid(prior(), PANEL.grid, P.panel.cutoff_wavelength)
+    assert _state_of(accepted, grouped, known, P) == (Status.ESTIMATED, None)
 
 
 def test_wheelsets_of_low_weight_are_named() -> None:
