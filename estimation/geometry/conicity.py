@@ -183,10 +183,7 @@ def _lost_to_filters(x: FloatArray, curve: FloatArray, amplitude: FloatArray) ->
     The part of R that is alike on both sides of the centre grows and falls with the amplitude; what is slow of that is
     lost, and comes back as an error of R of some share of it.
     """
-    reach = min(-x[0], x[-1], ALIKE_REACH)
-    if reach <= 0.0:
-        return np.zeros(len(amplitude))
-    beside = np.linspace(0.0, reach, ALIKE_POINTS)
+    beside = np.linspace(0.0, min(-x[0], x[-1], ALIKE_REACH), ALIKE_POINTS)
     alike = 0.5 * (np.interp(beside, x, curve) + np.interp(-beside, x, curve)) - np.interp(0.0, x, curve)
     return np.asarray(ALIKE_SHARE * np.mean(np.abs(alike)) / (2.0 * amplitude))
 

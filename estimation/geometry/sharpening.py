@@ -28,6 +28,7 @@ MOST_MISFIT = 1.0  # rms, in std of the nodes
 BLURS = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)  # of the longest that is to be expected
 SAMPLES = 8  # in a bin, for its quadratic
 REACH = 3.0  # std of the blur that the cells go beyond the bins
+STEPS = 30  # of the search for slopes, per cell; most end after one
 _KEPT = 64  # operators: the bins and blurs of wheelsets are much alike
 
 
@@ -87,7 +88,9 @@ def unsharpened(low: FloatArray, high: FloatArray, longest: float) -> Sharpening
     return Sharpening(x, 0.0, float(np.hypot(longest, in_bin)), np.eye(len(x)), np.zeros(len(x)))
 
 
-def sharpen(low: FloatArray, high: FloatArray, nodes: FloatArray, std: FloatArray, longest: float) -> Sharpening:
+def sharpen(
+    low: FloatArray, high: FloatArray, nodes: FloatArray, std: FloatArray, longest: float, steps: int = STEPS
+) -> Sharpening:
     """Return how to take away the longest blur up to ``longest`` that the nodes allow.
 
     Parameters
@@ -100,18 +103,20 @@ def sharpen(low: FloatArray, high: FloatArray, nodes: FloatArray, std: FloatArra
         (2 b + 1,) m, of the nodes.
     longest
         m, std of the blur that is to be expected at most.
+    steps
+        Of the search for slopes, per cell; a blur for which they do not suffice counts as one that does not fit.
     """
     weight = 1.0 / np.hypot(std, LEAST_STD)
     least = min(0.0, 2.0 * float(np.min(np.diff(nodes[1::2]) / np.diff(low)))) if len(low) > 1 else 0.0
     for share in BLURS:
-        found = _sharpen(low, high, nodes, weight, share * longest, least)
+        found = _sharpen(low, high, nodes, weight, share * longest, least, steps)
         if found is not None:
             return found
     return unsharpened(low, high, longest)
 
 
 def _sharpen(
-    low: FloatArray, high: FloatArray, nodes: FloatArray, weight: FloatArray, blur: float, least: float
+    low: FloatArray, high: FloatArray, nodes: FloatArray, weight: FloatArray, blur: float, least: float, steps: int
 ) -> Sharpening | None:
     """Return how to take away a blur (m); None where no curve with slopes of at least ``least`` becomes these nodes."""
     width = float(high[0] - low[0])
@@ -127,12 +132,13 @@ def _sharpen(
         ]
     )
     wanted = np.append(weight * (nodes - base), np.zeros(cells - 1))
-    found, _ = nnls(np.column_stack([system, -system[:, 0]]), wanted, maxiter=30 * cells)  # the offset has any sign
-    theta = np.append(found[0] - found[-1], found[1:-1])
+    theta = _non_negative(system, wanted, steps * cells)
+    if theta is None:
+        return None
     misfit = system[: len(nodes)] @ theta - wanted[: len(nodes)]
     if np.sqrt(np.mean(misfit**2)) > MOST_MISFIT:
         return None
-    free = np.append(True, found[1:-1] > 0.0)
+    free = np.append(True, theta[1:] > 0.0)
     solved = np.zeros((cells + 1, len(nodes)))
     solved[free] = np.linalg.pinv(system[:, free])[:, : len(nodes)] * weight
     inside = slice(beyond, cells + 1 - beyond)
@@ -145,6 +151,15 @@ def _sharpen(
         inverse=integral[inside],
         constant=(slope - integral @ base)[inside],
     )
+
+
+def _non_negative(system: FloatArray, wanted: FloatArray, steps: int) -> FloatArray | None:
+    """Return the offset, of any sign, and slopes that are not negative; None where the search takes more steps."""
+    try:
+        found, _ = nnls(np.column_stack([system, -system[:, 0]]), wanted, maxiter=steps)
+    except RuntimeError:  # more than maxiter
+        return None
+    return np.append(found[0] - found[-1], found[1:-1])
 
 
 def _beyond(width: float, blur: float) -> int:

@@ -24,7 +24,7 @@ from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import FloatArray
 from estimation.values.intervals import NORMAL_95, jackknife_std
 from estimation.values.quantities import Estimate
-from estimation.values.reasons import ReasonCode, code_of
+from estimation.values.reasons import Reason, ReasonCode, code_of
 
 WIDTH = 0.25e-3
 EDGES = (np.arange(-28, 30) - 0.5) * WIDTH
@@ -172,7 +172,7 @@ def by_hand(item: CurveReplicates, amplitudes: tuple[float, ...]) -> tuple[Float
     for k in range(item.sensitivity.shape[1]):
         _, (further,) = nodes(replace(item, difference=item.sensitivity[None, :, k]))
         shifted.append(conicity(x, sharp.curve(rows[0] + further)) - found[0])
-    place = np.sqrt(0.02e-3**2 + (0.2 * (sharp.blur + sharp.left)) ** 2 + error.jump_mean_std**2)
+    place = np.sqrt(0.03e-3**2 + (0.2 * (sharp.blur + sharp.left)) ** 2 + error.jump_mean_std**2)
     middle = zero_crossing(x, row)
     stretches, places = [], []
     for share in (-1.959964, -1.0, 1.0, 1.959964):
@@ -182,7 +182,17 @@ def by_hand(item: CurveReplicates, amplitudes: tuple[float, ...]) -> tuple[Float
     blurred = 0.5 * (conicity((1.0 - error.excess) * at, rows[0]) - found[0])
     others = [conicity(sharp.displacement, row) - found[0], blurred]
     others += [np.max(np.abs(changes) / per_std, axis=0) for changes in (stretches, places)]
-    return found, np.stack([*shifted, *others])
+    return found, np.stack([*shifted, *others, lost(x, row, np.array(amplitudes))])
+
+
+def lost(x: FloatArray, row: FloatArray, amplitudes: FloatArray) -> FloatArray:
+    """Return 0.15 of the mean of what both sides have in common, up to 3 mm or the nearer end, as conicities (a,)."""
+    reach = min(3e-3, -x[0], x[-1])
+    alike = [
+        np.interp(by, x, row) / 2.0 + np.interp(-by, x, row) / 2.0 - np.interp(0.0, x, row)
+        for by in reach * np.arange(61) / 60.0
+    ]
+    return np.asarray(0.15 * np.mean(np.abs(alike)) / (2.0 * amplitudes))
 
 
 @pytest.mark.parametrize(
@@ -208,6 +218,49 @@ def test_the_width_at_every_amplitude_is_the_sum_over_all_that_is_uncertain(erro
         assert std(estimate) == pytest.approx(wanted, rel=1e-6)
 
 
+@pytest.mark.parametrize(("low", "high", "reach"), [(-28, 28, 3e-3), (-6, 28, 1.625e-3), (-28, 6, 1.625e-3)])
+def test_what_both_sides_have_in_common_widens_what_the_high_pass_has_passed(low: int, high: int, reach: float) -> None:
+    """A parabola k x^2, on 61 points up to 3 mm or the nearer end; a cubic has nothing that is alike on both sides."""
+    k = 10.0
+    parabola = np.column_stack([k * CENTRE**2, 2 * k * CENTRE * WIDTH, np.full(BINS, k * WIDTH**2)])
+    mean = k * reach**2 * np.mean((np.arange(61) / 60.0) ** 2)
+    for shape, expected in ((line(2 * CONE) + parabola, 0.15 * mean), (cubic(), 0.0)):
+        item = curve(shape, **usable(low, high))
+        passed, whole = (estimates(replace(item, band_limited=limited)).conicity for limited in (True, False))
+        covered = [k for k, one in enumerate(passed) if one.value is not None]
+        assert len(covered) >= 5
+        for k in covered:
+            added = np.sqrt(std(passed[k]) ** 2 - std(whole[k]) ** 2)
+            assert added == pytest.approx(expected / (2.0 * PARAMETERS.amplitudes[k]), rel=1e-3, abs=1e-6)
+            assert std(whole[k]) < 1e-5
+
+
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_a_conicity_that_is_open_by_more_than_a_fifth_is_not_published(share: float) -> None:
+    item = curve(sensitivity=line(2 * 0.1 * share)[:, None])
+    found = estimates(item)
+    for a, one in zip(found.amplitude, found.conicity, strict=True):
+        assert one.count == 8.0
+        assert code_of(one.reason) is (None if share < 1.0 else ReasonCode.CONICITY_OPEN)
+        text = f"the data leave the conicity at {1e3 * a:g} mm open by 0.20 either way"
+        assert one.reason is None or one.reason.text == text
+    assert found.reported_amplitude == 3e-3
+    assert found.at_reference.reason == (None if share < 1.0 else found.conicity[0].reason)
+    assert value(found.nonlinearity) == pytest.approx(0.0, abs=1e-7)
+    assert std(found.nonlinearity) == pytest.approx(0.8 * np.sqrt(2.0) * 0.1 * share / 2.0, rel=1e-3)
+    assert value(estimates(replace(item, band_limited=False)).zero_crossing) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_reported_is_the_largest_amplitude_that_is_not_open() -> None:
+    """A cubic t x^3 has the conicity 3/8 t a^2: with t = 4.5e4 1/m^2 it is 0.085 at 2.25 mm and 0.105 at 2.5 mm."""
+    found = estimates(curve(sensitivity=cubic(0.0, 4.5e4)[:, None]))
+    published = [a for a, one in zip(found.amplitude, found.conicity, strict=True) if one.value is not None]
+    assert max(published) == found.reported_amplitude == pytest.approx(2.25e-3)
+    assert value(found.at_reference) == pytest.approx(CONE, rel=1e-4)
+    assert code_of(found.conicity[AT_3].reason) is ReasonCode.CONICITY_OPEN
+    assert value(found.nonlinearity) == pytest.approx(0.0, abs=1e-7)
+
+
 def test_where_nothing_fits_all_that_the_blur_changes_once_more_is_unknown() -> None:
     """Centres 40 um inwards of a line and edges 40 um outwards: no curve within the bounds gives them."""
     wave = 40e-6 * np.sign(CENTRE)
@@ -217,7 +270,7 @@ def test_where_nothing_fits_all_that_the_blur_changes_once_more_is_unknown() -> 
     left = WIDTH / np.sqrt(12.0)
     here = equivalent_conicity(at, row, amplitudes)
     again = equivalent_conicity(at, DisplacementError(left, 0.0, 0.0).rounded(at, row), amplitudes)
-    place, middle = np.hypot(0.02e-3, 0.2 * left), zero_crossing(at, row)
+    place, middle = np.hypot(0.03e-3, 0.2 * left), zero_crossing(at, row)
     moved = [
         np.abs(equivalent_conicity(at, jumps_displaced(at, row, middle, share * place), amplitudes) - here) / abs(share)
         for share in (-1.959964, -1.0, 1.0, 1.959964)
@@ -232,9 +285,10 @@ def test_where_nothing_fits_all_that_the_blur_changes_once_more_is_unknown() -> 
 @pytest.mark.parametrize("scale", [0.4, 0.6, 1.5])
 def test_a_scale_as_large_as_the_curve_leaves_a_wide_interval(scale: float) -> None:
     """A stretch to nothing has no conicity; that to 1 + 1.96 scale has."""
-    found = estimates(curve(error=DisplacementError(0.0, 0.0, scale))).conicity[0]
-    assert value(found) == pytest.approx(CONE, rel=1e-4)
-    assert std(found) >= CONE * scale / (1.0 + scale) * (1.0 - 1e-4)
+    cone = 0.2 * CONE
+    found = estimates(curve(line(2 * cone), error=DisplacementError(0.0, 0.0, scale))).conicity[0]
+    assert value(found) == pytest.approx(cone, rel=1e-4)
+    assert std(found) >= cone * scale / (1.0 + scale) * (1.0 - 1e-4)
 
 
 def test_the_curve_ends_at_the_edges_of_its_last_bins() -> None:
@@ -318,6 +372,8 @@ def test_the_reference_is_three_millimetres_or_the_largest_covered_below() -> No
     assert found == (some[0], 2e-3)
     for beyond, reported in ((0.9e-9, 3e-3 + 0.9e-9), (1.1e-9, 2e-3)):  # rounding is less than a nanometre
         assert at_reference_amplitude(np.array([2e-3, 3e-3 + beyond, 4e-3]), some, PARAMETERS)[1] == reported
+    either = (unknown, Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, "open"), 8.0), unknown)
+    assert at_reference_amplitude(amplitude, either, PARAMETERS) == (either[1], 3e-3)
     none, at = at_reference_amplitude(amplitude, (unknown, unknown, some[2]), PARAMETERS)
     assert (code_of(none.reason), at, none.count) == (ReasonCode.AMPLITUDE_NOT_COVERED, 3e-3, 8.0)
 
