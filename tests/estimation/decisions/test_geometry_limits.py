@@ -255,6 +255,16 @@ def test_band_limited_motion_adds_scale_and_origin_of_the_displacement() -> None
     np.testing.assert_allclose(geometry.rolling_radius_difference.std, 2 * CONE * 0.25 * 0.2e-3, rtol=1e-3)
 
 
+def test_bins_of_a_conicity_that_is_open_are_published() -> None:
+    """A displacement known to 70 %: R to 0.6 mm at the last bin, the conicity of 0.28 to more than 0.1."""
+    unknown = replace(CERTAIN, uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, displacement=0.7))
+    geometry = found(Wheelset(R=0.56 * CENTRE, rise=every(0.56 * PARAMETERS.width)), unknown)
+    assert code_of(geometry.reason) is code_of(geometry.equivalent_conicity.reason) is ReasonCode.CONICITY_OPEN
+    assert (geometry.status, geometry.reported_amplitude) == (Status.UNESTIMATED, 3e-3)
+    assert all(statuses(geometry, b) == {BinStatus.ESTIMATED} for b in range(BINS))
+    np.testing.assert_allclose(geometry.rolling_radius_difference.value, 0.56 * CENTRE, atol=1e-10)
+
+
 def test_the_yaw_uncertainty_reaches_the_conicity() -> None:
     """R off by 0.1 x 2e-4 m throughout moves the zero, and leaves the conicity of a cone as it is."""
     geometry = found(Wheelset(R_by_creep=2e-4), UNCERTAIN)
