@@ -38,6 +38,8 @@ ROWS: Mapping[str, Reach] = {
     "survey_scaled": Reach(survey=("survey_unit", *WRONG), covers_above=True),
     "survey_mirrored": Reach(survey=("survey_mirrored", *WRONG), covers_above=True),
     "survey_of_another_section": Reach(survey=WRONG, covers_above=True),
+    "gauge_of_another_section": Reach(survey=("survey_gauge_unrelated",), covers_above=True),
+    "gauge_scaled": Reach(survey=("survey_gauge_unit",), covers_above=True),
     "unknown_long_gauge": Reach(0.035),
     "unknown_alike_02": Reach(covers_above=True),
     "unknown_alike_05": Reach(covers_above=True),

@@ -27,7 +27,7 @@ from estimation.track.examination import examine
 from estimation.track.passes import Pass
 from estimation.track.profile_life import ProfileLife, profile_life
 from estimation.track.update import UpdateOutcome, update_alignment
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.track import TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.windows import Window, WindowRecord
 
@@ -39,6 +39,7 @@ _COUNTED = {
     UpdateOutcome.SURVEY_EXTENDED: "versions",
     UpdateOutcome.SURVEY_REFUSED: "versions",
 }
+_UNDECIDED = {None, ReasonCode.SURVEY_NOT_ASSESSABLE}  # verdicts after which a survey is judged again
 _COUNTS = ("sections", "windows", "passes", "versions", "kept", "unestimated", "unchanged", "changed_meanwhile")
 
 
@@ -102,7 +103,7 @@ def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counte
         epoch_passes.found,
         waiting.in_force,
         context.settings.alignment,
-        survey_checked=waiting.verdict is not None,
+        survey_checked=code_of(waiting.verdict) not in _UNDECIDED,
         measured=measured_curves,
     )
     update = replace(update, survey=update.survey or waiting.verdict)

@@ -27,10 +27,11 @@ from estimation.track.survey_gauge import judge_gauge
 from estimation.track.survey_verdict import SurveyVerdict, place_of, survey_verdict
 from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
 from estimation.values.quantities import Status
-from estimation.values.reasons import Reason, combined, prefixed
+from estimation.values.reasons import Reason, ReasonCode, code_of, combined, prefixed
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
 
 NOT_USED = "not used: "
+GAUGE_NOT_USED = "its gauge is not used: "
 BETTER_SHARE = 0.5  # of the survey's std that a fleet's alignment must reach to replace it
 
 
@@ -42,7 +43,7 @@ class UpdateOutcome(StrEnum):
     NEW_VERSION = "new_version"  # of the fleet
     SURVEY_KEPT = "survey_kept"
     SURVEY_REFUSED = "survey_refused"  # it is wrong, and the fleet finds none by itself: none is known
-    SURVEY_EXTENDED = "survey_extended"  # kept, with gauge shifts of wheelsets as a version of its own
+    SURVEY_EXTENDED = "survey_extended"  # kept as a version of its own, with gauge shifts or without a wrong gauge
 
     @property
     def makes_version(self) -> bool:
@@ -106,7 +107,7 @@ def update_alignment(
     epoch = _Epoch(section.code, screened, parameters, measured)
     if in_force is not None and in_force.source == AlignmentSource.RECORDED and np.isfinite(in_force.alignment).any():
         return _with_survey(epoch, in_force, settings, survey_checked=survey_checked)
-    return _without_surveyed_alignment(epoch, in_force)
+    return _without_surveyed_alignment(epoch, in_force, survey_checked=survey_checked)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +129,11 @@ class _Epoch:
         fit = fit_survey(estimate.iterated, on_grid)
         return survey_verdict(fit, estimate.iterated.corrections, converged=estimate.report.converged)
 
+    def judge_gauge(self, estimate: SectionEstimate, survey: TrackAlignment) -> Reason | None:
+        """Return what is wrong with a surveyed gauge; None where nothing is, or nothing has been decided yet."""
+        found = judge_gauge(estimate.iterated, survey, converged=estimate.report.converged)
+        return None if found is None else prefixed(GAUGE_NOT_USED, found)
+
     def update(
         self,
         outcome: UpdateOutcome,
@@ -139,28 +145,23 @@ class _Epoch:
         return AlignmentUpdate(outcome, estimate, alignment, self.screened.outcomes, survey)
 
 
-def _without_surveyed_alignment(epoch: _Epoch, in_force: TrackAlignment | None) -> AlignmentUpdate:
-    """Return the next version of the fleet; a survey of the gauge alone is a prior."""
+def _without_surveyed_alignment(
+    epoch: _Epoch, in_force: TrackAlignment | None, *, survey_checked: bool = False
+) -> AlignmentUpdate:
+    """Return the next version of the fleet; a survey of the gauge alone is a prior until it has been refused."""
     surveyed = in_force is not None and in_force.source == AlignmentSource.RECORDED
     cutoff = epoch.parameters.cutoff_wavelength
-    usable = in_force is not None and (surveyed or in_force.cutoff_wavelength == cutoff)
+    known = in_force is not None and (surveyed or in_force.cutoff_wavelength == cutoff)
+    usable = known and not (surveyed and survey_checked)  # of a gauge alone nothing is said unless it is refused
     estimate = epoch.estimate(in_force if usable else None)
-    gauge = judge_gauge(estimate.iterated, in_force) if in_force is not None and surveyed else None
+    gauge = epoch.judge_gauge(estimate, in_force) if in_force is not None and surveyed and usable else None
     if gauge is not None:
         estimate = epoch.estimate(None)
-    return _of_fleet(epoch, in_force, estimate, None if gauge is None else prefixed(NOT_USED, gauge))
-
-
-def _of_fleet(
-    epoch: _Epoch, in_force: TrackAlignment | None, estimate: SectionEstimate, survey: Reason | None
-) -> AlignmentUpdate:
-    """Return what the fleet's own estimate makes of the alignment in force."""
-    surveyed = in_force is not None and in_force.source == AlignmentSource.RECORDED
     if estimate.alignment is None or not estimate.report.converged:
         if in_force is None or surveyed or not np.isfinite(in_force.alignment).any():  # at most the gauge is known
-            return epoch.update(UpdateOutcome.UNESTIMATED, estimate, None, survey)
-        return epoch.update(UpdateOutcome.KEPT, estimate, in_force, survey)
-    return epoch.update(UpdateOutcome.NEW_VERSION, estimate, carry_over_findings(estimate.alignment, in_force), survey)
+            return epoch.update(UpdateOutcome.UNESTIMATED, estimate, None, gauge)
+        return epoch.update(UpdateOutcome.KEPT, estimate, in_force)
+    return epoch.update(UpdateOutcome.NEW_VERSION, estimate, carry_over_findings(estimate.alignment, in_force), gauge)
 
 
 def _with_survey(
@@ -171,14 +172,47 @@ def _with_survey(
     verdict = None if survey_checked else epoch.judge(estimate, survey)
     if verdict is not None and verdict.refused:
         return _refused(epoch, survey, verdict)
-    gauge = judge_gauge(estimate.iterated, survey)
-    reason = combined(
-        [None if verdict is None else verdict.reason, None if gauge is None else prefixed(NOT_USED, gauge)]
-    )
+    reason = None if verdict is None else verdict.reason
+    gauge = epoch.judge_gauge(estimate, survey)
+    if gauge is not None and _confirmed(verdict or epoch.judge(estimate, survey)):
+        return _without_gauge(epoch, survey, combined([gauge, _of_alignment(reason)]))
     if estimate.alignment is not None and estimate.report.converged and better(estimate.alignment, survey):
         return epoch.update(UpdateOutcome.NEW_VERSION, estimate, estimate.alignment, survey=reason)
     kept = epoch.update(UpdateOutcome.SURVEY_KEPT, estimate, survey, survey=reason)
-    return kept if gauge is not None else _with_gauge_shifts(kept, survey, settings)
+    return _with_gauge_shifts(kept, survey, settings)
+
+
+def _without_gauge(epoch: _Epoch, survey: TrackAlignment, reason: Reason | None) -> AlignmentUpdate:
+    """Return the survey without its gauge, which is wrong: as one of the alignment alone.
+
+    What the passes disagree by says how much the true gauge varies; nothing that was found on the wrong one stays.
+    """
+    of_gauge = np.full(len(survey.s), float(np.std(survey.gauge_deviation)))
+    alone = replace(
+        survey,
+        gauge_deviation=np.zeros(len(survey.s)),
+        gauge_deviation_std=of_gauge,
+        gauge_known=False,
+        scale_std=float(np.hypot(survey.scale_std, epoch.parameters.scale_error)),
+        findings=None,
+    )
+    estimate = epoch.estimate(alone)
+    found = estimate.alignment
+    if found is not None and estimate.report.converged and better(found, alone):
+        return epoch.update(UpdateOutcome.NEW_VERSION, estimate, found, survey=reason)
+    if found is not None:
+        alone = replace(alone, gauge_deviation_std=np.full_like(of_gauge, np.median(found.gauge_deviation_std)))
+    return epoch.update(UpdateOutcome.SURVEY_EXTENDED, estimate, alone, survey=reason)
+
+
+def _confirmed(verdict: SurveyVerdict | None) -> bool:
+    """Whether the passes agree with the alignment: where they do not, the gauge need not be what is wrong."""
+    return verdict is not None and code_of(verdict.reason) is ReasonCode.SURVEY_CONFIRMED
+
+
+def _of_alignment(verdict: Reason | None) -> Reason | None:
+    """Return the verdict on a survey as one on its alignment alone."""
+    return None if verdict is None else prefixed("its alignment: ", verdict)
 
 
 def _refused(epoch: _Epoch, survey: TrackAlignment, verdict: SurveyVerdict) -> AlignmentUpdate:

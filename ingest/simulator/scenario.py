@@ -86,6 +86,7 @@ class SurveyPlan:
     """How the survey that is on file is wrong, beside its own errors, and what it states of these."""
 
     other_section: bool = False  # it is of another section: that in ``file``, else one drawn by the same recipe
+    gauge_other_section: bool = False  # its gauge alone is of that other section
     file: Path | None = None
     shift: float = 0.0  # m, by which it is further on than the track
     alignment_factor: float = 1.0

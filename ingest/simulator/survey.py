@@ -21,7 +21,8 @@ def surveyed(scenario: Scenario, track: TrackTruth) -> TrackTruth:
     """Return the track that is on file of the scenario's section, its curves as built.
 
     The survey's own errors are white, of the survey's standard deviations, smoothed over some 2 m as a chord does. The
-    other ways in which it may be wrong come before them: another section, a shift along the track, a factor.
+    other ways in which it may be wrong come before them: another section, of all or of the gauge alone, a shift along
+    the track, a factor.
 
     Parameters
     ----------
@@ -36,7 +37,10 @@ def surveyed(scenario: Scenario, track: TrackTruth) -> TrackTruth:
         The file of another section cannot be read, or is too short.
     """
     plan, section = scenario.section.survey, scenario.section
-    source = _other_section(scenario, track) if plan.other_section else track
+    source = track
+    if plan.other_section or plan.gauge_other_section:
+        other = _other_section(scenario, track)
+        source = other if plan.other_section else replace(track, gauge_deviation=other.gauge_deviation)
     if plan.shift:
         source = _shifted(source, plan.shift)
     rng = generator(scenario.seed, Stream.SURVEY)

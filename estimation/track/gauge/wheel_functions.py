@@ -26,6 +26,7 @@ from estimation.track.panel.basis import (
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.profile_life import ProfileLife
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.intervals import jackknife_std
 from estimation.values.track import GaugeShift
 
 KNOT_STEP = 0.125e-3  # m
@@ -174,8 +175,31 @@ def gauge_factor(seen: Mapping[ProfileLife, ContactSamples]) -> float:
     seen
         Contact samples by profile life.
     """
+    return _best_factor(_misfits_by_factor(seen).sum(axis=0))
+
+
+def gauge_factor_with_std(seen: Mapping[ProfileLife, ContactSamples]) -> tuple[float, float]:
+    """Return ``gauge_factor`` and the std of its logarithm, by leaving out each wheelset; NaN of a single one.
+
+    Parameters
+    ----------
+    seen
+        Contact samples by profile life.
+    """
+    misfits = _misfits_by_factor(seen)
+    whole = _best_factor(misfits.sum(axis=0))
+    without = [_best_factor(np.delete(misfits, row, axis=0).sum(axis=0)) for row in range(len(misfits))]
+    return whole, float(jackknife_std(np.log([whole, *without])))
+
+
+def _misfits_by_factor(seen: Mapping[ProfileLife, ContactSamples]) -> FloatArray:
+    """Return how badly the wheels of some wheelsets fit with each factor (w, f), m2."""
     some = [one.inliers(2) for _, one in sorted(seen.items())][:: max(len(seen) // MOST_WHEELSETS, 1)][:MOST_WHEELSETS]
-    misfits = [sum(_misfit_wheels(one, factor) for one in some) for factor in FACTORS]
+    return np.array([[_misfit_wheels(one, factor) for factor in FACTORS] for one in some])
+
+
+def _best_factor(misfits: FloatArray) -> float:
+    """Return the factor at the least of ``misfits`` (f,), by a parabola over its logarithm."""
     best = min(max(int(np.argmin(misfits)), 1), len(FACTORS) - 2)
     near = slice(best - 1, best + 2)
     bend, slope, _ = np.polyfit(np.log(FACTORS[near]), misfits[near], 2)

@@ -22,14 +22,17 @@ class SurveyTable(InputTable):
     gauge_factor: Factor = 1.0
     gauge: bool = True
     other_section: bool = False
+    gauge_other_section: bool = False
     file: Text | None = None
     stated_alignment_std_mm: NotNegative | None = None
     stated_gauge_std_mm: NotNegative | None = None
 
     @model_validator(mode="after")
     def _check_other_section(self) -> Self:
-        if self.file is not None and not self.other_section:
-            raise field_error("is of another section; needs other_section = true", "file")
+        if self.file is not None and not (self.other_section or self.gauge_other_section):
+            raise field_error("is of another section; needs other_section or gauge_other_section = true", "file")
+        if self.gauge_other_section and not self.gauge:
+            raise field_error("needs a surveyed gauge; gauge is false", "gauge_other_section")
         return self
 
     def plan(self, folder: Path) -> SurveyPlan:
@@ -43,6 +46,7 @@ class SurveyTable(InputTable):
         alignment_std, gauge_std = self.stated_alignment_std_mm, self.stated_gauge_std_mm
         return SurveyPlan(
             other_section=self.other_section,
+            gauge_other_section=self.gauge_other_section,
             file=None if self.file is None else folder / self.file,
             shift=self.shift_m,
             alignment_factor=self.alignment_factor,

@@ -139,7 +139,8 @@ class SectionTable(RailFiles):
 
     @model_validator(mode="after")
     def _check_survey(self) -> Self:
-        if self.survey.other_section and self.survey.file is None and self.file is not None:
+        other = self.survey.other_section or self.survey.gauge_other_section
+        if other and self.survey.file is None and self.file is not None:
             raise field_error("is missing; another section cannot be drawn beside a recorded track", "survey", "file")
         return self
 

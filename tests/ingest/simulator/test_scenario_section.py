@@ -91,6 +91,13 @@ BAD = [
     ("", "", "[[section.joints]]\nat_m = [5]\nlength_m = 1", "section.joints[0].length_m", "8 intervals"),
     ("", "", "[[section.switches]]\nat_m = [5]\nkind = 1", "section.switches[0].kind", "unknown"),
     ("", "", '[section.survey]\nfile = "other.csv"', "section.survey.file", "other_section"),
+    (
+        "",
+        "",
+        "[section.survey]\ngauge = false\ngauge_other_section = true",
+        "section.survey.gauge_other_section",
+        "gauge is false",
+    ),
     ("", "", "[section.survey]\nalignment_factor = nan", "section.survey.alignment_factor", "finite"),
     ("", "", "[section.survey]\nstated_gauge_std_mm = -1", "section.survey.stated_gauge_std_mm", "outside"),
     ("", "", "[position]\noffset_std_m = -1", "position.offset_std_m", "outside"),
@@ -193,11 +200,28 @@ def test_a_survey_may_be_that_of_another_section(tmp_path: Path) -> None:
     assert wide.gauge_deviation.max() == pytest.approx(10e-3, rel=1e-3)
 
 
-def test_a_survey_of_another_section_that_is_too_short_or_missing_is_refused(tmp_path: Path) -> None:
+def test_the_gauge_alone_may_be_that_of_another_section(tmp_path: Path) -> None:
+    drawn = scenario_of(tmp_path, "[section.survey]\ngauge_other_section = true\ngauge_factor = 1.5")
+    whole = scenario_of(tmp_path, "[section.survey]\nother_section = true\ngauge_factor = 1.5")
+    track = scenario_track(drawn)
+    found = surveyed(drawn, track)
+    np.testing.assert_array_equal(found.alignment, track.alignment)
+    np.testing.assert_array_equal(found.gauge_deviation, surveyed(whole, track).gauge_deviation)
+    (tmp_path / "other.csv").write_text(recorded_text(begin=50_000.0, wide=5.0))
+    recorded = on_recorded(
+        tmp_path, recorded_text(), '[section.survey]\ngauge_other_section = true\nfile = "other.csv"'
+    )
+    line = scenario_track(recorded)
+    np.testing.assert_array_equal(surveyed(recorded, line).alignment, line.alignment)
+    assert surveyed(recorded, line).gauge_deviation.max() == pytest.approx(5e-3, rel=1e-3)
+
+
+@pytest.mark.parametrize("key", ["other_section", "gauge_other_section"])
+def test_a_survey_of_another_section_that_is_too_short_or_missing_is_refused(tmp_path: Path, key: str) -> None:
     with pytest.raises(ScenarioError, match="cannot be drawn beside a recorded track"):
-        on_recorded(tmp_path, recorded_text(), "[section.survey]\nother_section = true")
+        on_recorded(tmp_path, recorded_text(), f"[section.survey]\n{key} = true")
     (tmp_path / "other.csv").write_text(recorded_text(length=900.0))
-    short = on_recorded(tmp_path, recorded_text(), '[section.survey]\nother_section = true\nfile = "other.csv"')
+    short = on_recorded(tmp_path, recorded_text(), f'[section.survey]\n{key} = true\nfile = "other.csv"')
     with pytest.raises(ScenarioError, match=r"other\.csv.*has 900 m of track"):
         surveyed(short, scenario_track(short))
 
