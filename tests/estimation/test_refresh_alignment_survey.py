@@ -91,6 +91,22 @@ def test_the_verdict_on_a_recording_stays_over_the_epochs_that_do_not_judge(
     assert verdict(storage) == "survey_confirmed"
 
 
+def test_a_survey_that_could_not_be_assessed_is_judged_again(sqlite_storage: SqlStorage) -> None:
+    storage = sqlite_storage
+    register(storage)
+    with storage.write() as unit:
+        unit.tracks.add_alignment(surveyed())
+    put(storage, range(6))
+    counts(storage, "refresh_alignment")
+    with storage.write() as unit:
+        latest = report(storage)
+        open_ = {**latest.report, "recording_code": "survey_not_assessable"}
+        unit.tracks.add_report(replace(latest, report=open_))
+    put(storage, range(6), day=2)
+    counts(storage, "refresh_alignment")
+    assert verdict(storage) == "survey_confirmed"
+
+
 def gauged() -> TrackAlignment:
     """Return the recording with a gauge that varies by 1 mm SD; to the wheelsets of these runs it does nothing."""
     known = surveyed()
