@@ -39,7 +39,7 @@ _COUNTED = {
     UpdateOutcome.SURVEY_EXTENDED: "versions",
     UpdateOutcome.SURVEY_REFUSED: "versions",
 }
-_UNDECIDED = {None, ReasonCode.SURVEY_NOT_ASSESSABLE}  # verdicts after which a survey is judged again
+_UNDECIDED = {None, ReasonCode.SURVEY_NOT_ASSESSABLE, ReasonCode.MODEL_CONTRADICTED}  # a survey is judged again
 _COUNTS = ("sections", "windows", "passes", "versions", "kept", "unestimated", "unchanged", "changed_meanwhile")
 
 

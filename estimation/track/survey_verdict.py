@@ -34,10 +34,14 @@ class VerdictLimits:
 
 @dataclass(frozen=True, slots=True)
 class SurveyVerdict:
-    """``refused`` where the survey is wrong beyond doubt; without a reason nothing has been decided yet."""
+    """``refused`` where the survey is wrong beyond doubt; without a reason nothing has been decided yet.
+
+    ``contradicted`` where something is wrong, but not what: nothing is estimated from such passes.
+    """
 
     refused: bool
     reason: Reason | None
+    contradicted: bool = False
 
 
 def survey_verdict(
@@ -64,8 +68,11 @@ def survey_verdict(
     if fit is None or not fit.factor_std <= p.widest_factor:
         return SurveyVerdict(refused=False, reason=_open("the passes do not cover enough of the section"))
     if fit.followed < p.least_followed:
-        text = "the passes do not follow the equations of their vehicles: which of survey and vehicles is wrong is open"
-        return SurveyVerdict(refused=False, reason=_open(text))
+        text = (
+            f"the curves explain {fit.followed:.0%} of the passes: they do not follow the equations of their vehicles"
+            " on this survey; which of parameters, survey and positions is wrong is open"
+        )
+        return SurveyVerdict(refused=False, reason=Reason(ReasonCode.MODEL_CONTRADICTED, text), contradicted=True)
     if fit.explained < p.least_explained and fit.error > p.most_error * fit.size:
         text = (
             f"it explains {fit.explained:.0%} of what the curves leave of the passes,"

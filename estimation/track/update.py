@@ -38,7 +38,7 @@ BETTER_SHARE = 0.5  # of the survey's std that a fleet's alignment must reach to
 class UpdateOutcome(StrEnum):
     """What an epoch makes of the alignment in force."""
 
-    UNESTIMATED = "unestimated"  # the passes identify nothing, and nothing is in force
+    UNESTIMATED = "unestimated"  # the passes identify nothing, and nothing is in force; or they contradict their model
     KEPT = "kept"  # the passes identify nothing; the fleet's alignment stays
     NEW_VERSION = "new_version"  # of the fleet
     SURVEY_KEPT = "survey_kept"
@@ -98,7 +98,7 @@ def update_alignment(
     settings
         Grid, filter, limits.
     survey_checked
-        Whether the survey in force was compared before with what the fleet finds without it; if not, it is now.
+        Whether the survey in force has been confirmed: then it is not refused any more.
     measured
         Curves of measured profiles, by profile life.
     """
@@ -169,12 +169,15 @@ def _with_survey(
 ) -> AlignmentUpdate:
     """Return the survey kept, or the fleet's alignment where the passes contradict it or know far more."""
     estimate = epoch.estimate(survey)
-    verdict = None if survey_checked else epoch.judge(estimate, survey)
-    if verdict is not None and verdict.refused:
+    verdict = epoch.judge(estimate, survey)
+    if verdict is not None and verdict.refused and not survey_checked:
         return _refused(epoch, survey, verdict)
-    reason = None if verdict is None else verdict.reason
+    if verdict is not None and verdict.contradicted:
+        report = replace(estimate.report, status=Status.UNESTIMATED, reason=verdict.reason)
+        return epoch.update(UpdateOutcome.UNESTIMATED, replace(estimate, report=report), None, survey=verdict.reason)
+    reason = None if verdict is None or survey_checked else verdict.reason
     gauge = epoch.judge_gauge(estimate, survey)
-    if gauge is not None and _confirmed(verdict or epoch.judge(estimate, survey)):
+    if gauge is not None and _confirmed(verdict):
         return _without_gauge(epoch, survey, combined([gauge, _of_alignment(reason)]))
     if estimate.alignment is not None and estimate.report.converged and better(estimate.alignment, survey):
         return epoch.update(UpdateOutcome.NEW_VERSION, estimate, estimate.alignment, survey=reason)

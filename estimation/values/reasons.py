@@ -73,6 +73,10 @@ class ReasonCode(StrEnum):
     SURVEY_MIRRORED = "survey_mirrored", "The survey has left and right exchanged. Register it with the other sign."
     SURVEY_DISPLACED = "survey_displaced", "The survey is displaced along the section. Check its zero point."
     SURVEY_DIFFERS = "survey_differs", "The survey differs by more than its standard deviation allows."
+    MODEL_CONTRADICTED = (
+        "model_contradicted",
+        "The passes fit the equations of their vehicles on this survey badly. Check parameters, survey and positions.",
+    )
     SURVEY_GAUGE_UNRELATED = (
         "survey_gauge_unrelated",
         "The gauge on file is not that of the section. Check which section and date it is of.",

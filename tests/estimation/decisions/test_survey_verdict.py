@@ -132,5 +132,5 @@ def test_what_the_passes_do_not_know_is_left_open() -> None:
     assert verdict(None) == OPEN
     assert verdict(replace(FIT, factor_std=0.051)) == OPEN
     assert verdict(replace(FIT, factor_std=0.049)) == RIGHT
-    assert verdict(replace(FIT, followed=0.49)) == OPEN
+    assert verdict(replace(FIT, followed=0.49)) == (False, ReasonCode.MODEL_CONTRADICTED)
     assert verdict(replace(FIT, followed=0.51)) == RIGHT

@@ -24,6 +24,7 @@ from estimation.track.update import (
     _without_surveyed_alignment,
     update_alignment,
 )
+from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.track import AlignmentSource, Correction, TrackAlignment, TrackFindings, TrackSectionRecord
 
@@ -95,6 +96,15 @@ def test_a_survey_is_judged_until_it_has_been() -> None:
     for undecided in (OPEN, None):
         found = by_survey(None, None, undecided)
         assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.SURVEY_KEPT, SURVEY, None)
+
+
+@pytest.mark.parametrize("checked", [False, True])
+def test_passes_that_contradict_their_model_are_not_used_even_on_a_confirmed_survey(*, checked: bool) -> None:
+    reason = Reason(ReasonCode.MODEL_CONTRADICTED, "they do not follow")
+    found = by_survey(FLEET, CERTAIN, SurveyVerdict(refused=False, reason=reason, contradicted=True), checked=checked)
+    assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.UNESTIMATED, None, reason)
+    assert (found.estimate.report.status, found.estimate.report.reason) == (Status.UNESTIMATED, reason)
+    assert found.outcome.windows_wait
 
 
 def test_a_survey_that_is_wrong_is_replaced_by_what_the_fleet_finds() -> None:
