@@ -17,7 +17,7 @@ from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.prior_alignment import prior_on_grid
 from estimation.track.passes import Pass
 from estimation.track.profile_life import ProfileLife
-from estimation.track.screening.screen import PassOutcome, Screened, screen
+from estimation.track.screening.screen import PassOutcome, PassStatus, Screened, screen
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
@@ -38,7 +38,7 @@ BETTER_SHARE = 0.5  # of the survey's std that a fleet's alignment must reach to
 class UpdateOutcome(StrEnum):
     """What an epoch makes of the alignment in force."""
 
-    UNESTIMATED = "unestimated"  # the passes identify nothing, and nothing is in force; or they contradict their model
+    UNESTIMATED = "unestimated"  # the passes identify nothing, and nothing is in force
     KEPT = "kept"  # the passes identify nothing; the fleet's alignment stays
     NEW_VERSION = "new_version"  # of the fleet
     SURVEY_KEPT = "survey_kept"
@@ -173,8 +173,7 @@ def _with_survey(
     if verdict is not None and verdict.refused and not survey_checked:
         return _refused(epoch, survey, verdict)
     if verdict is not None and verdict.contradicted:
-        report = replace(estimate.report, status=Status.UNESTIMATED, reason=verdict.reason)
-        return epoch.update(UpdateOutcome.UNESTIMATED, replace(estimate, report=report), None, survey=verdict.reason)
+        return _contradicted(epoch, estimate, survey, verdict.reason)
     reason = None if verdict is None or survey_checked else verdict.reason
     gauge = epoch.judge_gauge(estimate, survey)
     if gauge is not None and _confirmed(verdict):
@@ -183,6 +182,16 @@ def _with_survey(
         return epoch.update(UpdateOutcome.NEW_VERSION, estimate, estimate.alignment, survey=reason)
     kept = epoch.update(UpdateOutcome.SURVEY_KEPT, estimate, survey, survey=reason)
     return _with_gauge_shifts(kept, survey, settings)
+
+
+def _contradicted(
+    epoch: _Epoch, estimate: SectionEstimate, survey: TrackAlignment, reason: Reason | None
+) -> AlignmentUpdate:
+    """Return the survey kept, and every pass refused: they do not follow the equations of their vehicles on it."""
+    outcomes = tuple(replace(one, status=PassStatus.REFUSED, reason=reason) for one in epoch.screened.outcomes)
+    report = replace(estimate.report, status=Status.UNESTIMATED, reason=reason)
+    nowhere = replace(estimate, report=report, grouped={}, corrections={})
+    return AlignmentUpdate(UpdateOutcome.SURVEY_KEPT, nowhere, survey, outcomes, reason)
 
 
 def _without_gauge(epoch: _Epoch, survey: TrackAlignment, reason: Reason | None) -> AlignmentUpdate:

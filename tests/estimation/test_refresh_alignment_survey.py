@@ -14,7 +14,6 @@ from section_runs import windows
 
 from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import Storage
-from estimation.track.survey_fit import SurveyFit, fit_survey
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.track import AlignmentSource, TrackAlignment
@@ -57,17 +56,8 @@ def verdict(storage: Storage) -> object:
 
 
 @pytest.mark.parametrize("factor", [1.0, 1e3])
-def test_the_verdict_on_a_recording_stays_over_the_epochs_that_do_not_judge(
-    sqlite_storage: SqlStorage, factor: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_verdict_on_a_recording_stays_once_it_is_made(sqlite_storage: SqlStorage, factor: float) -> None:
     storage = sqlite_storage
-    asked = []
-
-    def judged(*given: object) -> SurveyFit | None:
-        asked.append(given)
-        return fit_survey(*given)  # type: ignore[arg-type] - as they come
-
-    monkeypatch.setattr("estimation.track.update.fit_survey", judged)
     register(storage)
     with storage.write() as unit:
         unit.tracks.add_alignment(surveyed(factor))
@@ -82,12 +72,10 @@ def test_the_verdict_on_a_recording_stays_over_the_epochs_that_do_not_judge(
         put(storage, [1, 4], day=day)
         assert counts(storage, "refresh_alignment")["windows"] == 4
         assert verdict(storage) == first
-    assert len(asked) == 1
     with storage.write() as unit:
         unit.tracks.add_alignment(replace(surveyed(), alignment=1.001 * surveyed().alignment))
     put(storage, range(6), day=6)
     counts(storage, "refresh_alignment")
-    assert len(asked) == 2  # of the new one nothing had been said
     assert verdict(storage) == "survey_confirmed"
 
 

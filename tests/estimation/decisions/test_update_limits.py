@@ -102,9 +102,9 @@ def test_a_survey_is_judged_until_it_has_been() -> None:
 def test_passes_that_contradict_their_model_are_not_used_even_on_a_confirmed_survey(*, checked: bool) -> None:
     reason = Reason(ReasonCode.MODEL_CONTRADICTED, "they do not follow")
     found = by_survey(FLEET, CERTAIN, SurveyVerdict(refused=False, reason=reason, contradicted=True), checked=checked)
-    assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.UNESTIMATED, None, reason)
+    assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.SURVEY_KEPT, SURVEY, reason)
     assert (found.estimate.report.status, found.estimate.report.reason) == (Status.UNESTIMATED, reason)
-    assert found.outcome.windows_wait
+    assert not found.estimate.grouped  # no window gets a position from such passes
 
 
 def test_a_survey_that_is_wrong_is_replaced_by_what_the_fleet_finds() -> None:
