@@ -2,7 +2,7 @@
 
 Measured wheels are not part of the repository. The MiniProf wheels (``.whl``) of a folder become wheelsets: two files
 whose names differ by "left" and "right" alone belong together; every other wheel runs with itself, mirrored, and with
-the next ones by name on the other side. Left out is what no railway would run, by :func:`fault` and
+the next ones in order on the other side. Left out is what no railway would run, by :func:`fault` and
 :func:`with_wheels`.
 """
 

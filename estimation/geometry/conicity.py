@@ -202,9 +202,13 @@ def _systematic(
     jump = error.jump_place_std(sharp.blur + sharp.left)
     blurred = replace(error, std=sharp.left).rounded(*plain)
 
+    covered = float(np.max(amplitude[np.isfinite(here)], initial=0.0))  # beyond, the conicity is as at its end
+
     def stretched(share: float) -> FloatArray:
         factor = 1.0 + share * error.scale
-        return equivalent_conicity(factor * x, curve, amplitude) if factor > 0.0 else np.full(len(here), np.nan)
+        if factor <= 0.0 or covered <= 0.0:
+            return np.full(len(here), np.nan)
+        return equivalent_conicity(x, curve, np.minimum(amplitude / factor, covered)) / factor
 
     def displaced(share: float) -> FloatArray:
         return equivalent_conicity(x, jumps_displaced(x, curve, middle, share * jump), amplitude)
@@ -240,9 +244,9 @@ def _estimate(values: FloatArray, groups: int, count: float, reason: Reason) -> 
 def _conicity(values: FloatArray, groups: int, count: float, amplitude: float) -> Estimate:
     """Return the conicity at an amplitude (m) from its rows; unknown where its interval says nothing of a wheelset."""
     found = _estimate(values, groups, count, not_covered(amplitude))
-    if found.std is None or found.std <= LARGEST_STD:
+    if found.value is None or found.high is None or found.std is None or found.std <= LARGEST_STD:
         return found
-    text = f"the data leave the conicity at {1e3 * amplitude:g} mm open by {NORMAL_95 * found.std:.2f} either way"
+    text = f"the data leave the conicity at {1e3 * amplitude:g} mm open by {found.high - found.value:.2f} either way"
     return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), count)
 
 

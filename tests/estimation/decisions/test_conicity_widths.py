@@ -251,6 +251,16 @@ def test_a_conicity_that_is_open_by_more_than_a_fifth_is_not_published(share: fl
     assert value(estimates(replace(item, band_limited=False)).zero_crossing) == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_stretch_widens_alike_at_every_amplitude_up_to_the_end_of_the_range() -> None:
+    """Shrunk, the curve does not reach the largest amplitudes: there the conicity goes on as at its end."""
+    found = estimates(curve(error=DisplacementError(0.0, 0.0, 0.3), **usable(-13, 13)))
+    published = [one for one in found.conicity if one.value is not None]
+    assert found.reported_amplitude == 3e-3
+    for one in published:
+        assert std(one) == pytest.approx(std(published[0]), rel=1e-3)
+    assert std(published[0]) == pytest.approx(max(CONE / 0.7 - CONE, (CONE / (1 - 0.588) - CONE) / 1.96), rel=1e-3)
+
+
 def test_reported_is_the_largest_amplitude_that_is_not_open() -> None:
     """A cubic t x^3 has the conicity 3/8 t a^2: with t = 4.5e4 1/m^2 it is 0.085 at 2.25 mm and 0.105 at 2.5 mm."""
     found = estimates(curve(sensitivity=cubic(0.0, 4.5e4)[:, None]))
