@@ -24,7 +24,7 @@ JUMP_SHARE_GAUGE_ESTIMATED = 0.32  # the same where the gauge had to be found to
 
 JUMP_MEAN_SHARE = 0.25  # of a gauge that is not on file: by how much contact jumps are off on average
 
-SCALE_PER_GAUGE_SQUARE = 0.01e6  # 1/m2, of y - d per variance of the gauge: far out a wheelset runs in wide gauge
+SCALE_PER_GAUGE_SQUARE = 0.015e6  # 1/m2, of y - d per variance of the gauge: far out a wheelset runs in wide gauge
 
 SCALE_PER_MEAN_GAUGE = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm, by contact tables
 
@@ -138,7 +138,7 @@ def _jump_mean_std(track: TrackAlignment) -> float:
 
 
 JUMP_PLACE = 0.03e-3  # m, std of where a contact jump is found without any gauge
-JUMP_PLACE_SHARE = 0.2  # of the blur, the same
+JUMP_PLACE_SHARE = 0.3  # of the blur, the same
 SCALE_UNCERTAINTY = 0.003  # of a displacement that was integrated and projected
 SCATTER = 2.5  # std over which samples scatter across a jump, in std of the error
 ORIGIN = 0.005e-3  # m, std of the origin of band-limited motion: it is the mean of the observed displacements

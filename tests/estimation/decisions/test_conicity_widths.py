@@ -172,7 +172,7 @@ def by_hand(item: CurveReplicates, amplitudes: tuple[float, ...]) -> tuple[Float
     for k in range(item.sensitivity.shape[1]):
         _, (further,) = nodes(replace(item, difference=item.sensitivity[None, :, k]))
         shifted.append(conicity(x, sharp.curve(rows[0] + further)) - found[0])
-    place = np.sqrt(0.03e-3**2 + (0.2 * (sharp.blur + sharp.left)) ** 2 + error.jump_mean_std**2)
+    place = np.sqrt(0.03e-3**2 + (0.3 * (sharp.blur + sharp.left)) ** 2 + error.jump_mean_std**2)
     middle = zero_crossing(x, row)
     stretches, places = [], []
     for share in (-1.959964, -1.0, 1.0, 1.959964):
@@ -280,7 +280,7 @@ def test_where_nothing_fits_all_that_the_blur_changes_once_more_is_unknown() -> 
     left = WIDTH / np.sqrt(12.0)
     here = equivalent_conicity(at, row, amplitudes)
     again = equivalent_conicity(at, DisplacementError(left, 0.0, 0.0).rounded(at, row), amplitudes)
-    place, middle = np.hypot(0.03e-3, 0.2 * left), zero_crossing(at, row)
+    place, middle = np.hypot(0.03e-3, 0.3 * left), zero_crossing(at, row)
     moved = [
         np.abs(equivalent_conicity(at, jumps_displaced(at, row, middle, share * place), amplitudes) - here) / abs(share)
         for share in (-1.959964, -1.0, 1.0, 1.959964)

@@ -76,8 +76,8 @@ def test_without_a_serial_the_findings_of_any_wheelset_count() -> None:
 
 def test_of_several_tracks_the_worst_counts() -> None:
     quiet = replace(track(), gauge_deviation=np.zeros(1001))
-    left = UNCERTAIN.on([replace(quiet, scale_std=0.03), replace(track(), scale_std=0.002)])
-    assert left.displacement == 0.03
+    left = UNCERTAIN.on([replace(quiet, scale_std=0.04), replace(track(), scale_std=0.002)])
+    assert left.displacement == 0.04
     assert left.jump_position_std == pytest.approx(0.5 * GAUGE_STD, rel=0.005)
     unchanged = replace(UNCERTAIN, ratio=0.02, displacement=0.03, jump_position_std=1e-4)
     assert unchanged.on([]) == unchanged
@@ -120,7 +120,7 @@ def test_the_scale_is_known_less_by_the_square_of_the_gauge(std: float) -> None:
     n = len(track().s)
     gauge = std * np.where(np.arange(n) % 2, 1.0, -1.0)
     found = UNCERTAIN.on([replace(track(), gauge_deviation=gauge, scale_std=0.02)]).displacement
-    assert found == pytest.approx(np.hypot(0.02, 0.01 * (1e3 * std) ** 2), rel=0.01)
+    assert found == pytest.approx(np.hypot(0.02, 0.015 * (1e3 * std) ** 2), rel=0.01)
 
 
 def test_a_gauge_that_is_wide_as_a_whole_leaves_the_scale_open_as_far_as_it_does_not_vary() -> None:
