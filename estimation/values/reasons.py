@@ -60,7 +60,7 @@ class ReasonCode(StrEnum):
         "The position error is larger than what is searched. Check the position source.",
     )
     NO_JOURNEY_AGREES = "no_journey_agrees", "No journey agrees with another."
-    NOT_CONVERGED = "not_converged", "The iteration ended before it converged. The result is less certain."
+    NOT_CONVERGED = "not_converged", "The iteration ended before it converged."
     LOW_WEIGHT = "low_weight", "Some wheelsets fit no single curve and have a low weight."
     # survey
     SURVEY_CONFIRMED = "survey_confirmed", "The survey agrees with what the fleet measures."
