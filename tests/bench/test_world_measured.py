@@ -17,7 +17,7 @@ from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
 
-ROOT = -30.0  # mm, where the flange of an S1002 ends
+ROOT = -33.0  # mm, in the flange of an S1002: a corner, where no tread is
 REVERSE = -1.0 / 40.0  # slope of a tread that steers to the wrong side
 
 
