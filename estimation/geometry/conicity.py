@@ -138,7 +138,7 @@ def _nonlinearity(
     per_mm = 1.0 / (1e3 * (ends[1] - ends[0]))
     far = slice(groups + 1, None)
     systematic = INDEPENDENT * np.concatenate([high[far] - high[0], low[far] - low[0]])
-    both = np.concatenate([(high - low)[: groups + 1], high[0] - low[0] + systematic])
+    both = np.concatenate([high[: groups + 1] - low[: groups + 1], high[0] - low[0] + systematic])
     return _estimate(per_mm * both, groups, count, not_covered(ends[1]))
 
 
@@ -206,7 +206,9 @@ def _systematic(
 
     def stretched(share: float) -> FloatArray:
         factor = 1.0 + share * error.scale
-        if factor <= 0.0 or covered <= 0.0:
+        if factor <= 0.0:
+            return np.full(len(here), np.inf)  # stretched to nothing: any conicity is possible
+        if covered <= 0.0:
             return np.full(len(here), np.nan)
         return equivalent_conicity(x, curve, np.minimum(amplitude / factor, covered)) / factor
 
@@ -229,7 +231,7 @@ def _widest(changed: Callable[[float], FloatArray], here: FloatArray) -> FloatAr
     Where a change leaves the range covered, the other way counts.
     """
     changes = [np.abs(changed(share) - here) / abs(share) for share in (-NORMAL_95, -1.0, 1.0, NORMAL_95)]
-    return np.asarray(np.max(np.nan_to_num(changes), axis=0))
+    return np.asarray(np.max(np.nan_to_num(changes, posinf=np.inf), axis=0))
 
 
 def _estimate(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
@@ -243,6 +245,9 @@ def _estimate(values: FloatArray, groups: int, count: float, reason: Reason) -> 
 
 def _conicity(values: FloatArray, groups: int, count: float, amplitude: float) -> Estimate:
     """Return the conicity at an amplitude (m) from its rows; unknown where its interval says nothing of a wheelset."""
+    if np.isfinite(values[: groups + 1]).all() and np.isinf(values).any():
+        text = f"the data leave the conicity at {1e3 * amplitude:g} mm open: the scale of y - d is not known"
+        return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), count)
     found = _estimate(values, groups, count, not_covered(amplitude))
     if found.value is None or found.high is None or found.std is None or found.std <= LARGEST_STD:
         return found

@@ -20,6 +20,7 @@ from estimation.values.track import AlignmentSource, TrackAlignment
 
 SENSOR_RESIDUAL = 0.07e-3  # m, rms of y - d - h(R) that sensors and small terms of the equations make
 GAUGE_EFFECT = 0.1  # m by which a metre of gauge moves wheelsets of widely different wear apart
+OPEN_SLOPE = 10.0  # relative std of the curves: nothing is known of them, and numbers stay finite
 WIDELY_DIFFERENT = 0.5  # std of R between the passes of a place over the std of R
 
 
@@ -51,7 +52,7 @@ def merged_alignment(
     gauge = known.gauge if results.gauge is None else results.gauge
     gauge_std = _gauge_std(iterated, known, results)
     profiles = _profile_uncertainty(iterated)
-    slope_std = 0.0 if iterated.slope is None else iterated.slope.std
+    slope_std = 0.0 if iterated.slope is None else min(iterated.slope.std, OPEN_SLOPE)
     of_gauge = p.systematic_per_gauge[results.gauge is not None] * float(np.std(gauge))
     systematic = p.systematic**2 + of_gauge**2 + profiles.std**2 + (slope_std * found.curves) ** 2
     std = _std(found, shared, iterated.solution.common_std, systematic)

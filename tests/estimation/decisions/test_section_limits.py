@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from test_agreement_limits import smooth
 
+from estimation.track.alignment_std import merged_alignment
 from estimation.track.convergence import Convergence, Iterated
 from estimation.track.iteration import IterationResult
 from estimation.track.journeys import Journey, journeys
@@ -196,6 +197,15 @@ def test_curves_whose_slope_is_open_by_two_fifths_make_no_alignment(std: float, 
     assert (status, code_of(found)) == (Status.UNESTIMATED if reason else Status.ESTIMATED, reason)
     known = prior_on_grid(prior(), PANEL.grid, P.panel.cutoff_wavelength)
     assert _state_of(accepted, grouped, known, P) == (Status.ESTIMATED, None)
+
+
+def test_a_slope_of_which_nothing_is_known_stays_a_finite_number(three: SectionEstimate) -> None:
+    """On a known alignment passes that explain nothing still make an alignment; what is stored of it is finite."""
+    assert three.iterated is not None
+    lost = replace(three.iterated, slope=SlopeCorrection(1.0, float("inf"), 0.0))
+    found = merged_alignment("S", lost, prior(), P)
+    assert found.scale_std == pytest.approx(10.0, rel=1e-3)
+    assert np.isfinite(found.alignment_std[np.isfinite(found.alignment)]).all()
 
 
 def test_wheelsets_of_low_weight_are_named() -> None:
