@@ -1,1 +1,1 @@
-"""Equations of motion of a wheelset and its suspended mass (Eq. 1-5), and the regressors that follow from them."""
+"""Vehicle classes, their equations of motion (Eq. 1-5), and the regressors that follow from them."""
