@@ -1,0 +1,393 @@
+"""Schema of a vehicle class, in the units of its file: an entry of its own file and of a registry file.
+
+Every parameter is a number, or a table ``{ value = , std = }`` with its standard deviation in the same unit. Without
+one, that of its kind holds (``default_relative_std``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from estimation.errors import ParameterError
+from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
+from estimation.vehicle.kalker import (
+    RAIL_CONDITION_STD,
+    STEEL_POISSON_RATIO,
+    STEEL_SHEAR_MODULUS,
+    ContactRadii,
+    ContactRadiiStd,
+    creep_coefficient_std,
+    creep_coefficients,
+)
+from estimation.vehicle.vehicle_class import (
+    Arrangement,
+    BogieParameters,
+    SensorChannel,
+    SensorLayout,
+    VehicleClass,
+    default_relative_std,
+)
+from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
+
+MM_PER_M = 1000.0
+WHEELS_OF_AN_AXLE = 2
+
+
+class UncertainNumber(InputTable):
+    """A number with its standard deviation in the same unit; None: that of its kind."""
+
+    value: float
+    std: NotNegative | None = None
+
+    @model_validator(mode="after")
+    def _check_std(self) -> Self:
+        if self.std and self.value == 0.0:
+            raise field_error("the standard deviation of a value of 0 cannot be used", "std")
+        return self
+
+    @property
+    def relative_std(self) -> float | None:
+        """Standard deviation over magnitude; None where it is not on file."""
+        return None if self.std is None else self.std / abs(self.value) if self.std else 0.0
+
+
+class _PositiveNumber(UncertainNumber):
+    value: Positive
+
+
+class _NotNegativeNumber(UncertainNumber):
+    value: NotNegative
+
+
+def _with_key(value: object) -> object:
+    """Return a plain number as the table that it abbreviates."""
+    return {"value": value} if isinstance(value, (int, float)) and not isinstance(value, bool) else value
+
+
+AnyUncertain = Annotated[UncertainNumber, BeforeValidator(_with_key)]
+PositiveUncertain = Annotated[_PositiveNumber, BeforeValidator(_with_key)]
+NotNegativeUncertain = Annotated[_NotNegativeNumber, BeforeValidator(_with_key)]
+
+
+def _zero() -> _NotNegativeNumber:
+    return _NotNegativeNumber(value=0.0)
+
+
+class WheelsetTable(InputTable):
+    """``wheelset``: one wheelset and what it carries."""
+
+    mass_kg: PositiveUncertain
+    yaw_inertia_kg_m2: PositiveUncertain
+    pitch_inertia_kg_m2: PositiveUncertain
+    nominal_radius_mm: PositiveUncertain
+    half_contact_distance_mm: PositiveUncertain
+    suspended_mass_kg: PositiveUncertain | None = None  # what it carries laterally
+    axle_load_n: PositiveUncertain | None = None  # by default (wheelset + suspended mass) g
+
+
+class PrimaryTable(InputTable):
+    """``primary_suspension``: between one wheelset and the frame or mass, both axle boxes together."""
+
+    lateral_stiffness_n_m: PositiveUncertain
+    lateral_damping_n_s_m: NotNegativeUncertain
+    yaw_stiffness_n_m_rad: PositiveUncertain
+    yaw_damping_n_m_s_rad: NotNegativeUncertain = Field(default_factory=_zero)
+
+
+class CreepTable(InputTable):
+    """``creep``: the coefficients of one wheel as numbers, or what Kalker's follow from."""
+
+    source: Literal["given", "kalker"] = Field(alias="from")
+    longitudinal_n: PositiveUncertain | None = None
+    lateral_n: PositiveUncertain | None = None
+    lateral_spin_n_m: NotNegativeUncertain | None = None
+    spin_n_m2: NotNegativeUncertain | None = None
+    rail_head_radius_mm: PositiveUncertain | None = None
+    wheel_transverse_radius_mm: AnyUncertain | None = None  # by default a straight cone; hollow is negative
+    wheel_rolling_radius_mm: PositiveUncertain | None = None  # by default the nominal radius
+    shear_modulus_pa: Positive | None = None
+    poisson_ratio: Annotated[float, Field(ge=0.0, lt=0.5)] | None = None
+    relative_std: NotNegative | None = None  # of all coefficients, beside what radii and load leave open
+
+    @model_validator(mode="after")
+    def _check_source(self) -> Self:
+        given = ("longitudinal_n", "lateral_n", "lateral_spin_n_m", "spin_n_m2")
+        required = given[:3] if self.source == "given" else ("rail_head_radius_mm",)
+        for name in required:
+            if getattr(self, name) is None:
+                raise field_error(f"is missing with from = {self.source!r}", name)
+        for name in self.model_fields_set - {"source"}:
+            if (name in given) != (self.source == "given"):
+                raise field_error(f"has no effect with from = {self.source!r}", name)
+        return self
+
+
+class BogieTable(InputTable):
+    """``bogie``: the frame and what it carries."""
+
+    wheelbase_m: PositiveUncertain
+    frame_mass_kg: PositiveUncertain
+    frame_yaw_inertia_kg_m2: PositiveUncertain
+    body_mass_kg: PositiveUncertain  # of the body that rests on one bogie
+
+
+class SecondaryTable(InputTable):
+    """``secondary_suspension``: between one bogie and the body."""
+
+    lateral_stiffness_n_m: NotNegativeUncertain = Field(default_factory=_zero)
+    lateral_damping_n_s_m: NotNegativeUncertain = Field(default_factory=_zero)
+    yaw_stiffness_n_m_rad: NotNegativeUncertain = Field(default_factory=_zero)
+    yaw_damping_n_m_s_rad: NotNegativeUncertain = Field(default_factory=_zero)
+
+
+class SensorTable(InputTable):
+    """One sensor. Noise density and range have the unit of the kind."""
+
+    kind: Literal["accelerometer", "angular_accelerometer", "gyroscope"]
+    place: Literal["axle_box", "frame", "mass"]
+    axis: Literal["x", "y", "z"]
+    noise_density_m_s2_rthz: NotNegative | None = None
+    range_m_s2: Positive | None = None
+    noise_density_rad_s2_rthz: NotNegative | None = None
+    range_rad_s2: Positive | None = None
+    noise_density_rad_s_rthz: NotNegative | None = None
+    range_rad_s: Positive | None = None
+    scale_std: NotNegative = 0.0  # relative
+
+    @model_validator(mode="after")
+    def _check_units(self) -> Self:
+        unit = _UNITS[self.kind]
+        if getattr(self, f"noise_density_{unit}_rthz") is None:
+            raise field_error("is missing", f"noise_density_{unit}_rthz")
+        for name in self.model_fields_set - {"kind", "place", "axis", "scale_std"}:
+            if name not in {f"noise_density_{unit}_rthz", f"range_{unit}"}:
+                raise field_error(f"is not the unit of kind = {self.kind!r}", name)
+        return self
+
+    def channel(self) -> SensorChannel:
+        """Return the sensor in SI units."""
+        unit = _UNITS[self.kind]
+        limit = getattr(self, f"range_{unit}")
+        noise = getattr(self, f"noise_density_{unit}_rthz")
+        return SensorChannel(noise, self.scale_std, math.inf if limit is None else limit)
+
+
+_UNITS: Mapping[str, str] = {"accelerometer": "m_s2", "angular_accelerometer": "rad_s2", "gyroscope": "rad_s"}
+_AXES: Mapping[str, str] = {"lateral": "y", "yaw": "z", "roll": "x", "mass_lateral": "y"}
+_MOMENTS: Mapping[str, str] = {
+    "lateral": "the lateral acceleration of the wheelset",
+    "yaw": "the yaw of the wheelset, and with it the moment of its suspension and rL - rR,",
+    "roll": "the roll of the wheelset, and with it gravity in the lateral signal,",
+    "mass_lateral": "the lateral acceleration above the axle, and with it the force of the suspension and the yaw of"
+    " a bogie frame,",
+}
+
+
+class SensorsTable(InputTable):
+    """``sensors``: those of one node."""
+
+    rate_hz: Annotated[float, Field(ge=20.0, le=20_000.0)]
+    measures_gravity: bool = True
+    lateral: SensorTable | None = None
+    yaw: SensorTable | None = None
+    roll: SensorTable | None = None
+    mass_lateral: SensorTable | None = None
+
+    @model_validator(mode="after")
+    def _check_layout(self) -> Self:
+        for name, axis in _AXES.items():
+            sensor: SensorTable | None = getattr(self, name)
+            if sensor is None:
+                raise field_error(f"{_MOMENTS[name]} is not measured: nothing is estimated without it", name)
+            if sensor.axis != axis:
+                raise field_error(f"must be {axis!r}; signs belong to the bus", name, "axis")
+            if (sensor.kind == "accelerometer") != (axis == "y"):
+                raise field_error(f"{sensor.kind!r} does not measure {_MOMENTS[name].partition(',')[0]}", name, "kind")
+            if (sensor.place == "axle_box") != (name != "mass_lateral"):
+                places = "'frame' or 'mass'" if name == "mass_lateral" else "'axle_box'"
+                raise field_error(f"{_MOMENTS[name].partition(',')[0]} is measured at {places}", name, "place")
+        return self
+
+    def layout(self) -> SensorLayout:
+        """Return the sensors in SI units."""
+        sensors = {name: getattr(self, name) for name in _AXES}
+        return SensorLayout(
+            **{name: sensor.channel() for name, sensor in sensors.items()},
+            yaw_is_gyroscope=sensors["yaw"].kind == "gyroscope",
+            roll_is_gyroscope=sensors["roll"].kind == "gyroscope",
+            measures_gravity=self.measures_gravity,
+            rate_hz=self.rate_hz,
+        )
+
+
+class VehicleClassEntry(InputTable):
+    """A vehicle class; an entry of ``vehicle_classes`` of a registry file."""
+
+    code: Text
+    name: Text
+    source: Text  # where the numbers come from
+    arrangement: Literal["single_wheelset", "bogie"]
+    wheelset: WheelsetTable
+    primary_suspension: PrimaryTable
+    creep: CreepTable
+    bogie: BogieTable | None = None
+    secondary_suspension: SecondaryTable | None = None
+    sensors: SensorsTable
+
+    @model_validator(mode="after")
+    def _check_arrangement(self) -> Self:
+        if self.arrangement == "bogie" and self.bogie is None:
+            raise field_error("is missing with arrangement = 'bogie'", "bogie")
+        for name in ("bogie", "secondary_suspension"):
+            if self.arrangement == "single_wheelset" and getattr(self, name) is not None:
+                raise field_error("has no effect with arrangement = 'single_wheelset'", name)
+        if self.bogie is None and self.wheelset.suspended_mass_kg is None:
+            raise field_error("is missing with arrangement = 'single_wheelset'", "wheelset", "suspended_mass_kg")
+        place = "frame" if self.bogie else "mass"
+        sensor = self.sensors.mass_lateral
+        if sensor is not None and sensor.place != place:
+            raise field_error(f"must be {place!r} with this arrangement", "sensors", "mass_lateral", "place")
+        if self.creep.source == "kalker":
+            self._kalker_radii()
+        return self
+
+    def record(self) -> VehicleClass:
+        """Return the class in SI units, its creep coefficients computed where they are not given."""
+        numbers = {**self._wheelset_numbers(), **self._creep_numbers()}
+        bogie_numbers = self._bogie_numbers()
+        return VehicleClass(
+            code=self.code,
+            name=self.name,
+            source=self.source,
+            arrangement=Arrangement(self.arrangement),
+            parameters=VehicleParameters(**{name: value for name, (value, _) in numbers.items()}),
+            bogie=BogieParameters(**{name: value for name, (value, _) in bogie_numbers.items()})
+            if bogie_numbers
+            else None,
+            sensors=self.sensors.layout(),
+            relative_std={
+                name: std for name, (_, std) in (numbers | bogie_numbers).items() if std != default_relative_std(name)
+            },
+        )
+
+    def _suspended_mass(self) -> tuple[float, float]:
+        """Return what one wheelset carries, kg, and its relative std: half of frame and body, if it is not on file."""
+        if self.wheelset.suspended_mass_kg is not None or self.bogie is None:
+            assert self.wheelset.suspended_mass_kg is not None
+            return _number("suspended_mass", self.wheelset.suspended_mass_kg)
+        parts = (
+            _number("frame_mass", self.bogie.frame_mass_kg),
+            _number("body_mass", self.bogie.body_mass_kg),
+        )
+        total = sum(value for value, _ in parts)
+        return total / 2.0, math.hypot(*(value * std for value, std in parts)) / total
+
+    def _axle_load(self) -> tuple[float, float]:
+        if self.wheelset.axle_load_n is not None:
+            return _number("load", self.wheelset.axle_load_n)
+        suspended, std = self._suspended_mass()
+        own, own_std = _number("wheelset_mass", self.wheelset.mass_kg)
+        return (own + suspended) * GRAVITY, math.hypot(own * own_std, suspended * std) / (own + suspended)
+
+    def _wheelset_numbers(self) -> dict[str, tuple[float, float]]:
+        """Return value and relative std by field of ``VehicleParameters``, but those of creep."""
+        wheelset, primary = self.wheelset, self.primary_suspension
+        return {
+            "wheelset_mass": _number("wheelset_mass", wheelset.mass_kg),
+            "suspended_mass": self._suspended_mass(),
+            "load": self._axle_load(),
+            "yaw_inertia": _number("yaw_inertia", wheelset.yaw_inertia_kg_m2),
+            "pitch_inertia": _number("pitch_inertia", wheelset.pitch_inertia_kg_m2),
+            "nominal_radius": _number("nominal_radius", wheelset.nominal_radius_mm, MM_PER_M),
+            "half_contact_distance": _number("half_contact_distance", wheelset.half_contact_distance_mm, MM_PER_M),
+            "lateral_stiffness": _number("lateral_stiffness", primary.lateral_stiffness_n_m),
+            "lateral_damping": _number("lateral_damping", primary.lateral_damping_n_s_m),
+            "yaw_stiffness": _number("yaw_stiffness", primary.yaw_stiffness_n_m_rad),
+            "yaw_damping": _number("yaw_damping", primary.yaw_damping_n_m_s_rad),
+        }
+
+    def _creep_numbers(self) -> dict[str, tuple[float, float]]:
+        """Return value and relative std of the creep coefficients by field of ``VehicleParameters``."""
+        creep = self.creep
+        if creep.source == "kalker":
+            radii, radii_std = self._kalker_radii()
+            rail_std = RAIL_CONDITION_STD if creep.relative_std is None else creep.relative_std
+            values, std = creep_coefficients(radii), creep_coefficient_std(radii, radii_std, rail_std)
+            return {field: (getattr(values, name), getattr(std, name)) for field, name in _CREEP_FIELDS.items()}
+        assert creep.longitudinal_n is not None
+        assert creep.lateral_n is not None
+        assert creep.lateral_spin_n_m is not None
+        return {
+            "longitudinal_creep_coefficient": _number("longitudinal_creep_coefficient", creep.longitudinal_n),
+            "lateral_creep_coefficient": _number("lateral_creep_coefficient", creep.lateral_n),
+            "lateral_spin_creep_coefficient": _number("lateral_spin_creep_coefficient", creep.lateral_spin_n_m),
+            "spin_creep_coefficient": _number("spin_creep_coefficient", creep.spin_n_m2 or _zero()),
+        }
+
+    def _kalker_radii(self) -> tuple[ContactRadii, ContactRadiiStd]:
+        """Return what Kalker's coefficients follow from, and how well it is known.
+
+        Raises
+        ------
+        PydanticCustomError
+            The radii make no contact ellipse within the table.
+        """
+        creep = self.creep
+        assert creep.rail_head_radius_mm is not None
+        load, load_std = self._axle_load()
+        rolling, rolling_std = _number(
+            "nominal_radius", creep.wheel_rolling_radius_mm or self.wheelset.nominal_radius_mm
+        )
+        across = creep.wheel_transverse_radius_mm
+        try:
+            radii = ContactRadii(
+                wheel_rolling_radius=rolling / MM_PER_M,
+                rail_head_radius=creep.rail_head_radius_mm.value / MM_PER_M,
+                wheel_load=load / WHEELS_OF_AN_AXLE,
+                wheel_transverse_radius=math.inf if across is None else across.value / MM_PER_M,
+                shear_modulus=creep.shear_modulus_pa or STEEL_SHEAR_MODULUS,
+                poisson_ratio=STEEL_POISSON_RATIO if creep.poisson_ratio is None else creep.poisson_ratio,
+            )
+            creep_coefficients(radii)
+        except ParameterError as error:
+            raise field_error(error.reason, "creep", "rail_head_radius_mm") from error
+        return radii, ContactRadiiStd(
+            wheel_rolling_radius=rolling_std,
+            rail_head_radius=creep.rail_head_radius_mm.relative_std or 0.0,
+            wheel_load=load_std,
+            wheel_transverse_radius=(across.relative_std or 0.0) if across else 0.0,
+        )
+
+    def _bogie_numbers(self) -> dict[str, tuple[float, float]]:
+        """Return value and relative std by field of ``BogieParameters``; empty without a bogie."""
+        if self.bogie is None:
+            return {}
+        bogie, secondary = self.bogie, self.secondary_suspension or SecondaryTable()
+        return {
+            "wheelbase": _number("wheelbase", bogie.wheelbase_m),
+            "frame_mass": _number("frame_mass", bogie.frame_mass_kg),
+            "frame_yaw_inertia": _number("frame_yaw_inertia", bogie.frame_yaw_inertia_kg_m2),
+            "body_mass": _number("body_mass", bogie.body_mass_kg),
+            "secondary_lateral_stiffness": _number("secondary_lateral_stiffness", secondary.lateral_stiffness_n_m),
+            "secondary_lateral_damping": _number("secondary_lateral_damping", secondary.lateral_damping_n_s_m),
+            "secondary_yaw_stiffness": _number("secondary_yaw_stiffness", secondary.yaw_stiffness_n_m_rad),
+            "secondary_yaw_damping": _number("secondary_yaw_damping", secondary.yaw_damping_n_m_s_rad),
+        }
+
+
+_CREEP_FIELDS: Mapping[str, str] = {
+    "longitudinal_creep_coefficient": "longitudinal",
+    "lateral_creep_coefficient": "lateral",
+    "lateral_spin_creep_coefficient": "lateral_spin",
+    "spin_creep_coefficient": "spin",
+}
+
+
+def _number(field: str, number: UncertainNumber, per_si: float = 1.0) -> tuple[float, float]:
+    """Return value in SI and relative std of a number in ``1/per_si`` SI units; ``field`` names the default std."""
+    relative = number.relative_std
+    return number.value / per_si, default_relative_std(field) if relative is None else relative
