@@ -10,6 +10,7 @@ mistake of ours or bad input from the outside world, and carries its facts as fi
     │   ├── ScenarioError          a scenario file
     │   ├── CatalogueError         a signal catalogue (DBC)
     │   ├── LogFileError           a recording of a bus
+    │   │   └── ExchangeError      an exchange of runs: its TOML file or its table
     │   └── ParameterError         a parameter outside its range
     ├── NotFoundError              no such fleet, vehicle, wheelset, section, alert, job
     ├── ConflictError              the thing is not in the state that the request assumes
@@ -83,6 +84,10 @@ class CatalogueError(InputError):
 
 class LogFileError(InputError):
     """A recording of a bus that is truncated, corrupt, or no recording at all."""
+
+
+class ExchangeError(LogFileError):
+    """An exchange of runs whose description or table cannot be used, or whose axes the data contradict."""
 
 
 class ParameterError(InputError):

@@ -175,16 +175,8 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
     integrated
         Segments of a window.
     """
-    products, lateral, yaw = 0.0, 0.0, 0.0
-    seconds = round(LOOK_S / integrated.window.sample_interval_s)
-    for segment in integrated.segments:
-        a = _high_pass_running_mean(segment.rates[0], seconds)
-        b = _high_pass_running_mean(segment.speed * segment.displacements[1], seconds)
-        products, lateral, yaw = products + float(a @ b), lateral + float(a @ a), yaw + float(b @ b)
-    if lateral * yaw <= 0.0:
-        return None
-    correlation = products / np.sqrt(lateral * yaw)
-    if correlation >= BACKWARDS:
+    correlation = lateral_yaw_correlation(integrated)
+    if correlation is None or correlation >= BACKWARDS:
         return None
     return Reason(
         ReasonCode.AXES_REVERSED,
@@ -193,8 +185,35 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
     )
 
 
-def _high_pass_running_mean(values: FloatArray, width: int) -> FloatArray:
-    """Return values less their running mean over about ``width`` samples twice, which takes slow wandering out."""
+def lateral_yaw_correlation(integrated: IntegratedWindow) -> float | None:
+    """Return the correlation of the lateral velocity with speed times yaw; None where nothing moves.
+
+    Parameters
+    ----------
+    integrated
+        Segments of a window.
+    """
+    products, lateral, yaw = 0.0, 0.0, 0.0
+    seconds = round(LOOK_S / integrated.window.sample_interval_s)
+    for segment in integrated.segments:
+        a = high_pass_running_mean(segment.rates[0], seconds)
+        b = high_pass_running_mean(segment.speed * segment.displacements[1], seconds)
+        products, lateral, yaw = products + float(a @ b), lateral + float(a @ a), yaw + float(b @ b)
+    if lateral * yaw <= 0.0:
+        return None
+    return float(products / np.sqrt(lateral * yaw))
+
+
+def high_pass_running_mean(values: FloatArray, width: int) -> FloatArray:
+    """Return values less their running mean over about ``width`` samples twice, which takes slow wandering out.
+
+    Parameters
+    ----------
+    values
+        (n,) samples.
+    width
+        Samples of the running mean.
+    """
     rest = values
     for _ in range(2):
         rest = rest - uniform_filter1d(rest, width | 1, mode="constant")  # an odd number, so that nothing is displaced

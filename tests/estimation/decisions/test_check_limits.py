@@ -10,7 +10,7 @@ from plain_windows import DT, SPEED, plain_track, plain_window
 
 from estimation.motion.checks import (
     Jump,
-    _high_pass_running_mean,
+    high_pass_running_mean,
     check_axis_signs,
     check_moving,
     direction,
@@ -181,7 +181,7 @@ def test_what_wanders_more_slowly_than_seconds_says_nothing_of_the_axes() -> Non
 @pytest.mark.parametrize("width", [4, 5])
 def test_slow_wandering_is_what_a_mean_over_an_odd_number_of_samples_takes_out_twice(width: int) -> None:
     rest = np.random.default_rng(3).standard_normal(60)
-    found = _high_pass_running_mean(rest, width)
+    found = high_pass_running_mean(rest, width)
     for _once in ("first", "second"):
         padded = np.concatenate([np.zeros(2), rest, np.zeros(2)])
         rest = np.array([value - sum(padded[k : k + 5]) / 5.0 for k, value in enumerate(rest)])
