@@ -15,8 +15,9 @@ import numpy as np
 
 from estimation.errors import LogFileError
 from estimation.values.arrays import BoolArray, IntArray, frozen_array
+from ingest.align.cycles import UNPLACED, SyncClock, place_frames, sync_clock_of
 from ingest.canopen import SYNC_ID, SYNC_PERIOD, TIME_ID, vehicle_time_ns
-from ingest.catalogue import ACCELERATION, Catalogue, MessagePlan
+from ingest.catalogue import ACCELERATION, EMERGENCY, HEARTBEAT, Catalogue, MessagePlan
 from ingest.codec import Decoded, FrameCounts, RawArray, decode
 from ingest.frames import FrameBatch
 
@@ -26,19 +27,12 @@ TIME_REACH_NS = 3_000_000_000
 TIME_TOLERANCE_NS = 100_000_000
 """How far TIME frames may disagree with each other and with the SYNC counter; half a counter period is 480 ms."""
 
-CONTEXT_NS = 8_000_000_000
-"""How far around a window frames can matter: twice the reach of TIME, and the gaps that are interpolated."""
-
-SYNC_REACH = 5
-"""Cycles without SYNC that the recorder's clock may bridge."""
-
-EARLY = 4
-"""A frame may be stamped up to a quarter of a cycle before its SYNC: recorders jitter."""
+CONTEXT_NS = 12_000_000_000
+"""How far around a window frames can matter: the reach of TIME, twice that of the placement in cycles, the seconds that
+status frames count, and the gaps that are interpolated."""
 
 RATE_TOLERANCE = 0.25
 RATE_SYNCS = 50
-
-UNPLACED = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +46,9 @@ class AlignCounts:
     syncs_unplaced: int = 0  # no TIME frame near, a clock jump, or a counter out of phase with the clock
     samples: int = 0
     frames_without_sync: int = 0  # no SYNC with a known number in reach
+    frames_moved: int = 0  # stamped on the other side of a SYNC; placed by the usual delay of their message
+    frames_late: int = 0  # sent after the next SYNC; placed by the rhythm of their message
+    frames_ambiguous: int = 0  # beside a SYNC, and nothing says on which side: placed by their stamp
     duplicate_frames: int = 0  # the same frame again at the same instant
     conflicting_frames: int = 0  # another payload at the same instant: both are invalid
     samples_lost: int = 0  # by the nodes' sample counters
@@ -63,41 +60,6 @@ class AlignCounts:
     def __add__(self, other: AlignCounts) -> AlignCounts:
         own, others = asdict(self), asdict(other)
         return AlignCounts(**{name: own[name] + others[name] for name in own})
-
-
-@dataclass(frozen=True, slots=True)
-class SyncClock:
-    """The SYNCs whose numbers are known, by the recorder's time."""
-
-    t_ns: IntArray  # (k,) recorder
-    tick: IntArray  # (k,) sampling intervals since the Unix epoch, vehicle
-    interval_ns: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, (len(self.t_ns),), np.int64, name="t_ns"))
-        object.__setattr__(self, "tick", frozen_array(self.tick, (len(self.t_ns),), np.int64, name="tick"))
-
-    def ticks(self, t_ns: IntArray) -> IntArray:
-        """Return the SYNC number that frames stamped ``t_ns`` (n,) belong to, or ``UNPLACED``.
-
-        A frame belongs to the SYNC before it. Recorders jitter: one stamped just before a SYNC that came in time
-        belongs to that. Where a SYNC is lost, its instant follows from the one before, over at most ``SYNC_REACH``
-        cycles; the number of the next SYNC shows how many were lost, so that a frame that is stamped late, with none
-        lost, is still taken for what it is.
-        """
-        if len(self.t_ns) == 0:
-            return np.full(len(t_ns), UNPLACED)
-        slack = self.interval_ns // EARLY
-        steps = np.diff(self.tick)
-        in_time = np.abs(np.diff(self.t_ns) - steps * self.interval_ns) <= slack
-        lost = np.append(np.clip(steps - 1, 0, None), SYNC_REACH + 1)
-        before = np.searchsorted(self.t_ns, t_ns, side="right") - 1
-        after = np.minimum(before + 1, len(self.t_ns) - 1)
-        early = (self.t_ns[after] > t_ns) & (self.t_ns[after] - t_ns <= slack)
-        early &= (before < 0) | np.append(in_time, np.False_)[before]
-        cycles = np.minimum((t_ns + slack - self.t_ns[before]) // self.interval_ns, lost[before])
-        placed = np.where((before >= 0) & (cycles <= SYNC_REACH), self.tick[before] + cycles, UNPLACED)
-        return np.where(early, self.tick[after], placed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +128,7 @@ def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[S
     syncs = decoded.messages.get(SYNC_ID)
     times = time_frames(decoded, batch)
     if syncs is None:
-        return SyncClock(np.empty(0, np.int64), np.empty(0, np.int64), interval_ns), AlignCounts(
+        return sync_clock_of(np.empty(0, np.int64), np.empty(0, np.int64), interval_ns), AlignCounts(
             time_frames=len(times.t_ns)
         )
     t_ns, counter, valid = batch.t_ns[syncs.index], syncs.column("counter"), syncs.valid()[:, 0]
@@ -185,7 +147,7 @@ def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[S
         syncs_missing=int(np.clip(steps[near] - 1, 0, None).sum()),
         syncs_unplaced=int(np.count_nonzero(~placed)),
     )
-    return SyncClock(t_ns[placed], tick[placed], interval_ns), counts
+    return sync_clock_of(t_ns[placed], tick[placed], interval_ns), counts
 
 
 def _vehicle_times(times: TimeFrames, t_ns: IntArray) -> tuple[IntArray, BoolArray]:
@@ -282,7 +244,11 @@ def align_to_clock(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
     for arbitration_id, values in decoded.messages.items():
         if arbitration_id in (SYNC_ID, TIME_ID):
             continue
-        tick = clock.ticks(batch.t_ns[values.index])
+        placement = place_frames(clock, batch.t_ns[values.index], _cycles(values.plan, clock.interval_ns))
+        counts += AlignCounts(
+            frames_moved=placement.moved, frames_late=placement.late, frames_ambiguous=placement.ambiguous
+        )
+        tick = placement.tick
         found = tick != UNPLACED
         if found.all():
             messages[arbitration_id], repeated = by_tick(values.plan, tick, values.raw)
@@ -293,6 +259,13 @@ def align_to_clock(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
     samples = sum(len(message.tick) for message in messages.values() if message.plan.kind == ACCELERATION)
     counts += AlignCounts(frames_without_sync=without_sync, samples=samples)
     return AlignedFrames(MappingProxyType(messages), time_frames(decoded, batch), decoded.counts, counts)
+
+
+def _cycles(plan: MessagePlan, interval_ns: int) -> int:
+    """Return after how many SYNCs a message is sent again: 0 if it does not follow SYNC, 1 if it has no rhythm."""
+    if plan.kind in (EMERGENCY, HEARTBEAT):
+        return 0
+    return 1 if plan.cycle_ns % interval_ns else max(1, plan.cycle_ns // interval_ns)
 
 
 def merge_aligned(parts: Sequence[AlignedFrames]) -> Mapping[int, TickedValues]:
