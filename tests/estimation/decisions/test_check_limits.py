@@ -10,10 +10,10 @@ from plain_windows import DT, SPEED, plain_track, plain_window
 
 from estimation.motion.checks import (
     Jump,
-    high_pass_running_mean,
     check_axis_signs,
     check_moving,
     direction,
+    high_pass_running_mean,
     jumps_reason,
     position_jumps,
     to_wheelset_axes,
