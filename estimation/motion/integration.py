@@ -26,6 +26,7 @@ class IntegratedSegment:
     accelerations: FloatArray  # (4, m) m/s2 and rad/s2
     rates: FloatArray  # (4, m) m/s and rad/s
     displacements: FloatArray  # (4, m) m and rad
+    frame_yaw: FloatArray | None = None  # (3, m) rad/s2, rad/s, rad: of the bogie frame; None without a bogie
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,12 +80,26 @@ def mirrored(integrated: IntegratedWindow) -> IntegratedWindow:
     """
     window = integrated.window
     return IntegratedWindow(
-        replace(window, **{name: -getattr(window, name) for name in ACCELERATIONS}),
+        replace(
+            window,
+            frame_yaw_acceleration=_negative(window.frame_yaw_acceleration),
+            **{name: -getattr(window, name) for name in ACCELERATIONS},
+        ),
         tuple(
-            replace(item, accelerations=-item.accelerations, rates=-item.rates, displacements=-item.displacements)
+            replace(
+                item,
+                accelerations=-item.accelerations,
+                rates=-item.rates,
+                displacements=-item.displacements,
+                frame_yaw=_negative(item.frame_yaw),
+            )
             for item in integrated.segments
         ),
     )
+
+
+def _negative(values: FloatArray | None) -> FloatArray | None:
+    return None if values is None else -values
 
 
 def segments(
@@ -130,7 +145,10 @@ def bridged(values: FloatArray, known: BoolArray) -> FloatArray:
 
 def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegment:
     dt = window.sample_interval_s
-    accelerations = np.stack([bridged(getattr(window, name)[part], known) for name in ACCELERATIONS])
+    measured = [getattr(window, name) for name in ACCELERATIONS]
+    if window.frame_yaw_acceleration is not None:
+        measured.append(window.frame_yaw_acceleration)
+    accelerations = np.stack([bridged(values[part], known) for values in measured])
     accelerations -= accelerations.mean(axis=1, keepdims=True)
     rates = _running_integrals(accelerations, dt)
     t = np.arange(len(known))
@@ -138,7 +156,19 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
     rates -= rates.mean(axis=1, keepdims=True) + np.outer(rates @ centred / (centred @ centred), centred)
     speed = bridged(window.speed[part], known)
     (run,) = _running_integrals(speed[None, :], dt)
-    return IntegratedSegment(part, known, speed, run, accelerations, rates, _running_integrals(rates, dt))
+    displacements = _running_integrals(rates, dt)
+    own = slice(0, len(ACCELERATIONS))
+    of_frame = [values[-1] for values in (accelerations, rates, displacements)]
+    return IntegratedSegment(
+        part,
+        known,
+        speed,
+        run,
+        accelerations[own],
+        rates[own],
+        displacements[own],
+        None if window.frame_yaw_acceleration is None else np.stack(of_frame),
+    )
 
 
 def _running_integrals(values: FloatArray, dt: float) -> FloatArray:

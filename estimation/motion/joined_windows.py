@@ -83,10 +83,13 @@ def joined(windows: Sequence[Window]) -> Window:
         name: np.concatenate([getattr(window, name) for window in windows])
         for name in (*ACCELERATIONS, "speed", "distance", "valid")
     }
+    frame = [window.frame_yaw_acceleration for window in windows]
+    known = [part for part in frame if part is not None]
     return replace(
         first,
         length_ns=sum(window.length_ns for window in windows),
         quality=_quality([window.quality for window in windows]),
+        frame_yaw_acceleration=np.concatenate(known) if len(known) == len(frame) else None,
         **arrays,
     )
 

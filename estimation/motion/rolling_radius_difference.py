@@ -7,7 +7,8 @@ wavelength. There a wheelset rolls where it points: by Eq. 1 the yaw angle is
 
 where g R stands for the gravitational stiffness, (W/2 - f23/r0) D / (2 f22), with the contact angle difference D in
 proportion to R. The lateral sensors are integrated once for it instead of twice, and the correction is small, so its
-uncertain parameters hardly matter. g is estimated from wavelengths at which both are good.
+uncertain parameters hardly matter. g is estimated from wavelengths at which both are good. In a bogie the yaw spring
+makes g R as large as R: see ``bogie_long_waves``.
 """
 
 from __future__ import annotations
@@ -17,21 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.motion.bogie_long_waves import BogieYaws, long_waves_in_bogie
+from estimation.motion.fusion_parameters import FusionParameters
 from estimation.motion.integration import IntegratedSegment
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
-
-
-@dataclass(frozen=True, slots=True)
-class FusionParameters:
-    """Where the two meet; wavelengths in m."""
-
-    step: float = 0.25
-    crossover: float = 15.0  # longer wavelengths come from the lateral motion
-    compared: tuple[float, float] = (8.0, 40.0)  # in which g is estimated
-    margin: float = 45.0  # m at each end that is not compared
-    gravity: float = -0.2  # g known beforehand, 1/m
-    gravity_weight: float = 1.6e-4  # m2: squares of the regressor that the knowledge beforehand is worth
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +34,9 @@ class MotionSignals:
     displacement: FloatArray  # y, m
     difference: FloatArray  # R by Eq. 2, m
     stiffness_term: FloatArray  # its part that scales with yaw stiffness over creep coefficient, m
-    yaw: FloatArray  # psi by Eq. 1 without g R, rad
+    rolling_yaw: FloatArray  # (y' + r0 phi') / V, rad: psi of a wheelset without lateral creep
+    creep_yaw: FloatArray  # rad: what the lateral creep of Eq. 1 adds, without g R
+    frame_yaw: FloatArray | None = None  # rad, of the bogie frame; None without a bogie
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,22 +63,41 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionP
     """
     step = parameters.step
     run = np.arange(np.ceil(signals.run[0] / step), np.floor(signals.run[-1] / step) + 1) * step
-    V, y, R, stiffness_term, ψ = (
+    V, y, R, stiffness_term, rolling_yaw, creep_yaw = (
         np.interp(run, signals.run, values)
-        for values in (signals.speed, signals.displacement, signals.difference, signals.stiffness_term, signals.yaw)
+        for values in (
+            signals.speed,
+            signals.displacement,
+            signals.difference,
+            signals.stiffness_term,
+            signals.rolling_yaw,
+            signals.creep_yaw,
+        )
     )
-    gravity = _gravity(R, ψ, V, vehicle, parameters)
-    corrected_yaw = ψ
-    for _ in range(2):
-        corrected_yaw = ψ + gravity * _difference(corrected_yaw, V, vehicle, step)
-    slow = corrected_yaw
+    if signals.frame_yaw is None:
+        slow = _long_waves(R, np.asarray(rolling_yaw + creep_yaw), V, vehicle, parameters)
+    else:
+        frame_yaw = np.interp(run, signals.run, signals.frame_yaw)
+        slow = long_waves_in_bogie(R, BogieYaws(rolling_yaw, creep_yaw, frame_yaw), V, vehicle, parameters)
     weights = local_cubic_kernel(parameters.crossover, step)
     return FusedSignals(
         run=np.asarray(run, dtype=np.float64),
         displacement=y,
-        difference=_joined(R, _difference(slow, V, vehicle, step), weights),
-        stiffness_term=_joined(stiffness_term, _stiffness_term(slow, V, vehicle, step), weights),
+        difference=_joined(R, slow[0], weights),
+        stiffness_term=_joined(stiffness_term, slow[1], weights),
     )
+
+
+def _long_waves(
+    R: FloatArray, ψ: FloatArray, V: FloatArray, vehicle: VehicleParameters, parameters: FusionParameters
+) -> tuple[FloatArray, FloatArray]:
+    """Return R and its stiffness term (m,), m, of the lateral motion of a single wheelset."""
+    step = parameters.step
+    gravity = _gravity(R, ψ, V, vehicle, parameters)
+    slow = ψ
+    for _ in range(2):
+        slow = ψ + gravity * _difference(slow, V, vehicle, step)
+    return _difference(slow, V, vehicle, step), _stiffness_term(slow, V, vehicle, step)
 
 
 def _joined(fast: FloatArray, slow: FloatArray, weights: FloatArray) -> FloatArray:
@@ -123,6 +135,8 @@ def _gravity(
 def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatArray | None = None) -> MotionSignals:
     """Return y, the measured R (Eq. 2 solved for rL - rR with S = 2 r0, the contact angle terms left out) and psi.
 
+    The suspension of a bogie acts between wheelset and frame, whose motion the mass sensor and the frame's yaw give.
+
     Parameters
     ----------
     segment
@@ -137,19 +151,20 @@ def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatA
     dy, dψ, dφ = segment.rates[:3]
     f11, f23, l = p.longitudinal_creep_coefficient, p.lateral_spin_creep_coefficient, p.half_contact_distance  # noqa: E741 - the paper's l
     rolling_velocity = dy + p.nominal_radius * dφ
-    stiffness_term = p.yaw_inertia * accelerations[1] + p.yaw_stiffness * ψ + p.yaw_damping * dψ
+    deflection, deflection_rate = ψ, dψ
+    suspension_force = -p.suspended_mass * accelerations[3]
+    if segment.frame_yaw is not None:
+        deflection, deflection_rate = ψ - segment.frame_yaw[2], dψ - segment.frame_yaw[1]
+        suspension_force = p.lateral_stiffness * (segment.displacements[3] - y)
+        suspension_force = suspension_force + p.lateral_damping * (segment.rates[3] - dy)
+    stiffness_term = p.yaw_inertia * accelerations[1] + p.yaw_stiffness * deflection + p.yaw_damping * deflection_rate
     moment = (
         stiffness_term
         + (p.pitch_inertia * V / p.nominal_radius) * dφ
         + (2 * l**2 * f11 / V) * dψ
         - (2 * f23 / V) * (rolling_velocity - V * ψ)
     )
-    force = (
-        p.wheelset_mass * accelerations[0]
-        + (2 * f23 / V) * dψ
-        + p.load * φ
-        + p.suspended_mass * accelerations[3]  # what the suspension takes up
-    )
+    force = p.wheelset_mass * accelerations[0] + (2 * f23 / V) * dψ + p.load * φ - suspension_force
     per_moment = -p.nominal_radius / (l * f11)
     return MotionSignals(
         run=segment.run if run is None else run,
@@ -157,5 +172,7 @@ def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatA
         displacement=y,
         difference=np.asarray(per_moment * moment),
         stiffness_term=np.asarray(per_moment * stiffness_term),
-        yaw=np.asarray(rolling_velocity / V + force / (2 * p.lateral_creep_coefficient)),
+        rolling_yaw=np.asarray(rolling_velocity / V),
+        creep_yaw=np.asarray(force / (2 * p.lateral_creep_coefficient)),
+        frame_yaw=None if segment.frame_yaw is None else segment.frame_yaw[2],
     )

@@ -18,9 +18,10 @@ from scipy.interpolate import CubicSpline
 
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.filters.smoothing_spline import remove_wander
+from estimation.motion.fusion_parameters import FusionParameters
 from estimation.motion.integration import IntegratedWindow, integrate
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.rolling_radius_difference import FusionParameters, fuse, motion_signals
+from estimation.motion.rolling_radius_difference import fuse, motion_signals
 from estimation.values.arrays import FloatArray, frozen_array, runs
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window

@@ -7,7 +7,7 @@ any length and speed, and is applied once to each side that is compared (y - d a
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.track_lookup import alignment_at, gauge_shift
 from estimation.motion.usable_samples import Usable, detect_uncompensated_acceleration, moving_samples, usable_samples
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.motion import NOT_SIGNALS, Motion
+from estimation.values.motion import OF_FRAME, Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window
@@ -99,7 +99,8 @@ def _filtered(
 ) -> tuple[dict[str, FloatArray], BoolArray]:
     """Return the named signals of a motion, NaN outside the segments, and which samples of them count (n,)."""
     n, dt = len(d), integrated.window.sample_interval_s
-    signals = {item.name: np.full(n, np.nan) for item in fields(Motion) if item.name not in NOT_SIGNALS}
+    named = _FILTERED if integrated.window.frame_yaw_acceleration is None else (*_FILTERED, *OF_FRAME)
+    signals = {name: np.full(n, np.nan) for name in ("speed", *named)}
     valid = np.zeros(n, dtype=np.bool_)
     trim, margin = round(parameters.trimmed_s / dt), round(parameters.gap_margin_s / dt)
     for segment in integrated.segments:
@@ -111,7 +112,7 @@ def _filtered(
             parameters.cutoff_wavelength,
             parameters.bridged_samples,
         )
-        for name, values in zip(_FILTERED, fast, strict=True):
+        for name, values in zip(named, fast, strict=True):
             signals[name][part] = values
         valid[part.start + trim : part.stop - trim] = known[trim : len(known) - trim]
         for first, behind in modelled_gaps(known, parameters.bridged_samples):
@@ -148,12 +149,16 @@ def _too_little(
 
 
 def _relative_to(d: FloatArray, segment: IntegratedSegment) -> FloatArray:
-    """Return accelerations, rates and displacements (10, m) of one segment in the order of ``_FILTERED``."""
+    """Return accelerations, rates and displacements (10, m) of one segment in the order of ``_FILTERED``.
+
+    In a bogie yaw and yaw rate of the frame follow.
+    """
     y, ψ, φ, ym = segment.displacements
     dy, dψ, dφ, dym = segment.rates
     ddy, ddψ = segment.accelerations[:2]
     along = bridged(d, np.isfinite(d))
-    return np.stack([y - along, dy, ddy, ψ, dψ, ddψ, φ, dφ, ym - y, dym - dy])
+    of_frame = [] if segment.frame_yaw is None else [segment.frame_yaw[2], segment.frame_yaw[1]]
+    return np.stack([y - along, dy, ddy, ψ, dψ, ddψ, φ, dφ, ym - y, dym - dy, *of_frame])
 
 
 NO_ALIGNMENT = Reason(ReasonCode.ALIGNMENT_UNKNOWN, "the alignment of the track section is not known yet")

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimation.motion.fusion_parameters import FusionParameters
 from estimation.motion.integration import IntegratedWindow, bridged, integrate
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.rolling_radius_difference import FusionParameters, MotionSignals, fuse, motion_signals
+from estimation.motion.rolling_radius_difference import MotionSignals, fuse, motion_signals
 from estimation.motion.usable_samples import moving_samples
 from estimation.track.profile_life import ProfileLife
 from estimation.values.arrays import FloatArray, frozen_array

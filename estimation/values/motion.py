@@ -8,7 +8,8 @@ import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 
-NOT_SIGNALS = frozenset({"valid", "block", "band_limited", "stiffness_ratio"})
+OF_FRAME = ("frame_yaw", "frame_yaw_rate")
+NOT_SIGNALS = frozenset({"valid", "block", "band_limited", "stiffness_ratio", *OF_FRAME})
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +22,8 @@ class Motion:
     where a sample belongs to none.
 
     ``stiffness_ratio`` is the vehicle's yaw stiffness over creep coefficient, of the assumed one, where that has been
-    estimated. Where it is known what the gauge does, ``displacement`` is that at nominal gauge.
+    estimated. Where it is known what the gauge does, ``displacement`` is that at nominal gauge. The yaw spring of a
+    wheelset is tied to the frame of its bogie; without one to what does not yaw.
     """
 
     speed: FloatArray  # (n,) V, m/s
@@ -39,6 +41,8 @@ class Motion:
     block: IntArray  # (n,)
     band_limited: bool
     stiffness_ratio: float = 1.0
+    frame_yaw: FloatArray | None = None  # (n,) rad, of the bogie frame; None without a bogie
+    frame_yaw_rate: FloatArray | None = None  # (n,) rad/s
 
     def __post_init__(self) -> None:
         n = len(self.valid)
@@ -46,8 +50,21 @@ class Motion:
             if item.name not in NOT_SIGNALS:
                 array = frozen_array(getattr(self, item.name), (n,), name=item.name)
                 object.__setattr__(self, item.name, array)
+        for name in OF_FRAME:
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
         object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
         object.__setattr__(self, "block", frozen_array(self.block, (n,), np.int64, name="block"))
 
     def __len__(self) -> int:
         return len(self.valid)
+
+    @property
+    def yaw_deflection(self) -> FloatArray:
+        """Angle (n,) of the yaw spring, rad: yaw less that of the frame."""
+        return self.yaw if self.frame_yaw is None else self.yaw - self.frame_yaw
+
+    @property
+    def yaw_deflection_rate(self) -> FloatArray:
+        """Rate (n,) of that angle, rad/s."""
+        return self.yaw_rate if self.frame_yaw_rate is None else self.yaw_rate - self.frame_yaw_rate

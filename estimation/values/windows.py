@@ -33,7 +33,8 @@ class Window:
     ``start_ns`` is a multiple of the window length on the vehicle's clock, so that windows do not depend on how
     recordings were cut. ``distance`` is the position of the wheelset (not of the vehicle's antenna) along the track
     section. ``resolution`` holds the SI value of one count of each acceleration, in the order of the fields: the
-    accelerations are whole multiples of it.
+    accelerations are whole multiples of it. The yaw acceleration of a bogie frame is not measured by the node: it
+    follows from both nodes of the bogie, is NaN where either is not valid, and is not stored.
     """
 
     wheelset: str
@@ -53,11 +54,15 @@ class Window:
     track_section: str | None
     odometer_m: float  # vehicle odometer at the start of the window
     quality: WindowQuality
+    frame_yaw_acceleration: FloatArray | None = None  # (n,) rad/s2, of the bogie frame; None without a bogie
 
     def __post_init__(self) -> None:
         n = len(self.valid)
         for name in (*ACCELERATIONS, "speed", "distance"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+        if self.frame_yaw_acceleration is not None:
+            frame = frozen_array(self.frame_yaw_acceleration, (n,), name="frame_yaw_acceleration")
+            object.__setattr__(self, "frame_yaw_acceleration", frame)
         object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
 
 

@@ -5,7 +5,9 @@ With S = rL + rR, R = rL - rR, A = dL + dR, D = dL - dR (radii r, contact angles
     z1 = S x1 + D x2             x1 = (f11/r0) psi - (f22/V) phi',   x2 = f23/r0 - W/2
     z2 = A (l W/2) psi + R c     c = -l f11/r0
 
-where z1 and z2 gather all that is measured. Beside each target stand its derivatives by the logarithm of the uncertain
+where z1 and z2 gather all that is measured. In a bogie k_psi is so large that A cannot be seen beside a scale error of
+the yaw sensor, k_psi e psi; the first regressor of z2 is then k_psi psi, with psi = (y' + r0 phi')/V of the lateral
+motion, whose noise is not that of z2. Beside each target stand its derivatives by the logarithm of the uncertain
 parameters, at S = 2 r0: regressed like the target, they give the derivative of every estimate by every parameter.
 """
 
@@ -31,7 +33,7 @@ class Regression:
 
     lateral: FloatArray  # (n, 2) x1, x2
     lateral_targets: FloatArray  # (n, 7), see LATERAL_TARGETS
-    yaw: FloatArray  # (n, 2) (l W/2) psi, c
+    yaw: FloatArray  # (n, 2) (l W/2) psi, or in a bogie k_psi (y' + r0 phi')/V; c
     yaw_targets: FloatArray  # (n, 5), see YAW_TARGETS
 
 
@@ -93,14 +95,16 @@ def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
 
     yaw_inertia = p.yaw_inertia * ddψ
     creep = 2 * l**2 * f11 * dψ / V
-    yaw_spring = p.yaw_stiffness * ψ
+    yaw_spring = p.yaw_stiffness * motion.yaw_deflection
+    yaw_damper = p.yaw_damping * motion.yaw_deflection_rate
     yaw_spin = -(2 * f23 / V) * rolling_slip
     gyroscopic = (p.pitch_inertia * V / r0) * motion.roll_rate
-    z2 = yaw_inertia + gyroscopic + creep + 2 * f33 * dψ / V + yaw_spring + p.yaw_damping * dψ + yaw_spin
+    z2 = yaw_inertia + gyroscopic + creep + 2 * f33 * dψ / V + yaw_spring + yaw_damper + yaw_spin
     c = np.full(len(motion), -l * f11 / r0)
+    first = (l * p.load / 2) * ψ if motion.frame_yaw is None else p.yaw_stiffness * (rolling_slip / V + ψ)
     return Regression(
         np.column_stack([x1, x2]),
         np.column_stack([z1, (2 * f22 / V) * rolling_slip, spin, inertia, weight, spring, damper]),
-        np.column_stack([(l * p.load / 2) * ψ, c]),
+        np.column_stack([first, c]),
         np.column_stack([z2, creep - z2, yaw_spring, yaw_inertia, yaw_spin]),
     )
