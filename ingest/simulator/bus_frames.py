@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,14 +16,12 @@ from ingest.canopen import sync_counter, time_of_day
 from ingest.catalogue import Catalogue, MessagePlan
 from ingest.codec import encode
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
+from ingest.simulator.bus_timing import BusTiming, bus_timing
 from ingest.simulator.campaign import VehicleRun, failed
 from ingest.simulator.motion import STEP
 from ingest.simulator.random_streams import Stream, generator
-from ingest.simulator.scenario import FaultKind, Scenario
+from ingest.simulator.scenario import NORMAL_REACH, FaultKind, Scenario
 from ingest.simulator.sensors import SensorRecord
-
-SLOT_NS = 230_000
-"""Time on a 500 kbit/s bus of a frame with 8 bytes, stuffing included."""
 
 HARDWARE_ERROR = 0x5000  # CiA 301: device hardware
 ERROR_REGISTER = 0x81  # generic, manufacturer specific
@@ -39,8 +37,9 @@ class _Ticks:
     t_ns: IntArray  # (n,)
     interval_ns: int
     late_ns: IntArray  # (n,) recorder's offset and jitter at each SYNC
-    slot_ns: int
-    slots: Mapping[int, int]  # by arbitration id
+    timing: BusTiming
+    stamp_jitter_ns: float  # of each stamp on its own
+    rng: np.random.Generator  # of that
 
     def every(self, cycle_ns: int) -> IntArray:
         """Return the numbers of the ticks at whole multiples of ``cycle_ns`` on the vehicle clock."""
@@ -48,7 +47,15 @@ class _Ticks:
 
     def stamps(self, plan: MessagePlan, at: IntArray) -> IntArray:
         """Return the time stamps of the frames of ``plan`` sent after the SYNCs ``at``."""
-        return self.t_ns[at] + self.late_ns[at] + self.slot_ns * (1 + self.slots[plan.arbitration_id])
+        stamps = (
+            self.t_ns[at]
+            + self.late_ns[at]
+            + self.timing.delays(plan.arbitration_id, self.t_ns[at] // self.interval_ns)
+        )
+        if self.stamp_jitter_ns > 0.0:
+            normal = np.clip(self.rng.standard_normal(len(at)), -NORMAL_REACH, NORMAL_REACH)
+            stamps = stamps + np.rint(self.stamp_jitter_ns * normal).astype(np.int64)
+        return stamps
 
 
 def vehicle_frames(
@@ -96,13 +103,15 @@ def _ticks(catalogue: Catalogue, scenario: Scenario, run: VehicleRun, rng: np.ra
     if scenario.bus.jitter > 0.0:
         jitter = np.clip(scenario.bus.jitter * rng.standard_normal(count), 0.0, 0.2e-9 * interval_ns)
     nodes = (*range(1, len(run.vehicle.wheelsets) + 1), kinds.VEHICLE_NODE, None)
-    sent = sorted(plan.arbitration_id for plan in catalogue.messages.values() if plan.node in nodes)
+    sent = [plan for plan in catalogue.messages.values() if plan.node in nodes]
+    order = scenario.vehicles.index(run.vehicle)
     return _Ticks(
         t_ns=interval_ns * (first + np.arange(count, dtype=np.int64)),
         interval_ns=interval_ns,
         late_ns=np.rint(1e9 * (scenario.bus.recorder_offset + jitter)).astype(np.int64),
-        slot_ns=min(SLOT_NS, int(0.75 * interval_ns / (len(sent) + 1))),
-        slots={identifier: slot for slot, identifier in enumerate(sent)},
+        timing=bus_timing(scenario.bus, sent, interval_ns),
+        stamp_jitter_ns=1e9 * scenario.bus.stamp_jitter,
+        rng=generator(scenario.seed, Stream.STAMPS, order, run.campaign),
     )
 
 

@@ -23,6 +23,7 @@ class Stream(IntEnum):
     VEHICLE = 22  # errors of its parameters, by vehicle
     WHEEL = 23  # file of a measured one, by wheelset
     MEASURED_WHEELSET = 24  # of the bench, by wheelset
+    STAMPS = 40  # jitter of each, by vehicle and campaign
 
 
 def seed_of(seed: int, stream: Stream, *key: int) -> np.random.SeedSequence:

@@ -183,6 +183,10 @@ class BusPlan:
     burst: float  # s each
     jitter: float  # s, standard deviation of a frame's time stamp
     recorder_offset: float  # s, recorder's clock minus vehicle clock
+    stamp_jitter: float = 0.0  # s, standard deviation of each stamp on its own
+    bit_rate: float = 0.0  # bit/s; 0: every message has a slot of its own in the first three quarters of a cycle
+    node_delay: float = 0.0  # s after SYNC, times its number, at which a wheelset's node hands its frames over
+    position_delay: float = 0.0  # s after SYNC at which the position is handed over
 
 
 @dataclass(frozen=True, slots=True)

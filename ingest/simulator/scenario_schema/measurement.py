@@ -97,6 +97,17 @@ class BusTable(InputTable):
     burst_s: float = Field(default=0.5, ge=0.0, le=60.0)
     jitter_us: float = Field(default=0.0, ge=0.0, le=1000.0)
     recorder_clock_offset_s: float = Field(default=0.0, ge=-86400.0, le=86400.0)
+    stamp_jitter_us: float = Field(default=0.0, ge=0.0, le=1000.0)
+    bitrate_kbit_s: float = Field(default=0.0, ge=0.0, le=1000.0)
+    node_delay_us: float = Field(default=0.0, ge=0.0, le=500.0)
+    position_delay_ms: float = Field(default=0.0, ge=0.0, le=3.9)
+
+    @model_validator(mode="after")
+    def _check_delays(self) -> Self:
+        for key in ("node_delay_us", "position_delay_ms"):
+            if self.bitrate_kbit_s == 0.0 and getattr(self, key) > 0.0:
+                raise field_error("needs a 'bitrate_kbit_s'", key)
+        return self
 
     def plan(self) -> BusPlan:
         """Return the errors of the bus in SI units."""
@@ -106,4 +117,8 @@ class BusTable(InputTable):
             burst=self.burst_s,
             jitter=1e-6 * self.jitter_us,
             recorder_offset=self.recorder_clock_offset_s,
+            stamp_jitter=1e-6 * self.stamp_jitter_us,
+            bit_rate=1e3 * self.bitrate_kbit_s,
+            node_delay=1e-6 * self.node_delay_us,
+            position_delay=1e-3 * self.position_delay_ms,
         )
