@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from decimal import Decimal
 from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -23,17 +24,16 @@ from estimation.vehicle.kalker import (
     creep_coefficient_std,
     creep_coefficients,
 )
+from estimation.vehicle.plausibility import check_plausible
 from estimation.vehicle.vehicle_class import (
     Arrangement,
     BogieParameters,
-    SensorChannel,
-    SensorLayout,
     VehicleClass,
     default_relative_std,
 )
 from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
+from ingest.vehicle_sensor_schema import SensorsTable
 
-MM_PER_M = 1000.0
 WHEELS_OF_AN_AXLE = 2
 
 
@@ -59,6 +59,10 @@ class _PositiveNumber(UncertainNumber):
     value: Positive
 
 
+class _WheelLength(UncertainNumber):
+    value: Annotated[float, Field(ge=100.0, le=1500.0)]  # mm
+
+
 class _NotNegativeNumber(UncertainNumber):
     value: NotNegative
 
@@ -73,6 +77,9 @@ PositiveUncertain = Annotated[_PositiveNumber, BeforeValidator(_with_key)]
 NotNegativeUncertain = Annotated[_NotNegativeNumber, BeforeValidator(_with_key)]
 
 
+WheelLength = Annotated[_WheelLength, BeforeValidator(_with_key)]
+
+
 def _zero() -> _NotNegativeNumber:
     return _NotNegativeNumber(value=0.0)
 
@@ -83,8 +90,8 @@ class WheelsetTable(InputTable):
     mass_kg: PositiveUncertain
     yaw_inertia_kg_m2: PositiveUncertain
     pitch_inertia_kg_m2: PositiveUncertain
-    nominal_radius_mm: PositiveUncertain
-    half_contact_distance_mm: PositiveUncertain
+    nominal_radius_mm: WheelLength
+    half_contact_distance_mm: WheelLength
     suspended_mass_kg: PositiveUncertain | None = None  # what it carries laterally
     axle_load_n: PositiveUncertain | None = None  # by default (wheelset + suspended mass) g
 
@@ -144,86 +151,6 @@ class SecondaryTable(InputTable):
     yaw_damping_n_m_s_rad: NotNegativeUncertain = Field(default_factory=_zero)
 
 
-class SensorTable(InputTable):
-    """One sensor. Noise density and range have the unit of the kind."""
-
-    kind: Literal["accelerometer", "angular_accelerometer", "gyroscope"]
-    place: Literal["axle_box", "frame", "mass"]
-    axis: Literal["x", "y", "z"]
-    noise_density_m_s2_rthz: NotNegative | None = None
-    range_m_s2: Positive | None = None
-    noise_density_rad_s2_rthz: NotNegative | None = None
-    range_rad_s2: Positive | None = None
-    noise_density_rad_s_rthz: NotNegative | None = None
-    range_rad_s: Positive | None = None
-    scale_std: NotNegative = 0.0  # relative
-
-    @model_validator(mode="after")
-    def _check_units(self) -> Self:
-        unit = _UNITS[self.kind]
-        if getattr(self, f"noise_density_{unit}_rthz") is None:
-            raise field_error("is missing", f"noise_density_{unit}_rthz")
-        for name in self.model_fields_set - {"kind", "place", "axis", "scale_std"}:
-            if name not in {f"noise_density_{unit}_rthz", f"range_{unit}"}:
-                raise field_error(f"is not the unit of kind = {self.kind!r}", name)
-        return self
-
-    def channel(self) -> SensorChannel:
-        """Return the sensor in SI units."""
-        unit = _UNITS[self.kind]
-        limit = getattr(self, f"range_{unit}")
-        noise = getattr(self, f"noise_density_{unit}_rthz")
-        return SensorChannel(noise, self.scale_std, math.inf if limit is None else limit)
-
-
-_UNITS: Mapping[str, str] = {"accelerometer": "m_s2", "angular_accelerometer": "rad_s2", "gyroscope": "rad_s"}
-_AXES: Mapping[str, str] = {"lateral": "y", "yaw": "z", "roll": "x", "mass_lateral": "y"}
-_MOMENTS: Mapping[str, str] = {
-    "lateral": "the lateral acceleration of the wheelset",
-    "yaw": "the yaw of the wheelset, and with it the moment of its suspension and rL - rR,",
-    "roll": "the roll of the wheelset, and with it gravity in the lateral signal,",
-    "mass_lateral": "the lateral acceleration above the axle, and with it the force of the suspension and the yaw of"
-    " a bogie frame,",
-}
-
-
-class SensorsTable(InputTable):
-    """``sensors``: those of one node."""
-
-    rate_hz: Annotated[float, Field(ge=20.0, le=20_000.0)]
-    measures_gravity: bool = True
-    lateral: SensorTable | None = None
-    yaw: SensorTable | None = None
-    roll: SensorTable | None = None
-    mass_lateral: SensorTable | None = None
-
-    @model_validator(mode="after")
-    def _check_layout(self) -> Self:
-        for name, axis in _AXES.items():
-            sensor: SensorTable | None = getattr(self, name)
-            if sensor is None:
-                raise field_error(f"{_MOMENTS[name]} is not measured: nothing is estimated without it", name)
-            if sensor.axis != axis:
-                raise field_error(f"must be {axis!r}; signs belong to the bus", name, "axis")
-            if (sensor.kind == "accelerometer") != (axis == "y"):
-                raise field_error(f"{sensor.kind!r} does not measure {_MOMENTS[name].partition(',')[0]}", name, "kind")
-            if (sensor.place == "axle_box") != (name != "mass_lateral"):
-                places = "'frame' or 'mass'" if name == "mass_lateral" else "'axle_box'"
-                raise field_error(f"{_MOMENTS[name].partition(',')[0]} is measured at {places}", name, "place")
-        return self
-
-    def layout(self) -> SensorLayout:
-        """Return the sensors in SI units."""
-        sensors = {name: getattr(self, name) for name in _AXES}
-        return SensorLayout(
-            **{name: sensor.channel() for name, sensor in sensors.items()},
-            yaw_is_gyroscope=sensors["yaw"].kind == "gyroscope",
-            roll_is_gyroscope=sensors["roll"].kind == "gyroscope",
-            measures_gravity=self.measures_gravity,
-            rate_hz=self.rate_hz,
-        )
-
-
 class VehicleClassEntry(InputTable):
     """A vehicle class; an entry of ``vehicle_classes`` of a registry file."""
 
@@ -251,8 +178,10 @@ class VehicleClassEntry(InputTable):
         sensor = self.sensors.mass_lateral
         if sensor is not None and sensor.place != place:
             raise field_error(f"must be {place!r} with this arrangement", "sensors", "mass_lateral", "place")
-        if self.creep.source == "kalker":
-            self._kalker_radii()
+        try:
+            check_plausible(self.record())
+        except ParameterError as error:
+            raise field_error(error.reason, *_LOCATIONS.get(error.field or "", ())) from error
         return self
 
     def record(self) -> VehicleClass:
@@ -278,36 +207,28 @@ class VehicleClassEntry(InputTable):
         """Return what one wheelset carries, kg, and its relative std: half of frame and body, if it is not on file."""
         if self.wheelset.suspended_mass_kg is not None or self.bogie is None:
             assert self.wheelset.suspended_mass_kg is not None
-            return _number("suspended_mass", self.wheelset.suspended_mass_kg)
+            return _number("suspended_mass", self.wheelset.suspended_mass_kg, "suspended_mass_kg")
         parts = (
-            _number("frame_mass", self.bogie.frame_mass_kg),
-            _number("body_mass", self.bogie.body_mass_kg),
+            _number("frame_mass", self.bogie.frame_mass_kg, "frame_mass_kg"),
+            _number("body_mass", self.bogie.body_mass_kg, "body_mass_kg"),
         )
         total = sum(value for value, _ in parts)
         return total / 2.0, math.hypot(*(value * std for value, std in parts)) / total
 
     def _axle_load(self) -> tuple[float, float]:
         if self.wheelset.axle_load_n is not None:
-            return _number("load", self.wheelset.axle_load_n)
+            return _number("load", self.wheelset.axle_load_n, "axle_load_n")
         suspended, std = self._suspended_mass()
-        own, own_std = _number("wheelset_mass", self.wheelset.mass_kg)
+        own, own_std = _number("wheelset_mass", self.wheelset.mass_kg, "mass_kg")
         return (own + suspended) * GRAVITY, math.hypot(own * own_std, suspended * std) / (own + suspended)
 
     def _wheelset_numbers(self) -> dict[str, tuple[float, float]]:
         """Return value and relative std by field of ``VehicleParameters``, but those of creep."""
-        wheelset, primary = self.wheelset, self.primary_suspension
-        return {
-            "wheelset_mass": _number("wheelset_mass", wheelset.mass_kg),
-            "suspended_mass": self._suspended_mass(),
-            "load": self._axle_load(),
-            "yaw_inertia": _number("yaw_inertia", wheelset.yaw_inertia_kg_m2),
-            "pitch_inertia": _number("pitch_inertia", wheelset.pitch_inertia_kg_m2),
-            "nominal_radius": _number("nominal_radius", wheelset.nominal_radius_mm, MM_PER_M),
-            "half_contact_distance": _number("half_contact_distance", wheelset.half_contact_distance_mm, MM_PER_M),
-            "lateral_stiffness": _number("lateral_stiffness", primary.lateral_stiffness_n_m),
-            "lateral_damping": _number("lateral_damping", primary.lateral_damping_n_s_m),
-            "yaw_stiffness": _number("yaw_stiffness", primary.yaw_stiffness_n_m_rad),
-            "yaw_damping": _number("yaw_damping", primary.yaw_damping_n_m_s_rad),
+        own = {"suspended_mass": self._suspended_mass(), "load": self._axle_load()}
+        return own | {
+            field: _number(field, getattr(getattr(self, table), key), key)
+            for field, (table, key) in _LOCATIONS.items()
+            if table in {"wheelset", "primary_suspension"} and field not in own
         }
 
     def _creep_numbers(self) -> dict[str, tuple[float, float]]:
@@ -318,14 +239,10 @@ class VehicleClassEntry(InputTable):
             rail_std = RAIL_CONDITION_STD if creep.relative_std is None else creep.relative_std
             values, std = creep_coefficients(radii), creep_coefficient_std(radii, radii_std, rail_std)
             return {field: (getattr(values, name), getattr(std, name)) for field, name in _CREEP_FIELDS.items()}
-        assert creep.longitudinal_n is not None
-        assert creep.lateral_n is not None
-        assert creep.lateral_spin_n_m is not None
         return {
-            "longitudinal_creep_coefficient": _number("longitudinal_creep_coefficient", creep.longitudinal_n),
-            "lateral_creep_coefficient": _number("lateral_creep_coefficient", creep.lateral_n),
-            "lateral_spin_creep_coefficient": _number("lateral_spin_creep_coefficient", creep.lateral_spin_n_m),
-            "spin_creep_coefficient": _number("spin_creep_coefficient", creep.spin_n_m2 or _zero()),
+            field: _number(field, getattr(creep, key) or _zero(), key)
+            for field, (table, key) in _LOCATIONS.items()
+            if table == "creep"
         }
 
     def _kalker_radii(self) -> tuple[ContactRadii, ContactRadiiStd]:
@@ -339,16 +256,15 @@ class VehicleClassEntry(InputTable):
         creep = self.creep
         assert creep.rail_head_radius_mm is not None
         load, load_std = self._axle_load()
-        rolling, rolling_std = _number(
-            "nominal_radius", creep.wheel_rolling_radius_mm or self.wheelset.nominal_radius_mm
-        )
+        rolling_radius = creep.wheel_rolling_radius_mm or self.wheelset.nominal_radius_mm
+        rolling, rolling_std = _number("nominal_radius", rolling_radius, "nominal_radius_mm")
         across = creep.wheel_transverse_radius_mm
         try:
             radii = ContactRadii(
-                wheel_rolling_radius=rolling / MM_PER_M,
-                rail_head_radius=creep.rail_head_radius_mm.value / MM_PER_M,
+                wheel_rolling_radius=rolling,
+                rail_head_radius=_metres(creep.rail_head_radius_mm.value),
                 wheel_load=load / WHEELS_OF_AN_AXLE,
-                wheel_transverse_radius=math.inf if across is None else across.value / MM_PER_M,
+                wheel_transverse_radius=math.inf if across is None else _metres(across.value),
                 shear_modulus=creep.shear_modulus_pa or STEEL_SHEAR_MODULUS,
                 poisson_ratio=STEEL_POISSON_RATIO if creep.poisson_ratio is None else creep.poisson_ratio,
             )
@@ -366,16 +282,11 @@ class VehicleClassEntry(InputTable):
         """Return value and relative std by field of ``BogieParameters``; empty without a bogie."""
         if self.bogie is None:
             return {}
-        bogie, secondary = self.bogie, self.secondary_suspension or SecondaryTable()
+        tables = {"bogie": self.bogie, "secondary_suspension": self.secondary_suspension or SecondaryTable()}
         return {
-            "wheelbase": _number("wheelbase", bogie.wheelbase_m),
-            "frame_mass": _number("frame_mass", bogie.frame_mass_kg),
-            "frame_yaw_inertia": _number("frame_yaw_inertia", bogie.frame_yaw_inertia_kg_m2),
-            "body_mass": _number("body_mass", bogie.body_mass_kg),
-            "secondary_lateral_stiffness": _number("secondary_lateral_stiffness", secondary.lateral_stiffness_n_m),
-            "secondary_lateral_damping": _number("secondary_lateral_damping", secondary.lateral_damping_n_s_m),
-            "secondary_yaw_stiffness": _number("secondary_yaw_stiffness", secondary.yaw_stiffness_n_m_rad),
-            "secondary_yaw_damping": _number("secondary_yaw_damping", secondary.yaw_damping_n_m_s_rad),
+            field: _number(field, getattr(tables[table], key), key)
+            for field, (table, key) in _LOCATIONS.items()
+            if table in tables
         }
 
 
@@ -387,7 +298,40 @@ _CREEP_FIELDS: Mapping[str, str] = {
 }
 
 
-def _number(field: str, number: UncertainNumber, per_si: float = 1.0) -> tuple[float, float]:
-    """Return value in SI and relative std of a number in ``1/per_si`` SI units; ``field`` names the default std."""
+_LOCATIONS: Mapping[str, tuple[str, str]] = {  # table and key of a field of VehicleParameters or BogieParameters
+    "wheelset_mass": ("wheelset", "mass_kg"),
+    "yaw_inertia": ("wheelset", "yaw_inertia_kg_m2"),
+    "pitch_inertia": ("wheelset", "pitch_inertia_kg_m2"),
+    "nominal_radius": ("wheelset", "nominal_radius_mm"),
+    "half_contact_distance": ("wheelset", "half_contact_distance_mm"),
+    "suspended_mass": ("wheelset", "suspended_mass_kg"),
+    "load": ("wheelset", "axle_load_n"),
+    "lateral_stiffness": ("primary_suspension", "lateral_stiffness_n_m"),
+    "lateral_damping": ("primary_suspension", "lateral_damping_n_s_m"),
+    "yaw_stiffness": ("primary_suspension", "yaw_stiffness_n_m_rad"),
+    "yaw_damping": ("primary_suspension", "yaw_damping_n_m_s_rad"),
+    "longitudinal_creep_coefficient": ("creep", "longitudinal_n"),
+    "lateral_creep_coefficient": ("creep", "lateral_n"),
+    "lateral_spin_creep_coefficient": ("creep", "lateral_spin_n_m"),
+    "spin_creep_coefficient": ("creep", "spin_n_m2"),
+    "wheelbase": ("bogie", "wheelbase_m"),
+    "frame_mass": ("bogie", "frame_mass_kg"),
+    "frame_yaw_inertia": ("bogie", "frame_yaw_inertia_kg_m2"),
+    "body_mass": ("bogie", "body_mass_kg"),
+    "secondary_lateral_stiffness": ("secondary_suspension", "lateral_stiffness_n_m"),
+    "secondary_lateral_damping": ("secondary_suspension", "lateral_damping_n_s_m"),
+    "secondary_yaw_stiffness": ("secondary_suspension", "yaw_stiffness_n_m_rad"),
+    "secondary_yaw_damping": ("secondary_suspension", "yaw_damping_n_m_s_rad"),
+}
+
+
+def _number(field: str, number: UncertainNumber, key: str) -> tuple[float, float]:
+    """Return value in SI and relative std of the number at ``key``; ``field`` names the default std."""
     relative = number.relative_std
-    return number.value / per_si, default_relative_std(field) if relative is None else relative
+    value = _metres(number.value) if key.endswith("_mm") else number.value
+    return value, default_relative_std(field) if relative is None else relative
+
+
+def _metres(millimetres: float) -> float:
+    """Return the number nearest to the decimal one in m: 745.2 mm is 0.7452 m, not 0.7452000000000001 m."""
+    return float(Decimal(repr(millimetres)).scaleb(-3))
