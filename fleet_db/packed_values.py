@@ -35,7 +35,8 @@ PROFILE_ARRAYS = ("y", "z", "slope")
 
 def pack_trend(trend: WearTrend) -> bytes:
     """Return ``trend`` as one blob."""
-    return pack(TREND, VERSION, *fields_of(trend))
+    scalars, arrays = fields_of(trend)
+    return pack(TREND, VERSION, _renamed(scalars, "fitted", "current"), arrays)
 
 
 def unpack_trend(blob: bytes, *, where: str) -> WearTrend:
@@ -47,7 +48,7 @@ def unpack_trend(blob: bytes, *, where: str) -> WearTrend:
         The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, TREND, where=where)
-    return value_of(WearTrend, packed.scalars, packed.arrays)
+    return value_of(WearTrend, _renamed(packed.scalars, "current", "fitted"), packed.arrays)
 
 
 def pack_geometry(geometry: WheelsetGeometry) -> bytes:

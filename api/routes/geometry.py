@@ -54,9 +54,10 @@ def get_trend(
     with services.storage.read() as unit:
         unit.registry.wheelset(serial)
         found = unit.trends.latest(serial, as_of)
+        current = unit.geometries.current(serial, as_of)
     if found is None:
         raise NotFoundError("trend yet of wheelset", serial)
-    body = trend.trend(found)
+    body = trend.trend(found, current)
     return answer_table(request, body, accepted, trend.table(body))
 
 

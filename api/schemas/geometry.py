@@ -9,6 +9,7 @@ from pydantic import Field, JsonValue
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
+from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinValues, GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of, text_of
@@ -71,6 +72,9 @@ class Geometry(Representation):
     n_windows: int
     equivalent_conicity_1: Uncertain
     equivalent_conicity_amplitude_mm: float | None = Field(description="3 mm, or the largest amplitude covered.")
+    equivalent_conicity_at_3_mm_1: Uncertain = Field(
+        description="What limits are compared with; where the motion does not cover 3 mm extrapolated, see `reason`."
+    )
     conicity_by_amplitude: list[ConicityAtAmplitude]
     nonlinearity_parameter_per_mm: Uncertain
     zero_crossing_mm: Uncertain = Field(description="Lateral displacement at which both rolling radii are equal.")
@@ -106,6 +110,7 @@ def geometry(record: GeometryRecord) -> Geometry:
         n_windows=found.windows,
         equivalent_conicity_1=uncertain(found.equivalent_conicity),
         equivalent_conicity_amplitude_mm=finite(found.reported_amplitude, MM),
+        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
         conicity_by_amplitude=[
             ConicityAtAmplitude(amplitude_mm=float(amplitude) * MM, equivalent_conicity_1=uncertain(conicity))
             for amplitude, conicity in zip(found.amplitude, found.conicity, strict=True)

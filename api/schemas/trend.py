@@ -9,11 +9,16 @@ from pydantic import Field, JsonValue
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
-from estimation.values.quantities import Forecast, Status
+from estimation.trend.extrapolation import conicity_at_limit_amplitude
+from estimation.values.geometry import GeometryRecord
+from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.trend import TrendRecord
 
 _BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
+_NO_CURRENT = Estimate.unknown(
+    Reason(ReasonCode.NO_GEOMETRY_SINCE_REPROFILING, "no current geometry of the profile that the trend is of")
+)
 _NO_TREND = Reason(ReasonCode.TOO_FEW_POINTS, "the trend is not estimated")
 
 
@@ -27,7 +32,7 @@ class TrendPoints(Representation):
 
 
 class DistanceForecast(Representation):
-    """Quantiles of the distance still to run; null means beyond the horizon, and `reason` explains."""
+    """Quantiles of the distance still to run; null means beyond the horizon or unknown, and `reason` says which."""
 
     p10: float | None
     p50: float | None
@@ -37,7 +42,7 @@ class DistanceForecast(Representation):
 
 
 class DateForecast(Representation):
-    """Quantiles of the date; null means beyond the horizon, and `reason` explains."""
+    """Quantiles of the date; null means beyond the horizon or unknown, and `reason` says which."""
 
     p10: Timestamp | None
     p50: Timestamp | None
@@ -68,7 +73,11 @@ class Trend(Representation):
     baseline: int
     recorded_at: Timestamp
     points: TrendPoints
-    current_1: Uncertain
+    current_1: Uncertain = Field(
+        description="Equivalent conicity at 3 mm of the current geometry: `equivalent_conicity_at_3_mm_1` there."
+    )
+    current_mileage_km: float | None = Field(description="Mileage that the current geometry is of.")
+    fitted_1: Uncertain = Field(description="The fitted curve at the last point, at the mileage of that point.")
     slope_1_per_1000_km: Uncertain
     slope_1_per_year: Uncertain
     limit_1: float | None
@@ -96,11 +105,21 @@ def _date(forecast: Forecast, unknown: Reason | None) -> DateForecast:
     return DateForecast(p10=p10, p50=p50, p90=p90, reason=text_of(reason), reason_code=code_of(reason))
 
 
-def trend(record: TrendRecord) -> Trend:
-    """Return the representation of a trend."""
+def trend(record: TrendRecord, current: GeometryRecord | None) -> Trend:
+    """Return the representation of a trend.
+
+    Parameters
+    ----------
+    record
+        The trend.
+    current
+        The current geometry of the wheelset; None where there is none.
+    """
     found = record.trend
+    of_now = None if current is None or current.baseline != record.baseline else current
     own = f"/v1/wheelsets/{segment(record.wheelset)}"
-    unknown = None if found.status is Status.ESTIMATED else found.reason or _NO_TREND
+    recorded_ns = record.recorded_ns if current is None else max(record.recorded_ns, current.recorded_ns)
+    unknown = found.not_comparable if found.status is Status.ESTIMATED else found.reason or _NO_TREND
     return Trend(
         wheelset=record.wheelset,
         quantity=found.quantity,
@@ -116,7 +135,9 @@ def trend(record: TrendRecord) -> Trend:
             value_1=finite_list(found.value),
             std_1=finite_list(found.std),
         ),
-        current_1=uncertain(found.current),
+        current_1=uncertain(_NO_CURRENT if of_now is None else conicity_at_limit_amplitude(of_now.geometry)),
+        current_mileage_km=None if of_now is None else finite(of_now.mileage_km),
+        fitted_1=uncertain(found.fitted),
         slope_1_per_1000_km=uncertain(found.slope_per_1000_km),
         slope_1_per_year=uncertain(found.slope_per_year),
         limit_1=finite(found.limit),
@@ -130,7 +151,7 @@ def trend(record: TrendRecord) -> Trend:
         ),
         links={
             "self": f"{own}/trend",
-            "as_recorded": f"{own}/trend?as_of={to_rfc3339(record.recorded_ns)}",
+            "as_recorded": f"{own}/trend?as_of={to_rfc3339(recorded_ns)}",
             "wheelset": own,
             "geometry": f"{own}/geometry",
             "alerts": f"/v1/alerts?wheelset={segment(record.wheelset)}",

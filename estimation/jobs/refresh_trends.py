@@ -12,6 +12,7 @@ from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.identities import identity_change
 from estimation.storage import UnitOfWork
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.trend.points import conicity_points
 from estimation.trend.trend import TrendParameters, refresh
 from estimation.values.geometry import GeometryRecord
@@ -49,7 +50,15 @@ def _refresh(context: JobContext, wheelset: WheelsetRecord) -> str:
     ):
         return "unchanged"
     chosen = conicity_points(records)
-    trend = refresh(chosen.points, limit, params, quantity=chosen.quantity, note=chosen.note)
+    trend = refresh(
+        chosen.points,
+        limit,
+        params,
+        quantity=chosen.quantity,
+        note=chosen.note,
+        shared_std=chosen.spread,
+        not_comparable=chosen.not_comparable,
+    )
     record = TrendRecord(
         wheelset=wheelset.serial,
         baseline=baseline,
@@ -73,7 +82,7 @@ def _limit(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> float 
 
 def _digest(records: Sequence[GeometryRecord], limit: float, params: TrendParameters) -> str:
     inputs = [[r.interval, r.input_digest, r.mileage_km, r.code_version] for r in records]
-    text = json.dumps([inputs, limit, asdict(params)], sort_keys=True)
+    text = json.dumps([inputs, limit, LIMIT_AMPLITUDE, asdict(params)], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

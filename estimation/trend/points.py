@@ -5,55 +5,92 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
+from estimation.trend.extrapolation import (
+    LIMIT_AMPLITUDE,
+    SAME_AMPLITUDE,
+    conicities,
+    extrapolated,
+    extrapolated_from,
+    not_comparable,
+)
 from estimation.trend.trend import TrendPoint
 from estimation.values.geometry import GeometryRecord
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode, combined
 
-PREFERRED_AMPLITUDE = 3e-3  # m, the reference amplitude of EN 15302
+QUANTITY = "equivalent_conicity"  # at the limit's amplitude; at another one its name has the amplitude
 WANTED_SHARE = 0.75  # of the latest intervals that must cover an amplitude
 LATEST = 8  # intervals: an amplitude that a little worn wheelset did not reach long ago may be covered now
-SAME_AMPLITUDE = 1e-6  # m
+
+_Covered = tuple[GeometryRecord, Mapping[int, Estimate]]  # with its conicities by amplitude in micrometres
 
 
 @dataclass(frozen=True, slots=True)
 class TrendPoints:
-    """Points of one quantity, and a note where the quantity is not the headline one or intervals were left out."""
+    """Points of one quantity, and a note where they are extrapolated, at another amplitude, or intervals were left out.
+
+    ``spread`` is what the points have in common of the error of extrapolation. ``not_comparable`` says why no limit is
+    held against them; None where one is.
+    """
 
     quantity: str
-    amplitude: float  # m
+    amplitude: float  # m, of the points
     points: tuple[TrendPoint, ...]
     note: Reason | None
+    spread: float = 0.0
+    not_comparable: Reason | None = None
 
 
 def conicity_points(records: Sequence[GeometryRecord]) -> TrendPoints:
     """Return the equivalent conicity of each interval, at one amplitude.
 
-    The amplitude is 3 mm where three quarters of the latest eight intervals cover it; else the largest smaller one
-    that as many cover; else the one that most of them cover. Conicity depends on amplitude, so
-    values at different amplitudes are never mixed in one trend.
+    The amplitude is 3 mm where three quarters of the latest eight intervals cover it. Else every interval is
+    extrapolated to 3 mm from the largest amplitude that as many cover (else the one that most of them cover). Where
+    that is not possible the points are at that amplitude, and no limit is compared with them. Conicity depends on
+    amplitude, so values at different amplitudes are never mixed in one trend.
 
     Parameters
     ----------
     records
         Interval geometries of one wheelset and baseline.
     """
-    covered = [{_key(a): e for a, e in _conicities(r) if e.status is Status.ESTIMATED} for r in records]
+    covered = [{_key(a): e for a, e in conicities(r.geometry)} for r in records]
     if not any(covered):
-        return TrendPoints("equivalent_conicity", PREFERRED_AMPLITUDE, (), _why_none(records))
+        return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, (), _why_none(records))
     chosen = _amplitude([c for c in covered if c])
-    points = tuple(_point(r, c[chosen]) for r, c in zip(records, covered, strict=True) if chosen in c)
-    quantity = "equivalent_conicity" if chosen == _PREFERRED else f"equivalent_conicity_{chosen / 1000:g}_mm"
+    having = [(r, c) for r, c in zip(records, covered, strict=True) if chosen in c]
     notes = []
-    if chosen != _PREFERRED:
-        text = f"at {chosen / 1000:g} mm, the largest amplitude that most intervals cover"
-        notes.append(Reason(ReasonCode.OTHER_AMPLITUDE, text))
-    if len(points) < len(records):
-        text = f"{len(records) - len(points)} of {len(records)} intervals do not cover it"
+    if len(having) < len(records):
+        text = f"{len(records) - len(having)} of {len(records)} intervals do not cover it"
         notes.append(Reason(ReasonCode.INTERVALS_LEFT_OUT, text))
-    return TrendPoints(quantity, chosen * SAME_AMPLITUDE, points, combined(notes))
+    if chosen == _PREFERRED:
+        points = tuple(_point(r, c[chosen]) for r, c in having)
+        return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, points, combined(notes))
+    return _extrapolated_points(having, chosen, notes) or _points_at(having, chosen, notes)
+
+
+def _extrapolated_points(having: Sequence[_Covered], chosen: int, notes: Sequence[Reason]) -> TrendPoints | None:
+    """Return the points at 3 mm, extrapolated from the chosen amplitude; None where that is not possible for most."""
+    found = [(r, extrapolated(_up_to(c, chosen))) for r, c in having if chosen < _PREFERRED]
+    known = [(r, e) for r, e in found if e is not None]
+    if not known or found[-1][1] is None or len(known) < WANTED_SHARE * len(found):
+        return None
+    points = tuple(TrendPoint(r.mileage_km, _middle_ns(r), e.value, e.std) for r, e in known)
+    note = combined([extrapolated_from(chosen * SAME_AMPLITUDE), *notes])
+    return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, points, note, max(e.spread for _, e in known))
+
+
+def _points_at(having: Sequence[_Covered], chosen: int, notes: Sequence[Reason]) -> TrendPoints:
+    points = tuple(_point(r, c[chosen]) for r, c in having)
+    text = f"at {chosen / 1000:g} mm, the largest amplitude that most intervals cover"
+    note = combined([Reason(ReasonCode.OTHER_AMPLITUDE, text), *notes])
+    amplitude = chosen * SAME_AMPLITUDE
+    quantity = f"{QUANTITY}_{chosen / 1000:g}_mm"
+    return TrendPoints(quantity, amplitude, points, note, not_comparable=not_comparable(amplitude))
+
+
+def _up_to(covered: Mapping[int, Estimate], chosen: int) -> list[tuple[float, Estimate]]:
+    return [(key * SAME_AMPLITUDE, covered[key]) for key in sorted(covered) if key <= chosen]
 
 
 def _amplitude(covered: Sequence[Mapping[int, Estimate]]) -> int:
@@ -70,21 +107,17 @@ def _key(amplitude: float) -> int:
     return round(amplitude / SAME_AMPLITUDE)
 
 
-_PREFERRED = _key(PREFERRED_AMPLITUDE)
-
-
-def _conicities(record: GeometryRecord) -> list[tuple[float, Estimate]]:
-    geometry = record.geometry
-    pairs = list(zip((float(a) for a in geometry.amplitude), geometry.conicity, strict=True))
-    if np.isfinite(geometry.reported_amplitude):
-        pairs.append((geometry.reported_amplitude, geometry.equivalent_conicity))
-    return pairs
+_PREFERRED = _key(LIMIT_AMPLITUDE)
 
 
 def _point(record: GeometryRecord, estimate: Estimate) -> TrendPoint:
     assert estimate.value is not None
     assert estimate.std is not None
-    return TrendPoint(record.mileage_km, (record.from_ns + record.to_ns) // 2, estimate.value, estimate.std)
+    return TrendPoint(record.mileage_km, _middle_ns(record), estimate.value, estimate.std)
+
+
+def _middle_ns(record: GeometryRecord) -> int:
+    return (record.from_ns + record.to_ns) // 2
 
 
 def _why_none(records: Sequence[GeometryRecord]) -> Reason:

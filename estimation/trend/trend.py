@@ -48,6 +48,8 @@ def refresh(
     *,
     quantity: str = "equivalent_conicity",
     note: Reason | None = None,
+    shared_std: float = 0.0,
+    not_comparable: Reason | None = None,
 ) -> WearTrend:
     """Return the trend of the points, in whatever order they come.
 
@@ -63,12 +65,16 @@ def refresh(
         Name of the indicator.
     note
         Remark on the points, part of the reason.
+    shared_std
+        Standard deviation of an error that all points have in common, in their units.
+    not_comparable
+        Why the points cannot be compared with the limit, which then nothing is said about; None where they can.
 
     Returns
     -------
     WearTrend
-        The slopes are those at the last point; ``current`` is the fitted value there. With too few points the trend is
-        ``unestimated`` and says why; ``current`` is then the last value itself, where there is one.
+        The slopes are those at the last point; ``fitted`` is the fitted value there. With too few points the trend is
+        ``unestimated`` and says why; ``fitted`` is then the last value itself, where there is one.
     """
     params = params or TrendParameters()
     usable = sorted(
@@ -85,8 +91,22 @@ def refresh(
     if lacking is not None:
         why = replace(lacking, text="; ".join(str(one) for one in (note, lacking) if one is not None))
         code = lacking.code if note is None or usable else note.code
-        return _unestimated(columns, limit, quantity, replace(why, code=code))
-    return _estimated(columns, limit, params, quantity, note)
+        trend = _unestimated(columns, limit, quantity, replace(why, code=code))
+    else:
+        trend = _estimated(columns, limit, params, quantity, note, shared_std)
+    if note is not None and note.code is ReasonCode.AMPLITUDE_EXTRAPOLATED and trend.fitted.value is not None:
+        trend = replace(trend, fitted=replace(trend.fitted, reason=note))
+    return trend if not_comparable is None else _without_limit(trend, not_comparable)
+
+
+def _without_limit(trend: WearTrend, reason: Reason) -> WearTrend:
+    return replace(
+        trend,
+        distance_to_limit_km=NO_FORECAST,
+        date_of_limit_ns=NO_FORECAST,
+        probability_over_limit=None,
+        not_comparable=reason,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +131,10 @@ def _lacking(points: _Columns, params: TrendParameters) -> Reason | None:
 
 def _unestimated(points: _Columns, limit: float, quantity: str, reason: Reason) -> WearTrend:
     unknown = Estimate.unknown(reason, len(points.value))
-    current, probability = unknown, None
+    fitted, probability = unknown, None
     if len(points.value):
-        current = with_interval(float(points.value[-1]), float(points.std[-1]))
-        probability = probability_above(current, limit)
+        fitted = with_interval(float(points.value[-1]), float(points.std[-1]))
+        probability = probability_above(fitted, limit)
     return WearTrend(
         quantity=quantity,
         mileage_km=points.mileage_km,
@@ -123,7 +143,7 @@ def _unestimated(points: _Columns, limit: float, quantity: str, reason: Reason) 
         std=points.std,
         slope_per_1000_km=unknown,
         slope_per_year=unknown,
-        current=current,
+        fitted=fitted,
         limit=limit,
         distance_to_limit_km=NO_FORECAST,
         date_of_limit_ns=NO_FORECAST,
@@ -134,11 +154,11 @@ def _unestimated(points: _Columns, limit: float, quantity: str, reason: Reason) 
 
 
 def _estimated(
-    points: _Columns, limit: float, params: TrendParameters, quantity: str, note: Reason | None
+    points: _Columns, limit: float, params: TrendParameters, quantity: str, note: Reason | None, shared_std: float
 ) -> WearTrend:
-    by_distance = fit_wear_curve(points.mileage_km, points.value, points.std)
+    by_distance = fit_wear_curve(points.mileage_km, points.value, points.std).shifted(shared_std)
     count = float(by_distance.share.sum())
-    by_date = _fit_by_date(points)
+    by_date = _fit_by_date(points, shared_std)
     slope_per_year, date = Estimate.unknown(ONE_DATE, count), NO_FORECAST
     if by_date is not None:
         slope_per_year = by_date.slope_now().estimate(count)
@@ -154,7 +174,7 @@ def _estimated(
         std=points.std,
         slope_per_1000_km=_scaled(by_distance.slope_now().estimate(count), 1000.0),
         slope_per_year=slope_per_year,
-        current=level.estimate(count),
+        fitted=level.estimate(count),
         limit=limit,
         distance_to_limit_km=_forecast(by_distance, limit, params.horizon_km),
         date_of_limit_ns=date,
@@ -165,12 +185,12 @@ def _estimated(
     )
 
 
-def _fit_by_date(points: _Columns) -> WearCurve | None:
+def _fit_by_date(points: _Columns, shared_std: float) -> WearCurve | None:
     order = np.argsort(points.measured_ns, kind="stable")
     since = points.measured_ns[order] - points.measured_ns.max()
     if since[0] == 0:
         return None
-    return fit_wear_curve(since / YEAR_NS, points.value[order], points.std[order])
+    return fit_wear_curve(since / YEAR_NS, points.value[order], points.std[order]).shifted(shared_std)
 
 
 def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:

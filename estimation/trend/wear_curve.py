@@ -78,6 +78,14 @@ class WearCurve:
     share: FloatArray  # (k,) lambda: what each point counts, 1 for a good one
     converged: bool = True  # whether the shares stopped changing
 
+    def shifted(self, std: float) -> WearCurve:
+        """Return the curve with an error of that standard deviation that all its points have in common."""
+        if std == 0.0:
+            return self
+        covariance = self.covariance.copy()
+        covariance[:, 0, 0] += std**2
+        return replace(self, covariance=covariance)
+
     def level_now(self) -> NormalMixture:
         """Return the distribution of the fitted value at the last point."""
         return NormalMixture(self.weight, self.level, np.sqrt(self.covariance[:, 0, 0]))

@@ -100,6 +100,14 @@ class ReasonCode(StrEnum):
     TOO_FEW_POINTS = "too_few_points", "The trend has too few points since the last reprofiling."
     SPAN_TOO_SHORT = "span_too_short", "The points of the trend span too little mileage."
     SINGLE_DATE = "single_date", "All points of the trend have one date."
+    AMPLITUDE_EXTRAPOLATED = (
+        "amplitude_extrapolated",
+        "The motion does not cover 3 mm: the conicity there is extrapolated with what worn wheels like it do.",
+    )
+    AMPLITUDE_NOT_COMPARABLE = (
+        "amplitude_not_comparable",
+        "The limit is for 3 mm and the conicity there is not known: nothing is said about the limit.",
+    )
     OTHER_AMPLITUDE = "other_amplitude", "The trend is at another amplitude than 3 mm, which too few intervals cover."
     INTERVALS_LEFT_OUT = "intervals_left_out", "Some mileage intervals do not cover the trend's amplitude."
     BEYOND_HORIZON = "beyond_horizon", "The limit is not reached within the forecast horizon."

@@ -24,7 +24,7 @@ class WearTrend:
     std: FloatArray  # (k,)
     slope_per_1000_km: Estimate
     slope_per_year: Estimate
-    current: Estimate  # fitted value at the last point
+    fitted: Estimate  # value of the fitted curve at the last point
     limit: float
     distance_to_limit_km: Forecast  # from the last point; 0 where already reached
     date_of_limit_ns: Forecast
@@ -32,6 +32,7 @@ class WearTrend:
     status: Status
     reason: Reason | None = None
     converged: bool = True  # whether the robust fits over distance and date stopped changing
+    not_comparable: Reason | None = None  # why the limit is not held against it; None where it is
 
     def __post_init__(self) -> None:
         k = len(self.value)

@@ -138,7 +138,7 @@ def trend_record(recorded_ns: int, last: float) -> TrendRecord:
         std=np.array([0.01, 0.011, np.nan]),
         slope_per_1000_km=estimate(0.02),
         slope_per_year=Estimate.unknown(Reason(ReasonCode.SINGLE_DATE, "dates too close")),
-        current=estimate(last),
+        fitted=estimate(last),
         limit=0.4,
         distance_to_limit_km=Forecast(8000.0, 11000.0, None),
         date_of_limit_ns=Forecast(float(START + 100 * DAY), float(START + 150 * DAY), None),

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import api_fleet
 import httpx
+import numpy as np
 import pytest
 from running_service import Service
 
+from api.schemas import geometry as geometry_schema
+from api.schemas import trend as trend_schema
 from estimation.errors import ParameterError
 
 
@@ -125,6 +129,32 @@ def test_a_trend_has_its_points_its_slope_and_its_forecast(client: httpx.Client)
     assert trend["date_of_limit"]["p10"] == "2025-09-23T15:06:40Z"
 
 
+@pytest.mark.parametrize("when", [{}, {"as_of": "2025-07-25T15:06:40.123456789Z"}])
+def test_geometry_and_trend_have_one_current_conicity(client: httpx.Client, when: dict[str, str]) -> None:
+    geometry = get(client, "/v1/wheelsets/WS-000/geometry", **when)
+    trend = get(client, "/v1/wheelsets/WS-000/trend", **when)
+    assert geometry["equivalent_conicity_amplitude_mm"] == 2.0
+    assert trend["current_1"] == geometry["equivalent_conicity_at_3_mm_1"]
+    assert trend["current_1"]["reason_code"] == "amplitude_not_comparable"
+    assert trend["current_mileage_km"] == geometry["mileage_km"] == 9500.5
+
+
+def test_an_extrapolated_current_conicity_is_one_number_too() -> None:
+    known = tuple(api_fleet.estimate(value) for value in (0.3, 0.3, 0.29))
+    covered = replace(api_fleet.geometry(0.29), amplitude=np.array([2.0, 2.25, 2.75]) * 1e-3, conicity=known)
+    record = replace(api_fleet.geometry_record(5, 0.29), geometry=replace(covered, reported_amplitude=2.75e-3))
+    shown = geometry_schema.geometry(record).equivalent_conicity_at_3_mm_1
+    assert shown.reason_code == "amplitude_extrapolated"
+    assert shown.std is not None
+    assert shown.std > 0.01
+    of_trend = api_fleet.trend_record(5, 0.25)
+    assert trend_schema.trend(of_trend, record).current_1 == shown
+    for other in (None, replace(record, baseline=1)):
+        unknown = trend_schema.trend(of_trend, other)
+        assert (unknown.current_1.value, unknown.current_mileage_km) == (None, None)
+        assert unknown.current_1.reason_code == "no_geometry_since_reprofiling"
+
+
 @pytest.mark.parametrize("resource", ["geometry", "trend"])
 def test_as_of_gives_what_was_recorded_then(client: httpx.Client, resource: str) -> None:
     path = f"/v1/wheelsets/WS-000/{resource}"
@@ -132,7 +162,7 @@ def test_as_of_gives_what_was_recorded_then(client: httpx.Client, resource: str)
     link = latest.json()["links"]["as_recorded"]
     assert client.get(link).content == latest.content
     earlier = get(client, path, as_of="2025-07-25T15:06:40.123456789Z")
-    key = "equivalent_conicity_1" if resource == "geometry" else "current_1"
+    key = "equivalent_conicity_1" if resource == "geometry" else "fitted_1"
     assert earlier[key]["value"] == 0.1875
     assert client.get(path, params={"as_of": "2025-07-25T15:06:40.123456788Z"}).status_code == 404
     assert client.get(path, params={"as_of": "2200-01-01T00:00:00Z"}).status_code == 422

@@ -186,10 +186,10 @@ def test_what_the_first_release_stored_is_still_read() -> None:
 def test_a_field_that_was_not_stored_has_its_default() -> None:
     scalars, arrays = fields_of(make.trend(1))
     del scalars["reason"]
-    scalars["current"] = scalars["current"][:-1]  # an estimate without its last field
+    scalars["fitted"] = scalars["fitted"][:-1]  # an estimate without its last field
     found = value_of(WearTrend, scalars, arrays)
-    assert (found.reason, found.current.reason) == (None, None)
-    assert found.current.value == make.trend(1).current.value
+    assert (found.reason, found.fitted.reason) == (None, None)
+    assert found.fitted.value == make.trend(1).fitted.value
 
 
 def test_what_does_not_fit_its_type_is_refused() -> None:

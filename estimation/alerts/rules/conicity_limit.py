@@ -18,6 +18,8 @@ from estimation.alerts.rules.rule import (
     too_few_windows,
     unknown_evidence,
 )
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE, conicity_at_limit_amplitude
+from estimation.trend.points import QUANTITY
 from estimation.trend.trend import probability_above
 from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Estimate, Status
@@ -96,22 +98,24 @@ class ConicityLimitRule(AlertRule):
         return sorted((b for b in self.bands if b.vehicle_class == vehicle_class), key=lambda b: b.up_to_km_h)
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
-        """Return the finding on the limit, by the conicity of the trend, or of the geometry where there is no trend."""
+        """Return the finding on the limit, by the conicity at 3 mm.
+
+        It is that of the fitted trend, or of the current geometry where no trend is comparable with the limit.
+        """
         limit = None if facts.vehicle is None else self.limit_for(facts.vehicle)
         if facts.geometry is None or limit is None:
             return None
         geometry, trend = facts.geometry.geometry, facts.current_trend
-        conicity, quantity = geometry.equivalent_conicity, "equivalent_conicity"
-        if trend is not None and trend.trend.current.status is Status.ESTIMATED:
-            conicity, quantity = trend.trend.current, trend.trend.quantity
+        current = conicity_at_limit_amplitude(geometry)
+        fitted = None if trend is None or trend.trend.not_comparable else trend.trend.fitted
         return conicity_limit_finding(
             self,
             facts.wheelset.serial,
-            conicity,
+            current if fitted is None or fitted.status is not Status.ESTIMATED else fitted,
             geometry.windows,
             limit,
             facts.geometry.to_ns,
-            quantity=quantity,
+            current=current,
             not_assessable_reason=facts.not_assessable_reason,
         )
 
@@ -124,7 +128,7 @@ def conicity_limit_finding(
     limit: float,
     measured_ns: int,
     *,
-    quantity: str = "equivalent_conicity",
+    current: Estimate | None = None,
     not_assessable_reason: Reason | None = None,
 ) -> Finding:
     """Return the finding on the limit by the conicity.
@@ -136,19 +140,20 @@ def conicity_limit_finding(
     wheelset
         Serial.
     conicity
-        Fitted value now.
+        At 3 mm now: what is compared with the limit.
     windows
         Windows behind it.
     limit
         The raise limit.
     measured_ns
         Time of the newest data behind the conicity.
-    quantity
-        What the conicity is, with its amplitude where it is not 3 mm.
+    current
+        That of the current geometry, where ``conicity`` is of the trend.
     not_assessable_reason
         Why the data do not describe the present wheelset (silent, sensor fault, reprofiled since); None where they do.
     """
-    reason = not_assessable_reason or conicity.reason or too_few_windows(windows, rule.minimum_windows)
+    unknown = None if conicity.status is Status.ESTIMATED else conicity.reason
+    reason = not_assessable_reason or unknown or too_few_windows(windows, rule.minimum_windows)
     over = None if reason else probability_above(conicity, limit)
     clear_limit = limit - rule.clear_margin
     above_clear = probability_above(conicity, clear_limit)
@@ -163,8 +168,10 @@ def conicity_limit_finding(
         severity=severity,
         probability=number_evidence(over, 3),
         evidence={
-            "quantity": quantity,
+            "quantity": QUANTITY,
+            "amplitude_mm": number_evidence(1e3 * LIMIT_AMPLITUDE),
             "conicity": estimate_evidence(conicity),
+            "current": estimate_evidence(conicity if current is None else current),
             "windows": windows,
             "limit": number_evidence(limit),
             **unknown_evidence(reason),

@@ -76,7 +76,7 @@ def limit_forecast_finding(
         Why the data do not describe the present wheelset; None where they do.
     """
     points = len(trend.value)
-    reason = not_assessable_reason or (trend.reason if trend.status is not Status.ESTIMATED else None)
+    reason = not_assessable_reason or (trend.reason if trend.status is not Status.ESTIMATED else trend.not_comparable)
     if reason is None and points < rule.minimum_points:
         reason = Reason(ReasonCode.TOO_FEW_POINTS, f"{points} points, {rule.minimum_points} needed")
     within = None if reason else probability_within(trend, rule.within_km)
@@ -91,7 +91,7 @@ def limit_forecast_finding(
         evidence={
             "quantity": trend.quantity,
             "slope_per_1000_km": estimate_evidence(trend.slope_per_1000_km),
-            "current": estimate_evidence(trend.current),
+            "fitted": estimate_evidence(trend.fitted),
             "distance_to_limit_km": forecast_evidence(trend.distance_to_limit_km),
             "date_of_limit_ns": forecast_evidence(trend.date_of_limit_ns, 6),
             "within_km": rule.within_km,

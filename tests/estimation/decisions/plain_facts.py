@@ -42,7 +42,7 @@ def geometry_record(geometry: WheelsetGeometry, *, baseline: int = 0, to_ns: int
     return GeometryRecord("W", baseline, None, 1.0, 200, to_ns, geometry, "d", {}, {}, "test", 1)
 
 
-def trend_of(*, current: Estimate | None = None, points: int = 3, probability: float | None = 0.0) -> WearTrend:
+def trend_of(*, fitted: Estimate | None = None, points: int = 3, probability: float | None = 0.0) -> WearTrend:
     return WearTrend(
         quantity="conicity at 2 mm",
         mileage_km=np.arange(points, dtype=float),
@@ -51,7 +51,7 @@ def trend_of(*, current: Estimate | None = None, points: int = 3, probability: f
         std=np.full(points, 0.01),
         slope_per_1000_km=known(0.01, 0.001),
         slope_per_year=known(0.01, 0.001),
-        current=current or known(0.3, 0.01),
+        fitted=fitted or known(0.3, 0.01),
         limit=0.4,
         distance_to_limit_km=Forecast(10_000.0, 20_000.0, 30_000.0),
         date_of_limit_ns=Forecast(1.0, 2.0, 3.0),

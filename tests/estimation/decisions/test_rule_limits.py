@@ -85,15 +85,19 @@ def test_the_conicity_judged_is_that_of_the_trend_of_this_profile() -> None:
     found = rule.find(facts, 0)
     assert found is not None
     assert (found.breached, found.evidence["quantity"], found.measured_ns) == (True, "equivalent_conicity", 500)
-    low = trend_of(current=known(0.2, 0.01))
+    low = trend_of(fitted=known(0.2, 0.01))
     for trend, breached in (
         (trend_record(low), False),
         (trend_record(low, baseline=1), True),
-        (trend_record(trend_of(current=Estimate.unknown(OTHER))), True),
+        (trend_record(trend_of(fitted=Estimate.unknown(OTHER))), True),
     ):
         by_trend = rule.find(replace(facts, trend=trend), 0)
         assert by_trend is not None
         assert by_trend.breached is breached
+    elsewhere = replace(low, not_comparable=OTHER)  # at another amplitude than the limit
+    by_geometry = rule.find(replace(facts, trend=trend_record(elsewhere)), 0)
+    assert by_geometry is not None
+    assert by_geometry.breached is True
     assert rule.find(replace(facts, vehicle=None), 0) is None
     assert rule.find(replace(facts, geometry=None), 0) is None
     assert replace(rule, bands=()).find(facts, 0) is None
@@ -124,6 +128,23 @@ def test_a_forecast_clears_where_the_limit_is_beyond_30_000_km_with_four_in_five
     assert forecast(at_km(20_000.0, 61_000.0, 90_000.0)).cleared is True
     assert forecast(at_km(26_000.0, 40_000.0, 90_000.0)).cleared is False
     assert forecast(at_km(28_000.0, 40_000.0, 90_000.0)).cleared is True
+
+
+def test_no_conicity_at_another_amplitude_is_held_against_the_limit() -> None:
+    covered = geometry_of(conicity=0.6)
+    at_2_25 = replace(covered, amplitude=np.array([2.25e-3]), conicity=(known(0.6, 0.001),), reported_amplitude=2.25e-3)
+    found = ConicityLimitRule().find(facts_of(geometry=geometry_record(at_2_25)), 0)
+    assert found is not None
+    assert (found.breached, found.cleared) == (None, None)
+    assert found.evidence["unknown_because_code"] == "amplitude_not_comparable"
+    ahead = forecast(replace(at_km(1.0, 2.0, 3.0), not_comparable=OTHER))
+    assert (ahead.breached, ahead.cleared, ahead.evidence["unknown_because"]) == (None, None, "faulty")
+
+
+def test_an_extrapolated_conicity_is_compared_with_its_interval() -> None:
+    why = Reason(ReasonCode.AMPLITUDE_EXTRAPOLATED, "from 2.25 mm")
+    assert conicity_at(replace(known(0.5, 0.03), reason=why)).breached is True
+    assert conicity_at(replace(known(0.42, 0.03), reason=why)).breached is False
 
 
 def test_a_forecast_needs_three_points_of_an_estimated_trend() -> None:

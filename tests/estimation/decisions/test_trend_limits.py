@@ -58,14 +58,14 @@ def test_points_that_are_not_finite_or_claim_no_std_are_left_out() -> None:
 def test_too_little_is_its_last_value_with_the_reason_after_the_note() -> None:
     (only,) = points(5.0)
     trend = refresh([only], 0.1, note=NOTE)
-    assert (trend.current.value, trend.current.std) == (only.value, only.std)
+    assert (trend.fitted.value, trend.fitted.std) == (only.value, only.std)
     assert trend.probability_over_limit == pytest.approx(stats.norm.sf(0.1, only.value, only.std))
     assert code_of(trend.reason) is ReasonCode.TOO_FEW_POINTS
     assert str(trend.reason).startswith("at 2 mm; 1 points")
     assert trend.slope_per_1000_km.reason == trend.slope_per_year.reason == trend.reason
     nothing = refresh([], 0.1, note=NOTE)
     assert code_of(nothing.reason) is ReasonCode.OTHER_AMPLITUDE
-    assert (nothing.probability_over_limit, nothing.current.value) == (None, None)
+    assert (nothing.probability_over_limit, nothing.fitted.value) == (None, None)
     assert code_of(refresh([], 0.1).reason) is ReasonCode.TOO_FEW_POINTS
     assert refresh(points(0.0, 1e4), 0.4, note=NOTE).reason == NOTE
 
@@ -105,7 +105,7 @@ def test_slopes_are_per_thousand_kilometres_and_per_year() -> None:
         assert one == pytest.approx(1000.0 * other)
     assert found.count == pytest.approx(float(curve.share.sum()))
     assert trend.slope_per_year.value == pytest.approx(0.1, rel=1e-3)  # 1e5 km a year
-    assert trend.current.value == pytest.approx(1.1, rel=1e-3)
+    assert trend.fitted.value == pytest.approx(1.1, rel=1e-3)
     assert trend.probability_over_limit == pytest.approx(0.0)
 
 

@@ -36,7 +36,7 @@ def test_a_trend_holds_its_truth() -> None:
     for estimate, truth in (
         (trend.slope_per_1000_km, 1.2e-3),
         (trend.slope_per_year, 1.2e-6 * KM_PER_YEAR),
-        (trend.current, 0.12 + 1.2e-6 * (last - 200_000.0)),
+        (trend.fitted, 0.12 + 1.2e-6 * (last - 200_000.0)),
     ):
         assert estimate.low is not None
         assert estimate.high is not None
@@ -78,11 +78,11 @@ def test_units_and_origins_do_not_matter(scale: float, shift: float, distance: f
     params = TrendParameters(smallest_std=0.0)
     here = refresh(points, 0.4, params)
     there = refresh(moved, 0.4 * scale + shift, replace(params, horizon_km=params.horizon_km * distance))
-    slope, current = here.slope_per_1000_km, here.current
+    slope, current = here.slope_per_1000_km, here.fitted
     for a, b, s in (
         (slope.value, there.slope_per_1000_km.value, scale / distance),
         (slope.high, there.slope_per_1000_km.high, scale / distance),
-        (current.std, there.current.std, scale),
+        (current.std, there.fitted.std, scale),
         (here.distance_to_limit_km.p10, there.distance_to_limit_km.p10, distance),
         (here.distance_to_limit_km.p50, there.distance_to_limit_km.p50, distance),
         (here.distance_to_limit_km.p90, there.distance_to_limit_km.p90, distance),
@@ -108,7 +108,7 @@ def test_too_little_is_unestimated_and_says_why(points: list[TrendPoint], params
     assert reason in str(trend.reason)
     assert trend.slope_per_1000_km.value is None
     assert trend.distance_to_limit_km == Forecast(None, None, None)
-    assert (trend.current.value is None) == (not points)
+    assert (trend.fitted.value is None) == (not points)
 
 
 def test_two_points_make_a_trend_with_its_uncertainty() -> None:
@@ -142,9 +142,9 @@ def test_no_wear_reaches_no_limit() -> None:
 
 def test_a_hundred_thousand_kilometres_of_many_points() -> None:
     trend = refresh(worn(900), 0.4)
-    assert trend.current.std is not None
-    assert trend.current.std < 0.003
-    assert trend.current.count > 700
+    assert trend.fitted.std is not None
+    assert trend.fitted.std < 0.003
+    assert trend.fitted.count > 700
 
 
 def known(value: float, std: float) -> Estimate:
@@ -188,7 +188,7 @@ def test_whatever_the_points_a_trend_is_finite_and_its_quantiles_are_in_order(
         ],
         0.4,
     )
-    for estimate in (trend.slope_per_1000_km, trend.slope_per_year, trend.current):
+    for estimate in (trend.slope_per_1000_km, trend.slope_per_year, trend.fitted):
         numbers = (estimate.value, estimate.std, estimate.low, estimate.high)
         assert estimate.status is Status.UNESTIMATED or all(x is not None and np.isfinite(x) for x in numbers)
     ahead = trend.distance_to_limit_km

@@ -1,0 +1,131 @@
+"""Conicity at the limit's amplitude: as estimated, extrapolated from pairs that are left out, or not known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from wheelset_life import geometry_of
+
+from estimation.contact.worn_family import PAIRS, conicities_of, worn_family
+from estimation.trend.extrapolation import conicity_at_limit_amplitude, extrapolated
+from estimation.trend.points import conicity_points
+from estimation.trend.trend import refresh
+from estimation.values.geometry import GeometryRecord, WheelsetGeometry
+from estimation.values.intervals import with_interval
+from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.reasons import Reason, ReasonCode, code_of
+
+FAMILY = worn_family()
+STD = 0.01
+NOT_COVERED = Estimate.unknown(Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "not covered"))
+ALL = len(FAMILY.amplitude)
+TO_2_25, TO_2 = ALL - 3, ALL - 4  # amplitudes covered
+
+
+def geometry(conicity: np.ndarray, covered: int, std: float = STD) -> WheelsetGeometry:
+    """Return a geometry that covers the first amplitudes of the family."""
+    known = [with_interval(float(value), std, count=6.0) for value in conicity[:covered]]
+    return replace(
+        geometry_of(conicity=0.3),
+        amplitude=FAMILY.amplitude,
+        conicity=(*known, *[NOT_COVERED] * (ALL - covered)),
+        reported_amplitude=float(FAMILY.amplitude[covered - 1]) if covered else 3e-3,
+        equivalent_conicity=known[-1] if covered else NOT_COVERED,
+    )
+
+
+def record(number: int, found: WheelsetGeometry) -> GeometryRecord:
+    at = 1_700_000_000_000_000_000 + number * 10**15
+    return GeometryRecord("W", 0, number, 5000.0 * number, at, at + 8, found, f"d{number}", {}, {}, "v", 1)
+
+
+def test_the_kept_table_is_what_the_pairs_give() -> None:
+    for pair in (0, 13):
+        kept = FAMILY.conicity[FAMILY.pair == pair]
+        np.testing.assert_allclose(kept, conicities_of(PAIRS[pair]), atol=0.51e-4)
+
+
+@pytest.mark.parametrize("covered", [ALL - 1, ALL - 2, TO_2_25, TO_2])
+def test_intervals_cover_for_pairs_that_are_not_in_the_family(covered: int) -> None:
+    """95 % intervals of worn wheelsets whose wheel and rail together are left out of the family."""
+    rng = np.random.default_rng(covered)
+    others = [FAMILY.without(pair) for pair in range(len(PAIRS))]
+    inside, errors, stds = [], [], []
+    for i in rng.choice(len(FAMILY.pair), 400, replace=False):
+        true = FAMILY.conicity[i]
+        noise = STD * np.sqrt(0.5) * (rng.standard_normal() + rng.standard_normal(ALL))
+        known = [
+            (float(a), with_interval(float(g), STD))
+            for a, g in zip(FAMILY.amplitude[:covered], (true + noise)[:covered], strict=True)
+        ]
+        found = extrapolated(known, others[FAMILY.pair[i]])
+        if found is None:
+            continue
+        errors.append(found.value - true[-1])
+        stds.append(found.std)
+        inside.append(abs(errors[-1]) < 1.96 * found.std)
+    assert len(inside) > 150
+    assert 0.93 <= np.mean(inside) <= 0.99
+    assert 0.7 < np.std(errors) / np.sqrt(np.mean(np.square(stds))) < 1.1
+
+
+def test_what_covers_three_millimetres_is_taken_as_it_is() -> None:
+    whole = geometry(FAMILY.conicity[100], ALL)
+    assert conicity_at_limit_amplitude(whole) == whole.conicity[-1]
+    assert conicity_at_limit_amplitude(whole) == whole.equivalent_conicity
+
+
+def test_what_covers_less_is_extrapolated_and_says_so() -> None:
+    found = conicity_at_limit_amplitude(geometry(FAMILY.conicity[100], TO_2_25))
+    assert found.status is Status.ESTIMATED
+    assert code_of(found.reason) is ReasonCode.AMPLITUDE_EXTRAPOLATED
+    assert "2.25 mm" in str(found.reason)
+    assert found.std is not None
+    assert found.std > STD
+    assert found.count == 6.0
+
+
+@pytest.mark.parametrize("covered", [1, 3, ALL - 5])
+def test_from_less_than_two_millimetres_nothing_is_said(covered: int) -> None:
+    found = conicity_at_limit_amplitude(geometry(FAMILY.conicity[100], covered))
+    assert (found.value, code_of(found.reason)) == (None, ReasonCode.AMPLITUDE_NOT_COMPARABLE)
+
+
+def test_a_shape_unlike_all_of_the_family_is_not_extrapolated() -> None:
+    odd = np.linspace(0.9, 0.1, ALL)
+    assert conicity_at_limit_amplitude(geometry(odd, TO_2_25)).status is Status.UNESTIMATED
+    assert conicity_at_limit_amplitude(geometry(FAMILY.conicity[100], TO_2_25, std=0.09)).status is Status.UNESTIMATED
+
+
+def test_a_wheelset_without_any_conicity_keeps_its_reason() -> None:
+    found = conicity_at_limit_amplitude(geometry(FAMILY.conicity[100], 0))
+    assert code_of(found.reason) is ReasonCode.AMPLITUDE_NOT_COVERED
+
+
+def test_a_trend_is_extrapolated_as_a_whole_and_knows_it_not_better_than_the_shapes() -> None:
+    records = [record(k, geometry(FAMILY.conicity[100], TO_2_25)) for k in range(12)]
+    chosen = conicity_points(records)
+    assert (chosen.quantity, chosen.amplitude, len(chosen.points)) == ("equivalent_conicity", 3e-3, 12)
+    assert code_of(chosen.note) is ReasonCode.AMPLITUDE_EXTRAPOLATED
+    trend = refresh(chosen.points, 0.4, note=chosen.note, shared_std=chosen.spread)
+    assert trend.fitted.std is not None
+    assert trend.fitted.std >= chosen.spread > 0.0
+    assert code_of(trend.fitted.reason) is ReasonCode.AMPLITUDE_EXTRAPOLATED
+    alone = refresh(chosen.points, 0.4, note=chosen.note)
+    assert alone.fitted.std is not None
+    assert trend.fitted.std == pytest.approx(np.hypot(alone.fitted.std, chosen.spread), rel=1e-6)
+
+
+def test_no_limit_is_held_against_another_amplitude() -> None:
+    """All points far above the limit, at 1.5 mm: neither reached nor a distance."""
+    records = [record(k, geometry(FAMILY.conicity[100] + 0.5, ALL - 6)) for k in range(6)]
+    chosen = conicity_points(records)
+    assert chosen.quantity == "equivalent_conicity_1.5_mm"
+    trend = refresh(chosen.points, 0.2, note=chosen.note, not_comparable=chosen.not_comparable)
+    assert trend.status is Status.ESTIMATED
+    assert trend.slope_per_1000_km.value is not None
+    assert (trend.probability_over_limit, trend.distance_to_limit_km) == (None, Forecast(None, None, None))
+    assert trend.date_of_limit_ns == Forecast(None, None, None)
+    assert code_of(trend.not_comparable) is ReasonCode.AMPLITUDE_NOT_COMPARABLE
