@@ -12,17 +12,26 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
+from estimation.geometry.shared_scale import solve_with_shared_scales
 from estimation.geometry.uncertainty import DisplacementError, ParameterUncertainty, quotient_widening
 from estimation.tables import least_squares
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import BinStatus, BinTable, BinValues, WheelsetGeometry
 from estimation.values.intervals import jackknife_std, normal_equivalent
-from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS, angle_difference_derivatives
+from estimation.vehicle.regressors import (
+    LATERAL_TARGETS,
+    REGRESSORS,
+    SHARED_IN_BOGIE,
+    YAW_TARGETS,
+    angle_difference_derivatives,
+)
 
 FEWEST_GROUPS = 4
 
 FEWEST_BINS = 5
+
+NOISE = YAW_TARGETS.index("noise")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +46,7 @@ class GeometryParameters:
     prior_radius: float = 2.0e-3  # m, std of S - 2 r0 and of R known beforehand
     prior_angle: float = 0.15  # rad, std of A and D known beforehand
     informative: float = 0.5  # publish below this share of the prior std
+    sensor_scale_std: float = 0.02  # relative, of yaw and frame sensors of a bogie against each other
     curve: CurveParameters = field(default_factory=CurveParameters)
 
 
@@ -45,7 +55,7 @@ class _Replicates:
     """Solutions of the whole table (row 0) and with each group left out (rows 1..)."""
 
     lateral: FloatArray  # (1 + g, b, 4, 7)
-    yaw: FloatArray  # (1 + g, b, 4, 5)
+    yaw: FloatArray  # (1 + g, b, 4, 7)
     residual: FloatArray  # (b,) rms residual of the yaw equation as a rolling radius difference, m
     groups_in_bin: FloatArray  # (b,)
 
@@ -69,12 +79,12 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
     """
     if table.parameter_key != bins.key:
         raise ValueError(f"table of parameters {table.parameter_key}, expected {bins.key}")
-    replicates = _replicates(table, bins)
+    replicates = _replicates(table, bins, parameters)
     screening = _screened(table, replicates, bins, parameters)
     unc = parameters.uncertainty
     S = _combination(replicates.lateral[:, :, 0], unc.lateral(), screening, parameters.prior_radius)
     D = _angle_difference(replicates, screening, bins, parameters)
-    A = _combination(replicates.yaw[:, :, 0], unc.yaw(), screening, parameters.prior_angle)
+    A = _angle_sum(replicates, screening, bins, parameters)
     R = _combination(replicates.yaw[:, :, 1], unc.yaw(), screening, parameters.prior_radius)
     curve = curve_estimates(_curve(table, replicates, screening, bins, unc), parameters.curve)
     return WheelsetGeometry(
@@ -123,7 +133,7 @@ def _curve(
     table: BinTable, replicates: _Replicates, screening: _BinScreening, bins: BinParameters, unc: ParameterUncertainty
 ) -> CurveReplicates:
     """Return R across each bin with its replicates and sensitivities."""
-    shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 5, 3), by target
+    shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 7, 3), by target
     return CurveReplicates(
         edges=table.edges,
         difference=shape[:, :, 0, :],
@@ -135,17 +145,24 @@ def _curve(
     )
 
 
-def _replicates(table: BinTable, bins: BinParameters) -> _Replicates:
+def _replicates(table: BinTable, bins: BinParameters, parameters: GeometryParameters) -> _Replicates:
     present = table.weight.sum(axis=1) > 0
     weight = _leave_one_out(table.weight, present)
     b = weight.shape[1]
     lateral = _solve(_leave_one_out(table.lateral, present), weight, len(LATERAL_TARGETS))
-    yaw = _solve(_leave_one_out(table.yaw, present), weight, len(YAW_TARGETS))
+    sums = _leave_one_out(table.yaw, present)
+    size = bins.yaw_regressors
+    if bins.wheelbase is None:
+        yaw = _solve(sums, weight, len(YAW_TARGETS))
+    else:
+        shared, std = SHARED_IN_BOGIE, parameters.sensor_scale_std
+        yaw = solve_with_shared_scales(sums, weight, shared, size, len(YAW_TARGETS), std)
+    own = yaw.theta.reshape(len(weight), b, size, len(YAW_TARGETS))[:, :, size - REGRESSORS :]
     vehicle = bins.vehicle
     per_metre = vehicle.half_contact_distance * vehicle.longitudinal_creep_coefficient / vehicle.nominal_radius
     return _Replicates(
         lateral.theta.reshape(len(weight), b, REGRESSORS, len(LATERAL_TARGETS)),
-        yaw.theta.reshape(len(weight), b, REGRESSORS, len(YAW_TARGETS)),
+        own,
         np.sqrt(yaw.residual_variance[:b]) / per_metre,
         (table.weight > 0).sum(axis=0).astype(np.float64),
     )
@@ -176,11 +193,13 @@ def _displacement_noise(replicates: _Replicates, out: BoolArray, bins: BinParame
     slow part like y - d, and has an error of the same size.
     """
     slope = np.abs(replicates.yaw[0, :, 2, 0]) / bins.width
-    use = ~out & np.isfinite(slope) & np.isfinite(replicates.residual)
+    of_sensors = np.maximum(replicates.yaw[0, :, 1, NOISE], 0.0)  # m2, of rL - rR
+    residual = np.sqrt(np.maximum(replicates.residual**2 - of_sensors, 0.0))
+    use = ~out & np.isfinite(slope) & np.isfinite(residual)
     if use.sum() < FEWEST_BINS:
         return 0.0
     steep = use & (slope >= np.median(slope[use]))
-    return float(np.quantile(replicates.residual[steep] / slope[steep], 0.25) / np.sqrt(2.0))
+    return float(np.quantile(residual[steep] / slope[steep], 0.25) / np.sqrt(2.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,6 +226,16 @@ def _angle_difference(
     theta = replicates.lateral[:, :, 2].copy()
     theta[0, :, 1:] -= theta[0, :, :1] * derivatives
     return _combination(theta, relative, screening, parameters.prior_angle, widening)
+
+
+def _angle_sum(
+    replicates: _Replicates, screening: _BinScreening, bins: BinParameters, parameters: GeometryParameters
+) -> BinValues:
+    """Return A over the bins; in a bogie it cannot be seen beside the yaw spring."""
+    theta, prior = replicates.yaw[:, :, 0, :], parameters.prior_angle
+    if bins.wheelbase is not None:
+        theta, prior = np.full_like(theta, np.inf), 0.0
+    return _combination(theta, parameters.uncertainty.yaw(), screening, prior)
 
 
 def _combination(

@@ -56,6 +56,7 @@ class ParameterUncertainty:
     stiffness: float = 0.05
     mass: float = 0.025
     ratio: float | None = None
+    inverse_friction: float = 3.0  # of 1/mu, which is taken as zero: creep forces are linear
     displacement: float = 0.0  # of a common scale error of y - d that the alignment leaves open
     jump_position_std: float = 0.0  # m, of where contact jumps are from place to place, on a gauge that varies
     jump_mean_std: float = 0.0  # m, of where they are on average: a gauge that is not on file
@@ -88,10 +89,9 @@ class ParameterUncertainty:
         return np.array([self.creep, self.creep, self.mass, self.mass, self.stiffness, self.stiffness])
 
     def yaw(self) -> FloatArray:
-        """(4,) relative stds in the order of YAW_TARGETS after z2."""
-        if self.ratio is not None:
-            return np.array([0.0, self.ratio, self.mass, self.creep])
-        return np.array([self.creep, self.stiffness, self.mass, self.creep])
+        """(6,) relative stds in the order of YAW_TARGETS after z2; that of saturation is of 1/mu."""
+        creep, stiffness = (self.creep, self.stiffness) if self.ratio is None else (0.0, self.ratio)
+        return np.array([creep, stiffness, self.mass, self.creep, self.inverse_friction, 0.0])
 
 
 def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings | None:

@@ -151,13 +151,13 @@ def _too_little(
 def _relative_to(d: FloatArray, segment: IntegratedSegment) -> FloatArray:
     """Return accelerations, rates and displacements (10, m) of one segment in the order of ``_FILTERED``.
 
-    In a bogie yaw and yaw rate of the frame follow.
+    In a bogie yaw, yaw rate and lateral displacement of the frame follow.
     """
     y, ψ, φ, ym = segment.displacements
     dy, dψ, dφ, dym = segment.rates
     ddy, ddψ = segment.accelerations[:2]
     along = bridged(d, np.isfinite(d))
-    of_frame = [] if segment.frame_yaw is None else [segment.frame_yaw[2], segment.frame_yaw[1]]
+    of_frame = [] if segment.frame_yaw is None else [segment.frame_yaw[2], segment.frame_yaw[1], ym]
     return np.stack([y - along, dy, ddy, ψ, dψ, ddψ, φ, dφ, ym - y, dym - dy, *of_frame])
 
 

@@ -26,9 +26,9 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS, regression
+from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, SHARED_IN_BOGIE, YAW_TARGETS, regression
 
-TABLE_VERSION = 3
+TABLE_VERSION = 4
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio
 
 
@@ -42,6 +42,8 @@ class BinParameters:
     source: str = "ideal"  # what the motion came from, signal filters included
     band_limited: bool = False  # offsets carry no meaning
     vehicle: VehicleParameters = field(default_factory=VehicleParameters)
+    wheelbase: float | None = None  # m, of the bogie that the yaw spring is tied to; None without one
+    difference_noise: float = 0.0  # m2 (m/s)3: variance of R by the noise of the sensors times the cube of the speed
 
     def __post_init__(self) -> None:
         if not 0 < self.width < self.reach:
@@ -54,6 +56,11 @@ class BinParameters:
         """Bin edges (b + 1,), m; a bin is centred on zero displacement."""
         half = int(np.ceil(self.reach / self.width - 0.5))
         return np.asarray((np.arange(-half, half + 2) - 0.5) * self.width, dtype=np.float64)
+
+    @property
+    def yaw_regressors(self) -> int:
+        """Number of regressors of the yaw equation."""
+        return REGRESSORS if self.wheelbase is None else REGRESSORS - 1 + SHARED_IN_BOGIE
 
     @property
     def key(self) -> str:
@@ -77,7 +84,7 @@ def init(parameters: BinParameters) -> BinTable:
         edges=edges,
         weight=np.zeros(shape),
         lateral=np.zeros((*shape, least_squares.packed_size(REGRESSORS, len(LATERAL_TARGETS)))),
-        yaw=np.zeros((*shape, least_squares.packed_size(REGRESSORS, len(YAW_TARGETS)))),
+        yaw=np.zeros((*shape, least_squares.packed_size(parameters.yaw_regressors, len(YAW_TARGETS)))),
         samples=0,
         windows=0,
     )
@@ -116,12 +123,12 @@ def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
     index = np.where(inside, position, 0.0).astype(np.int64)
     u = position - index - 0.5
     cell = np.where(inside, group_of(motion.block, parameters.groups) * bins + index, -1)
-    equations = regression(motion, parameters.vehicle)
+    equations = regression(motion, parameters.vehicle, parameters.difference_noise, parameters.wheelbase or 1.0)
     x1, x2 = equations.lateral.T
-    a, c = equations.yaw.T
+    *first, c = equations.yaw.T
     cells = parameters.groups * bins
     lateral = least_squares.collect(np.column_stack([x1, x1 * u, x2, x2 * u]), equations.lateral_targets, cell, cells)
-    yaw = least_squares.collect(np.column_stack([a, c, c * u, c * u * u]), equations.yaw_targets, cell, cells)
+    yaw = least_squares.collect(np.column_stack([*first, c, c * u, c * u * u]), equations.yaw_targets, cell, cells)
     shape = (parameters.groups, bins)
     return BinTable(
         parameter_key=parameters.key,

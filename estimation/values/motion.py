@@ -8,7 +8,7 @@ import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 
-OF_FRAME = ("frame_yaw", "frame_yaw_rate")
+OF_FRAME = ("frame_yaw", "frame_yaw_rate", "frame_displacement")
 NOT_SIGNALS = frozenset({"valid", "block", "band_limited", "stiffness_ratio", *OF_FRAME})
 
 
@@ -43,6 +43,7 @@ class Motion:
     stiffness_ratio: float = 1.0
     frame_yaw: FloatArray | None = None  # (n,) rad, of the bogie frame; None without a bogie
     frame_yaw_rate: FloatArray | None = None  # (n,) rad/s
+    frame_displacement: FloatArray | None = None  # (n,) m, lateral, of the frame above the axle
 
     def __post_init__(self) -> None:
         n = len(self.valid)

@@ -5,10 +5,16 @@ With S = rL + rR, R = rL - rR, A = dL + dR, D = dL - dR (radii r, contact angles
     z1 = S x1 + D x2             x1 = (f11/r0) psi - (f22/V) phi',   x2 = f23/r0 - W/2
     z2 = A (l W/2) psi + R c     c = -l f11/r0
 
-where z1 and z2 gather all that is measured. In a bogie k_psi is so large that A cannot be seen beside a scale error of
-the yaw sensor, k_psi e psi; the first regressor of z2 is then k_psi psi, with psi = (y' + r0 phi')/V of the lateral
-motion, whose noise is not that of z2. Beside each target stand its derivatives by the logarithm of the uncertain
+where z1 and z2 gather all that is measured. Beside each target stand its derivatives by the logarithm of the uncertain
 parameters, at S = 2 r0: regressed like the target, they give the derivative of every estimate by every parameter.
+
+In a bogie k_psi is so large that A cannot be seen beside a scale error of the yaw sensor, k_psi e psi, or between the
+two frame sensors, k_psi e ym / wheelbase. There these two regressors take its place, with psi = (y' + r0 phi')/V of
+the lateral motion, whose noise is not that of z2.
+
+Creep forces saturate: a force T of a wheel needs 1 + T/(3 mu N) times its linear creep (Vermeulen and Johnson 1964,
+first term). The derivative by 1/mu stands beside the others. The last target of z2 is c times the variance of R that
+the noise of the sensors makes: regressed on c it gives the mean of that variance.
 """
 
 from __future__ import annotations
@@ -22,8 +28,9 @@ from estimation.values.motion import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 LATERAL_TARGETS = ("z1", "lateral_creep", "spin_creep", "mass", "load", "lateral_stiffness", "lateral_damping")
-YAW_TARGETS = ("z2", "longitudinal_creep", "yaw_stiffness", "yaw_inertia", "spin_creep")
+YAW_TARGETS = ("z2", "longitudinal_creep", "yaw_stiffness", "yaw_inertia", "spin_creep", "saturation", "noise")
 REGRESSORS = 4
+SHARED_IN_BOGIE = 2  # regressors of z2 that are the same in all bins: scale errors of the sensors
 SMALLEST_FACTOR = 1e-6  # N; in place of zero, with which the data say nothing of D
 
 
@@ -33,8 +40,8 @@ class Regression:
 
     lateral: FloatArray  # (n, 2) x1, x2
     lateral_targets: FloatArray  # (n, 7), see LATERAL_TARGETS
-    yaw: FloatArray  # (n, 2) (l W/2) psi, or in a bogie k_psi (y' + r0 phi')/V; c
-    yaw_targets: FloatArray  # (n, 5), see YAW_TARGETS
+    yaw: FloatArray  # (n, 2) (l W/2) psi, c; or in a bogie (n, 3) k_psi (y' + r0 phi')/V, k_psi ym / wheelbase, c
+    yaw_targets: FloatArray  # (n, 7), see YAW_TARGETS
 
 
 def angle_difference_factor(parameters: VehicleParameters) -> float:
@@ -64,7 +71,9 @@ def angle_difference_derivatives(parameters: VehicleParameters) -> FloatArray:
     return np.array(list(by_name.values())) / (angle_difference_factor(parameters) or SMALLEST_FACTOR)
 
 
-def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
+def regression(
+    motion: Motion, parameters: VehicleParameters, difference_noise: float = 0.0, wheelbase: float = 1.0
+) -> Regression:
     """Return regressors and targets of Eq. 1 and Eq. 2 for every sample of ``motion``.
 
     What is known of the vehicle's stiffness ratio is taken into account.
@@ -75,6 +84,10 @@ def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
         (n,) samples relative to the track.
     parameters
         As assumed; the longitudinal creep coefficient is divided by the stiffness ratio of the motion.
+    difference_noise
+        Variance of R by the noise of the sensors times the cube of the speed, m2 (m/s)3.
+    wheelbase
+        Of the bogie, m; without one it plays no part.
     """
     f11 = parameters.longitudinal_creep_coefficient / motion.stiffness_ratio
     p = replace(parameters, longitudinal_creep_coefficient=f11)
@@ -101,10 +114,15 @@ def regression(motion: Motion, parameters: VehicleParameters) -> Regression:
     gyroscopic = (p.pitch_inertia * V / r0) * motion.roll_rate
     z2 = yaw_inertia + gyroscopic + creep + 2 * f33 * dψ / V + yaw_spring + yaw_damper + yaw_spin
     c = np.full(len(motion), -l * f11 / r0)
-    first = (l * p.load / 2) * ψ if motion.frame_yaw is None else p.yaw_stiffness * (rolling_slip / V + ψ)
+    creep_moment = yaw_inertia + yaw_spring + yaw_damper  # what the creep forces hold up
+    force = np.hypot(creep_moment / (2 * l), 0.5 * (inertia + weight + spring + damper))  # of one wheel
+    saturation = creep_moment * force / (1.5 * p.axle_load)
+    first = [(l * p.load / 2) * ψ]
+    if motion.frame_yaw is not None and motion.frame_displacement is not None:
+        first = [p.yaw_stiffness * (rolling_slip / V + ψ), (p.yaw_stiffness / wheelbase) * motion.frame_displacement]
     return Regression(
         np.column_stack([x1, x2]),
         np.column_stack([z1, (2 * f22 / V) * rolling_slip, spin, inertia, weight, spring, damper]),
-        np.column_stack([first, c]),
-        np.column_stack([z2, creep - z2, yaw_spring, yaw_inertia, yaw_spin]),
+        np.column_stack([*first, c]),
+        np.column_stack([z2, creep - z2, yaw_spring, yaw_inertia, yaw_spin, saturation, c * difference_noise / V**3]),
     )
