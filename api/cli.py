@@ -38,6 +38,7 @@ COMMANDS = (
     Command("serve", "api.commands.serve", "serve", "Serve the REST API."),
     Command("schedule", "api.commands.schedule", "schedule", "Run the jobs on schedule; one per deployment."),
     Command("contact", "api.commands.contact", "contact", "Compute the contact geometry of a wheel on a rail."),
+    Command("vehicle", "api.commands.vehicle", "vehicle", "List, show and check vehicle classes."),
     Command("compare", "api.commands.compare", "compare", "Compare estimators on a simulated section."),
     Command("reproduce", "api.commands.reproduce", "reproduce", "Reproduce the published figures."),
     Command("db", "api.commands.db", "db", "Upgrade or check the database."),
