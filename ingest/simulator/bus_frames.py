@@ -17,7 +17,7 @@ from ingest.catalogue import Catalogue, MessagePlan
 from ingest.codec import encode
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.simulator.bus_timing import BusTiming, bus_timing
-from ingest.simulator.campaign import VehicleRun, failed
+from ingest.simulator.campaign import VehicleRun, failed, odometer_scale
 from ingest.simulator.motion import STEP
 from ingest.simulator.random_streams import Stream, generator
 from ingest.simulator.scenario import NORMAL_REACH, FaultKind, Scenario
@@ -127,13 +127,15 @@ def _master(catalogue: Catalogue, ticks: _Ticks) -> Iterator[FrameBatch]:
 def _vehicle_node(catalogue: Catalogue, scenario: Scenario, run: VehicleRun, ticks: _Ticks) -> Iterator[FrameBatch]:
     section = scenario.section
     stride = round(1e-9 * ticks.interval_ns / STEP)
+    wheels = odometer_scale(scenario, run.vehicle)
+    rolled = wheels * run.reported
     north = run.reported / _METRES_PER_DEGREE * np.sqrt(0.5)
     east = north / np.cos(np.deg2rad(section.latitude))
     on_section = np.ones(len(run.reported), dtype=np.bool_)
     if scenario.sessions.whole_section and section.recipe is not None:
         on_section = (run.reported >= 0.0) & (run.reported <= section.recipe.length)
     signals: dict[str, dict[str, npt.NDArray[np.float64] | float]] = {
-        kinds.MOTION: {"speed": run.speed, "odometer": run.odometer + run.reported - run.reported[0]},
+        kinds.MOTION: {"speed": wheels * run.speed, "odometer": run.odometer + rolled - rolled[0]},
         kinds.PLACE: {"latitude": section.latitude + north, "longitude": section.longitude + east},
         kinds.POSITION: {
             "track_section": np.where(on_section, float(section.number), np.nan),

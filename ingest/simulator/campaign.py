@@ -15,6 +15,7 @@ from ingest.simulator.drawn_fleet import vehicle_parameters
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset, travelled
 from ingest.simulator.random_streams import Stream, generator, seed_of
 from ingest.simulator.scenario import NORMAL_REACH, Scenario, SpeedRange, VehiclePlan, WheelsetPlan
+from ingest.simulator.sensor_errors import NodeErrors, draw_node_errors
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
 from ingest.simulator.table_range import displacement_limit, first_climb, gauge_grid
 from ingest.simulator.track import TrackRecipe, TrackTruth, from_zero, make_track, read_track
@@ -143,7 +144,23 @@ def _reported(scenario: Scenario, vehicle: VehiclePlan, campaign: int, distance:
     offset, scale = rng.uniform(-1.0, 1.0, 2) * (errors.offset, errors.scale)
     normal = np.clip(rng.standard_normal(2), -NORMAL_REACH, NORMAL_REACH) * (errors.offset_std, errors.scale_std)
     offset, scale = offset + normal[0], scale + normal[1]
+    if errors.fixed_offset > 0.0:
+        offset += errors.fixed_offset * rng.choice([-1.0, 1.0])
     return np.asarray(distance + offset + scale * (distance - distance[0]))
+
+
+def odometer_scale(scenario: Scenario, vehicle: VehiclePlan) -> float:
+    """Return the factor on speed and odometer that a vehicle reports: its wheels are not what it takes them for.
+
+    Parameters
+    ----------
+    scenario
+        Errors of the position, seed.
+    vehicle
+        The vehicle.
+    """
+    rng = generator(scenario.seed, Stream.ODOMETER, scenario.vehicles.index(vehicle))
+    return 1.0 + scenario.position.odometer_scale_std * float(rng.standard_normal())
 
 
 def wheelset_motion(
@@ -257,7 +274,16 @@ def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: Whee
     order = scenario.vehicles.index(run.vehicle)
     offsets = draw_offsets(scenario.sensors, generator(scenario.seed, Stream.OFFSETS, order, axle))
     rng = generator(scenario.seed, Stream.SENSOR, order, axle, run.campaign)
-    return measure(motion, scenario.sensors, rng, offsets)
+    return measure(motion, scenario.sensors, rng, offsets, _node_errors(scenario, order, axle, run.campaign))
+
+
+def _node_errors(scenario: Scenario, order: int, axle: int, campaign: int) -> NodeErrors | None:
+    """Return how the node of an axle differs from its data sheet; None if the scenario has no such errors."""
+    if scenario.sensors.errors.none:
+        return None
+    node = generator(scenario.seed, Stream.NODE_ERRORS, order, axle)
+    temperature = generator(scenario.seed, Stream.TEMPERATURE, order, axle, campaign)
+    return draw_node_errors(scenario.sensors.errors, node, temperature)
 
 
 def failed(plan: WheelsetPlan, campaign: int) -> bool:

@@ -24,6 +24,9 @@ class Stream(IntEnum):
     WHEEL = 23  # file of a measured one, by wheelset
     MEASURED_WHEELSET = 24  # of the bench, by wheelset
     STAMPS = 40  # jitter of each, by vehicle and campaign
+    NODE_ERRORS = 41  # scale, mounting and skew of the sensors, by vehicle and axle
+    TEMPERATURE = 42  # drift of the sensors, by vehicle, axle and campaign
+    ODOMETER = 43  # its scale, by vehicle
 
 
 def seed_of(seed: int, stream: Stream, *key: int) -> np.random.SeedSequence:

@@ -167,11 +167,13 @@ class PositionErrors:
     scale: float  # share of the distance run, at most
     offset_std: float = 0.0  # m; drawn within three of them
     scale_std: float = 0.0
+    fixed_offset: float = 0.0  # m, forwards or backwards
+    odometer_scale_std: float = 0.0  # of odometer and speed, one draw per vehicle
 
     @property
     def largest_offset(self) -> float:
         """The largest offset that may be drawn, m."""
-        return self.offset + NORMAL_REACH * self.offset_std
+        return self.offset + NORMAL_REACH * self.offset_std + self.fixed_offset
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,13 +1,14 @@
 """What a sensor node makes of the true motion: noise, offset, drift, clipping, anti-alias filter, sampling.
 
 The node samples at 1 kHz, clips at its range, filters with a linear-phase low-pass whose delay it takes out of its
-time stamps (so sample k belongs to the instant of its SYNC), and decimates. Quantisation to int16 happens in the
-codec, by the scale of the signal catalogue.
+time stamps (so sample k belongs to the instant of its SYNC), and decimates. A node with gyroscopes sends the slope of
+the rates that they measure. Quantisation to int16 happens in the codec, by the scale of the signal catalogue.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.signal
@@ -15,7 +16,9 @@ import scipy.signal
 from estimation.errors import ParameterError
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array
 from estimation.values.windows import ACCELERATIONS
+from estimation.vehicle.equations_of_motion import GRAVITY
 from ingest.simulator.motion import STEP, WheelsetMotion
+from ingest.simulator.sensor_errors import NodeErrors, SensorErrors, in_sensor_axes, sampled_late, vibration_of
 
 FULL_RATE_HZ = round(1.0 / STEP)
 _PASS = 0.36  # end of the flat band, as a share of the output rate
@@ -25,7 +28,7 @@ _RIPPLE_DB = 70.0
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One signal of a sensor node, in its own SI unit u (m/s2 or rad/s2).
+    """One signal of a sensor node, in its own SI unit u (m/s2 or rad/s2; of a gyroscope rad/s).
 
     ``offset`` is the standard deviation of a constant drawn per sensor, ``drift`` that of a random walk after one
     second, ``limit`` the largest magnitude the transducer gives.
@@ -35,11 +38,16 @@ class Channel:
     offset: float = 0.0  # u
     drift: float = 0.0  # u per root second
     limit: float = np.inf  # u
+    gyroscope: bool = False  # measures the rate of an angular channel
 
 
 @dataclass(frozen=True, slots=True)
 class SensorNode:
-    """The four channels of a node, in the order of ``ACCELERATIONS``, its rate, and whether it filters."""
+    """The four channels of a node, in the order of ``ACCELERATIONS``, its rate, and whether it filters.
+
+    ``measures_gravity`` says that its accelerometers measure specific force, as every real one does: one that rolls by
+    phi measures 9.81 phi more.
+    """
 
     lateral: Channel
     yaw: Channel
@@ -47,6 +55,8 @@ class SensorNode:
     mass_lateral: Channel
     rate_hz: int = 250
     anti_alias: bool = True
+    errors: SensorErrors = field(default_factory=SensorErrors)
+    measures_gravity: bool = False
 
     def __post_init__(self) -> None:
         if self.rate_hz <= 0 or FULL_RATE_HZ % self.rate_hz:
@@ -83,7 +93,13 @@ class SensorRecord:
         object.__setattr__(self, "clipped", frozen_array(self.clipped, (n, 4), np.bool_, name="clipped"))
 
 
-def measure(motion: WheelsetMotion, node: SensorNode, rng: np.random.Generator, offsets: FloatArray) -> SensorRecord:
+def measure(
+    motion: WheelsetMotion,
+    node: SensorNode,
+    rng: np.random.Generator,
+    offsets: FloatArray,
+    errors: NodeErrors | None = None,
+) -> SensorRecord:
     """Return the record of a sensor node: noise, offset, drift, limits and the filter before decimation applied.
 
     Parameters
@@ -95,24 +111,59 @@ def measure(motion: WheelsetMotion, node: SensorNode, rng: np.random.Generator, 
     rng
         Source of noise and drift.
     offsets
-        (4,) constant offsets of this sensor, m/s^2 and rad/s^2, in the order of ``ACCELERATIONS``.
+        (4,) constant offsets of this sensor, m/s^2 and rad/s^2 (of a gyroscope rad/s), in the order of
+        ``ACCELERATIONS``.
+    errors
+        How this node differs from its data sheet; None: not at all.
     """
     n, stride = len(motion), node.stride
     size = -(-n // stride)
+    signals = _true_signals(motion, node, errors)
+    if errors is not None:
+        signals = _with_errors(signals, errors, rng)
     values, clipped = np.empty((size, 4)), np.zeros((size, 4), dtype=np.bool_)
     taps = _low_pass(stride) if node.anti_alias and stride > 1 else None
-    for place, (name, channel) in enumerate(zip(ACCELERATIONS, node.channels, strict=True)):
-        true = np.asarray(getattr(motion, name))
-        if motion.path_accelerations is not None:
-            true = true + motion.path_accelerations[place]
+    for place, channel in enumerate(node.channels):
+        true = _rate(signals[place]) if channel.gyroscope else signals[place]
         raw = _transduce(true, channel, float(offsets[place]), rng)
+        if errors is not None and errors.offset_slope[place] != 0.0:
+            raw += errors.offset_slope[place] * STEP * np.arange(n)
         if np.isfinite(channel.limit):
             over = np.abs(raw) > channel.limit
             if over.any():
                 clipped[:, place] = _since_last(over, stride)
                 raw = np.clip(raw, -channel.limit, channel.limit)
+        if channel.gyroscope:
+            raw = np.gradient(raw, STEP)
         values[:, place] = raw[::stride] if taps is None else _decimate(raw, taps, stride)
     return SensorRecord(STEP * stride * np.arange(size, dtype=np.float64), values, clipped)
+
+
+def _true_signals(motion: WheelsetMotion, node: SensorNode, errors: NodeErrors | None) -> Sequence[FloatArray]:
+    """Return what the transducers are exposed to, four signals (n,) in the order of ``ACCELERATIONS``."""
+    signals = [np.asarray(getattr(motion, name)) for name in ACCELERATIONS]
+    if motion.path_accelerations is not None:
+        signals = [signal + path for signal, path in zip(signals, motion.path_accelerations, strict=True)]
+    if node.measures_gravity:
+        signals[0] = signals[0] + GRAVITY * motion.roll
+    if errors is None:
+        return signals
+    longitudinal = np.gradient(motion.speed, STEP)
+    return in_sensor_axes(np.stack(signals), longitudinal, errors, gravity=node.measures_gravity)
+
+
+def _with_errors(signals: Sequence[FloatArray], errors: NodeErrors, rng: np.random.Generator) -> FloatArray:
+    """Return the signals (4, n) of a node that is late, vibrates, and has another scale, which changes with time."""
+    late = sampled_late(np.stack(signals), errors.skew, STEP)
+    if errors.vibration is not None:
+        late += vibration_of(errors.vibration, late.shape[1], STEP, rng)
+    passed = np.linspace(0.0, 1.0, late.shape[1])
+    return np.asarray(late * (errors.scale[:, None] + np.outer(errors.scale_drift, passed)))
+
+
+def _rate(acceleration: FloatArray) -> FloatArray:
+    """Return the integral (n,) of a signal from its begin: what a gyroscope measures, but for the rate at first."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * STEP * (acceleration[1:] + acceleration[:-1]))])
 
 
 def draw_offsets(node: SensorNode, rng: np.random.Generator) -> FloatArray:

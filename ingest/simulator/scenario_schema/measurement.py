@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
@@ -9,7 +10,10 @@ from pydantic import AfterValidator, Field, model_validator
 from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
 from ingest.simulator.scenario import BusPlan, PositionErrors
 from ingest.simulator.scenario_schema.units import MICRO_G
+from ingest.simulator.sensor_errors import SensorErrors, Vibration
 from ingest.simulator.sensors import FULL_RATE_HZ, Channel, SensorNode, ideal_node
+
+MINUTE = 60.0  # s
 
 
 def _divides_full_rate(rate: int) -> int:
@@ -36,6 +40,27 @@ class SensorsTable(InputTable):
     angular_offset_rad_s2: NotNegative = 0.05
     angular_drift_rad_s2_per_root_s: NotNegative = 2e-4
     angular_limit_rad_s2: Positive = 100.0
+    gyroscopes: bool = False
+    gyroscope_noise_rad_s_per_root_hz: NotNegative = 1e-4
+    gyroscope_limit_rad_s: Positive = 8.7
+    measures_gravity: bool = False
+    scale_error_std_percent: float = Field(default=0.0, ge=0.0, le=30.0)
+    mounting_error_std_deg: float = Field(default=0.0, ge=0.0, le=20.0)
+    skew_std_ms: float = Field(default=0.0, ge=0.0, le=100.0)
+    offset_drift_std_mg_per_min: NotNegative = 0.0
+    angular_offset_drift_std_rad_s2_per_min: NotNegative = 0.0
+    scale_drift_std_percent: float = Field(default=0.0, ge=0.0, le=30.0)
+    axle_box_vibration_m_s2: NotNegative = 0.0
+    axle_box_vibration_rad_s2: NotNegative = 0.0
+    mass_vibration_share: float = Field(default=0.1, ge=0.0, le=1.0)
+    vibration_from_hz: float = Field(default=20.0, ge=1.0, le=450.0)
+    vibration_to_hz: float = Field(default=400.0, ge=2.0, le=480.0)
+
+    @model_validator(mode="after")
+    def _check_vibration(self) -> Self:
+        if self.vibration_from_hz >= self.vibration_to_hz:
+            raise field_error("must be below 'vibration_to_hz'", "vibration_from_hz")
+        return self
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:
@@ -68,7 +93,40 @@ class SensorsTable(InputTable):
             drift=self.angular_drift_rad_s2_per_root_s,
             limit=self.angular_limit_rad_s2,
         )
-        return SensorNode(lateral, angular, angular, mass, rate_hz=self.rate_hz, anti_alias=self.anti_alias)
+        if self.gyroscopes:
+            angular = Channel(
+                noise_density=self.gyroscope_noise_rad_s_per_root_hz, limit=self.gyroscope_limit_rad_s, gyroscope=True
+            )
+        return SensorNode(
+            lateral,
+            angular,
+            angular,
+            mass,
+            rate_hz=self.rate_hz,
+            anti_alias=self.anti_alias,
+            errors=self._errors(),
+            measures_gravity=self.measures_gravity,
+        )
+
+    def _errors(self) -> SensorErrors:
+        linear = 1e3 * MICRO_G * self.offset_drift_std_mg_per_min / MINUTE
+        angular = 0.0 if self.gyroscopes else self.angular_offset_drift_std_rad_s2_per_min / MINUTE
+        vibrates = self.axle_box_vibration_m_s2 > 0.0 or self.axle_box_vibration_rad_s2 > 0.0
+        vibration = Vibration(
+            lateral=self.axle_box_vibration_m_s2,
+            angular=self.axle_box_vibration_rad_s2,
+            mass_share=self.mass_vibration_share,
+            lowest_hz=self.vibration_from_hz,
+            highest_hz=self.vibration_to_hz,
+        )
+        return SensorErrors(
+            scale=self.scale_error_std_percent / 100.0,
+            mounting=math.radians(self.mounting_error_std_deg),
+            skew=1e-3 * self.skew_std_ms,
+            offset_slope=(linear, angular, angular, linear),
+            scale_drift=self.scale_drift_std_percent / 100.0,
+            vibration=vibration if vibrates else None,
+        )
 
 
 class PositionTable(InputTable):
@@ -78,6 +136,8 @@ class PositionTable(InputTable):
     largest_scale_percent: float = Field(default=0.0, ge=0.0, le=10.0)
     offset_std_m: float = Field(default=0.0, ge=0.0, le=300.0)
     scale_std_percent: float = Field(default=0.0, ge=0.0, le=3.0)
+    offset_m: float = Field(default=0.0, ge=0.0, le=1000.0)
+    odometer_scale_std_percent: float = Field(default=0.0, ge=0.0, le=3.0)
 
     def plan(self) -> PositionErrors:
         """Return the position errors in SI units."""
@@ -86,6 +146,8 @@ class PositionTable(InputTable):
             scale=self.largest_scale_percent / 100.0,
             offset_std=self.offset_std_m,
             scale_std=self.scale_std_percent / 100.0,
+            fixed_offset=self.offset_m,
+            odometer_scale_std=self.odometer_scale_std_percent / 100.0,
         )
 
 
