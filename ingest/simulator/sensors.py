@@ -120,7 +120,7 @@ def measure(
     size = -(-n // stride)
     signals = _true_signals(motion, node, errors)
     if errors is not None:
-        signals = _with_errors(signals, errors, rng)
+        signals = list(_with_errors(signals, errors, rng))
     values, clipped = np.empty((size, 4)), np.zeros((size, 4), dtype=np.bool_)
     taps = _low_pass(stride) if node.anti_alias and stride > 1 else None
     for place, channel in enumerate(node.channels):
@@ -139,7 +139,7 @@ def measure(
     return SensorRecord(STEP * stride * np.arange(size, dtype=np.float64), values, clipped)
 
 
-def _true_signals(motion: WheelsetMotion, node: SensorNode, errors: NodeErrors | None) -> Sequence[FloatArray]:
+def _true_signals(motion: WheelsetMotion, node: SensorNode, errors: NodeErrors | None) -> list[FloatArray]:
     """Return what the transducers are exposed to, four signals (n,) in the order of ``ACCELERATIONS``."""
     signals = [np.asarray(getattr(motion, name)) for name in ACCELERATIONS]
     if motion.path_accelerations is not None:
@@ -149,7 +149,7 @@ def _true_signals(motion: WheelsetMotion, node: SensorNode, errors: NodeErrors |
     if errors is None:
         return signals
     longitudinal = np.gradient(motion.speed, STEP)
-    return in_sensor_axes(np.stack(signals), longitudinal, errors, gravity=node.measures_gravity)
+    return list(in_sensor_axes(np.stack(signals), longitudinal, errors, gravity=node.measures_gravity))
 
 
 def _with_errors(signals: Sequence[FloatArray], errors: NodeErrors, rng: np.random.Generator) -> FloatArray:
