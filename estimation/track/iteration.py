@@ -204,14 +204,19 @@ def _rounds(
         last = (moved < p.position_tolerance and changed < p.ratio_tolerance) or done >= p.rounds
         solution = result(_state_with_prior(state, setting, noise), std=last)
         noise = max(residual_of_passes(state, solution), 0.1 * p.pass_std)
+        explained = _explained(setting, state, solution, noise)
         if last:
-            known = with_ratio_std(ratios, passes, solution, panel)
+            known = with_ratio_std(ratios, passes, solution, panel, explained)
             return IterationResult(panel, state, solution, placed, known, done, float(moved), float(changed), noise)
-        better = refine_ratios(ratios, passes, solution, panel)
+        better = refine_ratios(ratios, passes, solution, panel, explained)
         changed = _ratio_change(ratios, better)
         ratios = better
         before, corrections = corrections, _refined_corrections(setting, placed, ratios, state, solution)
         moved = _largest_move(setting.grouped, before, corrections)
+
+
+def _explained(setting: _Setting, state: PanelState, solution: PanelSolution, noise: float) -> float:
+    return slope_correction(_state_with_prior(state, setting, noise), solution).explained
 
 
 def _state_with_prior(state: PanelState, setting: _Setting, noise: float) -> PanelState:
@@ -298,7 +303,8 @@ def _solved(setting: _Setting, found: IterationResult, panel: Panel, *, std: boo
 
 def _repositioned(setting: _Setting, found: IterationResult) -> IterationResult:
     """Return ``found`` with better positions and stiffness ratios, and the passes moved by them."""
-    ratios = refine_ratios(found.ratios, found.passes, found.solution, found.panel)
+    explained = _explained(setting, found.state, found.solution, found.noise)
+    ratios = refine_ratios(found.ratios, found.passes, found.solution, found.panel, explained)
     state = replace(found.state, panel=found.panel)
     corrections = _refined_corrections(setting, found.placed, ratios, state, found.solution)
     return replace(
@@ -313,7 +319,8 @@ def _repositioned(setting: _Setting, found: IterationResult) -> IterationResult:
 def _finished(setting: _Setting, found: IterationResult) -> IterationResult:
     """Return ``found`` with standard deviations."""
     whole = _solved(setting, found, found.panel, std=True)
-    ratios = with_ratio_std(whole.ratios, whole.passes, whole.solution, whole.panel)
+    explained = _explained(setting, whole.state, whole.solution, whole.noise)
+    ratios = with_ratio_std(whole.ratios, whole.passes, whole.solution, whole.panel, explained)
     return replace(whole, ratios=ratios, rounds=found.rounds)
 
 

@@ -20,6 +20,7 @@ from estimation.values.intervals import jackknife_std
 
 PRIOR_STD = 0.15  # of the ratio, relative
 SYSTEMATIC_STD = 0.02  # of the ratio, relative: a model of small terms is left, blocks of data cannot show it
+LEAST_EXPLAINED = 0.01  # share below which all is error
 DAMPING = 0.6  # of a step: position and ratio are refined at once, and each would make up for the other's error
 
 
@@ -43,7 +44,11 @@ def ratio_values(ratios: Mapping[str, Ratio]) -> dict[str, float]:
 
 
 def refine_ratios(
-    ratios: Mapping[str, Ratio], passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel
+    ratios: Mapping[str, Ratio],
+    passes: Sequence[GriddedPass],
+    solution: PanelSolution,
+    panel: Panel,
+    explained: float = 1.0,
 ) -> dict[str, Ratio]:
     """Return the ratios after one Gauss-Newton step from the solution of the adjusted passes.
 
@@ -59,6 +64,9 @@ def refine_ratios(
         On the grid of the panel.
     solution, panel
         As solved.
+    explained
+        Share r2 of the differences of y between the passes of a place that the curves explain. What they leave is error
+        of R; as far as R is its stiffness term it makes the ratio too small, in every block of data alike.
     """
     if solution.report.curves_fixed:
         return {item.source.vehicle: Ratio() for item in passes if item.source.stiffness_term is not None}
@@ -74,6 +82,8 @@ def refine_ratios(
         numerators[vehicle] = numerators.get(vehicle, 0.0) + slopes[w] * solution.curves[:, w, -1]
         squares[vehicle] = squares.get(vehicle, 0.0) + slopes[w] ** 2
     result = {}
+    flattened = _stiffness_shares(passes)
+    excess = 1.0 / max(explained, LEAST_EXPLAINED) - 1.0
     for vehicle, numerator in numerators.items():
         if not squares[vehicle] > 0.0:
             continue  # its passes met nothing
@@ -82,6 +92,7 @@ def refine_ratios(
         data_std = float(jackknife_std(steps[:, None])[0])
         if not np.isfinite(data_std):
             data_std = 0.0  # not computed in this round
+        data_std = float(np.hypot(data_std, excess * flattened[vehicle]))
         worth = PRIOR_STD**2 / (PRIOR_STD**2 + data_std**2)
         value = 1.0 + worth * (before.value + DAMPING * float(steps[0]) - 1.0)
         result[vehicle] = Ratio(float(np.clip(value, 0.5, 1.5)), float(np.sqrt(worth) * data_std))
@@ -89,7 +100,11 @@ def refine_ratios(
 
 
 def with_ratio_std(
-    ratios: Mapping[str, Ratio], passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel
+    ratios: Mapping[str, Ratio],
+    passes: Sequence[GriddedPass],
+    solution: PanelSolution,
+    panel: Panel,
+    explained: float = 1.0,
 ) -> dict[str, Ratio]:
     """Return the ratios with which ``passes`` were adjusted, each with its std from the groups of ``solution``.
 
@@ -101,12 +116,24 @@ def with_ratio_std(
         On the grid of the panel.
     solution, panel
         As solved, with standard deviations.
+    explained
+        As :func:`refine_ratios` takes it.
     """
-    found = refine_ratios(ratios, passes, solution, panel)
+    found = refine_ratios(ratios, passes, solution, panel, explained)
     return {
         vehicle: replace(ratios.get(vehicle, Ratio()), std=float(np.hypot(one.std, SYSTEMATIC_STD)))
         for vehicle, one in found.items()
     }
+
+
+def _stiffness_shares(passes: Sequence[GriddedPass]) -> dict[str, float]:
+    """Return by vehicle the mean square of the stiffness term over that of R, at most 1."""
+    sums: dict[str, np.ndarray] = {}
+    for item in passes:
+        E, R = item.stiffness_term[item.inside], item.difference[item.inside]
+        squares = np.array([E @ E, R @ R])
+        sums[item.source.vehicle] = sums.get(item.source.vehicle, 0.0) + squares
+    return {vehicle: float(np.clip(own / max(whole, 1e-300), 0.0, 1.0)) for vehicle, (own, whole) in sums.items()}
 
 
 def _slopes(solution: PanelSolution, panel: Panel) -> np.ndarray:
