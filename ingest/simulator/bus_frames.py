@@ -88,11 +88,29 @@ def vehicle_frames(
     rng = generator(scenario.seed, Stream.BUS, scenario.vehicles.index(run.vehicle), run.campaign)
     ticks = _ticks(catalogue, scenario, run, rng)
     batches = [*_master(catalogue, ticks), *_vehicle_node(catalogue, scenario, run, ticks)]
-    for axle, record in enumerate(records):
+    for axle, record in enumerate(_as_connected(scenario, records)):
         batches += _wheelset_node(catalogue, run, axle, record, ticks)
     whole = sort_by_time(concatenate(batches, channel="can0"))
     keep = _kept(scenario, whole, rng)
     return whole if keep.all() else take(whole, keep)
+
+
+def _as_connected(scenario: Scenario, records: Sequence[SensorRecord | None]) -> list[SensorRecord | None]:
+    """Return what the nodes send, in the order of their numbers."""
+    connected = list(records)
+    if not scenario.sensors.on_mass:
+        connected = [None if record is None else _without_mass(record) for record in connected]
+    if scenario.bus.nodes_swapped:
+        for first in range(0, len(connected) - 1, 2):
+            connected[first], connected[first + 1] = connected[first + 1], connected[first]
+    return connected
+
+
+def _without_mass(record: SensorRecord) -> SensorRecord:
+    """Return a record whose mass channel is "not available"."""
+    values, place = record.values.copy(), ACCELERATIONS.index("mass_lateral_acceleration")
+    values[:, place] = np.nan
+    return SensorRecord(record.t, values, record.clipped)
 
 
 def _ticks(catalogue: Catalogue, scenario: Scenario, run: VehicleRun, rng: np.random.Generator) -> _Ticks:

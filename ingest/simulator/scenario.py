@@ -189,6 +189,7 @@ class BusPlan:
     bit_rate: float = 0.0  # bit/s; 0: every message has a slot of its own in the first three quarters of a cycle
     node_delay: float = 0.0  # s after SYNC, times its number, at which a wheelset's node hands its frames over
     position_delay: float = 0.0  # s after SYNC at which the position is handed over
+    nodes_swapped: bool = False  # nodes 1 and 2, 3 and 4, ... are on each other's axles
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,6 +57,7 @@ class SensorNode:
     anti_alias: bool = True
     errors: SensorErrors = field(default_factory=SensorErrors)
     measures_gravity: bool = False
+    on_mass: bool = True  # whether there is a sensor on the suspended mass
 
     def __post_init__(self) -> None:
         if self.rate_hz <= 0 or FULL_RATE_HZ % self.rate_hz:

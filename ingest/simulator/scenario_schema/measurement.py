@@ -44,6 +44,7 @@ class SensorsTable(InputTable):
     gyroscope_noise_rad_s_per_root_hz: NotNegative = 1e-4
     gyroscope_limit_rad_s: Positive = 8.7
     measures_gravity: bool = False
+    mass_sensor: bool = True
     scale_error_std_percent: float = Field(default=0.0, ge=0.0, le=30.0)
     mounting_error_std_deg: float = Field(default=0.0, ge=0.0, le=20.0)
     skew_std_ms: float = Field(default=0.0, ge=0.0, le=100.0)
@@ -106,6 +107,7 @@ class SensorsTable(InputTable):
             anti_alias=self.anti_alias,
             errors=self._errors(),
             measures_gravity=self.measures_gravity,
+            on_mass=self.mass_sensor,
         )
 
     def _errors(self) -> SensorErrors:
@@ -164,6 +166,8 @@ class BusTable(InputTable):
     node_delay_us: float = Field(default=0.0, ge=0.0, le=500.0)
     position_delay_ms: float = Field(default=0.0, ge=0.0, le=3.9)
 
+    nodes_swapped: bool = False
+
     @model_validator(mode="after")
     def _check_delays(self) -> Self:
         for key in ("node_delay_us", "position_delay_ms"):
@@ -183,4 +187,5 @@ class BusTable(InputTable):
             bit_rate=1e3 * self.bitrate_kbit_s,
             node_delay=1e-6 * self.node_delay_us,
             position_delay=1e-3 * self.position_delay_ms,
+            nodes_swapped=self.nodes_swapped,
         )

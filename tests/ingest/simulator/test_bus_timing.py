@@ -12,6 +12,7 @@ from scenario_text import SMALL
 from estimation.errors import ScenarioError
 from ingest import catalogue as kinds
 from ingest.align.clock import align_to_clock
+from ingest.align.samples import node_samples
 from ingest.catalogue import default_catalogue
 from ingest.frames import merge
 from ingest.logs import read_log, write_blf
@@ -101,3 +102,25 @@ def test_every_frame_of_a_full_bus_gets_its_own_cycle_from_the_log_file(tmp_path
         assert len(samples.tick) == SAMPLES
     position = result.messages[POSITION]
     assert np.array_equal(position.column("distance"), position.tick - first)
+
+
+def test_swapped_nodes_send_each_others_values_and_a_missing_sensor_none(tmp_path: Path) -> None:
+    scenario = eight_nodes(tmp_path, "nodes_swapped = true")
+    scenario = replace(scenario, sensors=replace(scenario.sensors, on_mass=False))
+    vehicle = scenario.vehicles[0]
+    count = 500
+    records = [
+        SensorRecord(0.004 * np.arange(count), np.full((count, 4), float(axle)), np.zeros((count, 4), np.bool_))
+        for axle in range(8)
+    ]
+    distance = 1e-3 * np.arange(4 * count - 3)
+    run = VehicleRun(vehicle, 0, scenario.start_ns(vehicle, 0), 0.0, np.full(len(distance), 1.0), distance, distance)
+    messages = align_to_clock(CATALOGUE, merge([vehicle_frames(CATALOGUE, scenario, run, records)])).messages
+    sent = []
+    for node in range(1, 9):
+        signals = node_samples("V-1", node, CATALOGUE, messages)
+        assert signals is not None
+        values = signals[0].block.values
+        assert np.isnan(values[:, 3]).all()
+        sent.append(round(float(values[0, 1]), 6))
+    assert sent == [1.0, 0.0, 3.0, 2.0, 5.0, 4.0, 7.0, 6.0]
