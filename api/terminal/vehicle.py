@@ -96,7 +96,7 @@ def _observability(vehicle_class: VehicleClass, running: Running) -> Iterator[st
         seen = "yes" if row.seen else "no"
         yield f"  {row.name:<33}{row.value:>8.3g}{row.std:>9.2g}{row.bound:>9.2g}  {row.unit:<9}{seen}"
     yield ""
-    yield "The std by its cause: noise, how well the track is known, and the stds of the class"
+    yield "The std by its cause: noise, what it takes off the regressors, the track, and the stds of the class"
     yield f"  {'':<33}" + "".join(f"{cause:>10}" for cause in CAUSES)
     for row in rows:
         yield f"  {row.name:<33}" + "".join(f"{row.std_by_cause[cause]:>10.2g}" for cause in CAUSES)

@@ -14,7 +14,7 @@ from estimation.vehicle.vehicle_class import VehicleClass
 
 LOWEST_SPEED, HIGHEST_SPEED, SPEED_STEP, SPEED_TOLERANCE = 5.0, 150.0, 2.5, 0.05  # m/s
 _CREEPING = 0.8  # damping ratio of a mode that hardly oscillates
-_STABLE = 1e-6  # 1/s; a body without a spring has an eigenvalue of 0
+_STABLE = 1e-5  # 1/s; a body without a spring has an eigenvalue of 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,10 @@ order, noise and wrong parameters then give
 
     delta theta = -(X'X)^-1 X' delta e,   X = de/dtheta,   X'X = Re integral of S_d X* X df
 
-Beside it stands the Cramer-Rao bound, where all parameters are learnt together from both equations, with their stds
-beforehand (S. M. Kay, "Fundamentals of Statistical Signal Processing: Estimation Theory", 1993, Chapters 3 and 15).
+Noise in the regressors also pulls them down however long the vehicle runs (regression dilution, to second order; that
+of the alignment is left out: the estimator corrects it). Beside it stands the Cramer-Rao bound, where all parameters
+are learnt together from both equations, with their stds beforehand (S. M. Kay, "Fundamentals of Statistical Signal
+Processing: Estimation Theory", 1993, Chapters 3 and 15).
 """
 
 from __future__ import annotations
@@ -33,9 +35,10 @@ from estimation.vehicle.measurement_equations import (
 )
 from estimation.vehicle.vehicle_class import VehicleClass
 
-CAUSES = ("noise", "track", "creep", "stiffness", "mass", "lengths", "scale")
+CAUSES = ("noise", "dilution", "track", "creep", "stiffness", "mass", "lengths", "scale")
 LATERAL_WAVE = 3e-3  # m, of which D is reported
 SEEN = 0.25  # std over value below which a quantity is seen
+QUIETEST = 1e-7  # m/s2, rad/s2 or rad/s per root hertz: no sensor is quieter
 ANGLE_SUM_STD = 0.1  # rad, of dL + dR beforehand: turns a wheelset like 0.1 % of a soft yaw spring
 _STEP = 1e-4  # of numerical derivatives, relative
 _LENGTHS = frozenset({"nominal_radius", "half_contact_distance", "wheelbase"})
@@ -142,6 +145,10 @@ class _Sensitivity:
     by_scale: Mapping[str, ComplexArray]  # of each sensor
     scale_std: Mapping[str, float]
     noise: ComplexArray  # (f, 2, 2) of sensors, of e
+    sensed: Mapping[str, ComplexArray]  # (f, 2, sensors), what the noise of each sensor makes of the derivatives
+    sensed_error: ComplexArray  # (f, 2, sensors), and of e
+    noise_density: FloatArray  # (sensors,) squared
+    weights: FloatArray  # (f,) of the integral over frequency
     track: ComplexArray  # (f, 2, 2) of the alignment's std, of e
     density: FloatArray  # (f,) of the alignment, weights of the integral over frequency included
     duration: float
@@ -156,40 +163,54 @@ def _sensitivity(vehicle_class: VehicleClass, running: Running) -> _Sensitivity:
     u = true_signals(linear_model(vehicle_class, running.speed, running.contact), running.contact, p, s)
     E = filtered(equations(p, wheelbase, running.speed, at), s)
 
-    def change(p_: VehicleParameters, wheelbase_: float | None, at_: Combinations, step: float) -> ComplexArray:
-        changed = filtered(equations(p_, wheelbase_, running.speed, at_), s)
-        return np.asarray(((changed - E) @ u[:, :, None])[:, :, 0] / step)
-
-    names = [item.name for item in fields(VehicleParameters) if getattr(p, item.name)]
-    by_parameter = {
-        name: change(replace(p, **{name: (1 + _STEP) * getattr(p, name)}), wheelbase, at, _STEP) for name in names
-    }
-    if wheelbase is not None:
-        by_parameter["wheelbase"] = change(p, (1 + _STEP) * wheelbase, at, _STEP)
-    by_combination = {
-        name: change(p, wheelbase, replace(at, **{name: getattr(at, name) + _STEP * unit}), _STEP * unit)
-        for name, unit in _UNITS.items()
-    }
+    by_combination, by_parameter = _derivatives(p, wheelbase, running.speed, at, s)
     measured, restored = sensor_filters(layout, s)
     through = E @ restored  # (f, 2, sensors)
     raw = (measured @ u[:, :, None])[:, :, 0]
     channels = layout.channels
     of_sensor = {name: channels[name.removeprefix("other_")] for name in SENSORS}
-    densities = np.array([of_sensor[name].noise_density ** 2 for name in SENSORS])
+    densities = np.array([max(of_sensor[name].noise_density, QUIETEST) ** 2 for name in SENSORS])
     known = (running.alignment_std / running.alignment_rms) ** 2 * running.alignment_density
     by_track = E[:, :, -1]  # the alignment enters x alone
     return _Sensitivity(
         at=at,
-        by_combination=by_combination,
-        by_parameter=by_parameter,
+        by_combination={name: (change @ u[:, :, None])[:, :, 0] for name, change in by_combination.items()},
+        by_parameter={name: (change @ u[:, :, None])[:, :, 0] for name, change in by_parameter.items()},
         parameter_std={name: vehicle_class.std_of(name) for name in by_parameter},
         by_scale={name: through[:, :, n] * raw[:, n, None] for n, name in enumerate(SENSORS)},
         scale_std={name: of_sensor[name].scale_std for name in SENSORS},
         noise=np.asarray((through * densities) @ through.conj().transpose(0, 2, 1)),
+        sensed={name: change @ restored for name, change in (by_combination | by_parameter).items()},
+        sensed_error=through,
+        noise_density=densities,
+        weights=_weights(f),
         track=np.asarray(known[:, None, None] * by_track[:, :, None] * by_track.conj()[:, None, :]),
         density=running.alignment_density * _weights(f),
         duration=running.duration,
     )
+
+
+def _derivatives(
+    p: VehicleParameters, wheelbase: float | None, speed: float, at: Combinations, s: ComplexArray
+) -> tuple[dict[str, ComplexArray], dict[str, ComplexArray]]:
+    """Return the derivatives of E (f, 2, signals) by the combinations, and by the logarithms of the parameters."""
+    E = equations(p, wheelbase, speed, at)
+
+    def change(changed: FloatArray, step: float) -> ComplexArray:
+        return filtered((changed - E) / step, s)
+
+    names = [item.name for item in fields(VehicleParameters) if getattr(p, item.name)]
+    by_parameter = {
+        name: change(equations(replace(p, **{name: (1 + _STEP) * getattr(p, name)}), wheelbase, speed, at), _STEP)
+        for name in names
+    }
+    if wheelbase is not None:
+        by_parameter["wheelbase"] = change(equations(p, (1 + _STEP) * wheelbase, speed, at), _STEP)
+    by_combination = {}
+    for name, unit in _UNITS.items():
+        moved = replace(at, **{name: getattr(at, name) + _STEP * unit})
+        by_combination[name] = change(equations(p, wheelbase, speed, moved), _STEP * unit)
+    return by_combination, by_parameter
 
 
 def _by_cause(
@@ -204,7 +225,8 @@ def _by_cause(
     for cause, spectrum in (("noise", sensitivity.noise), ("track", sensitivity.track)):
         middle = ((weighted * spectrum[:, equation, equation].real[:, None]).T @ X).real / (2 * sensitivity.duration)
         variances[cause] = np.diag(inverse @ middle @ inverse)
-    for cause in CAUSES[2:]:
+    variances["dilution"] = _dilution(sensitivity, equation, theta, (weighted.T @ X).real) ** 2
+    for cause in CAUSES[3:]:
         variances[cause] = np.zeros(len(theta))
     errors = [
         (_cause_of(name), change, sensitivity.parameter_std[name])
@@ -218,6 +240,15 @@ def _by_cause(
         cause: dict(zip(theta, np.sqrt(np.maximum(values, 0.0)).tolist(), strict=True))
         for cause, values in variances.items()
     }
+
+
+def _dilution(sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], information: FloatArray) -> FloatArray:
+    """Return by how much noise in the regressors shifts the estimates."""
+    regressors = np.stack([sensitivity.sensed[name][:, equation] for name in theta], axis=1)  # (f, k, sensors)
+    weighted = regressors.conj() * sensitivity.noise_density * sensitivity.weights[:, None, None]
+    noisy = np.einsum("fjs,fks->jk", weighted, regressors).real
+    with_error = np.einsum("fjs,fs->j", weighted, sensitivity.sensed_error[:, equation]).real
+    return np.asarray(_inverse(information + noisy) @ with_error)
 
 
 def _bounds(sensitivity: _Sensitivity) -> dict[str, float]:
