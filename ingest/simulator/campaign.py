@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -11,9 +11,11 @@ import numpy as np
 from estimation.contact.table import ContactTable
 from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray, frozen_array
-from ingest.simulator.drawn_fleet import vehicle_parameters
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
+from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset, travelled
 from ingest.simulator.random_streams import Stream, generator, seed_of
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.scenario import NORMAL_REACH, Scenario, SpeedRange, VehiclePlan, WheelsetPlan
 from ingest.simulator.sensor_errors import NodeErrors, draw_node_errors
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
@@ -27,7 +29,9 @@ RUN_OUT = 50.0  # m behind it where the last axle ends
 
 
 class DerailmentError(ScenarioError):
-    """A wheelset leaves the range of its contact geometry."""
+    """A wheelset leaves the range of its contact geometry; ``axle`` (from 0) says which."""
+
+    axle: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,21 +192,80 @@ def wheelset_motion(
     DerailmentError
         The wheelset leaves the range of its contact geometry: the scenario lets it derail.
     """
-    plan = run.vehicle.wheelsets[axle]
-    if table is None:
-        table = contact_of(scenario, track, plan, run.odometer).table
-    start = float(run.distance[0]) - run.vehicle.axle_offsets[axle]
+    axles = together(scenario, run.vehicle, axle)
+    known = [table if place == axle else None for place in axles]
+    return axle_motions(scenario, track, run, axles, known)[axles.index(axle)]
+
+
+def together(scenario: Scenario, vehicle: VehiclePlan, axle: int) -> tuple[int, ...]:
+    """Return the axles (from 0) that move together with ``axle``: those of its bogie, or itself alone.
+
+    Parameters
+    ----------
+    scenario
+        With or without bogies.
+    vehicle
+        The vehicle.
+    axle
+        From 0.
+    """
+    if scenario.bogie is None:
+        return (axle,)
+    first = axle - axle % AXLES_OF_A_BOGIE
+    return tuple(range(first, min(first + AXLES_OF_A_BOGIE, len(vehicle.wheelsets))))
+
+
+def axle_motions(
+    scenario: Scenario,
+    track: TrackTruth,
+    run: VehicleRun,
+    axles: Sequence[int],
+    tables: Sequence[ContactTable | None],
+) -> tuple[WheelsetMotion, ...]:
+    """Return the true motion of the wheelsets at ``axles`` (from 0), which move together, over ``run``.
+
+    Parameters
+    ----------
+    scenario, track, run
+        As :func:`wheelset_motion` takes them.
+    axles
+        As :func:`together` returns them.
+    tables
+        Contact geometry of each; None to compute it here.
+
+    Raises
+    ------
+    DerailmentError
+        A wheelset leaves the range of its contact geometry: the scenario lets it derail.
+    """
+    found = [
+        contact_of(scenario, track, run.vehicle.wheelsets[axle], run.odometer).table if table is None else table
+        for axle, table in zip(axles, tables, strict=True)
+    ]
+    start = float(run.distance[0]) - run.vehicle.axle_offsets[axles[0]]
     parameters = vehicle_parameters(scenario, run.vehicle.code)
-    motion = simulate_wheelset(parameters, table, track, run.speed, start)
+    if scenario.bogie is None:
+        motions: tuple[WheelsetMotion, ...] = (simulate_wheelset(parameters, found[0], track, run.speed, start),)
+    else:
+        gear = RunningGear(parameters, vehicle_bogie(scenario, run.vehicle.code))
+        motions = simulate_gear(gear, found, track, run.speed, start)
+    for axle, table, motion in zip(axles, found, motions, strict=True):
+        _check_on_rails(run, axle, table, motion)
+    return motions
+
+
+def _check_on_rails(run: VehicleRun, axle: int, table: ContactTable, motion: WheelsetMotion) -> None:
     at = first_climb(table, motion)
-    if at is not None:
-        raise DerailmentError(
-            f"{plan.serial} derails in campaign {run.campaign + 1}: at {motion.distance[at]:.1f} m of the section a "
-            f"wheel climbs its rail, {1e3 * motion.relative_displacement[at]:+.1f} mm beside the track centre in "
-            f"{1e3 * motion.gauge_deviation[at]:+.1f} mm of gauge deviation",
-            field=f"vehicles.{run.vehicle.code}",
-        )
-    return motion
+    if at is None:
+        return
+    error = DerailmentError(
+        f"{run.vehicle.wheelsets[axle].serial} derails in campaign {run.campaign + 1}: at {motion.distance[at]:.1f} m "
+        f"of the section a wheel climbs its rail, {1e3 * motion.relative_displacement[at]:+.1f} mm beside the track "
+        f"centre in {1e3 * motion.gauge_deviation[at]:+.1f} mm of gauge deviation",
+        field=f"vehicles.{run.vehicle.code}",
+    )
+    error.axle = axle
+    raise error
 
 
 def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> WornContact:

@@ -9,7 +9,9 @@ import numpy as np
 
 from estimation.contact.wear import WearFamily, wear_course
 from estimation.errors import ScenarioError
+from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import BogieParameters
 from ingest.simulator.random_streams import Stream, generator
 from ingest.simulator.scenario import (
     DrawnFleet,
@@ -46,7 +48,7 @@ def with_seed(scenario: Scenario, seed: int) -> Scenario:
     if pair.rail_files != (None, None):
         inclination, files, mirrors = pair.file_inclination, pair.rail_files, pair.rail_mirrors
         section = replace(section, rail_files=files, rail_mirrors=mirrors, file_inclination=inclination)
-    return replace(scenario, seed=seed, section=section, vehicles=_vehicles(scenario.drawn, seed))
+    return replace(scenario, seed=seed, section=section, vehicles=_vehicles(scenario.drawn, seed, scenario.bogie))
 
 
 def with_less_wear(scenario: Scenario, vehicle: str, axle: int, share: float) -> Scenario:
@@ -101,9 +103,8 @@ def vehicle_parameters(scenario: Scenario, vehicle: str) -> VehicleParameters:
     assumed, limits = scenario.parameters, scenario.vehicle_errors
     if limits is None:
         return assumed
-    order = [plan.code for plan in scenario.vehicles].index(vehicle)
     creep = 1.0 + limits.creep / NORMAL_95 * generator(scenario.seed, Stream.CREEP).standard_normal()
-    lateral, yaw, wheelset, body = generator(scenario.seed, Stream.VEHICLE, order).standard_normal(4) / NORMAL_95
+    lateral, yaw, wheelset, body = _draws(scenario, vehicle)
     stiff_lateral, stiff_yaw = 1.0 + limits.stiffness * lateral, 1.0 + limits.stiffness * yaw
     heavy_wheelset, heavy_body = 1.0 + limits.mass * wheelset, 1.0 + limits.mass * body
     return replace(
@@ -119,6 +120,37 @@ def vehicle_parameters(scenario: Scenario, vehicle: str) -> VehicleParameters:
         suspended_mass=heavy_body * assumed.suspended_mass,
         load=heavy_body * assumed.load,
     )
+
+
+def vehicle_bogie(scenario: Scenario, vehicle: str) -> BogieParameters | None:
+    """Return the true parameters of a vehicle's bogies; masses are as far off as its suspended mass.
+
+    Parameters
+    ----------
+    scenario
+        With or without bogies, and errors of the vehicle parameters.
+    vehicle
+        Code of the vehicle.
+    """
+    assumed, limits = scenario.bogie, scenario.vehicle_errors
+    if assumed is None or limits is None:
+        return assumed
+    lateral, yaw, _, body = _draws(scenario, vehicle)
+    heavy = 1.0 + limits.mass * body
+    return replace(
+        assumed,
+        frame_mass=heavy * assumed.frame_mass,
+        frame_yaw_inertia=heavy * assumed.frame_yaw_inertia,
+        body_mass=heavy * assumed.body_mass,
+        secondary_lateral_stiffness=(1.0 + limits.stiffness * lateral) * assumed.secondary_lateral_stiffness,
+        secondary_yaw_stiffness=(1.0 + limits.stiffness * yaw) * assumed.secondary_yaw_stiffness,
+    )
+
+
+def _draws(scenario: Scenario, vehicle: str) -> FloatArray:
+    """Return the errors (4,) of a vehicle over their 95 % limits: lateral and yaw springs, wheelset, body."""
+    order = [plan.code for plan in scenario.vehicles].index(vehicle)
+    return np.asarray(generator(scenario.seed, Stream.VEHICLE, order).standard_normal(4) / NORMAL_95)
 
 
 def shares_of_wear(plan: WheelsetPlan) -> tuple[float, ...]:
@@ -151,7 +183,7 @@ def no_wear_left(scenario: Scenario, vehicle: str, axle: int, last: ScenarioErro
     )
 
 
-def _vehicles(fleet: DrawnFleet, seed: int) -> tuple[VehiclePlan, ...]:
+def _vehicles(fleet: DrawnFleet, seed: int, bogie: BogieParameters | None) -> tuple[VehiclePlan, ...]:
     """Return the vehicles: wheelsets are numbered across the vehicles, the first axle of all before the second."""
     plans = []
     for number in range(fleet.vehicles):
@@ -161,7 +193,7 @@ def _vehicles(fleet: DrawnFleet, seed: int) -> tuple[VehiclePlan, ...]:
                 code=f"V{number}",
                 vehicle_class=fleet.vehicle_class,
                 max_speed=fleet.max_speed,
-                axle_offsets=usual_offsets(len(ranks)),
+                axle_offsets=usual_offsets(len(ranks), bogie),
                 wheelsets=tuple(_wheelset(fleet, seed, rank) for rank in ranks),
             )
         )

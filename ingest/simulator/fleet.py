@@ -16,12 +16,13 @@ from ingest.logs.blf_writer import write_blf
 from ingest.simulator.bus_frames import vehicle_frames
 from ingest.simulator.campaign import (
     DerailmentError,
+    axle_motions,
     contact_of,
     failed,
     scenario_track,
+    together,
     true_geometry,
     vehicle_run,
-    wheelset_motion,
     wheelset_record,
 )
 from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less_wear
@@ -176,40 +177,57 @@ def _on_the_rails(
 
     In narrow places a worn wheelset may hunt until it leaves the rails, and a nearly new one too: no railway runs them.
     """
-    axles = []
-    for axle in range(len(scenario.vehicle(vehicle).wheelsets)):
-        scenario, found = _axle_on_the_rails(scenario, track, vehicle, axle, campaigns)
-        axles.append(found)
+    axles: list[_Axle] = []
+    for group in _groups(scenario, scenario.vehicle(vehicle)):
+        scenario, found = _group_on_the_rails(scenario, track, vehicle, group, campaigns)
+        axles += found
     return scenario, axles
 
 
-def _axle_on_the_rails(
-    scenario: Scenario, track: TrackTruth, vehicle: str, axle: int, campaigns: Campaigns
-) -> tuple[Scenario, _Axle]:
-    derailed: list[DerailmentError] = []
-    for share in shares_of_wear(scenario.vehicle(vehicle).wheelsets[axle]):
-        tried = with_less_wear(scenario, vehicle, axle, share)
+def _groups(scenario: Scenario, vehicle: VehiclePlan) -> list[tuple[int, ...]]:
+    """Return the axles (from 0) of a vehicle as they move together, front to rear."""
+    groups = (together(scenario, vehicle, axle) for axle in range(len(vehicle.wheelsets)))
+    return list(dict.fromkeys(groups))
+
+
+def _group_on_the_rails(
+    scenario: Scenario, track: TrackTruth, vehicle: str, group: tuple[int, ...], campaigns: Campaigns
+) -> tuple[Scenario, list[_Axle]]:
+    shares = {axle: shares_of_wear(scenario.vehicle(vehicle).wheelsets[axle]) for axle in group}
+    tries = dict.fromkeys(group, 0)
+    while True:
+        tried = scenario
+        for axle in group:
+            tried = with_less_wear(tried, vehicle, axle, shares[axle][tries[axle]])
         try:
-            return tried, _axle(tried, track, vehicle, axle, campaigns)
+            return tried, _group(tried, track, vehicle, group, campaigns)
         except DerailmentError as error:
-            derailed.append(error)
-    raise no_wear_left(scenario, vehicle, axle, derailed[-1])
+            tries[error.axle] += 1
+            if tries[error.axle] == len(shares[error.axle]):
+                raise no_wear_left(scenario, vehicle, error.axle, error) from error
 
 
-def _axle(scenario: Scenario, track: TrackTruth, vehicle: str, axle: int, campaigns: Campaigns) -> _Axle:
-    """Return what the node of one wheelset measures in every campaign, and its true geometry in the first."""
+def _group(
+    scenario: Scenario, track: TrackTruth, vehicle: str, group: tuple[int, ...], campaigns: Campaigns
+) -> list[_Axle]:
+    """Return what the nodes of wheelsets that move together measure in every campaign, and their geometry at first."""
     plan = scenario.vehicle(vehicle)
-    wheelset = plan.wheelsets[axle]
-    contact = contact_of(scenario, track, wheelset, scenario.odometer(campaigns[0]))
-    records: dict[int, SensorRecord | None] = {}
+    wheelsets = [plan.wheelsets[axle] for axle in group]
+    contacts = [contact_of(scenario, track, wheelset, scenario.odometer(campaigns[0])) for wheelset in wheelsets]
+    records: list[dict[int, SensorRecord | None]] = [{} for _ in group]
     for campaign in campaigns:
-        if failed(wheelset, campaign):
-            records[campaign] = None
+        working = [not failed(wheelset, campaign) for wheelset in wheelsets]
+        for found in records:
+            found[campaign] = None
+        if not any(working):
             continue
         run = vehicle_run(scenario, track, plan, campaign)
-        motion = wheelset_motion(scenario, track, run, axle, contact.table)
-        records[campaign] = wheelset_record(scenario, run, axle, motion)
-    return _Axle(records, true_geometry(scenario, wheelset, contact))
+        motions = axle_motions(scenario, track, run, group, [contact.table for contact in contacts])
+        for found, axle, motion, works in zip(records, group, motions, working, strict=True):
+            if works:
+                found[campaign] = wheelset_record(scenario, run, axle, motion)
+    truths = (true_geometry(scenario, *pair) for pair in zip(wheelsets, contacts, strict=True))
+    return [_Axle(*pair) for pair in zip(records, truths, strict=True)]
 
 
 def _campaign(
@@ -263,7 +281,8 @@ def simulate_campaign(
     DerailmentError
         A wheelset leaves the range of its contact geometry.
     """
-    axles = [_axle(scenario, track, vehicle.code, axle, (campaign,)) for axle in range(len(vehicle.wheelsets))]
+    groups = _groups(scenario, vehicle)
+    axles = [axle for group in groups for axle in _group(scenario, track, vehicle.code, group, (campaign,))]
     return _campaign(scenario, track, vehicle, axles, campaign)
 
 

@@ -74,6 +74,7 @@ class WheelsetMotion:
     contact_angle_right: FloatArray  # rad
     outside: int
     path_accelerations: FloatArray | None = None  # (4, n) in the order of ACCELERATIONS; None on straight track
+    frame_yaw: FloatArray | None = None  # psi_f, rad, of the bogie frame; None without one
 
     def __post_init__(self) -> None:
         n = len(self.t)
@@ -82,6 +83,8 @@ class WheelsetMotion:
         if self.path_accelerations is not None:
             accelerations = frozen_array(self.path_accelerations, (len(ACCELERATIONS), n), name="path_accelerations")
             object.__setattr__(self, "path_accelerations", accelerations)
+        if self.frame_yaw is not None:
+            object.__setattr__(self, "frame_yaw", frozen_array(self.frame_yaw, (n,), name="frame_yaw"))
 
     def __len__(self) -> int:
         return len(self.t)
@@ -172,7 +175,7 @@ def simulate_wheelset(
     """
     speed = np.ascontiguousarray(speed, dtype=np.float64)
     prepared = table if isinstance(table, PreparedTable) else PreparedTable.of(table)
-    distance = _course(track, speed, start)
+    distance = course(track, speed, start)
     coefficients = track.spline_coefficients()
     state = _start(coefficients, track, start, float(speed[0])) if initial is None else np.array(initial, np.float64)
     path = None
@@ -207,8 +210,23 @@ def simulate_wheelset(
     )
 
 
-def _course(track: TrackTruth, speed: FloatArray, start: float) -> FloatArray:
-    """Return the distance at each sample, after checking that speed and track allow the run."""
+def course(track: TrackTruth, speed: FloatArray, start: float) -> FloatArray:
+    """Return the distance (n,), m, at each sample, after checking that speed and track allow the run.
+
+    Parameters
+    ----------
+    track
+        Where to.
+    speed
+        (n,) m/s every ``STEP`` s.
+    start
+        Distance at the first sample, m.
+
+    Raises
+    ------
+    ParameterError
+        As :func:`simulate_wheelset`.
+    """
     if not (np.isfinite(speed).all() and len(speed) > 1 and speed.min() >= 0.0):
         raise ParameterError("two samples or more, none negative, are needed", field="speed")
     distance = travelled(speed, start)

@@ -8,12 +8,14 @@ from pathlib import Path
 
 from estimation.errors import ScenarioError
 from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
 from ingest.simulator.sensors import SensorNode
 from ingest.simulator.track import TrackRecipe
 
 DAY_NS = 86_400_000_000_000
 SECOND_NS = 1_000_000_000
 _AXLE_SPACING = 2.6  # m
+BOGIE_SPACING = 19.0  # m between the middles of two bogies
 NORMAL_REACH = 3.0  # standard deviations that a normal error of the position is at most
 
 
@@ -76,9 +78,20 @@ class VehiclePlan:
     wheelsets: tuple[WheelsetPlan, ...]
 
 
-def usual_offsets(axles: int) -> tuple[float, ...]:
-    """Return the distances of ``axles`` axles behind the position reference, m, where none are given."""
-    return tuple(_AXLE_SPACING * axle for axle in range(axles))
+def usual_offsets(axles: int, bogie: BogieParameters | None = None) -> tuple[float, ...]:
+    """Return the distances of ``axles`` axles behind the position reference, m, where none are given.
+
+    Parameters
+    ----------
+    axles
+        How many there are.
+    bogie
+        Of the vehicle, where it has bogies.
+    """
+    if bogie is None:
+        return tuple(_AXLE_SPACING * axle for axle in range(axles))
+    pairs = (divmod(axle, AXLES_OF_A_BOGIE) for axle in range(axles))
+    return tuple(BOGIE_SPACING * pair + bogie.wheelbase * rear for pair, rear in pairs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,6 +290,7 @@ class Scenario:
     vehicles: tuple[VehiclePlan, ...]
     drawn: DrawnFleet | None = None  # where ``vehicles`` follow from, with the seed
     vehicle_errors: VehicleErrors | None = None  # None: vehicles have ``parameters`` exactly
+    bogie: BogieParameters | None = None  # None: single wheelsets
 
     @property
     def pair(self) -> str:

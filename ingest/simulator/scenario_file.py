@@ -22,13 +22,8 @@ from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.profile_files import rail_in, wheel_in
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_schema.drawn_fleet import DrawnFleetTable
-from ingest.simulator.scenario_schema.fleet import (
-    DynamicsTable,
-    FleetTable,
-    VehicleErrorsTable,
-    VehicleTable,
-    parameters_of,
-)
+from ingest.simulator.scenario_schema.dynamics import DynamicsTable, VehicleErrorsTable, impossible_bogies
+from ingest.simulator.scenario_schema.fleet import FleetTable, VehicleTable
 from ingest.simulator.scenario_schema.measurement import BusTable, PositionTable, SensorsTable
 from ingest.simulator.scenario_schema.rails import RailFiles
 from ingest.simulator.scenario_schema.running import SessionsTable, SpeedTable
@@ -44,7 +39,7 @@ class ScenarioTable(InputTable):
     description: Text
     seed: int = Field(ge=0, le=MAX_SEED)
     fleet: FleetTable
-    dynamics: DynamicsTable = Field(default_factory=dict)
+    dynamics: DynamicsTable = Field(default_factory=DynamicsTable)
     section: SectionTable
     speed: SpeedTable
     sensors: SensorsTable = Field(default_factory=SensorsTable)
@@ -85,6 +80,21 @@ class ScenarioTable(InputTable):
         return self
 
     @model_validator(mode="after")
+    def _check_bogies(self) -> Self:
+        bogie = self.dynamics.bogie_plan()
+        if bogie is None:
+            return self
+        if self.drawn_fleet is not None:
+            if uneven := self.drawn_fleet.axles_without_bogie():
+                raise field_error(f"a vehicle has {uneven} wheelsets, bogies have two each", "drawn_fleet", "wheelsets")
+            return self
+        for index, vehicle in enumerate(self.vehicles):
+            reason = impossible_bogies(vehicle.offsets(bogie), bogie.wheelbase)
+            if reason is not None:
+                raise field_error(reason, "vehicles", index, "axle_offsets_m")
+        return self
+
+    @model_validator(mode="after")
     def _check_length(self) -> Self:
         if self.sessions.whole_section and self.section.length_m is None:
             raise field_error("needs a section with 'length_m'", "sessions", "whole_section")
@@ -92,7 +102,7 @@ class ScenarioTable(InputTable):
             return self
         if self.drawn_fleet is not None:
             return self
-        rear = max(vehicle.offsets()[-1] for vehicle in self.vehicles)
+        rear = max(vehicle.offsets(self.dynamics.bogie_plan())[-1] for vehicle in self.vehicles)
         needed = 60.0 * self.speed.highest_m_s * self.sessions.minutes_each + rear
         if self.section.length_m < needed:
             reason = f"a campaign may need {needed:.0f} m of track, the section has {self.section.length_m:.0f} m"
@@ -107,23 +117,24 @@ class ScenarioTable(InputTable):
         folder
             Folder of the scenario file: relative file names start here.
         """
-        length = self.section.length_m or 0.0
+        length, bogie = self.section.length_m or 0.0, self.dynamics.bogie_plan()
         scenario = Scenario(
             name=self.name,
             description=self.description,
             seed=self.seed,
             fleet_code=self.fleet.code,
             fleet_name=self.fleet.name,
-            parameters=parameters_of(self.dynamics),
+            parameters=self.dynamics.parameters(),
             section=self.section.plan(folder),
             sensors=self.sensors.plan(),
             speed=self.speed.plan(),
             sessions=self.sessions.plan((length + 2.0 * MARGIN) / self.speed.lowest_m_s),
             bus=self.bus.plan(),
             position=self.position.plan(),
-            vehicles=tuple(vehicle.plan(folder) for vehicle in self.vehicles),
+            vehicles=tuple(vehicle.plan(folder, bogie) for vehicle in self.vehicles),
             drawn=None if self.drawn_fleet is None else self.drawn_fleet.plan(folder),
             vehicle_errors=None if self.vehicle_errors is None else self.vehicle_errors.plan(),
+            bogie=bogie,
         )
         return with_seed(scenario, self.seed)
 

@@ -33,6 +33,20 @@ LEAST_IN_MM = 0.05e-3  # m: nothing recorded stays below it
 
 
 @dataclass(frozen=True, slots=True)
+class Surface:
+    """What else of a track changes from place to place, on its grid."""
+
+    roll: FloatArray  # (n,) rad, cross level over the distance of the contact points, left rail up
+    friction: FloatArray  # (n,) coefficient of friction over its mean
+    load: FloatArray  # (n,) vertical load of a wheel over its mean
+
+    def __post_init__(self) -> None:
+        n = len(self.roll)
+        for name in ("roll", "friction", "load"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+
+
+@dataclass(frozen=True, slots=True)
 class TrackTruth:
     """Alignment and gauge deviation on a uniform grid of distance; between grid points a cubic spline."""
 
@@ -40,11 +54,14 @@ class TrackTruth:
     alignment: FloatArray  # (n,) m, d, positive to the left
     gauge_deviation: FloatArray  # (n,) m, actual minus nominal gauge
     curves: Curves | None = None  # on the same grid; None: straight
+    surface: Surface | None = None  # on the same grid; None: level, and alike everywhere
 
     def __post_init__(self) -> None:
         n = len(self.s)
         if self.curves is not None and len(self.curves.curvature) != n:
             raise ParameterError(f"{len(self.curves.curvature)} points, the grid has {n}", field="curves")
+        if self.surface is not None and len(self.surface.roll) != n:
+            raise ParameterError(f"{len(self.surface.roll)} points, the grid has {n}", field="surface")
         for name in ("s", "alignment", "gauge_deviation"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
         if n < FEWEST_POINTS:
@@ -71,10 +88,21 @@ class TrackTruth:
         between = CubicSpline(self.s, e, bc_type="natural")(self.s[:-1] + 0.5 * self.interval)
         return float(min(e.min(), between.min())), float(max(e.max(), between.max()))
 
+    def line_at(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return alignment, m, and its slope at ``distance`` (n,), m, each (n,)."""
+        cubic = CubicSpline(self.s, self.alignment, bc_type="natural")
+        return np.asarray(cubic(distance)), np.asarray(cubic(distance, 1))
+
     def spline_coefficients(self) -> FloatArray:
-        """Return (n - 1, 8): per grid cell the cubic of alignment, then of gauge deviation, highest power first."""
-        cubic = CubicSpline(self.s, np.column_stack([self.alignment, self.gauge_deviation]), bc_type="natural")
-        return np.ascontiguousarray(np.moveaxis(cubic.c, 0, 2).reshape(len(self.s) - 1, 8))
+        """Return (n - 1, 8): per grid cell the cubic of alignment, then of gauge deviation, highest power first.
+
+        With a surface (n - 1, 20): then of its roll, friction and load.
+        """
+        columns = [self.alignment, self.gauge_deviation]
+        if self.surface is not None:
+            columns += [self.surface.roll, self.surface.friction, self.surface.load]
+        cubic = CubicSpline(self.s, np.column_stack(columns), bc_type="natural")
+        return np.ascontiguousarray(np.moveaxis(cubic.c, 0, 2).reshape(len(self.s) - 1, 4 * len(columns)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import json
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import FrameType
 from typing import Protocol
 
@@ -29,11 +29,15 @@ from estimation.tables.least_squares import collect
 from estimation.values.arrays import FloatArray
 from estimation.values.motion import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import BogieParameters
 from ingest.catalogue import default_catalogue
 from ingest.codec import decode, encode
 from ingest.frames import batch_of, concatenate
+from ingest.simulator.creep_laws import Creep, CreepLaw
+from ingest.simulator.curves import Curves
 from ingest.simulator.motion import simulate_wheelset
-from ingest.simulator.track import TrackTruth
+from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
+from ingest.simulator.track import Surface, TrackTruth
 
 
 class Tracer(Protocol):
@@ -131,6 +135,24 @@ def _simulator() -> Iterator[FloatArray]:
     yield np.array([simulate_wheelset(VehicleParameters(), table, track, speed[-6:], 1.0, initial=far).outside])
 
 
+def _running_gears() -> Iterator[FloatArray]:
+    s = np.linspace(0.0, 20.0, 41)
+    curves = Curves(1e-3 * np.sin(s / 5.0), 1e-2 * np.cos(s / 5.0))
+    surface = Surface(1e-3 * np.sin(s), 1.0 + 0.1 * np.sin(s), 1.0 + 0.2 * np.cos(s))
+    track = TrackTruth(s, 2e-3 * np.sin(s / 2.0), 1e-3 * np.cos(s / 3.0), curves, surface)
+    speed, cones = np.concatenate([np.zeros(4), np.linspace(0.0, 12.0, 40)]), Cones(np.zeros(1))
+    bogie = BogieParameters(2.5, frame_mass=2e3, frame_yaw_inertia=2e3, body_mass=1e4)
+    wheels = ((Wheel(1e-4, 1.0), Wheel()),) * 2
+    for law in CreepLaw:
+        gear = RunningGear(VehicleParameters(), bogie, Creep(law), wheels, traction=(1.0, 1.0), braking=(1.0, 1.0))
+        for motion in simulate_gear(gear, [cones, cones], track, speed, 5.0):
+            yield from (motion.lateral_displacement, motion.yaw, motion.mass_lateral_acceleration, motion.roll_rate)
+    (round_wheels,) = simulate_gear(RunningGear(VehicleParameters()), [cones], replace(track, surface=None), speed, 5.0)
+    yield round_wheels.lateral_displacement
+    far = simulate_gear(RunningGear(VehicleParameters()), [cones], track, speed[-6:], 5.0, initial=np.full(16, 0.1))
+    yield np.array([far[0].outside])
+
+
 def _stretches() -> Iterator[FloatArray]:
     rng = np.random.default_rng(6)
     n = 90
@@ -197,6 +219,7 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _moments,
     _frames,
     _simulator,
+    _running_gears,
 )
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
 from ingest.input_file import InputTable, Text, field_error
 from ingest.simulator.scenario import DrawnFleet, FleetWear, ProfilePair, WearDistribution
 from ingest.simulator.scenario_schema.profile_names import RailName, WheelName
@@ -155,6 +156,13 @@ class DrawnFleetTable(InputTable):
 
     def _vehicles(self) -> int:
         return self.vehicles if self.wheelsets is None else math.ceil(self.wheelsets / self.wheelsets_each)
+
+    def axles_without_bogie(self) -> int:
+        """Return how many wheelsets a vehicle has where that is an odd number; 0 where there is none."""
+        vehicles = self._vehicles()
+        places = vehicles * self.wheelsets_each if self.wheelsets is None else self.wheelsets
+        counts = [len(range(number, places, vehicles)) for number in range(vehicles)]
+        return next((count for count in counts if count % AXLES_OF_A_BOGIE), 0)
 
     def plan(self, folder: Path) -> DrawnFleet:
         """Return the fleet in SI units.

@@ -1,23 +1,19 @@
-"""The fleet: vehicles with their wheelsets, wear and faults, as listed; parameters and their errors."""
+"""The fleet: vehicles with their wheelsets, wear and faults, as listed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from estimation.contact.wear import WearFamily, wear_course
-from estimation.errors import ParameterError
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import BogieParameters
 from ingest.input_file import IncreasingNumbers, InputTable, NotNegative, Text, field_error
 from ingest.simulator.scenario import (
     Fault,
     FaultKind,
     SideFiles,
-    VehicleErrors,
     VehiclePlan,
     WheelsetPlan,
     usual_offsets,
@@ -33,34 +29,6 @@ def _fault_kind(kind: str) -> str:
     if kind not in tuple(FaultKind):
         raise field_error(f"{kind!r} is none of {', '.join(FaultKind)}")
     return kind
-
-
-def _known_parameters(given: dict[str, float]) -> dict[str, float]:
-    known = [item.name for item in fields(VehicleParameters)]
-    for key in given:
-        if key not in known:
-            raise field_error(f"unknown key; known here: {', '.join(known)}", key)
-    try:
-        VehicleParameters(**given)
-    except ParameterError as error:
-        raise field_error(error.reason, *([error.field] if error.field else [])) from error
-    return given
-
-
-def parameters_of(given: Mapping[str, float]) -> VehicleParameters:
-    """Return the parameters of the vehicles; the load is the whole axle load where the table has none.
-
-    Parameters
-    ----------
-    given
-        ``[dynamics]``.
-    """
-    parameters = VehicleParameters(**given)
-    return parameters if "load" in given else replace(parameters, load=parameters.axle_load)
-
-
-DynamicsTable = Annotated[dict[str, NotNegative], AfterValidator(_known_parameters)]
-"""``[dynamics]``: parameters of the vehicle by their names, in SI units."""
 
 
 class FleetTable(InputTable):
@@ -178,34 +146,32 @@ class VehicleTable(InputTable):
             raise field_error(f"{len(offsets)} offsets for {len(self.wheelsets)} wheelsets", "axle_offsets_m")
         return self
 
-    def offsets(self) -> tuple[float, ...]:
-        """Return the distances of the axles behind the position reference, m."""
-        return usual_offsets(len(self.wheelsets)) if self.axle_offsets_m is None else tuple(self.axle_offsets_m)
+    def offsets(self, bogie: BogieParameters | None) -> tuple[float, ...]:
+        """Return the distances of the axles behind the position reference, m.
 
-    def plan(self, folder: Path) -> VehiclePlan:
+        Parameters
+        ----------
+        bogie
+            Of the vehicles, where they have bogies.
+        """
+        if self.axle_offsets_m is None:
+            return usual_offsets(len(self.wheelsets), bogie)
+        return tuple(self.axle_offsets_m)
+
+    def plan(self, folder: Path, bogie: BogieParameters | None = None) -> VehiclePlan:
         """Return the vehicle in SI units.
 
         Parameters
         ----------
         folder
             Folder of the scenario file: relative file names start here.
+        bogie
+            Of the vehicles, where they have bogies.
         """
         return VehiclePlan(
             code=self.code,
             vehicle_class=self.vehicle_class,
             max_speed=KM_PER_HOUR * self.max_speed_km_h,
-            axle_offsets=self.offsets(),
+            axle_offsets=self.offsets(bogie),
             wheelsets=tuple(wheelset.plan(folder) for wheelset in self.wheelsets),
         )
-
-
-class VehicleErrorsTable(InputTable):
-    """``[vehicle_errors]``."""
-
-    creep_percent: float = Field(default=20.0, ge=0.0, le=50.0)
-    stiffness_percent: float = Field(default=10.0, ge=0.0, le=50.0)
-    mass_percent: float = Field(default=5.0, ge=0.0, le=50.0)
-
-    def plan(self) -> VehicleErrors:
-        """Return the limits as shares."""
-        return VehicleErrors(self.creep_percent / 100.0, self.stiffness_percent / 100.0, self.mass_percent / 100.0)

@@ -11,12 +11,20 @@ from scenario_text import SMALL
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.wear import TreadWear, worn
 from estimation.errors import ScenarioError
-from ingest.simulator.campaign import contact_of, scenario_track
+from ingest.simulator.campaign import (
+    axle_motions,
+    contact_of,
+    scenario_track,
+    together,
+    vehicle_run,
+    wheelset_motion,
+)
 from ingest.simulator.drawn_fleet import shares_of_wear, with_seed
 from ingest.simulator.fleet import prepare, run_fleet
 from ingest.simulator.profile_files import rails_of
 from ingest.simulator.scenario import Scenario, WheelsetPlan
 from ingest.simulator.scenario_file import read_scenario
+from ingest.simulator.scenario_schema.dynamics import impossible_bogies
 
 NO_GAUGE = SMALL.replace("gauge_std_mm = 0.5\nsurvey_alignment_std_mm = 0.1\nsurvey_gauge_std_mm = 0.2\n", "")
 DRAWN = NO_GAUGE[: NO_GAUGE.index("[[vehicles]]")]
@@ -265,3 +273,49 @@ def test_a_mirror_without_its_file_is_refused(tmp_path: Path, key: str) -> None:
     with pytest.raises(ScenarioError, match=f"needs '{key}'") as refused:
         scenario_of(tmp_path, NO_GAUGE.replace('name = "Short section"', f'name = "S"\n{key}_mirror = true'))
     assert refused.value.field == f"section.{key}_mirror"
+
+
+BOGIES = """[dynamics]
+arrangement = "bogie"
+yaw_stiffness = 2.5e6
+lateral_stiffness = 2e6
+[dynamics.bogie]
+wheelbase = 2.5
+frame_mass = 2600.0
+frame_yaw_inertia = 1500.0
+body_mass = 14000.0
+[fleet]"""
+
+
+def test_a_drawn_fleet_with_bogies_runs_two_wheelsets_in_each(tmp_path: Path) -> None:
+    fleet = f"[drawn_fleet]\nvehicles = 1\nwheelsets_each = 4\n{PAIR}deepest_wear_mm = 0.5\n"
+    scenario = scenario_of(tmp_path, (DRAWN + fleet).replace("[fleet]", BOGIES))
+    assert scenario.parameters.load == pytest.approx((1250.0 + 8300.0) * 9.81)
+    assert scenario.vehicles[0].axle_offsets == (0.0, 2.5, 19.0, 21.5)
+    track = scenario_track(scenario)
+    run = vehicle_run(scenario, track, scenario.vehicles[0], 0)
+    assert [together(scenario, scenario.vehicles[0], axle) for axle in (0, 3)] == [(0, 1), (2, 3)]
+    contacts = [contact_of(scenario, track, plan, 0.0).table for plan in scenario.vehicles[0].wheelsets[2:]]
+    front, rear = axle_motions(scenario, track, run, (2, 3), contacts)
+    assert front.frame_yaw is not None
+    np.testing.assert_array_equal(front.frame_yaw, rear.frame_yaw)
+    np.testing.assert_array_equal(wheelset_motion(scenario, track, run, 3).yaw, rear.yaw)
+    assert rear.distance[0] == pytest.approx(run.distance[0] - 21.5)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (("", ""), "3 wheelsets, bogies have two each"),
+        (('arrangement = "bogie"\n', ""), "arrangement = 'bogie' is needed beside it"),
+        (('"bogie"', '"tram"'), "'tram' is none of single_wheelset, bogie"),
+    ],
+)
+def test_bogies_that_do_not_fit_are_refused(tmp_path: Path, change: tuple[str, str], reason: str) -> None:
+    with pytest.raises(ScenarioError, match=reason):
+        scenario_of(tmp_path, SMALL.replace("[fleet]", BOGIES.replace(*change)))
+
+
+def test_the_axles_of_a_bogie_are_its_wheelbase_apart() -> None:
+    assert impossible_bogies((0.0, 2.5, 19.0, 21.5), 2.5) is None
+    assert impossible_bogies((0.0, 2.5, 19.0, 21.4), 2.5) is not None

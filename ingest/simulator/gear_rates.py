@@ -1,0 +1,321 @@
+"""Time derivative of a running gear: one or two wheelsets, the frame above them and what that carries, compiled.
+
+The wheelsets obey Eq. 1 and 2 of ``estimation.vehicle.equations_of_motion``, written for each wheel; with i = 1 at
+x_i = +a and i = 2 at -a (a half the wheelbase), frame (y_f, psi_f), body y_b and the curved path of ``gear_path``
+
+    F_i = ky (y_f + x_i psi_f - y_i - o_i) + fy (their rates)             on wheelset i instead of Fsy
+    M_i = -k_psi (psi_i + t_i - psi_f) - f_psi (their rates)              on wheelset i instead of Mpsi
+    m_f y_f''   = -sum F_i + G,   G = ks (y_b - y_f) + cs (y_b' - y_f')   m_b y_b'' = -G
+    I_f psi_f'' = -sum (x_i F_i + M_i) - k2 psi_f - c2 psi_f'
+
+One wheelset has a mass above it that does not yaw, and no body. Where the wheels roll freely (not with the linear law
+alone, whose angular velocity is V/r0), u = r0 omega - V is a state of every wheelset:
+
+    Iwy u'/r0 = -sum r Fx + r0 T - Iwy V'/r0 + (torque that turns the wheelset with the speed) = -sum r Fx + r0 T
+
+with T the traction force of the axle. A track that rolls by p (cross level) carries the wheelset along: the axle,
+r0 above the rails, is displaced by -r0 p, its roll is that of the contact plus p, and the load acts on it vertically.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from estimation.values.arrays import FloatArray
+from ingest.simulator.creep_laws import CreepConstants, share_of_linear
+from ingest.simulator.rates import STANDSTILL, Constants, Grid, compiled, look_up, track_at
+
+AXLE_STATES = 5  # y, y', psi, psi', u of each wheelset
+FRAME, BODY = 10, 14  # first state of the frame (y, y', psi, psi') and of the body (y, y')
+GEAR_STATES = 16
+AXLE_PATH = 7  # of each wheelset, see ``gear_path``
+FRAME_PATH = 2 * AXLE_PATH
+PATH = FRAME_PATH + 2
+PLACES = 6  # of the irregularities beside alignment and gauge: cross level, friction, load, each with its slope
+CONTACT = 8
+
+
+class GearConstants(NamedTuple):
+    """The parameters of a running gear by their symbols, as the compiled code takes them."""
+
+    axle: Constants
+    axles: int  # 1 or 2
+    half_base: float  # a, m
+    frame_mass: float
+    per_frame_inertia: float  # 1/I_f, 0 where the frame does not yaw
+    per_body_mass: float  # 1/m_b, 0 without a body
+    ks: float
+    cs: float
+    k2: float
+    c2: float
+    free_rolling: bool
+    traction: tuple[float, float]  # traction force of each axle over the acceleration, kg
+    braking: tuple[float, float]
+
+
+class Wheels(NamedTuple):
+    """Out-of-roundness of the wheels of two axles: left and right wheel of the first, then of the second."""
+
+    amplitude: tuple[float, float, float, float]  # m
+    phase: tuple[float, float, float, float]  # rad
+
+
+@compiled
+def place_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) -> None:
+    """Write cross level (rad), friction and load (both over their mean), each with its slope, into ``out`` (6,).
+
+    Parameters
+    ----------
+    coefficients
+        (m, 8) where the track has none of them, else (m, 20): splines of alignment, gauge deviation and these three.
+    grid
+        The grid of distance.
+    s
+        Distance, m.
+    out
+        (6,) written.
+    """
+    if coefficients.shape[1] == CONTACT:
+        out[0] = out[1] = out[3] = out[5] = 0.0
+        out[2] = out[4] = 1.0
+        return
+    i = min(max(int((s - grid.s0) / grid.interval), 0), len(coefficients) - 1)
+    h = s - grid.s0 - i * grid.interval
+    c = coefficients[i]
+    for k in range(3):
+        at = 8 + 4 * k
+        out[2 * k] = ((c[at] * h + c[at + 1]) * h + c[at + 2]) * h + c[at + 3]
+        out[2 * k + 1] = (3.0 * c[at] * h + 2.0 * c[at + 1]) * h + c[at + 2]
+
+
+@compiled
+def out_of_round(g: GearConstants, wheels: Wheels, axle: int, s: float, speed: float, contact: FloatArray) -> None:
+    """Add what wheels that are not round change to rolling radii, roll and roll rate in ``contact`` (8,).
+
+    Parameters
+    ----------
+    g
+        Of the running gear.
+    wheels
+        Amplitudes and phases.
+    axle
+        0 or 1.
+    s
+        Distance of the axle, m.
+    speed
+        m/s.
+    contact
+        (8,) changed.
+    """
+    left, right = wheels.amplitude[2 * axle], wheels.amplitude[2 * axle + 1]
+    if left == 0.0 and right == 0.0:
+        return
+    angle, c = s / g.axle.r0, g.axle
+    at_left, at_right = angle + wheels.phase[2 * axle], angle + wheels.phase[2 * axle + 1]
+    more_left, more_right = left * math.sin(at_left), right * math.sin(at_right)
+    contact[0] += more_left
+    contact[1] += more_right
+    contact[4] += (more_left - more_right) / (2.0 * c.half)
+    contact[7] += speed / c.r0 * (left * math.cos(at_left) - right * math.cos(at_right)) / (2.0 * c.half)
+
+
+@compiled
+def gear_rates(
+    g: GearConstants,
+    creep: CreepConstants,
+    wheels: Wheels,
+    tables: tuple[FloatArray, FloatArray],
+    grids: tuple[Grid, Grid],
+    coefficients: FloatArray,
+    speed: float,
+    slope: float,
+    s: float,
+    path: FloatArray,
+    state: FloatArray,
+    rates: FloatArray,
+    contact: FloatArray,
+    track: FloatArray,
+    place: FloatArray,
+) -> int:
+    """Write the time derivative of ``state`` (16,) into ``rates`` (16,); return a bit for each axle outside its table.
+
+    Parameters
+    ----------
+    g, creep, wheels
+        Parameters of the running gear.
+    tables, grids
+        (n, g, 7) contact geometry of both axles, and the grids of table and track.
+    coefficients
+        (m, 8) or (m, 20) splines of the track.
+    speed, slope
+        m/s, and by which it rises, m/s^2.
+    s
+        Distance of the first axle, m.
+    path
+        (16,) of the curved path.
+    state
+        (16,) in SI.
+    rates
+        (16,) written.
+    contact
+        (2, 8) written: looked-up values and roll rate of each axle, with cross level.
+    track
+        (2, 4) written: alignment at the height of the axle, its slope, gauge deviation, its slope.
+    place
+        (6,) work space.
+    """
+    outside = 0
+    force = moment = yaw = 0.0
+    for axle in range(g.axles):
+        at = s - 2.0 * g.half_base * axle
+        first = AXLE_STATES * axle
+        here, under = contact[axle], track[axle]
+        track_at(coefficients, grids[axle], at, under)
+        place_at(coefficients, grids[axle], at, place)
+        under[0] -= g.axle.r0 * place[0]
+        under[1] -= g.axle.r0 * place[1]
+        if not look_up(tables[axle], grids[axle], state[first] - under[0], under[2], here):
+            outside += 1 << axle
+        x = g.half_base if axle == 0 else -g.half_base
+        suspension, turned = suspended(g, x, path[AXLE_PATH * axle :], state[first : first + 4], state)
+        force += suspension
+        moment += x * suspension
+        yaw += turned
+        if speed < STANDSTILL:
+            here[7] = 0.0
+            here[4] += place[0]
+            rates[first : first + AXLE_STATES] = 0.0
+            continue
+        here[7] = here[5] * (state[first + 1] - speed * under[1]) + here[6] * speed * under[3] + speed * place[1]
+        here[4] += place[0]
+        out_of_round(g, wheels, axle, at, speed, here)
+        mass = g.traction[axle] if slope > 0.0 else g.braking[axle]
+        wheelset(
+            g, creep, speed, mass * slope, path[AXLE_PATH * axle :], place, here, suspension, turned,
+            state[first : first + AXLE_STATES], rates[first : first + AXLE_STATES],
+        )  # fmt: skip
+    carried(g, path, force, moment + yaw, state, rates)
+    return outside
+
+
+@compiled
+def suspended(g: GearConstants, x: float, path: FloatArray, axle: FloatArray, state: FloatArray) -> tuple[float, float]:
+    """Return lateral force (N) and yaw moment (N m) of the suspension on a wheelset.
+
+    Parameters
+    ----------
+    g
+        Of the running gear.
+    x
+        Place of the axle ahead of the middle of the frame, m.
+    path
+        Of this axle, and what follows.
+    axle
+        (4,) y, y', psi, psi' of the wheelset.
+    state
+        (16,) of the running gear.
+    """
+    c = g.axle
+    deflection = state[FRAME] + x * state[FRAME + 2] - axle[0] - path[3]
+    rate = state[FRAME + 1] + x * state[FRAME + 3] - axle[1] - path[4]
+    turned, turning = axle[2] + path[5] - state[FRAME + 2], axle[3] + path[6] - state[FRAME + 3]
+    return c.ky * deflection + c.fy * rate, -c.k_psi * turned - c.f_psi * turning
+
+
+@compiled
+def wheelset(
+    g: GearConstants,
+    creep: CreepConstants,
+    speed: float,
+    traction: float,
+    path: FloatArray,
+    place: FloatArray,
+    contact: FloatArray,
+    suspension: float,
+    turned: float,
+    state: FloatArray,
+    rates: FloatArray,
+) -> None:
+    """Write the time derivative of one wheelset (5,) into ``rates`` (5,).
+
+    Parameters
+    ----------
+    g, creep
+        Parameters of the running gear.
+    speed
+        m/s, above ``STANDSTILL``.
+    traction
+        Force of the axle, N, negative in braking.
+    path
+        Of this axle, and what follows.
+    place
+        (6,) cross level, friction and load, each with its slope.
+    contact
+        (8,) rolling radii, contact angles, roll and its slopes, roll rate; m and rad.
+    suspension, turned
+        Force and moment of the suspension, N and N m.
+    state
+        (5,) y, y', psi, psi', u.
+    rates
+        (5,) written.
+    """
+    c, per_speed = g.axle, 1.0 / speed
+    v, psi, psi_rate, roll, roll_rate = state[1], state[2], state[3], contact[4], contact[7]
+    rolling = (1.0 + state[4] * per_speed) / c.r0
+    turn = (psi_rate + speed * path[2]) * per_speed
+    load = c.load * place[4]
+    creep_share, bound = place[4] ** (2.0 / 3.0), creep.friction * place[2] * 0.5 * load
+    f11, f22, f23, f33 = creep_share * c.f11, creep_share * c.f22, place[4] * c.f23, creep_share**2 * c.f33
+    longitudinal = lateral = moment = braking = 0.0
+    for side in range(2):
+        out = 1.0 if side == 0 else -1.0
+        radius, angle = contact[side], contact[2 + side]
+        along = 1.0 - radius * rolling - out * c.half * turn
+        across = (v + radius * roll_rate) * per_speed - psi
+        spin = turn - out * angle / c.r0
+        fx, fy = -f11 * along, -f22 * across - f23 * spin
+        share = 1.0
+        if creep.law != 0:
+            slip = speed * math.sqrt(along * along + across * across)
+            share = share_of_linear(creep, math.sqrt(fx * fx + fy * fy), bound, slip)
+        longitudinal += share * fx
+        lateral += share * fy
+        moment += share * (f23 * across - f33 * spin - out * c.half * fx)
+        braking += share * radius * fx
+    A, D = contact[2] + contact[3], contact[2] - contact[3]
+    force = lateral + longitudinal * psi - load * (0.5 * D + roll) + suspension
+    moment += 0.5 * c.half * load * A * psi - (c.pitch_inertia * speed / c.r0) * roll_rate + turned
+    rates[0], rates[1] = v, force / c.mass + path[0]
+    rates[2], rates[3] = psi_rate, moment / c.inertia + path[1]
+    rates[4] = (c.r0 * traction - braking) * c.r0 / c.pitch_inertia if g.free_rolling else 0.0
+
+
+@compiled
+def carried(
+    g: GearConstants, path: FloatArray, force: float, moment: float, state: FloatArray, rates: FloatArray
+) -> None:
+    """Write the time derivative of frame and body into ``rates`` (16,).
+
+    Parameters
+    ----------
+    g
+        Of the running gear.
+    path
+        (16,) of the curved path.
+    force, moment
+        Of the primary suspensions on the wheelsets: sum of the forces, and of their moments about the frame's middle.
+    state
+        (16,) in SI.
+    rates
+        (16,) written.
+    """
+    y, v, psi, psi_rate = state[FRAME], state[FRAME + 1], state[FRAME + 2], state[FRAME + 3]
+    above = 0.0
+    if g.per_body_mass > 0.0:
+        above = g.ks * (state[BODY] - y) + g.cs * (state[BODY + 1] - v)
+        rates[BODY], rates[BODY + 1] = state[BODY + 1], path[FRAME_PATH] - above * g.per_body_mass
+    rates[FRAME], rates[FRAME + 1] = v, path[FRAME_PATH] + (above - force) / g.frame_mass
+    if g.per_frame_inertia > 0.0:
+        rates[FRAME + 2] = psi_rate
+        rates[FRAME + 3] = path[FRAME_PATH + 1] - (moment + g.k2 * psi + g.c2 * psi_rate) * g.per_frame_inertia

@@ -1,0 +1,246 @@
+"""A running gear on a track: the motion of a bogie's two wheelsets, or of one wheelset below its mass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimation.errors import ParameterError
+from estimation.values.arrays import FloatArray
+from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters, creep_rate
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
+from ingest.simulator.creep_laws import Creep, CreepLaw
+from ingest.simulator.gear_path import gear_path
+from ingest.simulator.gear_rates import (
+    AXLE_STATES,
+    BODY,
+    FRAME,
+    GEAR_STATES,
+    PATH,
+    GearConstants,
+    Wheels,
+)
+from ingest.simulator.gear_stepping import GEAR_OUTPUTS, integrate_gear
+from ingest.simulator.motion import (
+    RATE_LIMIT,
+    STEP,
+    ContactGeometryTable,
+    PreparedTable,
+    WheelsetMotion,
+    constants,
+    course,
+)
+from ingest.simulator.rates import Grid
+from ingest.simulator.stepping import sub_steps, time_derivative
+from ingest.simulator.track import TrackTruth
+
+
+@dataclass(frozen=True, slots=True)
+class Wheel:
+    """How far a wheel is from a circle: its radius varies once per revolution."""
+
+    amplitude: float = 0.0  # m
+    phase: float = 0.0  # rad, where the run begins to count distance
+
+
+@dataclass(frozen=True, slots=True)
+class RunningGear:
+    """One or two wheelsets with what is above them, and how their wheels roll.
+
+    ``parameters`` are those of one wheelset. Without ``bogie`` its suspended mass is above it, which does not yaw.
+    The share of the traction (braking) force of the vehicle on each axle is over that of an even distribution; None:
+    the speed is forced, and uses no creep.
+    """
+
+    parameters: VehicleParameters
+    bogie: BogieParameters | None = None
+    creep: Creep = field(default_factory=Creep)
+    wheels: tuple[tuple[Wheel, Wheel], ...] = ()  # left and right of each axle; empty: round
+    traction: tuple[float, ...] | None = None
+    braking: tuple[float, ...] | None = None
+
+    @property
+    def axles(self) -> int:
+        """How many wheelsets there are."""
+        return 1 if self.bogie is None else AXLES_OF_A_BOGIE
+
+    @property
+    def places(self) -> tuple[float, ...]:
+        """How far each axle is ahead of the middle, m."""
+        half = 0.0 if self.bogie is None else 0.5 * self.bogie.wheelbase
+        return (0.0,) if self.bogie is None else (half, -half)
+
+    @property
+    def free_rolling(self) -> bool:
+        """Whether the angular velocity of the wheels follows from creep; with the linear law alone it is V/r0."""
+        return self.creep.law is not CreepLaw.LINEAR or self.traction is not None
+
+    def constants(self) -> GearConstants:
+        """Return the parameters as the compiled loop takes them."""
+        p, b = self.parameters, self.bogie
+        mass = p.load / GRAVITY
+        driving, braking = (_of_two(shares, mass) for shares in (self.traction, self.braking))
+        axle, rolling = constants(p), self.free_rolling
+        if b is None:
+            none = 0.0
+            mass_above = p.suspended_mass
+            return GearConstants(
+                axle, 1, none, mass_above, none, none, none, none, none, none, rolling, driving, braking
+            )
+        return GearConstants(
+            axle=axle,
+            axles=AXLES_OF_A_BOGIE,
+            half_base=0.5 * b.wheelbase,
+            frame_mass=b.frame_mass,
+            per_frame_inertia=1.0 / b.frame_yaw_inertia,
+            per_body_mass=1.0 / b.body_mass,
+            ks=b.secondary_lateral_stiffness,
+            cs=b.secondary_lateral_damping,
+            k2=b.secondary_yaw_stiffness,
+            c2=b.secondary_yaw_damping,
+            free_rolling=rolling,
+            traction=driving,
+            braking=braking,
+        )
+
+    def fastest_mode(self) -> float:
+        """Return a bound of the natural angular frequencies and decay rates without creep, 1/s."""
+        p, b = self.parameters, self.bogie
+        above, inertia = (p.suspended_mass, np.inf) if b is None else (b.frame_mass, b.frame_yaw_inertia)
+        arm = 0.0 if b is None else 0.5 * b.wheelbase
+        inverse = [1.0 / p.wheelset_mass + self.axles * (1.0 / above + arm**2 / inertia)]
+        inverse.append(1.0 / p.yaw_inertia + self.axles / inertia)
+        springs, dampers = (p.lateral_stiffness, p.yaw_stiffness), (p.lateral_damping, p.yaw_damping)
+        pairs = zip(inverse, springs, dampers, strict=True)
+        return float(max(np.sqrt(one * spring) + one * damper for one, spring, damper in pairs))
+
+
+def simulate_gear(
+    gear: RunningGear,
+    tables: Sequence[ContactGeometryTable | PreparedTable],
+    track: TrackTruth,
+    speed: FloatArray,
+    start: float,
+    *,
+    initial: FloatArray | None = None,
+) -> tuple[WheelsetMotion, ...]:
+    """Run a running gear along ``track``, its first axle from distance ``start`` (m); return the motion of each axle.
+
+    As ``ingest.simulator.motion.simulate_wheelset``. The mass that a node measures is in a bogie the frame above its
+    axle: y_f + x_i psi_f.
+
+    Parameters
+    ----------
+    gear
+        What runs.
+    tables
+        Contact geometry of each axle.
+    track
+        Alignment, gauge deviation and curves along the track.
+    speed
+        (n,) m/s every ``STEP`` s.
+    start
+        Distance of the first axle at the first sample, m.
+    initial
+        (16,) states at the first sample in the order of ``gear_rates``; None to start at rest relative to the track.
+
+    Raises
+    ------
+    ParameterError
+        Speed that is negative or not finite, or an axle leaves the track; another number of tables than of axles.
+    """
+    if len(tables) != gear.axles:
+        raise ParameterError(f"{len(tables)} for {gear.axles} wheelsets", field="tables")
+    speed = np.ascontiguousarray(speed, dtype=np.float64)
+    prepared = [table if isinstance(table, PreparedTable) else PreparedTable.of(table) for table in tables]
+    courses = [course(track, speed, start - gear.places[0] + x) for x in gear.places]
+    coefficients = track.spline_coefficients()
+    path, sensed = np.zeros((1, PATH)), None
+    if track.curves is not None:
+        middle = courses[0] - gear.places[0]
+        path, sensed = gear_path(gear.parameters, track.curves, track.s, middle, speed, STEP, gear.places)
+    out, outside = np.empty((AXLES_OF_A_BOGIE, len(GEAR_OUTPUTS), len(speed))), np.zeros(AXLES_OF_A_BOGIE, np.int64)
+    integrate_gear(
+        gear.constants(),
+        gear.creep.constants(),
+        _wheels(gear),
+        (prepared[0].nodes, prepared[-1].nodes),
+        (_grid(prepared[0], track), _grid(prepared[-1], track)),
+        coefficients,
+        speed,
+        courses[0],
+        path,
+        STEP,
+        _parts(gear, speed),
+        _start(gear, track, start, float(speed[0])) if initial is None else np.array(initial, np.float64),
+        out,
+        outside,
+    )
+    return tuple(
+        _motion(gear, out[axle], speed, courses[axle], int(outside[axle]), None if sensed is None else sensed[axle])
+        for axle in range(gear.axles)
+    )
+
+
+def _motion(
+    gear: RunningGear, out: FloatArray, speed: FloatArray, distance: FloatArray, outside: int, sensed: FloatArray | None
+) -> WheelsetMotion:
+    named = dict(zip(GEAR_OUTPUTS, out, strict=True))
+    frame_yaw = named.pop("frame_yaw")
+    return WheelsetMotion(
+        t=STEP * np.arange(len(speed), dtype=np.float64),
+        distance=distance,
+        speed=speed,
+        roll_acceleration=time_derivative(named["roll_rate"], STEP),
+        outside=outside,
+        path_accelerations=sensed,
+        frame_yaw=None if gear.bogie is None else frame_yaw,
+        **named,
+    )
+
+
+def _grid(table: PreparedTable, track: TrackTruth) -> Grid:
+    return Grid(table.x0, 1 / table.x_step, table.e0, 1 / table.e_step, float(track.s[0]), track.interval)
+
+
+def _parts(gear: RunningGear, speed: FloatArray) -> np.ndarray:
+    p = gear.parameters
+    rate = creep_rate(p, 1.0)
+    if gear.free_rolling:
+        rate = max(rate, 2.0 * p.longitudinal_creep_coefficient * p.nominal_radius**2 / p.pitch_inertia)
+    fewest = int(np.ceil(gear.fastest_mode() * STEP / RATE_LIMIT))
+    return np.maximum(sub_steps(speed, STEP, rate, RATE_LIMIT), fewest)
+
+
+def _of_two(shares: tuple[float, ...] | None, mass: float) -> tuple[float, float]:
+    """Return the mass that each axle accelerates, kg; 0 where the speed is forced."""
+    if shares is None:
+        return 0.0, 0.0
+    return mass * shares[0], mass * shares[-1]
+
+
+def _wheels(gear: RunningGear) -> Wheels:
+    axles = gear.wheels or ((Wheel(), Wheel()),)
+    (a, b), (c, d) = axles[0], axles[-1]
+    return Wheels(
+        (a.amplitude, b.amplitude, c.amplitude, d.amplitude),
+        (a.phase, b.phase, c.phase, d.phase),
+    )
+
+
+def _start(gear: RunningGear, track: TrackTruth, start: float, speed: float) -> FloatArray:
+    """Return the states (16,) of a gear at rest relative to the track: wheelsets on its line, all else along it."""
+    state = np.zeros(GEAR_STATES)
+    at = [start - gear.places[0] + x for x in gear.places]
+    offset, slope = track.line_at(np.array(at))
+    for axle in range(gear.axles):
+        first = AXLE_STATES * axle
+        state[first : first + 3] = offset[axle], speed * slope[axle], slope[axle]
+    state[FRAME], state[FRAME + 1] = offset.mean(), speed * slope.mean()
+    if gear.bogie is not None:
+        state[FRAME + 2] = (offset[0] - offset[1]) / gear.bogie.wheelbase
+        state[FRAME + 3] = speed * (slope[0] - slope[1]) / gear.bogie.wheelbase
+        state[BODY], state[BODY + 1] = state[FRAME], state[FRAME + 1]
+    return state
