@@ -1,4 +1,7 @@
-"""Accelerations of a window integrated once and twice, segment by segment; done once and handed on."""
+"""Accelerations of a window integrated once and twice, segment by segment; done once and handed on.
+
+A lateral accelerometer that rolls by phi measures y'' + g phi; where it does, the roll of the wheelset is taken out.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import numpy as np
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.windows import ACCELERATIONS, Window
+from estimation.vehicle.equations_of_motion import GRAVITY
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +31,7 @@ class IntegratedSegment:
     rates: FloatArray  # (4, m) m/s and rad/s
     displacements: FloatArray  # (4, m) m and rad
     frame_yaw: FloatArray | None = None  # (3, m) rad/s2, rad/s, rad: of the bogie frame; None without a bogie
+    level: bool = False  # gravity has been taken out of the lateral signals: the track may roll
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,13 +155,14 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
         measured.append(window.frame_yaw_acceleration)
     accelerations = np.stack([bridged(values[part], known) for values in measured])
     accelerations -= accelerations.mean(axis=1, keepdims=True)
-    rates = _running_integrals(accelerations, dt)
-    t = np.arange(len(known))
-    centred = t - t.mean()
-    rates -= rates.mean(axis=1, keepdims=True) + np.outer(rates @ centred / (centred @ centred), centred)
+    rates = _detrended_integrals(accelerations, dt)
+    displacements = _running_integrals(rates, dt)
+    if window.measures_gravity:
+        accelerations[_LATERAL] -= GRAVITY * displacements[_ROLL]
+        rates[_LATERAL] = _detrended_integrals(accelerations[_LATERAL], dt)
+        displacements[_LATERAL] = _running_integrals(rates[_LATERAL], dt)
     speed = bridged(window.speed[part], known)
     (run,) = _running_integrals(speed[None, :], dt)
-    displacements = _running_integrals(rates, dt)
     own = slice(0, len(ACCELERATIONS))
     of_frame = [values[-1] for values in (accelerations, rates, displacements)]
     return IntegratedSegment(
@@ -168,7 +174,21 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
         rates[own],
         displacements[own],
         None if window.frame_yaw_acceleration is None else np.stack(of_frame),
+        window.measures_gravity,
     )
+
+
+_ROLL = ACCELERATIONS.index("roll_acceleration")
+_LATERAL = [ACCELERATIONS.index("lateral_acceleration"), ACCELERATIONS.index("mass_lateral_acceleration")]
+
+
+def _detrended_integrals(accelerations: FloatArray, dt: float) -> FloatArray:
+    """Return running integrals (m, n) without their mean and straight line."""
+    rates = _running_integrals(accelerations, dt)
+    t = np.arange(rates.shape[1])
+    centred = t - t.mean()
+    line = np.outer(rates @ centred / (centred @ centred), centred)
+    return np.asarray(rates - rates.mean(axis=1, keepdims=True) - line)
 
 
 def _running_integrals(values: FloatArray, dt: float) -> FloatArray:

@@ -19,6 +19,7 @@ import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.bogie_long_waves import BogieYaws, long_waves_in_bogie
+from estimation.motion.cross_level import at_rail_level
 from estimation.motion.fusion_parameters import FusionParameters
 from estimation.motion.integration import IntegratedSegment
 from estimation.values.arrays import FloatArray
@@ -169,7 +170,7 @@ def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatA
     return MotionSignals(
         run=segment.run if run is None else run,
         speed=V,
-        displacement=y,
+        displacement=at_rail_level(y, φ, p.nominal_radius) if segment.level else y,
         difference=np.asarray(per_moment * moment),
         stiffness_term=np.asarray(per_moment * stiffness_term),
         rolling_yaw=np.asarray(rolling_velocity / V),

@@ -21,6 +21,7 @@ from estimation.motion.checks import (
     position_jumps,
     to_wheelset_axes,
 )
+from estimation.motion.cross_level import relative_displacement
 from estimation.motion.integration import IntegratedSegment, IntegratedWindow, bridged, integrate
 from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.track_lookup import alignment_at, gauge_shift
@@ -41,6 +42,7 @@ def motion(
     layout: TrackLayout | None = None,
     gauge_shift: FloatArray | None = None,
     earlier: IntegratedWindow | None = None,
+    radius: float = 0.45,
 ) -> Motion | Reason:
     """Return the band-limited motion of ``window`` relative to ``track``, or why it cannot be had.
 
@@ -59,6 +61,8 @@ def motion(
         (n,) m, by how much the gauge moves the wheelset, NaN where the table does not reach; None without a table.
     earlier
         The same accelerations and speeds, integrated before.
+    radius
+        Nominal rolling radius, m: the height of the axle.
     """
     cutoff_wavelength = min(parameters.cutoff_wavelength, track.cutoff_wavelength)
     d = alignment_at(window.distance, track, cutoff_wavelength)
@@ -71,7 +75,7 @@ def motion(
         return refusal
     dt = window.sample_interval_s
     integrated = integrate(window, usable.samples, parameters, round(parameters.modelled_gap_s / dt), earlier)
-    signals, valid = _filtered(integrated, d, replace(parameters, cutoff_wavelength=cutoff_wavelength))
+    signals, valid = _filtered(integrated, d, replace(parameters, cutoff_wavelength=cutoff_wavelength), radius)
     refusal = _too_little(valid, integrated, usable, parameters)
     if refusal is not None:
         return refusal
@@ -95,7 +99,7 @@ def _unusable(
 
 
 def _filtered(
-    integrated: IntegratedWindow, d: FloatArray, parameters: SignalParameters
+    integrated: IntegratedWindow, d: FloatArray, parameters: SignalParameters, radius: float
 ) -> tuple[dict[str, FloatArray], BoolArray]:
     """Return the named signals of a motion, NaN outside the segments, and which samples of them count (n,)."""
     n, dt = len(d), integrated.window.sample_interval_s
@@ -106,7 +110,7 @@ def _filtered(
     for segment in integrated.segments:
         part, known = segment.part, segment.known
         fast = remove_wander(
-            _relative_to(d[part], segment),
+            _relative_to(d[part], segment, radius),
             segment.run,
             known,
             parameters.cutoff_wavelength,
@@ -148,7 +152,7 @@ def _too_little(
     return None
 
 
-def _relative_to(d: FloatArray, segment: IntegratedSegment) -> FloatArray:
+def _relative_to(d: FloatArray, segment: IntegratedSegment, radius: float) -> FloatArray:
     """Return accelerations, rates and displacements (10, m) of one segment in the order of ``_FILTERED``.
 
     In a bogie yaw, yaw rate and lateral displacement of the frame follow.
@@ -158,7 +162,8 @@ def _relative_to(d: FloatArray, segment: IntegratedSegment) -> FloatArray:
     ddy, ddψ = segment.accelerations[:2]
     along = bridged(d, np.isfinite(d))
     of_frame = [] if segment.frame_yaw is None else [segment.frame_yaw[2], segment.frame_yaw[1], ym]
-    return np.stack([y - along, dy, ddy, ψ, dψ, ddψ, φ, dφ, ym - y, dym - dy, *of_frame])
+    relative = relative_displacement(y - along, φ, radius) if segment.level else y - along
+    return np.stack([relative, dy, ddy, ψ, dψ, ddψ, φ, dφ, ym - y, dym - dy, *of_frame])
 
 
 NO_ALIGNMENT = Reason(ReasonCode.ALIGNMENT_UNKNOWN, "the alignment of the track section is not known yet")
@@ -212,7 +217,7 @@ def window_motion(
     if correction is not None:
         window = replace(window, distance=correction.at(window.distance))
     shift = gauge_shift(window, track, parameters.vehicle, parameters.signals, integrated)
-    return motion(window, track, parameters.signals, layout, shift, integrated)
+    return motion(window, track, parameters.signals, layout, shift, integrated, parameters.vehicle.nominal_radius)
 
 
 def _checked(window: Window, parameters: WindowParameters) -> IntegratedWindow | Reason:

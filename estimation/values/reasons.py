@@ -41,6 +41,10 @@ class ReasonCode(StrEnum):
     INTERRUPTED = "interrupted", "No uninterrupted run of samples is long enough for the filters."
     TOO_FEW_USABLE = "too_few_usable", "Too few samples are left after filtering."
     OUTSIDE_BINS = "outside_bins", "No lateral displacement is within the range of the bins."
+    FRAME_UNKNOWN = (
+        "frame_unknown",
+        "The yaw of the bogie frame is not known: the other node of the bogie has no window. Check its sensors.",
+    )
     # position and pass
     POSITION_UNCERTAIN = "position_uncertain", "The position along the section could not be confirmed."
     PASS_TOO_SHORT = "pass_too_short", "The pass is shorter than the filters need."

@@ -34,7 +34,8 @@ class Window:
     recordings were cut. ``distance`` is the position of the wheelset (not of the vehicle's antenna) along the track
     section. ``resolution`` holds the SI value of one count of each acceleration, in the order of the fields: the
     accelerations are whole multiples of it. The yaw acceleration of a bogie frame is not measured by the node: it
-    follows from both nodes of the bogie, is NaN where either is not valid, and is not stored.
+    follows from both nodes of the bogie, is NaN where either is not valid, and is not stored; nor is
+    ``measures_gravity``, which is a fact of the vehicle class.
     """
 
     wheelset: str
@@ -55,6 +56,7 @@ class Window:
     odometer_m: float  # vehicle odometer at the start of the window
     quality: WindowQuality
     frame_yaw_acceleration: FloatArray | None = None  # (n,) rad/s2, of the bogie frame; None without a bogie
+    measures_gravity: bool = False  # lateral accelerations are specific forces: g times the roll is in them
 
     def __post_init__(self) -> None:
         n = len(self.valid)

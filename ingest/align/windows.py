@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -192,6 +193,7 @@ def _window(
     accelerations = np.full((4, len(valid)), np.nan)
     accelerations[:, slot[good]] = node.block.values[span][good].T
     accelerations.flags.writeable = False
+    named: dict[str, Any] = dict(zip(ACCELERATIONS, accelerations, strict=True))
     window = Window(
         wheelset=mounting.wheelset,
         vehicle=samples.vehicle,
@@ -199,7 +201,7 @@ def _window(
         start_ns=extent[0],
         length_ns=extent[1],
         sample_interval_s=samples.interval_ns * 1e-9,
-        **dict(zip(ACCELERATIONS, accelerations, strict=True)),
+        **named,
         speed=motion.speed,
         distance=distance,
         valid=valid,
