@@ -9,6 +9,7 @@ from pathlib import Path
 from estimation.errors import ScenarioError
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
+from ingest.simulator.class_on_file import ClassOnFile
 from ingest.simulator.sensors import SensorNode
 from ingest.simulator.track import TrackRecipe
 
@@ -291,6 +292,7 @@ class Scenario:
     drawn: DrawnFleet | None = None  # where ``vehicles`` follow from, with the seed
     vehicle_errors: VehicleErrors | None = None  # None: vehicles have ``parameters`` exactly
     bogie: BogieParameters | None = None  # None: single wheelsets
+    class_on_file: ClassOnFile | None = None  # None: that of ``parameters``
 
     @property
     def pair(self) -> str:

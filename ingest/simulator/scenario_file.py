@@ -21,6 +21,7 @@ from ingest.simulator.campaign import MARGIN
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.profile_files import rail_in, wheel_in
 from ingest.simulator.scenario import Scenario
+from ingest.simulator.scenario_schema.class_on_file import ClassOnFileTable
 from ingest.simulator.scenario_schema.drawn_fleet import DrawnFleetTable
 from ingest.simulator.scenario_schema.dynamics import DynamicsTable, VehicleErrorsTable, impossible_bogies
 from ingest.simulator.scenario_schema.fleet import FleetTable, VehicleTable
@@ -49,6 +50,7 @@ class ScenarioTable(InputTable):
     vehicles: list[VehicleTable] = Field(default_factory=list)
     drawn_fleet: DrawnFleetTable | None = None
     vehicle_errors: VehicleErrorsTable | None = None
+    class_on_file: ClassOnFileTable | None = None
 
     @model_validator(mode="after")
     def _check_fleet(self) -> Self:
@@ -135,6 +137,7 @@ class ScenarioTable(InputTable):
             drawn=None if self.drawn_fleet is None else self.drawn_fleet.plan(folder),
             vehicle_errors=None if self.vehicle_errors is None else self.vehicle_errors.plan(),
             bogie=bogie,
+            class_on_file=None if self.class_on_file is None else self.class_on_file.plan(folder),
         )
         return with_seed(scenario, self.seed)
 

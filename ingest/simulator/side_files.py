@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,6 +18,7 @@ import numpy as np
 from estimation.values.arrays import FloatArray
 from estimation.values.json_value import JsonValue
 from ingest.simulator.campaign import failed
+from ingest.simulator.class_on_file import ClassOnFile
 from ingest.simulator.scenario import Scenario, SectionPlan, VehiclePlan, WheelsetPlan
 from ingest.simulator.track import TrackTruth, write_track
 from ingest.simulator.wear import GeometryTruth, WearState, wear_at, worn_profiles
@@ -79,6 +81,8 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
         ],
         "track_sections": [_section(section, length, track_file)],
     }
+    if scenario.class_on_file is not None:
+        content["vehicle_classes"] = [_class_file(folder, scenario.class_on_file)]
     if scenario.drawn is not None and scenario.drawn.profiles_measured:
         content["measured_profiles"] = _measured_profiles(folder, scenario, scenario.drawn.profiles_measured)
     return write_json(folder / REGISTRY_FILE, content)
@@ -169,23 +173,35 @@ def _measured_profiles(folder: Path, scenario: Scenario, count: int) -> list[Jso
     return entries
 
 
+def _class_file(folder: Path, on_file: ClassOnFile) -> JsonValue:
+    """Write the class file beside the registry, and return its entry."""
+    shutil.copyfile(on_file.path, folder / on_file.path.name)
+    return {"file": on_file.path.name}
+
+
 def _vehicle(scenario: Scenario, plan: VehiclePlan) -> JsonValue:
+    on_file = scenario.class_on_file
+    code, offsets = plan.vehicle_class, plan.axle_offsets
+    if on_file is not None:
+        code, offsets = on_file.vehicle_class.code, on_file.axle_offsets(offsets)
     return {
         "code": plan.code,
         "fleet": scenario.fleet_code,
-        "vehicle_class": plan.vehicle_class,
+        "vehicle_class": code,
         "axles": len(plan.wheelsets),
         "max_speed_km_h": round(3.6 * plan.max_speed, 6),
-        "axle_offsets_m": list(plan.axle_offsets),
+        "axle_offsets_m": list(offsets),
     }
 
 
 def _wheelset(scenario: Scenario, plan: WheelsetPlan) -> JsonValue:
+    on_file = scenario.class_on_file
+    radius = None if on_file is None else on_file.nominal_radius
     return {
         "serial": plan.serial,
         "fleet": scenario.fleet_code,
         "wheel_profile": plan.wheel_profile,
-        "nominal_radius_mm": round(1e3 * plan.nominal_radius, 6),
+        "nominal_radius_mm": round(1e3 * (plan.nominal_radius if radius is None else radius), 6),
     }
 
 

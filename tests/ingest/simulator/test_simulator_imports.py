@@ -19,6 +19,7 @@ ALLOWED = (
     "ingest.profiles",
     "ingest.simulator",
     "ingest.track_file",
+    "ingest.vehicle_class_file",
 )
 
 
