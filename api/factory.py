@@ -16,11 +16,11 @@ from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from fleet_db.raw import RawStore
 from fleet_db.revisions import check_head
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
+from ingest.vehicle_class_file import class_of_package
 
 if TYPE_CHECKING:
     import uvicorn
@@ -55,7 +55,7 @@ def open_store(settings: Settings) -> SqlStorage:
     StorageError
         The database cannot be reached.
     """
-    storage = SqlStorage(database_engine(settings.url), settings.data_dir)
+    storage = SqlStorage(database_engine(settings.url), settings.data_dir, class_of_package)
     try:
         check_head(storage.engine)
     except Exception:
@@ -94,17 +94,15 @@ def job_context(
 
 
 def estimation_settings(settings: Settings) -> EstimationSettings:
-    """Return the settings of estimation that this deployment asks for; W is the whole axle load unless it sets another.
+    """Return the settings of estimation that this deployment asks for.
 
     Raises
     ------
     ParameterError
         The catalogue has no estimator of that name; names the environment variable and lists the estimators.
     """
-    vehicle = VehicleParameters()
-    load = vehicle.axle_load if settings.axle_load_n is None else settings.axle_load_n
     try:
-        return EstimationSettings(estimator=settings.estimator, vehicle=replace(vehicle, load=load))
+        return EstimationSettings(estimator=settings.estimator)
     except ParameterError as error:
         raise ParameterError(error.reason, field=f"{PREFIX}ESTIMATOR") from None
 

@@ -34,8 +34,6 @@ class Settings(BaseSettings):
         after data are stored.
     jobs_every_s
         Interval of all scheduled jobs, in seconds; left out, each job has its own.
-    axle_load_n
-        Weight of a wheelset with what it carries, N; left out, that of the default vehicle, (m + mm) g.
     estimator
         Which estimator of ``estimation.estimators.catalogue`` turns windows into geometries.
     shutdown_timeout_s
@@ -55,11 +53,10 @@ class Settings(BaseSettings):
     log_format: Literal["json", "text"] = "text"
     window_length_s: float = Field(default=60.0, gt=0.0, le=3600.0)
     jobs_every_s: float | None = Field(default=None, gt=0.0)
-    axle_load_n: float | None = Field(default=None, gt=0.0, le=500e3)
     estimator: str = "bins"
     shutdown_timeout_s: int = Field(default=10, ge=1, le=600)
 
-    @field_validator("database_url", "rules_file", "jobs_every_s", "axle_load_n", mode="before")
+    @field_validator("database_url", "rules_file", "jobs_every_s", mode="before")
     @classmethod
     def _empty_is_left_out(cls, value: object) -> object:
         """Read ``TREADWATCH_RULES_FILE=`` (as compose files leave it) as not set."""

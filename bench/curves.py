@@ -16,6 +16,7 @@ from estimation.jobs.settings import EstimationSettings
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.window_motion import motion
 from estimation.tables import bin_table
+from estimation.tables.bin_table import BinParameters
 from estimation.values.reasons import Reason
 from ingest.simulator.curves import Curve
 
@@ -50,9 +51,10 @@ def _one(task: tuple[int, float]) -> tuple[float, float, tuple[bool, ...]]:
     curves = (Curve(-500.0, 30_000.0, 1e3 * radius_km, cant, 100.0),) if np.isfinite(radius_km) else ()
     run = on_track(wheelset, "mixed", SEED, curves)
     settings = EstimationSettings(signals=replace(SignalParameters(), max_cant_deficiency_change=np.inf))
+    bins = BinParameters(source=settings.signals.source, band_limited=True)
     moved = (motion(window, run.track, settings.signals) for window in run.windows)
-    tables = [bin_table.tabulate(item, settings.bins) for item in moved if not isinstance(item, Reason)]
-    found = estimate_geometry(bin_table.merge_all(tables, settings.bins), settings.bins, settings.geometry)
+    tables = [bin_table.tabulate(item, bins) for item in moved if not isinstance(item, Reason)]
+    found = estimate_geometry(bin_table.merge_all(tables, bins), bins, settings.geometry)
     error, _, covered = score(found, run.conicity)
     straight = 0.0 if np.isinf(radius_km) else -float(run.motion.relative_displacement.mean())
     return straight, error, covered

@@ -15,7 +15,6 @@ from api.factory import SystemClock, open_store, raw_store
 from api.settings import Settings
 from bench.mems import HIGH, LOW, is_scored
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.jobs.settings import EstimationSettings
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.window_motion import motion
 from estimation.tables import bin_table
@@ -69,7 +68,7 @@ def received(report: FleetReport, window_s: float, folder: Path) -> Iterator[Cas
     upgrade(settings.url)
     with closing(open_store(settings)) as storage:
         with storage.write() as unit:
-            load_registry(report.registry, unit)
+            load_registry(report.registry, unit, 1)
         receiver = Receiver(storage, raw_store(settings), default_catalogue(), SystemClock(), window_s)
         for recording in report.recordings:
             receiver.receive_file(recording.path, recording.vehicle)
@@ -86,6 +85,11 @@ def received(report: FleetReport, window_s: float, folder: Path) -> Iterator[Cas
                     np.array(truth["campaigns"][0]["lateral_displacement_mm"]),
                     {name: np.array(truth["campaigns"][0][f"{name}_{UNIT[name]}"]) for name in COMBINATIONS},
                 )
+
+
+def paper_bins(signals: SignalParameters) -> BinParameters:
+    """Return the parameters of the bin tables of band-limited motion of the paper's vehicle."""
+    return BinParameters(source=signals.source, band_limited=True)
 
 
 def moved(case: Case, signals: SignalParameters) -> list[Motion]:
@@ -129,6 +133,6 @@ def estimated(
 ) -> list[WheelsetGeometry]:
     """Estimate every case again."""
     signals = signals or SignalParameters()
-    parameters = change(EstimationSettings(signals=signals).bins)
+    parameters = change(paper_bins(signals))
     published = published or GeometryParameters()
     return [estimate_geometry(merged(moved(case, signals), parameters), parameters, published) for case in cases]

@@ -26,15 +26,16 @@ from scipy.signal import butter, sosfiltfilt
 
 from api.factory import open_store
 from api.settings import Settings
-from bench.decision_cases import UNIT, Case, estimated, merged, moved, received, score
+from bench.decision_cases import UNIT, Case, estimated, merged, moved, paper_bins, received, score
 from bench.results_page import write_page
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.motion.parameters import SignalParameters
 from estimation.tables import bin_table, least_squares
-from estimation.tables.bin_table import BinParameters
+from estimation.tables.bin_table import BinParameters, bin_parameters
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
 from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
@@ -93,7 +94,11 @@ def window_lengths(by_length: dict[float, list[Case]]) -> None:
         estimates = estimated(cases)
         count = sum(len(case.windows) for case in cases)
         used = sum(float(e.samples.sum()) for e in estimates) / sum(len(w.valid) for c in cases for w in c.windows)
-        tables = [bin_table.tabulate(m, settings.bins) for case in cases[:4] for m in moved(case, settings.signals)]
+        tables = [
+            bin_table.tabulate(m, paper_bins(settings.signals))
+            for case in cases[:4]
+            for m in moved(case, settings.signals)
+        ]
         size = np.mean([len(pack_bin_table(table)) for table in tables])
         print(
             f"  {seconds:g} s: {count} windows, {100 * used:.1f} % of the samples used, "
@@ -179,7 +184,7 @@ def groups(cases: Sequence[Case]) -> None:
         spread = 1e3 * np.nanmedian(_spread(estimates))
         print(f"  blocks of {block_s:g} s: std of rL - rR {spread:.4f} mm, median over bins")
     settings = EstimationSettings()
-    naive = np.concatenate([_naive(merged(moved(c, settings.signals), settings.bins)) for c in cases])
+    naive = np.concatenate([_naive(merged(moved(c, settings.signals), paper_bins(settings.signals))) for c in cases])
     print(f"  as if samples were independent: {1e3 * np.median(naive):.4f} mm")
 
 
@@ -214,10 +219,10 @@ def parameters(cases: Sequence[Case]) -> None:
     for factor in (0.8, 1.2):
         _changed(cases, factor)
     case, settings = cases[2], EstimationSettings()
-    table = merged(moved(case, settings.signals), settings.bins)
+    table = merged(moved(case, settings.signals), paper_bins(settings.signals))
     began = time.perf_counter()
     for _ in range(20):
-        estimate_geometry(table, settings.bins, settings.geometry)
+        estimate_geometry(table, paper_bins(settings.signals), settings.geometry)
     print(f"  a geometry with intervals from its table: {1e3 * (time.perf_counter() - began) / 20:.1f} ms")
 
 
@@ -269,12 +274,15 @@ def half_lives(demo: Path) -> None:
     with closing(open_store(Settings(data_dir=demo / "data", database_url=None))) as storage, storage.read() as unit:
         for truth in truths:
             since = max((r.at_ns for r in unit.registry.wheelset(truth["serial"]).reprofilings), default=0)
+            mounting = unit.registry.wheelset(truth["serial"]).mounting
+            assumed = ClassLookup(unit, settings).assumed(mounting.vehicle, truth["serial"])
+            bins = bin_parameters(assumed.windows)
             tables = [(w.mileage_km, table) for w, table, _ in unit.tables.stream(truth["serial"], since, None)]
             last = min(truth["campaigns"], key=lambda c: abs(c["mileage_km"] - tables[-1][0]))
             true = float(np.interp(3.0, last["amplitude_mm"], last["equivalent_conicity"]))
             for life in lives:
-                table = bin_table.merge_with_mileage(tables, life, settings.bins)
-                at = estimate_geometry(table, settings.bins, settings.geometry).conicity
+                table = bin_table.merge_with_mileage(tables, life, bins)
+                at = estimate_geometry(table, bins, settings.geometry).conicity
                 value = at[int(np.argmin(np.abs(np.array(settings.geometry.curve.amplitudes) - 3e-3)))]
                 if value.value is not None and value.low is not None and value.high is not None:
                     found[life].append((value.value - true, value.high - value.low, value.low <= true <= value.high))

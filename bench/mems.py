@@ -46,11 +46,11 @@ def _one(seed: int) -> list[ConicityError]:
     with tempfile.TemporaryDirectory(prefix="treadwatch-bench-") as folder:
         scenario = replace(load_scenario("mems"), seed=seed)
         report = run_fleet(scenario, Path(folder) / "recordings")
-        settings = Settings(data_dir=Path(folder) / "data", database_url=None, axle_load_n=scenario.parameters.load)
+        settings = Settings(data_dir=Path(folder) / "data", database_url=None)
         upgrade(settings.url)
         with closing(open_store(settings)) as storage:
             with storage.write() as unit:
-                load_registry(report.registry, unit)
+                load_registry(report.registry, unit, 1)
             receiver = Receiver(
                 storage, raw_store(settings), default_catalogue(), SystemClock(), settings.window_length_s
             )

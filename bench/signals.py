@@ -21,10 +21,12 @@ from estimation.motion.parameters import SignalParameters
 from estimation.motion.usable_samples import usable_samples
 from estimation.motion.window_motion import motion
 from estimation.tables import bin_table
+from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.motion import Motion
 from estimation.values.reasons import Reason
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import regression
 
 SEEDS = (1, 2)
@@ -124,23 +126,24 @@ def _outcomes(task: tuple[int, str, int]) -> list[Outcome]:
 
 def _outcome(run: Run, course: str, design: str, parameters: SignalParameters) -> Outcome:
     settings = EstimationSettings(signals=parameters)
+    bins = BinParameters(source=parameters.source, band_limited=True)
     tables, squares, used = [], [], 0
     for number in range(len(run.windows)):
         moved = motion(run.windows[number], run.track, parameters, run.layout)
         if isinstance(moved, Reason):
             continue
-        tables.append(bin_table.tabulate(moved, settings.bins))
-        squares.append(np.square(_measured(moved, settings) - _true(run, number, parameters))[:, moved.valid])
+        tables.append(bin_table.tabulate(moved, bins))
+        squares.append(np.square(_measured(moved) - _true(run, number, parameters))[:, moved.valid])
         used += int(moved.valid.sum())
     error = np.sqrt(np.mean(np.concatenate(squares, axis=1), axis=1))
-    found = estimate_geometry(bin_table.merge_all(tables, settings.bins), settings.bins, settings.geometry)
+    found = estimate_geometry(bin_table.merge_all(tables, bins), bins, settings.geometry)
     total = sum(len(window.valid) for window in run.windows)
     return Outcome(course, run.wheelset, design, error, used / total, *score(found, run.conicity))
 
 
-def _measured(moved: Motion, settings: EstimationSettings) -> FloatArray:
+def _measured(moved: Motion) -> FloatArray:
     """Return y - d, psi, psi' and rL - rR (4, n); of the last the small part of the contact angles is left out."""
-    equations = regression(moved, settings.vehicle)
+    equations = regression(moved, VehicleParameters())
     difference = equations.yaw_targets[:, 0] / equations.yaw[:, 1]
     return np.stack([moved.displacement, moved.yaw, moved.yaw_rate, difference])
 

@@ -122,7 +122,7 @@ def simulated_windows() -> list[Window]:
         upgrade(settings.url)
         storage = SqlStorage(database_engine(settings.url), settings.data_dir)
         with storage.write() as unit:
-            load_registry(report.registry, unit)
+            load_registry(report.registry, unit, 1)
         receiver = Receiver(
             storage, raw_store(settings), default_catalogue(), SystemClock(), window_length_s=settings.window_length_s
         )

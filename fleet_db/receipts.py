@@ -33,3 +33,28 @@ class ChunkRecord:
     counts: Mapping[str, int]  # marked and counted: unknown identifiers, wrong lengths, gaps, clipped, invalid ...
     received_ns: int
     recorded_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatedAgain:
+    """What is estimated again because the class of vehicles has changed.
+
+    Attributes
+    ----------
+    vehicles
+        Codes of the vehicles of which something is.
+    windows
+        How many of their windows; 0 where only geometries are.
+    from_ns
+        Start of the oldest of their windows, ns UTC on the vehicle's clock; None where there is none.
+    sections
+        Codes of the sections whose alignment is estimated from the begin.
+    """
+
+    vehicles: tuple[str, ...] = ()
+    windows: int = 0
+    from_ns: int | None = None
+    sections: tuple[str, ...] = ()
+
+
+NOTHING_AGAIN = EstimatedAgain()

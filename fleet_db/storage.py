@@ -21,6 +21,7 @@ from fleet_db.stores.jobs import JobRunStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.trends import TrendStore
+from fleet_db.stores.vehicle_classes import Shipped, no_class
 from fleet_db.stores.windows import WindowStore
 from fleet_db.telemetry import WindowFiles
 
@@ -34,6 +35,7 @@ class SqlUnitOfWork:
     connection: Connection
     files: WindowFiles
     writing: bool
+    shipped: Shipped = no_class
     changes: Changes = field(init=False)
     chunks: ChunkStore = field(init=False)
     registry: RegistryStore = field(init=False)
@@ -50,7 +52,7 @@ class SqlUnitOfWork:
         connection = self.connection
         self.changes = Changes(connection)
         self.chunks = ChunkStore(connection)
-        self.registry = RegistryStore(connection, self.changes)
+        self.registry = RegistryStore(connection, self.changes, self.shipped)
         self.tracks = TrackStore(connection)
         self.windows = WindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)
@@ -71,10 +73,13 @@ class SqlStorage:
         From ``fleet_db.session.database_engine``; migrated (``fleet_db.migrate.check_head``).
     data_dir
         Where the samples of windows are, under ``windows``.
+    shipped
+        The classes of the package, for vehicles whose class is not registered.
     """
 
     engine: Engine
     data_dir: Path
+    shipped: Shipped = no_class
 
     @contextmanager
     def write(self) -> Iterator[SqlUnitOfWork]:
@@ -93,7 +98,7 @@ class SqlStorage:
             self.engine.connect().execution_options(**IMMEDIATE) as connection,
             connection.begin(),
         ):
-            unit = SqlUnitOfWork(connection, self._files(), writing=True)
+            unit = SqlUnitOfWork(connection, self._files(), writing=True, shipped=self.shipped)
             yield unit
             unit.changes.flush()
 
@@ -107,7 +112,7 @@ class SqlStorage:
             The database cannot be reached, or something was written.
         """
         with translate_errors(), self.engine.connect() as connection, _read_only(connection) as reading:
-            yield SqlUnitOfWork(reading, self._files(), writing=False)
+            yield SqlUnitOfWork(reading, self._files(), writing=False, shipped=self.shipped)
 
     def scheduler_lock(self, holder: str) -> AbstractContextManager[None]:
         """Hold the lock of the one scheduler of this database.

@@ -92,13 +92,28 @@ class InputFile:
         written = (self.lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in self.lines)
         return self.error_type(reason, file=self.path, line=next(written, None), field=dotted(location) or None)
 
-    def parse(self, model: type[Model]) -> Model:
-        """Return the content as a model.
+    def at(self, location: Location) -> Any:  # noqa: ANN401 - whatever the file holds there
+        """Return what is at a place of the file.
+
+        Parameters
+        ----------
+        location
+            Keys and indices from the root of the file.
+        """
+        found: Any = self.values
+        for part in location:
+            found = found[part]
+        return found
+
+    def parse(self, model: type[Model], location: Location = ()) -> Model:
+        """Return the content, or what is at a place of it, as a model.
 
         Parameters
         ----------
         model
-            The schema of the whole file.
+            The schema of the whole file, or of what is at ``location``.
+        location
+            Keys and indices from the root of the file; empty for the whole file.
 
         Raises
         ------
@@ -107,11 +122,11 @@ class InputFile:
             in the order of the schema is reported.
         """
         try:
-            return model.model_validate(self.values)
+            return model.model_validate(self.at(location))
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
-            location = (*first["loc"], *first.get("ctx", {}).get("location", ()))
-            raise self.error(_reason(first, model, self.container), location) from error
+            where = (*location, *first["loc"], *first.get("ctx", {}).get("location", ()))
+            raise self.error(_reason(first, model, self.container), where) from error
 
 
 def read_toml(path: Path, error_type: type[InputError] = InputError) -> InputFile:

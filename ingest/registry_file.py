@@ -19,9 +19,13 @@ from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
+from estimation.vehicle.vehicle_class import VehicleClass
+from fleet_db.receipts import EstimatedAgain
 from fleet_db.storage import SqlUnitOfWork
+from fleet_db.stores.registry import RegistryStore
 from ingest.input_file import InputFile, Location, read_json
 from ingest.profiles.wheel_profile import read_wheel_profile
+from ingest.registry_classes import check_vehicles, check_wheelsets, read_classes
 from ingest.registry_schema import AlignmentEntry, MeasurementEntry, RegistryObject, SectionEntry
 from ingest.track_file import (
     LAYOUT_COLUMNS,
@@ -33,6 +37,7 @@ from ingest.track_file import (
 
 MIN_LAYOUT_SHARE = 0.5  # of a section that its layout must reach
 _T = TypeVar("_T")
+_R = TypeVar("_R")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +45,7 @@ class RegistryContents:
     """Everything a registry file holds, checked but not yet stored."""
 
     fleets: tuple[FleetRecord, ...]
+    classes: tuple[VehicleClass, ...]
     vehicles: tuple[VehicleRecord, ...]
     wheelsets: tuple[WheelsetRecord, ...]
     mountings: tuple[Mounting, ...]
@@ -50,8 +56,17 @@ class RegistryContents:
     layouts: tuple[TrackLayout, ...]
 
 
-def load_registry(path: Path, unit_of_work: SqlUnitOfWork) -> RegistryContents:
-    """Read a registry file and store its contents; return them.
+@dataclass(frozen=True, slots=True)
+class LoadedRegistry:
+    """What a registry file did to the store."""
+
+    contents: RegistryContents
+    again: tuple[EstimatedAgain, ...]  # what is estimated again, class by class and vehicle by vehicle
+    without_class: tuple[VehicleRecord, ...]  # vehicles of the file that are not estimated: nobody knows their class
+
+
+def load_registry(path: Path, unit_of_work: SqlUnitOfWork, recorded_ns: int) -> LoadedRegistry:
+    """Read a registry file and store its contents; return them, and what they change.
 
     Parameters
     ----------
@@ -59,6 +74,8 @@ def load_registry(path: Path, unit_of_work: SqlUnitOfWork) -> RegistryContents:
         The registry file; the files it names are relative to its folder.
     unit_of_work
         An open transaction; nothing is committed here.
+    recorded_ns
+        Our time, ns UTC.
 
     Raises
     ------
@@ -66,10 +83,13 @@ def load_registry(path: Path, unit_of_work: SqlUnitOfWork) -> RegistryContents:
         The file, a track file or a profile file cannot be read, a field is missing, unknown or impossible, or a record
         refers to something that neither the file nor the store knows; nothing has been committed then.
     """
-    contents = read_registry(path)
+    file = read_json(path)
+    contents = _contents(file)
     registry, tracks = unit_of_work.registry, unit_of_work.tracks
+    _check_classes(file, contents, registry)
     _store(path, "fleets", contents.fleets, registry.add_fleet)
-    _store(path, "vehicles", contents.vehicles, registry.add_vehicle)
+    again = [registry.add_vehicle_class(one, recorded_ns) for one in contents.classes]
+    again += _store(path, "vehicles", contents.vehicles, lambda one: registry.add_vehicle(one, recorded_ns))
     _store(path, "wheelsets", contents.wheelsets, registry.add_wheelset)
     _store(path, "mountings", contents.mountings, registry.add_mounting)
     _store(path, "reprofilings", contents.reprofilings, registry.add_reprofiling)
@@ -77,7 +97,26 @@ def load_registry(path: Path, unit_of_work: SqlUnitOfWork) -> RegistryContents:
     _store(path, "track_sections", contents.sections, tracks.add_section)
     _store(path, "track_sections", contents.alignments, lambda known: _add_alignment(unit_of_work, known))
     _store(path, "track_sections", contents.layouts, lambda layout: _add_layout(unit_of_work, layout))
-    return contents
+    known = {code for code in _classes_of(contents) if registry.vehicle_class(code) is not None}
+    without = tuple(vehicle for vehicle in contents.vehicles if vehicle.vehicle_class not in known)
+    return LoadedRegistry(contents, tuple(one for one in again if one.vehicles), without)
+
+
+def _classes_of(contents: RegistryContents) -> set[str]:
+    return {vehicle.vehicle_class for vehicle in contents.vehicles}
+
+
+def _check_classes(file: InputFile, contents: RegistryContents, registry: RegistryStore) -> None:
+    """Refuse vehicles and wheelsets of the file that do not belong to their class, of the file or on file."""
+    classes = {one.code: one for one in contents.classes}
+    for code in _classes_of(contents) - set(classes):
+        on_file = registry.vehicle_class(code)
+        if on_file is not None:
+            classes[code] = on_file.vehicle_class
+    check_vehicles(file, contents.vehicles, classes)
+    of_vehicle = {vehicle.code: classes.get(vehicle.vehicle_class) for vehicle in contents.vehicles}
+    found = {item.wheelset: of_vehicle.get(item.vehicle) for item in contents.mountings}
+    check_wheelsets(file, contents.wheelsets, {name: one for name, one in found.items() if one is not None})
 
 
 def _add_alignment(unit_of_work: SqlUnitOfWork, alignment: TrackAlignment) -> None:
@@ -114,11 +153,15 @@ def read_registry(path: Path) -> RegistryContents:
     InputError
         As ``load_registry``, but for what the store knows.
     """
-    file = read_json(path)
+    return _contents(read_json(path))
+
+
+def _contents(file: InputFile) -> RegistryContents:
     entries = file.parse(RegistryObject)
     sections = [_section(file, entry, ("track_sections", index)) for index, entry in enumerate(entries.track_sections)]
     return RegistryContents(
         fleets=tuple(entry.record() for entry in entries.fleets),
+        classes=read_classes(file, len(entries.vehicle_classes)),
         vehicles=tuple(entry.record() for entry in entries.vehicles),
         wheelsets=tuple(entry.record() for entry in entries.wheelsets),
         mountings=tuple(entry.record() for entry in entries.mountings),
@@ -133,12 +176,15 @@ def read_registry(path: Path) -> RegistryContents:
     )
 
 
-def _store(path: Path, what: str, records: Sequence[_T], add: Callable[[_T], object]) -> None:
+def _store(path: Path, what: str, records: Sequence[_T], add: Callable[[_T], _R]) -> list[_R]:
+    """Add each record; return what that gives."""
+    results = []
     for index, record in enumerate(records):
         try:
-            add(record)
+            results.append(add(record))
         except (NotFoundError, ConflictError) as error:
             raise InputError(str(error), file=path, field=f"{what}[{index}]") from error
+    return results
 
 
 def _measured_profiles(file: InputFile, entry: MeasurementEntry, location: Location) -> MeasuredProfiles:

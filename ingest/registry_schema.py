@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
@@ -197,11 +197,24 @@ class SectionEntry(InputTable):
         )
 
 
+class ClassFileEntry(InputTable):
+    """An entry of ``vehicle_classes`` that is a file of its own, beside the registry."""
+
+    file: Text
+
+
+class ClassEntry(InputTable):
+    """An entry of ``vehicle_classes``: a ``ClassFileEntry`` or a ``VehicleClassEntry``, which is checked as such."""
+
+    model_config = ConfigDict(extra="allow")
+
+
 class RegistryObject(InputTable):
     """The whole file."""
 
     format: Literal["treadwatch-registry-1"]
     fleets: list[FleetEntry] = Field(default_factory=list)
+    vehicle_classes: list[ClassEntry] = Field(default_factory=list)
     vehicles: list[VehicleEntry] = Field(default_factory=list)
     wheelsets: list[WheelsetEntry] = Field(default_factory=list)
     mountings: list[MountingEntry] = Field(default_factory=list)

@@ -78,6 +78,17 @@ def shipped_path(code: str) -> Path:
     return Path(str(_SHIPPED / f"{code}.toml"))
 
 
+def class_of_package(code: str) -> VehicleClass | None:
+    """Return a class that the package ships; None where it ships none of this code.
+
+    Parameters
+    ----------
+    code
+        Of any class.
+    """
+    return shipped_class(code) if code in shipped_classes() else None
+
+
 def shipped_class(code: str) -> VehicleClass:
     """Return a class that the package ships.
 

@@ -90,12 +90,12 @@ def deploy(scenario: Scenario, folder: Path) -> Settings:
     Parameters
     ----------
     scenario
-        Its registry and the track that is on file are written beside the data and loaded; the axle load is its.
+        Its registry and the track that is on file are written beside the data and loaded.
     folder
         Made where missing.
     """
     settings = Settings(  # type: ignore[call-arg] # of pydantic-settings
-        data_dir=folder / "data", database_url=None, axle_load_n=scenario.parameters.load, _env_file=None
+        data_dir=folder / "data", database_url=None, _env_file=None
     )
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     upgrade(settings.url)
@@ -106,7 +106,7 @@ def deploy(scenario: Scenario, folder: Path) -> Settings:
 def register(scenario: Scenario, settings: Settings, folder: Path) -> None:
     """Load the registry of ``scenario``, written into ``folder``, into an existing store."""
     with closing(open_store(settings)) as storage, storage.write() as unit:
-        load_registry(prepare(scenario, folder / "registry"), unit)
+        load_registry(prepare(scenario, folder / "registry"), unit, SystemClock().now_ns())
 
 
 def receive(recorded: Recorded, settings: Settings, progress: Progress = no_progress) -> None:

@@ -84,7 +84,7 @@ def replay(settings: Settings, scenario: Scenario, report: FleetReport, console:
     clock = ReplayClock(scenario.sessions.start_ns - DAY_NS)
     with closing(open_store(settings)) as storage, Progress(*columns, console=console) as progress:
         contents = read_registry(report.registry)
-        _register(storage, contents)
+        _register(storage, contents, clock.now_ns())
         context = replace(job_context(settings, storage), clock=clock)
         receiver = _receiver(settings, storage, clock)
         campaigns = _by_campaign(report)
@@ -146,11 +146,13 @@ def _receiver(settings: Settings, storage: SqlStorage, clock: ReplayClock) -> Re
     return Receiver(storage, raw_store(settings), default_catalogue(), clock, window_length_s=settings.window_length_s)
 
 
-def _register(storage: SqlStorage, contents: RegistryContents) -> None:
+def _register(storage: SqlStorage, contents: RegistryContents, known_since_ns: int) -> None:
     """Store what was known from the beginning."""
     with storage.write() as unit:
         for fleet in contents.fleets:
             unit.registry.add_fleet(fleet)
+        for one in contents.classes:
+            unit.registry.add_vehicle_class(one, known_since_ns)
         for vehicle in contents.vehicles:
             unit.registry.add_vehicle(vehicle)
         for wheelset in contents.wheelsets:

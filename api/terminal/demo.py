@@ -49,7 +49,7 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
     plan = ending_now(load_scenario(scenario), time.time_ns())
     _recreate(folder)
     recordings, data = folder / "recordings", folder / "data"
-    settings = load_settings(data_dir=data, axle_load_n=plan.parameters.load)
+    settings = load_settings(data_dir=data)
     settings = settings.model_copy(update={"database_url": None, "host": "127.0.0.1", "log_level": "warning"})
     logs.configure(settings)
     console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)

@@ -17,6 +17,7 @@ from rich.table import Table
 
 from api.factory import SystemClock, open_store, raw_store
 from api.settings import load_settings
+from api.times import to_rfc3339
 from estimation.errors import InputError, TreadwatchError
 from estimation.jobs.scheduler import stop_on_signals
 from fleet_db.storage import SqlStorage
@@ -24,7 +25,7 @@ from ingest.bus import open_bus, record
 from ingest.catalogue import default_catalogue
 from ingest.logs import SUFFIXES
 from ingest.receiver import ChunkReceipt, Receiver
-from ingest.registry_file import load_registry
+from ingest.registry_file import LoadedRegistry, load_registry
 
 SEPARATOR = "__"
 """Between the vehicle and the time in the name of a recording."""
@@ -71,7 +72,7 @@ def ingest_and_report(source: Sequence[Path] | LiveBus, vehicle: str | None, reg
     console = Console(stderr=True)
     with closing(open_store(settings)) as storage:
         if registry is not None:
-            _load(registry, storage)
+            _load(registry, storage, console)
         receiver = Receiver(
             storage, raw_store(settings), default_catalogue(), SystemClock(), window_length_s=settings.window_length_s
         )
@@ -181,9 +182,34 @@ def summary(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def _load(registry: Path, storage: SqlStorage) -> None:
+def registry_lines(loaded: LoadedRegistry) -> list[str]:
+    """Return what people must know of a registry that was loaded: what is estimated again, and what is not at all.
+
+    Parameters
+    ----------
+    loaded
+        What the registry file did.
+    """
+    lines = []
+    for one in loaded.again:
+        vehicles = ", ".join(one.vehicles)
+        if one.windows and one.from_ns is not None:
+            since = to_rfc3339(one.from_ns)
+            sections = f", and the alignment of {', '.join(one.sections)}" if one.sections else ""
+            lines.append(f"estimated again: {one.windows:,} windows of {vehicles} since {since}{sections}")
+        elif one.from_ns is not None:
+            lines.append(f"estimated again: geometries of {vehicles}, with other standard deviations")
+    for code in sorted({vehicle.vehicle_class for vehicle in loaded.without_class}):
+        vehicles = ", ".join(item.code for item in loaded.without_class if item.vehicle_class == code)
+        lines.append(f"warning: class {code!r} is not on file: {vehicles} will not be estimated until it is")
+    return lines
+
+
+def _load(registry: Path, storage: SqlStorage, console: Console) -> None:
     with storage.write() as unit:
-        load_registry(registry, unit)
+        loaded = load_registry(registry, unit, SystemClock().now_ns())
+    for line in registry_lines(loaded):
+        console.print(line, highlight=False, soft_wrap=True)
 
 
 def _unfinished(receiver: Receiver, console: Console) -> list[Outcome]:

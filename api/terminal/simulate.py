@@ -9,10 +9,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from api.settings import PREFIX
 from estimation.errors import ParameterError
 from estimation.jobs.scheduler import stop_on_signals
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.bus import open_bus
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.fleet import FleetReport, Recording, prepare, run_fleet
@@ -65,10 +63,6 @@ def write_recordings(scenario: Scenario, out: Path, vehicles: list[str] | None, 
         highlight=False,
         soft_wrap=True,
     )
-    axle_load = scenario.parameters.load
-    if axle_load != VehicleParameters().axle_load:  # the default of a deployment
-        hint = f"set {PREFIX}AXLE_LOAD_N={axle_load:.0f} to estimate with the load of these vehicles"
-        console.print(hint, highlight=False, soft_wrap=True)
 
 
 def simulate_with_progress(

@@ -85,7 +85,8 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
     S = _combination(replicates.lateral[:, :, 0], unc.lateral(), screening, parameters.prior_radius)
     D = _angle_difference(replicates, screening, bins, parameters)
     A = _angle_sum(replicates, screening, bins, parameters)
-    R = _combination(replicates.yaw[:, :, 1], unc.yaw(), screening, parameters.prior_radius)
+    of_scale = np.concatenate([replicates.yaw[:, :, 1], replicates.yaw[:, :, 1, :1]], axis=-1)
+    R = _combination(of_scale, np.append(unc.yaw(), unc.scale), screening, parameters.prior_radius)
     curve = curve_estimates(_curve(table, replicates, screening, bins, unc), parameters.curve)
     return WheelsetGeometry(
         bin_edges=table.edges,
@@ -134,10 +135,11 @@ def _curve(
 ) -> CurveReplicates:
     """Return R across each bin with its replicates and sensitivities."""
     shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 7, 3), by target
+    of_parameters = shape[0, :, 1:, :] * unc.yaw()[:, None]
     return CurveReplicates(
         edges=table.edges,
         difference=shape[:, :, 0, :],
-        sensitivity=shape[0, :, 1:, :] * unc.yaw()[:, None],
+        sensitivity=np.concatenate([of_parameters, unc.scale * shape[0, :, :1, :]], axis=1),
         usable=~screening.too_few,
         error=screening.error,
         count=float(table.windows),

@@ -6,13 +6,16 @@ A measured displacement has an error (std e). A large measured displacement is t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
+from estimation.vehicle.vehicle_class import VehicleClass
 
 UNKNOWN_FACTOR = 0.4  # relative std of a factor from which on nothing is known of the quotient
 
@@ -60,6 +63,23 @@ class ParameterUncertainty:
     displacement: float = 0.0  # of a common scale error of y - d that the alignment leaves open
     jump_position_std: float = 0.0  # m, of where contact jumps are from place to place, on a gauge that varies
     jump_mean_std: float = 0.0  # m, of where they are on average: a gauge that is not on file
+    scale: float = 0.0  # of rL - rR as a whole: by nominal radius and half contact distance
+
+    @classmethod
+    def of(cls, vehicle_class: VehicleClass) -> Self:
+        """Return what is not known of the vehicles of a class.
+
+        Parameters
+        ----------
+        vehicle_class
+            The class, with the relative standard deviations of its parameters.
+        """
+        return cls(
+            creep=vehicle_class.std_of("longitudinal_creep_coefficient"),
+            stiffness=vehicle_class.std_of("yaw_stiffness"),
+            mass=vehicle_class.std_of("yaw_inertia"),
+            scale=math.hypot(vehicle_class.std_of("nominal_radius"), vehicle_class.std_of("half_contact_distance")),
+        )
 
     def on(self, tracks: Iterable[TrackAlignment], wheelset: str | None = None) -> ParameterUncertainty:
         """Return what is left unknown of a geometry that rests on these alignments.

@@ -7,13 +7,14 @@ it waits until that has looked at it; on a recording it does not.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import tabulate_window
@@ -37,8 +38,9 @@ def run(context: JobContext) -> Mapping[str, int]:
     waiting = [code for code, record in in_force.items() if record.source == AlignmentSource.FLEET]
     while batch := _compute(context, settings, waiting):
         with context.storage.write() as unit:
+            classes = ClassLookup(unit, settings)
             for work, outcome in batch:
-                counts[_store(unit, work, outcome)] += 1
+                counts[_store(unit, work, outcome, classes)] += 1
         done += len(batch)
         context.checkpoint(done, max(total, done))
     return counts
@@ -54,21 +56,38 @@ class _Work:
     record: WindowRecord
     track: TrackAlignment | None
     position: WindowPosition | None
+    assumed: Assumed | Reason  # of the vehicle
     mounted_reversed: bool = False
     layout: TrackLayout | None = None
 
 
 def _requeue(unit: UnitOfWork, settings: EstimationSettings, in_force: Mapping[str, AlignmentRecord]) -> int:
-    """Let windows wait again that an alignment has come for, or whose table is of another alignment or parameters.
+    """Let windows wait again that an alignment or a class has come for, or whose table is of another or parameters.
 
     A version that differs from the one of a table by less than that left unknown is none to estimate again for, nor is
     a recording of the gauge alone.
     """
     same_since = {code: one.same_since for code, one in in_force.items() if one.status is Status.ESTIMATED}
-    outdated = unit.tables.outdated(settings.bins.key, same_since)
-    for wheelset, start_ns in outdated:
+    classes = ClassLookup(unit, settings)
+    outdated = {*unit.tables.outdated(same_since), *_made_otherwise(unit, classes)}
+    for wheelset, start_ns in sorted(outdated):
         unit.windows.mark(wheelset, start_ns, WindowState.PENDING)
-    return len(outdated) + sum(unit.windows.requeue(code, NO_ALIGNMENT.code) for code in same_since)
+    come = sum(unit.windows.requeue(code, NO_ALIGNMENT.code) for code in same_since)
+    return len(outdated) + come + _class_known(unit, classes)
+
+
+def _made_otherwise(unit: UnitOfWork, classes: ClassLookup) -> Iterator[tuple[str, int]]:
+    """Yield (wheelset, start) of the windows whose table was made with other parameters than those in force."""
+    for key in unit.tables.parameter_keys():
+        if key.parameter_key != classes.table_key(key.vehicle, key.wheelset):
+            yield from unit.tables.made_with(key)
+
+
+def _class_known(unit: UnitOfWork, classes: ClassLookup) -> int:
+    """Let windows wait again whose vehicle has a class by now; return how many."""
+    waiting = unit.windows.refused_vehicles(ReasonCode.CLASS_UNKNOWN)
+    known = [vehicle for vehicle in waiting if not isinstance(classes.of_vehicle(vehicle), Reason)]
+    return sum(unit.windows.requeue_vehicle(vehicle, ReasonCode.CLASS_UNKNOWN) for vehicle in known)
 
 
 def _compute(
@@ -84,18 +103,23 @@ def _compute(
         def layout(section: str | None) -> TrackLayout | None:
             return unit.tracks.layout(section) if section is not None else None
 
+        classes = ClassLookup(unit, settings)
         found = []
         for record in unit.windows.ready(settings.batch, waiting):
             position = unit.tracks.position(record.wheelset, record.start_ns)
             mounting = unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
             turned = mounting is not None and mounting.reversed
             section = record.track_section
-            work = _Work(record, alignment(section), position, turned, layout(section))
-            found.append((work, _outcome(unit, work, settings)))
+            assumed = classes.assumed(record.vehicle, record.wheelset)
+            work = _Work(record, alignment(section), position, assumed, turned, layout(section))
+            found.append((work, _outcome(unit, work)))
         return found
 
 
-def _outcome(unit: UnitOfWork, work: _Work, settings: EstimationSettings) -> BinTable | Reason:
+def _outcome(unit: UnitOfWork, work: _Work) -> BinTable | Reason:
+    if isinstance(work.assumed, Reason):
+        return work.assumed
+    parameters = work.assumed.windows
     try:
         window = unit.windows.load(work.record.wheelset, work.record.start_ns)
     except DamagedError as error:
@@ -103,13 +127,13 @@ def _outcome(unit: UnitOfWork, work: _Work, settings: EstimationSettings) -> Bin
     position = work.position
     if position is None or position.content_digest != work.record.content_digest:
         return tabulate_window(
-            window, work.track, settings.windows, mounted_reversed=work.mounted_reversed, layout=work.layout
+            window, work.track, parameters, mounted_reversed=work.mounted_reversed, layout=work.layout
         )
     correction = Correction(position.offset_m, position.scale, position.middle_m)
     return tabulate_window(
         window,
         work.track,
-        settings.windows,
+        parameters,
         correction,
         position.reason,
         mounted_reversed=work.mounted_reversed,
@@ -117,7 +141,7 @@ def _outcome(unit: UnitOfWork, work: _Work, settings: EstimationSettings) -> Bin
     )
 
 
-def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Reason) -> str:
+def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Reason, classes: ClassLookup) -> str:
     record = work.record
     now = unit.windows.get(record.wheelset, record.start_ns)
     if now is None or now.content_digest != record.content_digest:
@@ -125,6 +149,8 @@ def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Reason) -> str:
     if unit.tracks.position(record.wheelset, record.start_ns) != work.position:
         return "changed_meanwhile"
     if _layout_version(unit, record.track_section) != (work.layout.version if work.layout is not None else None):
+        return "changed_meanwhile"
+    if classes.assumed(record.vehicle, record.wheelset) != work.assumed:
         return "changed_meanwhile"
     if isinstance(outcome, Reason):
         unit.windows.mark(record.wheelset, record.start_ns, WindowState.REFUSED, outcome)

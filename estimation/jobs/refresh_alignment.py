@@ -17,7 +17,8 @@ from estimation.errors import DamagedError, StoppedError, TreadwatchError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
-from estimation.jobs.steps.store_alignment import Epoch, EpochPasses, WindowKey, store
+from estimation.jobs.steps.store_alignment import Epoch, EpochPasses, WindowKey, classes_of, store
+from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.motion.checks import gate
 from estimation.motion.joined_windows import following, joined
 from estimation.motion.usable_samples import straight_part
@@ -30,6 +31,7 @@ from estimation.track.update import UpdateOutcome, update_alignment
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.track import TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.windows import Window, WindowRecord
+from estimation.vehicle.class_on_file import ClassOnFile
 
 _COUNTED = {
     UpdateOutcome.UNESTIMATED: "unestimated",
@@ -82,6 +84,8 @@ class _Waiting:
     looked_at: str | None  # digest of the last report
     verdict: Reason | None  # on the survey, while the version of the report that holds it is in force
     measured: Measured
+    classes: Mapping[str, ClassOnFile]  # by vehicle, those on file
+    assumed: Mapping[WindowKey, str]  # digest of what each window is looked at with
 
 
 def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counter[str]) -> bool:
@@ -90,14 +94,16 @@ def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counte
         waiting = _waiting(unit, section, context)
     version = waiting.in_force.version if waiting.in_force is not None else None
     measured_curves = waiting.measured.curves
-    digest = epoch_digest(waiting.records, version, context.code_version, measured_curves)
+    digest = epoch_digest(waiting.records, version, context.code_version, measured_curves, waiting.assumed)
     if not waiting.records or digest == waiting.looked_at:
         counts["unchanged"] += 1
         return False
     epoch_passes = _passes(context, waiting)
     left = [record for record in waiting.records if (record.wheelset, record.start_ns) not in epoch_passes.refused]
-    digest = epoch_digest(left, version, context.code_version, measured_curves)  # what the next run would find again
-    epoch = Epoch(section, waiting.records, waiting.in_force, digest, epoch_passes, waiting.measured.notes)
+    # what the next run would find again
+    digest = epoch_digest(left, version, context.code_version, measured_curves, waiting.assumed)
+    notes = waiting.measured.notes
+    epoch = Epoch(section, waiting.records, waiting.in_force, digest, epoch_passes, notes, waiting.classes)
     update = update_alignment(
         section,
         epoch_passes.found,
@@ -125,6 +131,7 @@ def _waiting(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext)
     report = unit.tracks.report(section.code)
     current = report is not None and in_force is not None and report.version == in_force.version
     chosen_records, chosen_lives = [record for record, _ in chosen], [life for _, life in chosen]
+    classes = ClassLookup(unit, context.settings.estimation)
     return _Waiting(
         records=chosen_records,
         lives=chosen_lives,
@@ -132,6 +139,8 @@ def _waiting(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext)
         looked_at=report.input_digest if report is not None else None,
         verdict=_verdict(report) if current and report is not None else None,
         measured=measured(unit, section, chosen_records, chosen_lives, settings.measured_km),
+        classes=classes_of(classes, chosen_records),
+        assumed={(r.wheelset, r.start_ns): classes.digest(r.vehicle, r.wheelset) for r in chosen_records},
     )
 
 
@@ -177,6 +186,9 @@ def _examined(
     windows: list[Window] = []
     found: list[tuple[tuple[WindowKey, ...], Sequence[Pass], Reason | None]] = []
     with context.storage.read() as unit:
+        assumed = ClassLookup(unit, settings).assumed(records[0].vehicle, records[0].wheelset)
+        if isinstance(assumed, Reason):
+            return [(((record.wheelset, record.start_ns),), (), assumed) for record in records]
         mounting = unit.registry.mounting_at(records[0].vehicle, records[0].axle, records[0].start_ns)
         section = records[0].track_section
         layout = unit.tracks.layout(section) if section is not None else None
@@ -192,7 +204,7 @@ def _examined(
     turned = mounting is not None and mounting.reversed
     keys = [(w.sample_interval_s, w.start_ns, w.start_ns + w.length_ns) for w in windows]
     for group in following(windows, keys):
-        examined = examine(joined(group), settings.windows, mounted_reversed=turned)
+        examined = examine(joined(group), assumed.windows, mounted_reversed=turned)
         serials = tuple((window.wheelset, window.start_ns) for window in group)
         found.append((serials, examined.passes, examined.outcome.reason))
     return found

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 from estimation.errors import DamagedError
 from estimation.estimators.catalogue import SHIPPED, estimator_named
@@ -21,13 +21,18 @@ from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.replay import TabulatedWindow, replayed
+from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
+from estimation.motion.parameters import WindowParameters
 from estimation.storage import UnitOfWork
 from estimation.tables import bin_table
+from estimation.tables.bin_table import BinParameters, bin_parameters
 from estimation.values.geometry import BinTable, GeometryRecord, WheelsetGeometry
 from estimation.values.identity import IdentityChange
+from estimation.values.json_value import JsonValue
 from estimation.values.motion import Motion
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.windows import WindowRecord
+from estimation.vehicle.equations_of_motion import VehicleParameters
 
 _STALE_AT_ONCE = 10_000
 REMEMBERED_HALF_LIVES = 20.0  # a weight of one in a million
@@ -62,7 +67,8 @@ def run(context: JobContext) -> Mapping[str, int]:
     counts: Counter[str] = Counter(wheelsets=0, geometries=0)
     damaged: list[DamagedError] = []
     with context.storage.read() as unit:
-        stale = unit.geometries.stale(_STALE_AT_ONCE, context.settings.estimation.geometry_key)
+        named = context.settings.estimation.estimator
+        stale = unit.geometries.stale(_STALE_AT_ONCE, "" if named == SHIPPED else named)
     for done, serial in enumerate(stale, start=1):
         try:
             counts["geometries"] += _refresh(context, serial)
@@ -97,6 +103,8 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     geometry whose windows are all gone (refused since, or of another baseline now) is followed by an empty one. The
     current geometry is that of the newest baseline with windows. What was measured before and
     after an identity change of the wheelset is never merged, and what cannot be assigned to either side is left out.
+    Nor is what was measured on vehicles of different classes: the current geometry is of the class that the wheelset
+    ran in last, an interval of the one with most of its windows.
 
     Parameters
     ----------
@@ -111,14 +119,15 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     records: list[GeometryRecord] = []
     newest: tuple[Baseline, list[_Entry]] | None = None
     change = identity_change(unit, serial)
+    classes = ClassLookup(unit, settings)
     turned = [mounting for mounting in unit.registry.mountings(serial) if mounting.reversed]
     for baseline in baselines(unit.registry.wheelset(serial)):
         index = unit.tables.index(serial, baseline.from_ns, baseline.to_ns)
         entries = _apart(
-            [_mounted(entry, turned) for entry in index if entry[1] == settings.bins.key],
+            [_mounted(entry, turned) for entry in index if entry[1] == classes.table_key(entry[0].vehicle, serial)],
             change,
         )
-        records += _intervals(unit, serial, baseline, entries, context)
+        records += _intervals(unit, serial, baseline, entries, context, classes)
         if entries:
             newest = baseline, entries
     current = unit.geometries.current(serial)
@@ -126,12 +135,18 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
         records.append(_emptied(current, context))
     elif newest is not None:
         near = _remembered(_since(newest[1], change), settings.half_life_km)
-        records.append(_record(unit, newest[0], None, near, context))
+        assumed = _assumed(near[-1], classes)
+        records.append(_record(unit, newest[0], None, _of_class(near, assumed, classes), context, assumed))
     return records
 
 
 def _intervals(
-    unit: UnitOfWork, serial: str, baseline: Baseline, entries: Sequence[_Entry], context: JobContext
+    unit: UnitOfWork,
+    serial: str,
+    baseline: Baseline,
+    entries: Sequence[_Entry],
+    context: JobContext,
+    classes: ClassLookup,
 ) -> list[GeometryRecord]:
     """Return the geometries per mileage interval of one baseline that are not stored like that."""
     settings = context.settings.estimation
@@ -139,9 +154,29 @@ def _intervals(
     parts = _by_interval(entries, baseline, settings.interval_km)
     records = []
     for interval, part in parts.items():
-        if interval not in stored or stored[interval].input_digest != _digest(part, context):
-            records.append(_record(unit, baseline, interval, part, context))
+        assumed = _most_frequent(part, classes)
+        used = _of_class(part, assumed, classes)
+        if interval not in stored or stored[interval].input_digest != _digest(used, context, assumed):
+            records.append(_record(unit, baseline, interval, used, context, assumed))
     return records + [_emptied(record, context) for interval, record in stored.items() if interval not in parts]
+
+
+def _assumed(entry: _Entry, classes: ClassLookup) -> Assumed:
+    """Return what the table of an entry was made with; entries of unknown classes have been left out."""
+    found = classes.assumed(entry[0].vehicle, entry[0].wheelset)
+    assert isinstance(found, Assumed)
+    return found
+
+
+def _most_frequent(entries: Sequence[_Entry], classes: ClassLookup) -> Assumed:
+    """Return what most of the entries were made with; of several the newest."""
+    count = Counter(_assumed(entry, classes).digest for entry in entries)
+    return max((_assumed(entry, classes) for entry in reversed(entries)), key=lambda one: count[one.digest])
+
+
+def _of_class(entries: Sequence[_Entry], assumed: Assumed, classes: ClassLookup) -> list[_Entry]:
+    """Return the entries that were made with certain parameters of one class."""
+    return [entry for entry in entries if _assumed(entry, classes).digest == assumed.digest]
 
 
 def _mounted(entry: _Entry, turned: Sequence[Mounting]) -> _Entry:
@@ -170,8 +205,8 @@ def _emptied(record: GeometryRecord, context: JobContext) -> GeometryRecord:
     settings = context.settings.estimation
     return replace(
         record,
-        geometry=_nothing(settings),
-        input_digest=_digest([], context),
+        geometry=_nothing(settings, record.geometry.parameter_key),
+        input_digest=_digest([], context, None),
         track_versions={},
         parameters=settings.as_json(),
         code_version=context.code_version,
@@ -203,8 +238,9 @@ def _tables(unit: UnitOfWork, entries: Sequence[_Entry]) -> list[tuple[float, Bi
     ]
 
 
-def _digest(entries: Sequence[_Entry], context: JobContext) -> str:
-    text = hashlib.sha256(f"{context.code_version} {context.settings.estimation.estimator}\n".encode())
+def _digest(entries: Sequence[_Entry], context: JobContext, assumed: Assumed | None) -> str:
+    of_class = "" if assumed is None else f" {assumed.digest}"
+    text = hashlib.sha256(f"{context.code_version} {context.settings.estimation.estimator}{of_class}\n".encode())
     for window, key, version in entries:
         text.update(f"{window.start_ns} {window.content_digest} {key} {version} {window.mileage_km!r}\n".encode())
     return text.hexdigest()
@@ -225,13 +261,15 @@ def _record(
     interval: int | None,
     entries: Sequence[_Entry],
     context: JobContext,
+    assumed: Assumed,
 ) -> GeometryRecord:
     settings = context.settings.estimation
     windows = [entry[0] for entry in entries]
     versions = _versions(entries)
     newest = [unit.tracks.alignment(code, used[-1]) for code, used in versions.items()]
     tracks = [track for track in newest if track is not None]
-    uncertainty = settings.geometry.uncertainty.on(tracks, windows[0].wheelset)
+    of_class = ParameterUncertainty.of(assumed.on_file.vehicle_class)
+    used = _Used(settings, assumed, of_class.on(tracks, windows[0].wheelset))
     half_life_km = settings.half_life_km if interval is None else None
     return GeometryRecord(
         wheelset=windows[0].wheelset,
@@ -240,60 +278,86 @@ def _record(
         mileage_km=_mean_mileage(windows, half_life_km),
         from_ns=windows[0].start_ns,
         to_ns=windows[-1].start_ns + windows[-1].length_ns,
-        geometry=_geometry(unit, entries, settings, uncertainty, half_life_km),
-        input_digest=_digest(entries, context),
+        geometry=_geometry(unit, entries, used, half_life_km),
+        input_digest=_digest(entries, context, assumed),
         track_versions=versions,
-        parameters=settings.as_json(),
+        parameters=used.as_json(),
         code_version=context.code_version,
         recorded_ns=context.clock.now_ns(),
     )
 
 
-def _geometry(
-    unit: UnitOfWork,
-    entries: Sequence[_Entry],
-    settings: EstimationSettings,
-    uncertainty: ParameterUncertainty,
-    half_life_km: float | None,
-) -> WheelsetGeometry:
+@dataclass(frozen=True, slots=True)
+class _Used:
+    """What a geometry is estimated with."""
+
+    settings: EstimationSettings
+    assumed: Assumed
+    uncertainty: ParameterUncertainty
+
+    def as_json(self) -> Mapping[str, JsonValue]:
+        """Return all of it, for the provenance: the class by code, version and digest, the radius, the settings."""
+        on_file, geometry = self.assumed.on_file, replace(self.settings.geometry, uncertainty=self.uncertainty)
+        of_class: dict[str, JsonValue] = {
+            "code": on_file.vehicle_class.code,
+            "version": on_file.version,
+            "digest": on_file.digest,
+        }
+        return {
+            **replace(self.settings, geometry=geometry).as_json(),
+            "vehicle_class": of_class,
+            "vehicle": asdict(self.assumed.windows.vehicle),
+        }
+
+
+def _geometry(unit: UnitOfWork, entries: Sequence[_Entry], used: _Used, half_life_km: float | None) -> WheelsetGeometry:
     """Return the geometry of the entries' windows; ``half_life_km`` is of forgetting, None for none."""
+    bins, settings = bin_parameters(used.assumed.windows), used.settings
     if settings.estimator != SHIPPED:
-        return _from_motions(_weighted_motions(unit, entries, settings, half_life_km), settings, uncertainty)
+        motions = _weighted_motions(unit, entries, used.assumed.windows, half_life_km)
+        published = PublishedBins(bins.edges, settings.geometry_key(bins.key))
+        return _from_motions(motions, settings, used.assumed.windows.vehicle, used.uncertainty, published)
     tables = _tables(unit, entries)
-    if half_life_km is None:
-        return _from_table(bin_table.merge_all([table for _, table in tables], settings.bins), settings, uncertainty)
-    return _from_table(bin_table.merge_with_mileage(tables, half_life_km, settings.bins), settings, uncertainty)
+    table = (
+        bin_table.merge_all([table for _, table in tables], bins)
+        if half_life_km is None
+        else bin_table.merge_with_mileage(tables, half_life_km, bins)
+    )
+    return estimate_geometry(table, bins, replace(settings.geometry, uncertainty=used.uncertainty))
 
 
-def _nothing(settings: EstimationSettings) -> WheelsetGeometry:
-    """Return the geometry of no window."""
+def _nothing(settings: EstimationSettings, parameter_key: str) -> WheelsetGeometry:
+    """Return the geometry of no window, under the key of what it follows."""
+    bins = BinParameters(source=settings.signals.source, band_limited=True)
+    table_key = parameter_key.partition(" ")[0]
     if settings.estimator != SHIPPED:
-        return _from_motions((), settings, settings.geometry.uncertainty)
-    return _from_table(bin_table.init(settings.bins), settings, settings.geometry.uncertainty)
-
-
-def _from_table(table: BinTable, settings: EstimationSettings, uncertainty: ParameterUncertainty) -> WheelsetGeometry:
-    return estimate_geometry(table, settings.bins, replace(settings.geometry, uncertainty=uncertainty))
+        published = PublishedBins(bins.edges, settings.geometry_key(table_key))
+        return _from_motions((), settings, bins.vehicle, settings.geometry.uncertainty, published)
+    empty = estimate_geometry(bin_table.init(bins), bins, settings.geometry)
+    return replace(empty, parameter_key=table_key)
 
 
 def _from_motions(
-    motions: Iterable[tuple[float, Motion]], settings: EstimationSettings, uncertainty: ParameterUncertainty
+    motions: Iterable[tuple[float, Motion]],
+    settings: EstimationSettings,
+    vehicle: VehicleParameters,
+    uncertainty: ParameterUncertainty,
+    published: PublishedBins,
 ) -> WheelsetGeometry:
     """Return the geometry that the estimator of the settings finds in motions, each with its weight."""
     parameters = EstimatorParameters(
-        settings.vehicle, uncertainty, settings.geometry.curve, settings.signals.source, band_limited=True
+        vehicle, uncertainty, settings.geometry.curve, settings.signals.source, band_limited=True
     )
-    published = PublishedBins(settings.bins.edges, settings.geometry_key)
     return geometry_from_motion(estimator_named(settings.estimator), parameters, motions, published)
 
 
 def _weighted_motions(
-    unit: UnitOfWork, entries: Sequence[_Entry], settings: EstimationSettings, half_life_km: float | None
+    unit: UnitOfWork, entries: Sequence[_Entry], parameters: WindowParameters, half_life_km: float | None
 ) -> Iterator[tuple[float, Motion]]:
     """Yield weight and motion of the entries' windows, oldest first; the newest mileage has weight 1."""
     newest = max(record.mileage_km for record, _, _ in entries)
     windows = [TabulatedWindow(record, version) for record, _, version in entries]
-    for record, moved in replayed(unit, windows, settings.windows):
+    for record, moved in replayed(unit, windows, parameters):
         yield 1.0 if half_life_km is None else 0.5 ** ((newest - record.mileage_km) / half_life_km), moved
 
 

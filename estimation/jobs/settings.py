@@ -9,13 +9,12 @@ from estimation.alerts.rules.book import RuleBook
 from estimation.estimators.catalogue import SHIPPED, estimator_named
 from estimation.geometry.estimate import GeometryParameters
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
-from estimation.tables.bin_table import BinParameters, bin_parameters
 from estimation.track.settings import AlignmentSettings
 from estimation.trend.trend import TrendParameters
 from estimation.values.json_value import JsonValue
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleClass
 
-_MOTION = ("vehicle", "signals", "gates", "interval_km")  # settings of the motion that alignments are made from
+_MOTION = ("signals", "gates", "interval_km")  # settings of the motion that alignments are made from
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +28,6 @@ class EstimationSettings:
     """
 
     estimator: str = SHIPPED  # of estimation.estimators.catalogue: what turns windows into geometries
-    vehicle: VehicleParameters = field(default_factory=VehicleParameters)
     signals: SignalParameters = field(default_factory=SignalParameters)
     geometry: GeometryParameters = field(default_factory=GeometryParameters)
     gates: Gates = field(default_factory=Gates)
@@ -40,20 +38,27 @@ class EstimationSettings:
     def __post_init__(self) -> None:
         estimator_named(self.estimator)
 
-    @property
-    def windows(self) -> WindowParameters:
-        """What turns windows into motion."""
-        return WindowParameters(self.vehicle, self.signals, self.gates)
+    def windows(self, vehicle_class: VehicleClass, nominal_radius: float | None) -> WindowParameters:
+        """Return what turns the windows of a wheelset into motion.
 
-    @property
-    def bins(self) -> BinParameters:
-        """Bin tables of band-limited motion."""
-        return bin_parameters(self.windows)
+        Parameters
+        ----------
+        vehicle_class
+            Of its vehicle.
+        nominal_radius
+            Of its wheels, m; None is that of the class.
+        """
+        return WindowParameters.of(vehicle_class, nominal_radius, self.signals, self.gates)
 
-    @property
-    def geometry_key(self) -> str:
-        """Digest of the parameters of the motion and the name of the estimator: one geometry is of one such key."""
-        return self.bins.key if self.estimator == SHIPPED else f"{self.bins.key} {self.estimator}"
+    def geometry_key(self, table_key: str) -> str:
+        """Return the key of a geometry: that of its bin tables, and the name of an estimator that does without them.
+
+        Parameters
+        ----------
+        table_key
+            Digest of the parameters of the motion.
+        """
+        return table_key if self.estimator == SHIPPED else f"{table_key} {self.estimator}"
 
     def as_json(self) -> Mapping[str, JsonValue]:
         """Return every setting, for the provenance of an estimate."""

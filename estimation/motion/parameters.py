@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from typing import Self
 
 from estimation.errors import ParameterError
 from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleClass
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +69,36 @@ class Gates:
 
 @dataclass(frozen=True, slots=True)
 class WindowParameters:
-    """What turns a window into motion: the vehicle, the filters, and the gates."""
+    """What turns a window into motion: the class of its vehicle, the filters, and the gates.
 
-    vehicle: VehicleParameters = field(default_factory=VehicleParameters)
+    The nominal radius of ``vehicle_class`` is that of the wheelset of the window.
+    """
+
+    vehicle_class: VehicleClass
     signals: SignalParameters = field(default_factory=SignalParameters)
     gates: Gates = field(default_factory=Gates)
+
+    @classmethod
+    def of(
+        cls, vehicle_class: VehicleClass, nominal_radius: float | None, signals: SignalParameters, gates: Gates
+    ) -> Self:
+        """Return the parameters of a wheelset.
+
+        Parameters
+        ----------
+        vehicle_class
+            Of its vehicle.
+        nominal_radius
+            Of its wheels, m; None is that of the class.
+        signals, gates
+            Filters and gates.
+        """
+        if nominal_radius is not None:
+            own = replace(vehicle_class.parameters, nominal_radius=nominal_radius)
+            vehicle_class = replace(vehicle_class, parameters=own)
+        return cls(vehicle_class, signals, gates)
+
+    @property
+    def vehicle(self) -> VehicleParameters:
+        """Parameters of the wheelset and its suspension."""
+        return self.vehicle_class.parameters

@@ -27,6 +27,7 @@ from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, SHARED_IN_BOGIE, YAW_TARGETS, regression
+from estimation.vehicle.vehicle_class import VehicleClass
 
 TABLE_VERSION = 4
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio
@@ -44,6 +45,7 @@ class BinParameters:
     vehicle: VehicleParameters = field(default_factory=VehicleParameters)
     wheelbase: float | None = None  # m, of the bogie that the yaw spring is tied to; None without one
     difference_noise: float = 0.0  # m2 (m/s)3: variance of R by the noise of the sensors times the cube of the speed
+    arrangement: str = ""  # of axles and sensors, which shape the motion too, as text
 
     def __post_init__(self) -> None:
         if not 0 < self.width < self.reach:
@@ -236,6 +238,16 @@ def bin_parameters(parameters: WindowParameters) -> BinParameters:
     Parameters
     ----------
     parameters
-        Vehicle and filters, which go into the key of the tables.
+        Class of the vehicle and filters, which go into the key of the tables.
     """
-    return BinParameters(source=parameters.signals.source, band_limited=True, vehicle=parameters.vehicle)
+    return BinParameters(
+        source=parameters.signals.source,
+        band_limited=True,
+        vehicle=parameters.vehicle,
+        arrangement=_arrangement(parameters.vehicle_class),
+    )
+
+
+def _arrangement(vehicle_class: VehicleClass) -> str:
+    """Return what shapes the motion besides the parameters of the wheelset."""
+    return f"{vehicle_class.arrangement} {vehicle_class.bogie} {vehicle_class.sensors}"

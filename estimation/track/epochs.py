@@ -43,8 +43,9 @@ def epoch_digest(
     version: int | None,
     code_version: str,
     measured: Mapping[ProfileLife, MeasuredCurve] | None = None,
+    assumed: Mapping[tuple[str, int], str] | None = None,
 ) -> str:
-    """Return a digest of what distinguishes an epoch: windows, version before, code, measured curves.
+    """Return a digest of what distinguishes an epoch: windows, version before, code, measured curves, vehicles.
 
     Parameters
     ----------
@@ -56,10 +57,15 @@ def epoch_digest(
         Version of the numerics.
     measured
         Curves of measured profiles, by profile life.
+    assumed
+        Digest of what is assumed of the vehicle, by wheelset and start of the window.
     """
+    given = assumed or {}
     text = hashlib.sha256(f"{version} {code_version}\n".encode())
     for record in sorted(records, key=lambda item: (item.wheelset, item.start_ns)):
-        text.update(f"{record.wheelset} {record.start_ns} {record.content_digest} {record.mileage_km!r}\n".encode())
+        of_vehicle = given.get((record.wheelset, record.start_ns), "")
+        line = f"{record.wheelset} {record.start_ns} {record.content_digest} {record.mileage_km!r} {of_vehicle}\n"
+        text.update(line.encode())
     for life, curve in sorted((measured or {}).items()):
         text.update(f"{life.wheelset}#{life.profile}#{life.interval} {curve.name} {curve.std!r}\n".encode())
         text.update(curve.difference.tobytes() + curve.displacement.tobytes())

@@ -43,6 +43,15 @@ class BinTable:
         return bin_centres(self.edges)
 
 
+@dataclass(frozen=True, slots=True)
+class TableKey:
+    """Which parameters the bin tables of a wheelset on a vehicle were made with."""
+
+    wheelset: str
+    vehicle: str
+    parameter_key: str
+
+
 class BinStatus(StrEnum):
     """Why a bin's number is published or not."""
 

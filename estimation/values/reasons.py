@@ -30,6 +30,7 @@ class ReasonCode(StrEnum):
     SECTION_UNKNOWN = "section_unknown", "The vehicle is on no section of the registry. Register the section."
     POSITION_UNKNOWN = "position_unknown", "No sample, or too few, has a position on the section."
     FILE_DAMAGED = "file_damaged", "The file of the samples is missing or damaged. Receive the recording again."
+    CLASS_UNKNOWN = "class_unknown", "The class of the vehicle is not on file. Register it; the window waits for it."
     ALIGNMENT_UNKNOWN = "alignment_unknown", "The alignment of the section is not known yet. The window waits for it."
     NOT_MOVING = "not_moving", "The vehicle stands, or runs too slowly."
     BOTH_DIRECTIONS = "both_directions", "The vehicle runs both ways along the section within the window."

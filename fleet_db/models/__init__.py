@@ -19,6 +19,7 @@ from fleet_db.models.tracks import (
     WindowPositionRow,
 )
 from fleet_db.models.trends import TrendRow
+from fleet_db.models.vehicle_classes import VehicleClassRow
 from fleet_db.models.vehicles import VehicleRow
 from fleet_db.models.wheelsets import ReprofilingRow, WheelsetChangeRow, WheelsetRow
 from fleet_db.models.windows import WindowRow
@@ -41,6 +42,7 @@ __all__ = [
     "TrackSectionRow",
     "TrackVersionRow",
     "TrendRow",
+    "VehicleClassRow",
     "VehicleRow",
     "WheelsetBinRow",
     "WheelsetChangeRow",

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Select, and_, or_, select
+from sqlalchemy import Connection, Select, and_, false, or_, select
 
 from estimation.errors import ConflictError
-from estimation.values.geometry import BinTable
+from estimation.values.geometry import BinTable, TableKey
 from estimation.values.windows import WindowRecord
 from fleet_db.changes import Changes
 from fleet_db.models import WindowBinTableRow, WindowRow
@@ -54,13 +54,28 @@ class BinTableStore:
         if upsert(self.connection, TABLES, values):
             self.changes.note(wheelset)
 
-    def outdated(self, parameter_key: str, track_versions: Mapping[str, int]) -> Sequence[tuple[str, int]]:
-        """Return (wheelset, start) of tables made with other parameters, or on too old a version of their section.
+    def parameter_keys(self) -> Sequence[TableKey]:
+        """Return every combination of wheelset, vehicle and parameters of which there is a table."""
+        columns = (TABLES.c.wheelset, WINDOWS.c.vehicle, TABLES.c.parameter_key)
+        statement = select(*columns).join_from(WINDOWS, TABLES, SAME_WINDOW).distinct().order_by(*columns)
+        return [TableKey(*row) for row in self.connection.execute(statement)]
+
+    def made_with(self, key: TableKey) -> Sequence[tuple[str, int]]:
+        """Return (wheelset, start) of the tables of one wheelset on one vehicle with certain parameters."""
+        statement = (
+            select(TABLES.c.start_ns)
+            .join_from(WINDOWS, TABLES, SAME_WINDOW)
+            .where(TABLES.c.wheelset == key.wheelset, TABLES.c.parameter_key == key.parameter_key)
+            .where(WINDOWS.c.vehicle == key.vehicle)
+            .order_by(TABLES.c.start_ns)
+        )
+        return [(key.wheelset, start_ns) for start_ns in self.connection.scalars(statement)]
+
+    def outdated(self, track_versions: Mapping[str, int]) -> Sequence[tuple[str, int]]:
+        """Return (wheelset, start) of tables made on too old a version of the alignment of their section.
 
         Parameters
         ----------
-        parameter_key
-            Of the parameters in force.
         track_versions
             By section, the oldest version that is as good as the one in force; a section not named is not looked at.
         """
@@ -71,7 +86,7 @@ class BinTableStore:
         statement = (
             select(TABLES.c.wheelset, TABLES.c.start_ns)
             .join_from(WINDOWS, TABLES, SAME_WINDOW)
-            .where(or_(TABLES.c.parameter_key != parameter_key, *newer))
+            .where(or_(false(), *newer))
             .order_by(TABLES.c.wheelset, TABLES.c.start_ns)
         )
         return [(row.wheelset, row.start_ns) for row in self.connection.execute(statement)]

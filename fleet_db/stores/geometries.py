@@ -85,8 +85,10 @@ class GeometryStore:
             statement = statement.where(GEOMETRIES.c.baseline == baseline)
         return [_record(row) for row in self.connection.execute(statement)]
 
-    def stale(self, limit: int, geometry_key: str | None = None) -> Sequence[str]:
+    def stale(self, limit: int, estimator: str | None = None) -> Sequence[str]:
         """Return serials whose windows, bin tables, mountings or reprofilings changed since their current geometry.
+
+        A changed class of a vehicle, or a changed radius of a wheelset, counts as a change of the windows.
 
         Only those that have a bin table or a geometry: the others have nothing to estimate from.
 
@@ -94,13 +96,14 @@ class GeometryStore:
         ----------
         limit
             Largest number of serials.
-        geometry_key
-            Of the parameters in force; a current geometry of another key is stale too. None: the key does not matter.
+        estimator
+            Its name as ``geometry_estimates.parameter_key`` ends in it, empty where it does not; a current geometry of
+            another estimator is stale too. None: the estimator does not matter.
         """
         self.changes.flush()
         outdated = CHANGES.c.change > CHANGES.c.geometry_change
-        if geometry_key is not None:
-            outdated = or_(outdated, _made_otherwise(geometry_key))
+        if estimator is not None:
+            outdated = or_(outdated, _made_otherwise(estimator))
         statement = select(CHANGES.c.wheelset).where(
             outdated,
             or_(
@@ -135,12 +138,14 @@ class GeometryStore:
         return newest
 
 
-def _made_otherwise(geometry_key: str) -> ColumnElement[bool]:
-    """Return whether the geometry whose bins are a wheelset's current ones is of another key."""
+def _made_otherwise(estimator: str) -> ColumnElement[bool]:
+    """Return whether the geometry whose bins are a wheelset's current ones is of another estimator."""
+    key = GEOMETRIES.c.parameter_key
+    same = key.endswith(f" {estimator}", autoescape=True) if estimator else ~key.contains(" ")
     return (
         exists()
         .where(BINS.c.wheelset == CHANGES.c.wheelset, BINS.c.bin == 0)
-        .where(GEOMETRIES.c.geometry_id == BINS.c.geometry_id, GEOMETRIES.c.parameter_key != geometry_key)
+        .where(GEOMETRIES.c.geometry_id == BINS.c.geometry_id, ~same)
     )
 
 

@@ -12,22 +12,25 @@ from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.windows import WindowState
+from estimation.vehicle.class_on_file import SHIPPED_VERSION, ClassOnFile
+from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import (
     FleetRow,
-    MeasuredProfilesRow,
     MountingRow,
     ReprofilingRow,
     VehicleRow,
     WheelsetRow,
     WindowRow,
 )
-from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
+from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.rows import reason_columns, table_of, upsert
+from fleet_db.stores.estimated_again import Again
+from fleet_db.stores.measured_profiles import measured_profiles_of, store_measured_profiles
+from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class
 
 MOUNTINGS = table_of(MountingRow)
-MEASURED = table_of(MeasuredProfilesRow)
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
 REPROFILINGS, WINDOWS = table_of(ReprofilingRow), table_of(WindowRow)
 
@@ -38,6 +41,7 @@ class RegistryStore:
 
     connection: Connection
     changes: Changes
+    shipped: Shipped = no_class
 
     def fleets(self) -> Sequence[FleetRecord]:
         """Return all fleets by code."""
@@ -114,13 +118,37 @@ class RegistryStore:
         """
         return measured_profiles_of(self.connection, wheelset)
 
+    def vehicle_class(self, code: str, version: int | None = None) -> ClassOnFile | None:
+        """Return the newest version of a class, or the one given; of the package where none is registered."""
+        found = find_class(self.connection, code, version)
+        if found is not None or version not in {None, SHIPPED_VERSION}:
+            return found
+        of_package = self.shipped(code)
+        return None if of_package is None else ClassOnFile(of_package)
+
+    def registered_classes_page(self, after: str | None, limit: int) -> Sequence[ClassOnFile]:
+        """Return the newest version of at most ``limit`` registered classes with a code behind ``after``."""
+        return newest_classes(self.connection, after, limit)
+
+    def add_vehicle_class(self, vehicle_class: VehicleClass, recorded_ns: int) -> EstimatedAgain:
+        """Add a class or a new version of it; return what is estimated again: where the motion changes, every window.
+
+        The content of the newest version again changes nothing.
+        """
+        serialise(self.connection, Subject.REGISTRY)
+        before = self.vehicle_class(vehicle_class.code)
+        stored = store_class(self.connection, vehicle_class, recorded_ns)
+        of_class = select(VEHICLES.c.code).where(VEHICLES.c.vehicle_class == vehicle_class.code)
+        vehicles = list(self.connection.scalars(of_class.order_by(VEHICLES.c.code)))
+        return Again(self.connection, self.changes, recorded_ns).class_changed(vehicles, before, stored)
+
     def add_fleet(self, record: FleetRecord) -> None:
         """Add a fleet or change its name."""
         serialise(self.connection, Subject.REGISTRY)
         upsert(self.connection, FLEETS, asdict(record))
 
-    def add_vehicle(self, record: VehicleRecord) -> None:
-        """Add a vehicle or change it.
+    def add_vehicle(self, record: VehicleRecord, recorded_ns: int | None = None) -> EstimatedAgain:
+        """Add a vehicle or change it; return what is estimated again because it is of another class now.
 
         Raises
         ------
@@ -129,7 +157,12 @@ class RegistryStore:
         """
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
+        was = self.connection.scalar(select(VEHICLES.c.vehicle_class).where(VEHICLES.c.code == record.code))
         upsert(self.connection, VEHICLES, asdict(record) | {"axle_offsets_m": list(record.axle_offsets_m)})
+        if was is None or was == record.vehicle_class:
+            return NOTHING_AGAIN
+        before, after = self.vehicle_class(was), self.vehicle_class(record.vehicle_class)
+        return Again(self.connection, self.changes, recorded_ns).class_changed([record.code], before, after)
 
     def add_wheelset(self, record: WheelsetRecord) -> None:
         """Add a wheelset or change it; the mounting and the reprofilings that it carries are added too.
@@ -357,21 +390,3 @@ def _overlapping(connection: Connection, record: Mounting) -> Mounting | None:
 def to_mounting(row: Row[Any]) -> Mounting:
     """Return the value of a row."""
     return Mounting(**row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
-
-
-def measured_profiles_of(connection: Connection, wheelset: str) -> Sequence[MeasuredProfiles]:
-    """Return every measurement of a wheelset, oldest first."""
-    statement = select(MEASURED).where(MEASURED.c.wheelset == wheelset).order_by(MEASURED.c.at_ns)
-    return [_to_measured(row) for row in connection.execute(statement)]
-
-
-def store_measured_profiles(connection: Connection, record: MeasuredProfiles) -> bool:
-    """Store a measurement of a wheelset that exists, or change the one of the same time; return whether it changed."""
-    row = {"wheelset": record.wheelset, "at_ns": record.at_ns, "mileage_km": record.mileage_km, "std_m": record.std}
-    return upsert(connection, MEASURED, row | {"packed": pack_wheel_pair(record.left, record.right)})
-
-
-def _to_measured(row: Row[Any]) -> MeasuredProfiles:
-    where = f"profiles of wheelset {row.wheelset!r} measured at {row.at_ns}"
-    left, right = unpack_wheel_pair(row.packed, where=where)
-    return MeasuredProfiles(row.wheelset, row.at_ns, row.mileage_km, left, right, row.std_m)

@@ -122,6 +122,24 @@ class WindowStore:
             self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
         return len(found)
 
+    def refused_vehicles(self, code: ReasonCode) -> Sequence[str]:
+        """Return the vehicles of windows that were refused for a reason of this code, by code."""
+        refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code == code.value)
+        statement = select(WINDOWS.c.vehicle).where(*refused).distinct().order_by(WINDOWS.c.vehicle)
+        return list(self.connection.scalars(statement))
+
+    def requeue_vehicle(self, vehicle: str, code: ReasonCode) -> int:
+        """Let the windows of a vehicle that were refused for a reason of this code wait again; return how many.
+
+        Where they were is looked for again too.
+        """
+        refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code == code.value)
+        found = self._records(select(WINDOWS).where(WINDOWS.c.vehicle == vehicle, *refused))
+        for record in found:
+            self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
+            self._forget_position(record.wheelset, record.start_ns)
+        return len(found)
+
     def requeue_section(self, track_section: str) -> int:
         """Set every window of a section to pending; return how many were not."""
         not_pending = (WINDOWS.c.track_section == track_section, WINDOWS.c.state != WindowState.PENDING.value)
@@ -202,11 +220,13 @@ class WindowStore:
     def _wait_again(self, window: Window) -> None:
         key = {"wheelset": window.wheelset, "start_ns": window.start_ns}
         standing = self.connection.execute(STANDING, key_of(WINDOWS, key)).first()
-        self.connection.execute(
-            delete(POSITIONS).where(POSITIONS.c.wheelset == window.wheelset, POSITIONS.c.start_ns == window.start_ns)
-        )
+        self._forget_position(window.wheelset, window.start_ns)
         if standing is not None and standing.state == WindowState.REFUSED.value:
             self.mark(window.wheelset, window.start_ns, WindowState.PENDING)
+
+    def _forget_position(self, wheelset: str, start_ns: int) -> None:
+        same = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
+        self.connection.execute(delete(POSITIONS).where(*same))
 
     def _set_mileage(self, window: Window, before_km: float, mileage_km: float) -> bool:
         if before_km == mileage_km:

@@ -21,6 +21,7 @@ from ingest.simulator.campaign import failed
 from ingest.simulator.class_on_file import ClassOnFile
 from ingest.simulator.scenario import Scenario, SectionPlan, VehiclePlan, WheelsetPlan
 from ingest.simulator.track import TrackTruth, write_track
+from ingest.simulator.vehicle_class_entry import class_entry
 from ingest.simulator.wear import GeometryTruth, WearState, wear_at, worn_profiles
 
 REGISTRY_FILE = "registry.json"
@@ -68,6 +69,9 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
     content: dict[str, JsonValue] = {
         "format": REGISTRY_FORMAT,
         "fleets": [{"code": scenario.fleet_code, "name": scenario.fleet_name}],
+        "vehicle_classes": [
+            class_entry(scenario, code) for code in sorted({plan.vehicle_class for plan in scenario.vehicles})
+        ],
         "vehicles": [_vehicle(scenario, plan) for plan in scenario.vehicles],
         "wheelsets": [_wheelset(scenario, item) for plan in scenario.vehicles for item in plan.wheelsets],
         "mountings": [

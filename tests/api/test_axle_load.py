@@ -1,4 +1,4 @@
-"""The load W: the paper's in its reproduction and published scenarios, else the whole axle load or what is set."""
+"""The load W: the paper's in its reproduction and published scenarios, else the whole axle load or what is given."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from pathlib import Path
 import pytest
 from scenario_text import SMALL
 
-from api.comparison.trial import deploy
-from api.factory import estimation_settings
-from api.settings import load_settings
-from estimation.errors import ParameterError
 from estimation.vehicle.equations_of_motion import VehicleParameters
+from ingest.registry_file import read_registry
+from ingest.simulator.fleet import prepare
 from ingest.simulator.scenario_file import builtin_scenarios, load_scenario, read_scenario
 
 PAPER = 12263.0  # N
@@ -43,28 +41,14 @@ def test_scenarios_of_the_package_have_the_load_that_their_results_were_publishe
     assert load_scenario(name).parameters == VehicleParameters()
 
 
-def test_the_vehicle_on_the_live_bus_has_the_load_that_a_deployment_assumes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("TREADWATCH_AXLE_LOAD_N", raising=False)
-    assert load_scenario("live").parameters == estimation_settings(load_settings()).vehicle
+def test_the_vehicle_on_the_live_bus_stands_on_the_rails_with_its_whole_weight() -> None:
+    assert load_scenario("live").parameters == replace(VehicleParameters(), load=AXLE)
 
 
-def test_a_deployment_estimates_with_the_whole_axle_load_or_the_one_set(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.delenv("TREADWATCH_AXLE_LOAD_N", raising=False)
-    assert estimation_settings(load_settings()).vehicle == replace(VehicleParameters(), load=AXLE)
-    monkeypatch.setenv("TREADWATCH_AXLE_LOAD_N", "90700")
-    assert estimation_settings(load_settings()).vehicle.load == 90700.0
-    monkeypatch.setenv("TREADWATCH_AXLE_LOAD_N", "")
-    assert estimation_settings(load_settings()).vehicle.load == AXLE
-    for wrong in ("-1", "0", "heavy", "9e9"):
-        monkeypatch.setenv("TREADWATCH_AXLE_LOAD_N", wrong)
-        with pytest.raises(ParameterError, match="TREADWATCH_AXLE_LOAD_N"):
-            load_settings()
-
-
-def test_a_simulated_deployment_has_the_load_of_its_scenario(tmp_path: Path) -> None:
+def test_the_class_in_the_registry_of_a_scenario_has_its_parameters(tmp_path: Path) -> None:
     path = tmp_path / "scenario.toml"
-    path.write_text(SMALL)
+    path.write_text(SMALL.replace("[fleet]", "[dynamics]\nload = 50000.0\nyaw_stiffness = 1e6\n[fleet]"))
     scenario = read_scenario(path)
-    assert estimation_settings(deploy(scenario, tmp_path)).vehicle == scenario.parameters
+    (found,) = read_registry(prepare(scenario, tmp_path)).classes
+    assert found.parameters == scenario.parameters
+    assert {plan.vehicle_class for plan in scenario.vehicles} == {found.code}

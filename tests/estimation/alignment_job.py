@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from paper_class import paper_class
 from section_runs import RUNS, windows
 from smooth_wheelset import alignment, track
 
@@ -34,6 +35,7 @@ class Clock:
 
 def register(storage: Storage, sections: Sequence[str] = ("S1",)) -> None:
     with storage.write() as unit:
+        unit.registry.add_vehicle_class(paper_class("metro"), 1)
         unit.registry.add_fleet(FleetRecord("F", "Fleet"))
         for number, code in enumerate(sections, start=1):
             unit.tracks.add_section(TrackSectionRecord(code, number, "Section", "56E1", 0.05, 1.435, LENGTH))

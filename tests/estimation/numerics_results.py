@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from gauge_passes import passes, section
+from paper_class import BINS, WINDOWS
 from smooth_wheelset import alignment, mems_windows, run, track
 
 from estimation.geometry.estimate import estimate_geometry
@@ -49,9 +50,9 @@ def record() -> None:
 def _geometry() -> list[float | None]:
     settings = JobSettings().estimation
     windows = mems_windows(run(120, seed=1, cone=0.12, swing=4.0), seed=1)
-    tables = [tabulate_window(window, alignment(track(1)), settings.windows) for window in windows]
-    merged = bin_table.merge_all([table for table in tables if isinstance(table, BinTable)], settings.bins)
-    found = estimate_geometry(merged, settings.bins, settings.geometry)
+    tables = [tabulate_window(window, alignment(track(1)), WINDOWS) for window in windows]
+    merged = bin_table.merge_all([table for table in tables if isinstance(table, BinTable)], BINS)
+    found = estimate_geometry(merged, BINS, settings.geometry)
     difference = found.rolling_radius_difference
     curve = [column[np.isfinite(column)][::6] for column in (difference.value, difference.std)]
     return [*_numbers(np.concatenate(curve)), *(n for estimate in found.conicity for n in _estimate(estimate))]

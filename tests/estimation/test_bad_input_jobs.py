@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from paper_class import paper_class
 from section_runs import RUNS, mirror_mounted, windows
 from smooth_wheelset import alignment, mems_windows, run, track
 
@@ -55,6 +56,7 @@ def surveyed(std: float = 0.05e-3) -> TrackAlignment:
 def deployed(storage: Storage, found: dict[str, Sequence[Window]], recorded: TrackAlignment | None = None) -> None:
     """Register a vehicle of one wheelset for each name, put its windows, and run all jobs."""
     with storage.write() as unit:
+        unit.registry.add_vehicle_class(paper_class("metro"), 1)
         unit.registry.add_fleet(FleetRecord("F", "Fleet"))
         unit.tracks.add_section(TrackSectionRecord("S1", 1, "Section", "56E1", 0.05, 1.435, LENGTH))
         if recorded is not None:

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from paper_class import paper_class
 from smooth_wheelset import SmoothTable, alignment, mems_windows, track
 from test_bad_input_jobs import run_jobs
 
@@ -76,6 +77,7 @@ def known() -> TrackAlignment:
 def deployed(storage: Storage, lives: Mapping[str, Sequence[Sequence[Window]]], *, recorded: bool) -> None:
     """Register, with the track on file or not, then put the windows of every visit and run the jobs after each."""
     with storage.write() as unit:
+        unit.registry.add_vehicle_class(paper_class("metro"), 1)
         unit.registry.add_fleet(FleetRecord("F", "Fleet"))
         unit.tracks.add_section(TrackSectionRecord("S1", 1, "Section", "56E1", 0.05, 1.435, LENGTH))
         if recorded:

@@ -183,7 +183,7 @@ def load(storage: Storage, folder: Path, header: str, rows: Sequence[str], **std
     }  # fmt: skip
     (folder / "registry.json").write_text(json.dumps({"format": FORMAT, "track_sections": [section]}))
     with storage.write() as unit:
-        load_registry(folder / "registry.json", unit)
+        load_registry(folder / "registry.json", unit, 1)
 
 
 def test_of_a_section_whose_gauge_alone_is_on_file_the_fleet_finds_the_alignment(

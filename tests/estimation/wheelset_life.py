@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from paper_class import paper_class
 
 from estimation.storage import Storage
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
@@ -116,6 +117,7 @@ def geometry_record(
 def register(storage: Storage, *wheelsets: str, vehicle: str = "V1") -> None:
     """Put wheelsets under a vehicle of 100 km/h, from START_NS on."""
     with storage.write() as unit:
+        unit.registry.add_vehicle_class(paper_class("metro"), 1)
         unit.registry.add_fleet(FleetRecord("F", "Fleet"))
         unit.registry.add_vehicle(VehicleRecord(vehicle, "F", "metro", 4, 100.0 / 3.6, (0.0, 2.5, 15.0, 17.5)))
         for axle, serial in enumerate(wheelsets, start=1):

@@ -9,6 +9,7 @@ import pytest
 import stored_values as make
 
 from estimation.errors import ConflictError
+from estimation.values.geometry import TableKey
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import (
@@ -188,7 +189,10 @@ def test_tables_of_versions_that_are_as_good_as_the_one_in_force_are_not_outdate
             record = unit.windows.get("WS-1", window.start_ns)
             assert record is not None
             unit.tables.put("WS-1", window.start_ns, make.bin_table(), version, record.content_digest)
-        old = make.bin_table().parameter_key
-        assert [start for _, start in unit.tables.outdated(old, {"S-7": 2})] == [make.window(0).start_ns]
-        assert unit.tables.outdated(old, {"S-7": 1}) == []
-        assert len(unit.tables.outdated("other parameters", {"S-7": 1})) == 3
+        assert [start for _, start in unit.tables.outdated({"S-7": 2})] == [make.window(0).start_ns]
+        assert unit.tables.outdated({"S-7": 1}) == unit.tables.outdated({}) == []
+        (key,) = unit.tables.parameter_keys()
+        assert key == TableKey("WS-1", "V-1", make.bin_table().parameter_key)
+        assert len(unit.tables.made_with(key)) == 3
+        for other in (replace(key, wheelset="WS-2"), replace(key, vehicle="V-2"), replace(key, parameter_key="other")):
+            assert unit.tables.made_with(other) == []

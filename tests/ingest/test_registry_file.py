@@ -33,7 +33,7 @@ def registry(tmp_path: Path) -> Path:
 
 def load(storage: SqlStorage, path: Path) -> None:
     with storage.write() as unit:
-        load_registry(path, unit)
+        load_registry(path, unit, 1)
 
 
 def test_a_simulated_registry_lands_in_the_store(storage: SqlStorage, registry: Path) -> None:

@@ -86,7 +86,6 @@ kind = "sensor_fault"
 from_campaign = 3
 """
 WINDOW_S = 30.0
-TINY_LOAD = 12263.0  # N, as in the scenario
 HOUR_NS = 3_600_000_000_000
 BOOK_KEEPING = ("job_runs",)
 
@@ -132,13 +131,12 @@ def deployment(url: str, directory: Path, report: FleetReport) -> Deployment:
         data_dir=directory,
         database_url=url,
         window_length_s=WINDOW_S,
-        axle_load_n=TINY_LOAD,
         port=0,
         _env_file=None,
     )
     storage = SqlStorage(database_engine(url), directory)
     with storage.write() as unit:
-        load_registry(report.registry, unit)
+        load_registry(report.registry, unit, 1)
     clock = StandingClock(1_704_000_000_000_000_000)
     receiver = Receiver(storage, raw_store(settings), default_catalogue(), clock, window_length_s=WINDOW_S)
     return Deployment(settings, storage, clock, receiver)

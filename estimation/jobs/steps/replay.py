@@ -38,7 +38,7 @@ def replayed(
     windows
         Windows of one wheelset.
     parameters
-        Vehicle, filters and gates.
+        Class of the vehicle, filters and gates; the same for all windows.
 
     Raises
     ------

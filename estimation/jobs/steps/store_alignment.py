@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from estimation.jobs.job import JobContext
+from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.track.journeys import Journey
 from estimation.track.passes import Pass
@@ -19,6 +20,7 @@ from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.track import Correction, TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.windows import WindowPosition, WindowRecord, WindowState
+from estimation.vehicle.class_on_file import ClassOnFile
 
 WindowKey = tuple[str, int]  # wheelset, start
 
@@ -46,10 +48,11 @@ class Epoch:
     digest: str
     passes: EpochPasses
     notes: tuple[str, ...] = ()  # on evidence that could not be used
+    classes: Mapping[str, ClassOnFile] = field(default_factory=dict)  # by vehicle; those on file when it was read
 
 
 def store(unit: UnitOfWork, epoch: Epoch, update: AlignmentUpdate, context: JobContext) -> bool:
-    """Store what an epoch makes of a section, unless its alignment has changed since the epoch was read.
+    """Store what an epoch makes of a section, unless its alignment or a class has changed since the epoch was read.
 
     Windows of an epoch that identified nothing are left for the next, but for those that hold no pass.
 
@@ -72,6 +75,8 @@ def store(unit: UnitOfWork, epoch: Epoch, update: AlignmentUpdate, context: JobC
     now = unit.tracks.in_force(epoch.section.code)
     expected = epoch.before.version if epoch.before is not None else None
     if (now.version if now is not None else None) != expected:
+        return False
+    if classes_of(ClassLookup(unit, context.settings.estimation), epoch.records) != epoch.classes:
         return False
     version = expected
     if update.outcome.makes_version and update.alignment is not None:
@@ -100,7 +105,7 @@ def _report(unit: UnitOfWork, epoch: Epoch, update: AlignmentUpdate, version: in
         "recording_code": code_of(update.survey),
         "refused_windows": _counted([reason.text for reason in epoch.passes.refused.values()]),
         "refused_windows_by_code": _counted([reason.code for reason in epoch.passes.refused.values()]),
-        "parameters": context.settings.alignment_parameters(),
+        "parameters": context.settings.alignment_parameters() | {"vehicle_classes": _provenance(epoch.classes)},
     }
     unit.tracks.add_report(
         TrackReport(
@@ -116,6 +121,26 @@ def _report(unit: UnitOfWork, epoch: Epoch, update: AlignmentUpdate, version: in
             recorded_ns=context.clock.now_ns(),
         )
     )
+
+
+def classes_of(classes: ClassLookup, records: Sequence[WindowRecord]) -> dict[str, ClassOnFile]:
+    """Return the class of each vehicle of windows, where it is on file.
+
+    Parameters
+    ----------
+    classes
+        As on file.
+    records
+        Windows.
+    """
+    found = {vehicle: classes.of_vehicle(vehicle) for vehicle in sorted({record.vehicle for record in records})}
+    return {vehicle: one for vehicle, one in found.items() if not isinstance(one, Reason)}
+
+
+def _provenance(classes: Mapping[str, ClassOnFile]) -> JsonValue:
+    """Return version and digest of each class, by code."""
+    by_code = {one.vehicle_class.code: one for one in classes.values()}
+    return {code: {"version": one.version, "digest": one.digest} for code, one in sorted(by_code.items())}
 
 
 def _counted(reasons: Sequence[str]) -> JsonValue:

@@ -8,10 +8,10 @@ import pytest
 from plain_windows import GOOD
 
 from estimation.motion.checks import gate
-from estimation.motion.parameters import Gates, WindowParameters
+from estimation.motion.parameters import Gates
 from estimation.values.reasons import ReasonCode, code_of
 
-GATES = WindowParameters().gates
+GATES = Gates()
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,12 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from paper_class import WINDOWS
 from plain_windows import DT, GOOD, SPEED, layout, plain_track, plain_window
 
 from estimation.errors import ParameterError
 from estimation.motion.integration import segments
-from estimation.motion.parameters import SignalParameters, WindowParameters
+from estimation.motion.parameters import SignalParameters
 from estimation.motion.window_motion import NO_ALIGNMENT, motion, window_motion
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.motion import Motion
@@ -19,7 +20,7 @@ from estimation.values.track import Correction, GaugeShift, TrackAlignment, Trac
 from estimation.values.windows import Window
 
 SIGNALS = SignalParameters()
-PARAMETERS = WindowParameters()
+PARAMETERS = WINDOWS
 N = 1500
 T = DT * np.arange(N)
 WAVE = 10.0  # m

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from paper_class import BINS, WINDOWS
 from smooth_wheelset import SmoothTable, alignment, ideal, mems_windows, run, track
 
 from estimation.contact.conicity import equivalent_conicity
@@ -28,9 +29,9 @@ CERTAIN = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0))
 @cache
 def from_mems(seed: int, cone: float, seconds: int = 300, density: float = 1e-3) -> WheelsetGeometry:
     m = run(seconds, seed=seed, cone=cone, swing=4.0)
-    tables = [tabulate_window(w, alignment(track(seed)), SETTINGS.windows) for w in mems_windows(m, seed, density)]
-    merged = bin_table.merge_all([t for t in tables if isinstance(t, BinTable)], SETTINGS.bins)
-    return estimate_geometry(merged, SETTINGS.bins, SETTINGS.geometry)
+    tables = [tabulate_window(w, alignment(track(seed)), WINDOWS) for w in mems_windows(m, seed, density)]
+    merged = bin_table.merge_all([t for t in tables if isinstance(t, BinTable)], BINS)
+    return estimate_geometry(merged, BINS, SETTINGS.geometry)
 
 
 def _true_conicity(cone: float) -> np.ndarray:
@@ -100,7 +101,7 @@ def test_a_contact_jump_is_recognised_and_nothing_of_its_bin_is_published() -> N
     """A step of 0.3 mm in the left radius at +1.1 mm, laid into the measured yaw acceleration."""
     m = run(200)
     motion = ideal(m)
-    p = SETTINGS.vehicle
+    p = BINS.vehicle
     step = 0.3e-3 * (motion.displacement > 1.1e-3)
     moment = -(p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius) * step
     stepped = replace(motion, yaw_acceleration=motion.yaw_acceleration + moment / p.yaw_inertia)
@@ -126,7 +127,7 @@ def test_too_little_data_is_unestimated_with_its_reason() -> None:
 
 def test_a_table_of_other_parameters_is_refused() -> None:
     with pytest.raises(ValueError, match="expected"):
-        estimate_geometry(bin_table.init(bin_table.BinParameters()), SETTINGS.bins, CERTAIN)
+        estimate_geometry(bin_table.init(bin_table.BinParameters()), BINS, CERTAIN)
 
 
 @pytest.mark.parametrize(
@@ -141,11 +142,11 @@ def test_a_table_of_other_parameters_is_refused() -> None:
 def test_gates_refuse_a_window_with_their_reason(change: dict[str, float], reason: str) -> None:
     window = mems_windows(run(60), seed=0)[0]
     bad = replace(window, quality=replace(window.quality, **change))
-    outcome = tabulate_window(bad, alignment(track(1)), SETTINGS.windows)
+    outcome = tabulate_window(bad, alignment(track(1)), WINDOWS)
     assert isinstance(outcome, Reason)
     assert reason in outcome.text
 
 
 def test_a_section_without_alignment_refuses_for_now() -> None:
-    outcome = tabulate_window(mems_windows(run(60), seed=0)[0], None, SETTINGS.windows)
+    outcome = tabulate_window(mems_windows(run(60), seed=0)[0], None, WINDOWS)
     assert outcome == NO_ALIGNMENT

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper_class import BINS, WINDOWS
 from section_runs import SETTINGS, mirror_mounted, turned_windows, windows
 from smooth_wheelset import alignment, track
 
@@ -20,10 +21,10 @@ KNOWN = alignment(track(1))
 
 
 def curve(found: tuple[Window, ...], *, mounted_reversed: bool = False) -> np.ndarray:
-    tables = [tabulate_window(window, KNOWN, SETTINGS.windows, mounted_reversed=mounted_reversed) for window in found]
+    tables = [tabulate_window(window, KNOWN, WINDOWS, mounted_reversed=mounted_reversed) for window in found]
     assert not any(isinstance(table, Reason) for table in tables), tables
-    merged = bin_table.merge_all([table for table in tables if not isinstance(table, Reason)], SETTINGS.bins)
-    return estimate_geometry(merged, SETTINGS.bins, SETTINGS.geometry).rolling_radius_difference.value
+    merged = bin_table.merge_all([table for table in tables if not isinstance(table, Reason)], BINS)
+    return estimate_geometry(merged, BINS, SETTINGS.geometry).rolling_radius_difference.value
 
 
 def test_a_wheelset_that_runs_the_other_way_is_the_mirror_image_of_itself_and_comes_out_the_same() -> None:
@@ -41,7 +42,7 @@ def test_a_wheelset_mounted_reversed_is_its_own_mirror_image() -> None:
 
 
 def reason(window: Window) -> str:
-    refusal = tabulate_window(window, KNOWN, SETTINGS.windows)
+    refusal = tabulate_window(window, KNOWN, WINDOWS)
     assert isinstance(refusal, Reason)
     return refusal.text
 

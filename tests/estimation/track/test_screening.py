@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from section_runs import SETTINGS, made, mirror_mounted, turned_windows, valid_passes, windows
+from paper_class import WINDOWS
+from section_runs import made, mirror_mounted, turned_windows, valid_passes, windows
 from smooth_wheelset import GOOD, alignment, track
 
 from estimation.track.examination import examine
@@ -172,7 +173,7 @@ WINDOW = windows(1)[0]
 
 
 def refusal(window: object) -> str:
-    examined = examine(window, SETTINGS.windows)  # type: ignore[arg-type] - every caller hands a window
+    examined = examine(window, WINDOWS)  # type: ignore[arg-type] - every caller hands a window
     assert examined.passes == ()
     assert examined.outcome.status is PassStatus.REFUSED
     refused = examined.outcome
@@ -201,7 +202,7 @@ def test_windows_without_a_pass_say_why() -> None:
 def test_valid_windows_are_examined_without_a_reason() -> None:
     for number in range(6):
         for window in (*windows(number), *turned_windows(0)):
-            examined = examine(window, SETTINGS.windows)
+            examined = examine(window, WINDOWS)
             assert len(examined.passes) == 1
             assert examined.outcome.reason is None
 
@@ -210,9 +211,7 @@ def test_valid_windows_are_examined_without_a_reason() -> None:
 @given(at=st.integers(3500, 11_500), metres=st.floats(2.0, 60.0), back=st.booleans())
 def test_a_position_that_jumps_inside_a_window_ends_the_pass_there(at: int, metres: float, back: bool) -> None:  # noqa: FBT001 - drawn
     jump = -metres if back else metres
-    examined = examine(
-        replace(WINDOW, distance=WINDOW.distance + jump * (np.arange(len(WINDOW.valid)) >= at)), SETTINGS.windows
-    )
+    examined = examine(replace(WINDOW, distance=WINDOW.distance + jump * (np.arange(len(WINDOW.valid)) >= at)), WINDOWS)
     assert examined.outcome.status is PassStatus.USED
     assert f"jumps once against the speed, by {metres:.1f} m" in str(examined.outcome.reason)
     assert len(examined.passes) == 2

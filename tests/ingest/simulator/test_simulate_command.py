@@ -37,7 +37,6 @@ def test_recordings_registry_and_truth_are_written(small: str, tmp_path: Path) -
     code, output = run("--scenario", small, "--out", str(out), "--workers", "1", "--seed", "8")
     assert code == 0
     assert "2 recordings" in output
-    assert "AXLE_LOAD" not in output  # it is what an estimate assumes
     assert sorted(path.name for path in out.rglob("*") if path.is_file()) == [
         "V-1__20240108T053000Z.blf",
         "V-1__20240417T053000Z.blf",
@@ -45,12 +44,6 @@ def test_recordings_registry_and_truth_are_written(small: str, tmp_path: Path) -
         "s-9.csv",
         "truth.json",
     ]
-
-
-def test_another_load_than_an_estimate_assumes_is_named(small: str, tmp_path: Path) -> None:
-    Path(small).write_text(SMALL.replace("[fleet]", "[dynamics]\nload = 12263.0\n[fleet]"))
-    _, output = run("--scenario", small, "--out", str(tmp_path / "out"), "--workers", "1")
-    assert "TREADWATCH_AXLE_LOAD_N=12263" in output
 
 
 def test_the_registry_alone_is_written_for_a_live_bus(small: str, tmp_path: Path) -> None:

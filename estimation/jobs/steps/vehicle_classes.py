@@ -1,0 +1,103 @@
+"""What is assumed of each wheelset on each vehicle: the class on file, with the wheelset's own nominal radius."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from estimation.jobs.settings import EstimationSettings
+from estimation.motion.parameters import WindowParameters
+from estimation.storage import UnitOfWork
+from estimation.tables.bin_table import bin_parameters
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.vehicle.class_on_file import ClassOnFile
+
+
+@dataclass(frozen=True, slots=True)
+class Assumed:
+    """What a window is estimated with.
+
+    Attributes
+    ----------
+    on_file
+        Class of the vehicle.
+    windows
+        What turns the window into motion.
+    table_key
+        Of the bin tables that follow.
+    """
+
+    on_file: ClassOnFile
+    windows: WindowParameters
+    table_key: str
+
+    @property
+    def digest(self) -> str:
+        """Digest of all that a result rests on, standard deviations included."""
+        return f"{self.table_key} {self.on_file.digest}"
+
+
+@dataclass(frozen=True, slots=True)
+class ClassLookup:
+    """Classes of vehicles as one transaction sees them; each is looked up once."""
+
+    unit: UnitOfWork
+    settings: EstimationSettings
+    _classes: dict[str, ClassOnFile | Reason] = field(default_factory=dict)
+    _assumed: dict[tuple[str, str], Assumed | Reason] = field(default_factory=dict)
+
+    def of_vehicle(self, vehicle: str) -> ClassOnFile | Reason:
+        """Return the class of a vehicle, or that it is not on file.
+
+        Parameters
+        ----------
+        vehicle
+            Code.
+        """
+        if vehicle not in self._classes:
+            code = self.unit.registry.vehicle(vehicle).vehicle_class
+            found = self.unit.registry.vehicle_class(code)
+            self._classes[vehicle] = class_unknown(code) if found is None else found
+        return self._classes[vehicle]
+
+    def assumed(self, vehicle: str, wheelset: str) -> Assumed | Reason:
+        """Return what the windows of a wheelset on a vehicle are estimated with, or why they are not.
+
+        Parameters
+        ----------
+        vehicle
+            Code.
+        wheelset
+            Serial.
+        """
+        key = (vehicle, wheelset)
+        if key not in self._assumed:
+            self._assumed[key] = self._look_up(vehicle, wheelset)
+        return self._assumed[key]
+
+    def table_key(self, vehicle: str, wheelset: str) -> str | None:
+        """Return the key of bin tables of a wheelset on a vehicle; None where the class is not on file."""
+        found = self.assumed(vehicle, wheelset)
+        return None if isinstance(found, Reason) else found.table_key
+
+    def digest(self, vehicle: str, wheelset: str) -> str:
+        """Return the digest of what is assumed; empty where the class is not on file."""
+        found = self.assumed(vehicle, wheelset)
+        return "" if isinstance(found, Reason) else found.digest
+
+    def _look_up(self, vehicle: str, wheelset: str) -> Assumed | Reason:
+        on_file = self.of_vehicle(vehicle)
+        if isinstance(on_file, Reason):
+            return on_file
+        windows = self.settings.windows(on_file.vehicle_class, self.unit.registry.wheelset(wheelset).nominal_radius_m)
+        return Assumed(on_file, windows, bin_parameters(windows).key)
+
+
+def class_unknown(code: str) -> Reason:
+    """Return the reason why windows of a vehicle wait whose class is not on file.
+
+    Parameters
+    ----------
+    code
+        Of the class.
+    """
+    return Reason(ReasonCode.CLASS_UNKNOWN, f"class {code!r} of the vehicle is not on file")

@@ -1,0 +1,137 @@
+"""What is estimated again after the class of vehicles has changed: their windows, and all that rests on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from sqlalchemy import ColumnElement, Connection, and_, delete, exists, func, select, update
+
+from estimation.values.quantities import Status
+from estimation.values.reasons import ReasonCode
+from estimation.values.track import AlignmentSource, TrackAlignment
+from estimation.values.windows import WindowState
+from estimation.vehicle.class_on_file import ClassOnFile, same_motion
+from fleet_db.changes import Changes
+from fleet_db.models import TrackAlignmentRow, TrackVersionRow, WindowPositionRow, WindowRow
+from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
+from fleet_db.rows import reason_columns, table_of
+from fleet_db.stores.tracks import TrackStore
+
+WINDOWS, POSITIONS = table_of(WindowRow), table_of(WindowPositionRow)
+ALIGNMENTS, VERSIONS = table_of(TrackAlignmentRow), table_of(TrackVersionRow)
+OF_WINDOW = and_(POSITIONS.c.wheelset == WINDOWS.c.wheelset, POSITIONS.c.start_ns == WINDOWS.c.start_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class Again:
+    """Puts windows back to the begin of the pipeline, in one writing transaction."""
+
+    connection: Connection
+    changes: Changes
+    recorded_ns: int | None  # our time; None: that of the version that a section is restarted from
+
+    def class_changed(
+        self, vehicles: Sequence[str], before: ClassOnFile | None, after: ClassOnFile | None
+    ) -> EstimatedAgain:
+        """Let what rests on the class of vehicles be estimated again: every window where their motion changes.
+
+        Parameters
+        ----------
+        vehicles
+            Codes of those whose class has changed.
+        before, after
+            Their class; None where it is not on file.
+        """
+        if before is None or after is None:
+            return NOTHING_AGAIN if before is after else self.vehicles(vehicles)
+        if not same_motion(before.vehicle_class, after.vehicle_class):
+            return self.vehicles(vehicles)
+        return NOTHING_AGAIN if before.digest == after.digest else self.geometries(vehicles)
+
+    def vehicles(self, codes: Sequence[str]) -> EstimatedAgain:
+        """Let all windows of some vehicles wait again, and start the sections again that they helped to align.
+
+        Parameters
+        ----------
+        codes
+            Of the vehicles.
+        """
+        of_vehicles = WINDOWS.c.vehicle.in_(codes)
+        windows, from_ns = self.connection.execute(
+            select(func.count(), func.min(WINDOWS.c.start_ns)).where(of_vehicles)
+        ).one()
+        sections = self._aligned_by(of_vehicles)
+        self._wait(of_vehicles)
+        for section in sections:
+            self._restart(section)
+        return EstimatedAgain(tuple(codes), int(windows), from_ns, tuple(sections))
+
+    def geometries(self, codes: Sequence[str]) -> EstimatedAgain:
+        """Let only the geometries of the wheelsets of some vehicles be estimated again.
+
+        Parameters
+        ----------
+        codes
+            Of the vehicles.
+        """
+        of_vehicles = WINDOWS.c.vehicle.in_(codes)
+        self._note(of_vehicles)
+        from_ns = self.connection.scalar(select(func.min(WINDOWS.c.start_ns)).where(of_vehicles))
+        return EstimatedAgain(tuple(codes), 0, from_ns, ())
+
+    def _aligned_by(self, chosen: ColumnElement[bool]) -> list[str]:
+        """Return the sections with a version of the fleet's own that windows may have contributed to."""
+        of_fleet = exists().where(VERSIONS.c.section == WINDOWS.c.track_section)
+        placed = exists().where(OF_WINDOW, POSITIONS.c.reason_code.is_distinct_from(ReasonCode.CLASS_UNKNOWN.value))
+        statement = select(WINDOWS.c.track_section).where(chosen, of_fleet, placed).distinct()
+        return sorted(self.connection.scalars(statement))
+
+    def _restart(self, section: str) -> None:
+        """Put the newest registered alignment of a section in force again; where there is none, none is known."""
+        tracks = TrackStore(self.connection)
+        now, before = tracks.alignment(section), tracks.in_force(section)
+        assert now is not None
+        assert before is not None
+        recorded_ns = before.recorded_ns if self.recorded_ns is None else self.recorded_ns
+        if recorded_ns is not None:  # a registered one is in force as it is
+            tracks.add_alignment(self._registered(section) or _unknown(now), recorded_ns=recorded_ns)
+        self._wait(WINDOWS.c.track_section == section)
+
+    def _registered(self, section: str) -> TrackAlignment | None:
+        same = and_(VERSIONS.c.section == ALIGNMENTS.c.section, VERSIONS.c.version == ALIGNMENTS.c.version)
+        version = self.connection.scalar(
+            select(func.max(ALIGNMENTS.c.version)).where(ALIGNMENTS.c.section == section, ~exists().where(same))
+        )
+        return None if version is None else TrackStore(self.connection).alignment(section, version)
+
+    def _wait(self, chosen: ColumnElement[bool]) -> None:
+        """Let windows wait again, and forget where they were."""
+        self._note(chosen)
+        self.connection.execute(delete(POSITIONS).where(exists().where(OF_WINDOW, chosen)))
+        pending = {"state": WindowState.PENDING.value, **reason_columns(None)}
+        self.connection.execute(
+            update(WINDOWS).where(chosen, WINDOWS.c.state != WindowState.PENDING.value).values(**pending)
+        )
+
+    def _note(self, chosen: ColumnElement[bool]) -> None:
+        for wheelset in self.connection.scalars(select(WINDOWS.c.wheelset).where(chosen).distinct()):
+            self.changes.note(wheelset)
+
+
+def _unknown(alignment: TrackAlignment) -> TrackAlignment:
+    """Return the alignment of the same section before anything is known of it."""
+    nothing = np.full(len(alignment.s), np.nan)
+    zero = np.zeros(len(alignment.s))
+    return replace(
+        alignment,
+        alignment=nothing,
+        alignment_std=nothing,
+        gauge_deviation=zero,
+        passes=zero.astype(np.int64),
+        status=Status.UNESTIMATED,
+        source=AlignmentSource.FLEET,
+        gauge_known=False,
+        findings=None,
+    )

@@ -1,0 +1,33 @@
+"""Measured profiles of wheelsets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import Connection, Row, select
+
+from estimation.contact.profiles import MeasuredProfiles
+from fleet_db.models import MeasuredProfilesRow
+from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
+from fleet_db.rows import table_of, upsert
+
+MEASURED = table_of(MeasuredProfilesRow)
+
+
+def measured_profiles_of(connection: Connection, wheelset: str) -> Sequence[MeasuredProfiles]:
+    """Return every measurement of a wheelset, oldest first."""
+    statement = select(MEASURED).where(MEASURED.c.wheelset == wheelset).order_by(MEASURED.c.at_ns)
+    return [_to_measured(row) for row in connection.execute(statement)]
+
+
+def store_measured_profiles(connection: Connection, record: MeasuredProfiles) -> bool:
+    """Store a measurement of a wheelset that exists, or change the one of the same time; return whether it changed."""
+    row = {"wheelset": record.wheelset, "at_ns": record.at_ns, "mileage_km": record.mileage_km, "std_m": record.std}
+    return upsert(connection, MEASURED, row | {"packed": pack_wheel_pair(record.left, record.right)})
+
+
+def _to_measured(row: Row[Any]) -> MeasuredProfiles:
+    where = f"profiles of wheelset {row.wheelset!r} measured at {row.at_ns}"
+    left, right = unpack_wheel_pair(row.packed, where=where)
+    return MeasuredProfiles(row.wheelset, row.at_ns, row.mileage_km, left, right, row.std_m)

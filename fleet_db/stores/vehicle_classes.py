@@ -1,0 +1,105 @@
+"""Versions of vehicle classes: a changed class is a new version, the old one stays for provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from sqlalchemy import Connection, Row, func, insert, select
+
+from estimation.errors import DamagedError, ParameterError
+from estimation.vehicle.class_on_file import ClassOnFile, class_digest, class_document, class_of_document
+from estimation.vehicle.vehicle_class import VehicleClass
+from fleet_db.models import VehicleClassRow
+from fleet_db.rows import table_of
+
+CLASSES = table_of(VehicleClassRow)
+Shipped = Callable[[str], VehicleClass | None]  # the class of the package by code
+
+
+def no_class(_code: str) -> VehicleClass | None:
+    """Return no class: for a store without classes of the package."""
+    return None
+
+
+def find_class(connection: Connection, code: str, version: int | None) -> ClassOnFile | None:
+    """Return a version of a registered class, or the newest; None where there is none.
+
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    code
+        Of the class.
+    version
+        None is the newest.
+
+    Raises
+    ------
+    DamagedError
+        What was stored of it is no class.
+    """
+    statement = select(CLASSES).where(CLASSES.c.code == code)
+    if version is not None:
+        statement = statement.where(CLASSES.c.version == version)
+    row = connection.execute(statement.order_by(CLASSES.c.version.desc()).limit(1)).first()
+    return None if row is None else _on_file(row)
+
+
+def newest_classes(connection: Connection, after: str | None, limit: int) -> Sequence[ClassOnFile]:
+    """Return the newest version of at most ``limit`` classes with a code behind ``after``, by code.
+
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    after
+        Code; None is the begin.
+    limit
+        Largest number of classes.
+    """
+    newest = select(CLASSES.c.code, func.max(CLASSES.c.version).label("version")).group_by(CLASSES.c.code).subquery()
+    statement = select(CLASSES).join(
+        newest, (newest.c.code == CLASSES.c.code) & (newest.c.version == CLASSES.c.version)
+    )
+    if after is not None:
+        statement = statement.where(CLASSES.c.code > after)
+    return [_on_file(row) for row in connection.execute(statement.order_by(CLASSES.c.code).limit(limit))]
+
+
+def store_class(connection: Connection, vehicle_class: VehicleClass, recorded_ns: int) -> ClassOnFile:
+    """Store a class as the next version of its code and return that; the content of the newest changes nothing.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    vehicle_class
+        The class.
+    recorded_ns
+        Our time, ns UTC.
+    """
+    newest = find_class(connection, vehicle_class.code, None)
+    digest = class_digest(vehicle_class)
+    if newest is not None and newest.digest == digest:
+        return newest
+    stored = ClassOnFile(vehicle_class, 1 if newest is None else newest.version + 1, recorded_ns)
+    values = {
+        "code": vehicle_class.code,
+        "version": stored.version,
+        "name": vehicle_class.name,
+        "source": vehicle_class.source,
+        "arrangement": vehicle_class.arrangement.value,
+        "document": class_document(vehicle_class),
+        "digest": digest,
+        "recorded_ns": recorded_ns,
+    }
+    connection.execute(insert(CLASSES).values(**values))
+    return stored
+
+
+def _on_file(row: Row[Any]) -> ClassOnFile:
+    try:
+        return ClassOnFile(class_of_document(row.document), row.version, row.recorded_ns)
+    except (KeyError, TypeError, ValueError, ParameterError) as error:
+        raise DamagedError(f"version {row.version} of vehicle class {row.code!r}: {error}") from error

@@ -1,0 +1,113 @@
+"""Vehicle classes of a registry file, and whether vehicles and wheelsets belong to them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from estimation.values.registry import VehicleRecord, WheelsetRecord
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
+from ingest.input_file import InputFile, Location
+from ingest.registry_schema import ClassFileEntry
+from ingest.vehicle_class_file import read_vehicle_class
+from ingest.vehicle_class_schema import VehicleClassEntry
+
+WHEELBASE_TOLERANCE = 0.05  # m, between two axle offsets of a bogie and its wheelbase
+RADIUS_TOLERANCE = 0.15  # of the class's nominal radius: new and worn out wheels differ by less
+_FIELD = "vehicle_classes"
+
+
+def read_classes(file: InputFile, count: int) -> tuple[VehicleClass, ...]:
+    """Return the classes of a registry file, those in files of their own included.
+
+    Parameters
+    ----------
+    file
+        The registry file.
+    count
+        Of the entries of ``vehicle_classes``.
+
+    Raises
+    ------
+    InputError
+        An entry or a file is wrong, or two have the same code.
+    """
+    found: list[VehicleClass] = []
+    for index in range(count):
+        one = _class(file, (_FIELD, index))
+        if any(one.code == other.code for other in found):
+            raise file.error(f"there are two classes {one.code!r}", (_FIELD, index))
+        found.append(one)
+    return tuple(found)
+
+
+def _class(file: InputFile, location: Location) -> VehicleClass:
+    if "file" in file.at(location):
+        name = file.parse(ClassFileEntry, location).file
+        return read_vehicle_class(file.path.parent / name)
+    return file.parse(VehicleClassEntry, location).record()
+
+
+def check_vehicles(file: InputFile, vehicles: Sequence[VehicleRecord], classes: Mapping[str, VehicleClass]) -> None:
+    """Refuse vehicles whose axles are not those of their class.
+
+    Parameters
+    ----------
+    file
+        The registry file.
+    vehicles
+        Of the file, in its order.
+    classes
+        Known classes by code; a vehicle of another is not checked.
+
+    Raises
+    ------
+    InputError
+        A vehicle on bogies has an odd number of axles, or two axles of a bogie are not its wheelbase apart.
+    """
+    for index, vehicle in enumerate(vehicles):
+        known = classes.get(vehicle.vehicle_class)
+        if known is None or known.bogie is None:
+            continue
+        if vehicle.axles % AXLES_OF_A_BOGIE:
+            reason = f"{vehicle.axles}: class {known.code!r} runs on bogies of two axles"
+            raise file.error(reason, ("vehicles", index, "axles"))
+        offsets = vehicle.axle_offsets_m
+        for front, rear in zip(offsets[::2], offsets[1::2], strict=True):
+            if abs(abs(rear - front) - known.bogie.wheelbase) > WHEELBASE_TOLERANCE:
+                reason = (
+                    f"axles at {front:g} and {rear:g} m are {abs(rear - front):g} m apart, "
+                    f"the wheelbase of class {known.code!r} is {known.bogie.wheelbase:g} m"
+                )
+                raise file.error(reason, ("vehicles", index, "axle_offsets_m"))
+
+
+def check_wheelsets(
+    file: InputFile, wheelsets: Sequence[WheelsetRecord], of_wheelset: Mapping[str, VehicleClass]
+) -> None:
+    """Refuse wheelsets whose radius is not one of the class of their vehicle.
+
+    Parameters
+    ----------
+    file
+        The registry file.
+    wheelsets
+        Of the file, in its order.
+    of_wheelset
+        Class of the vehicle that each runs on, by serial; a wheelset without one is not checked.
+
+    Raises
+    ------
+    InputError
+        A nominal radius is too far from that of the class.
+    """
+    for index, wheelset in enumerate(wheelsets):
+        known = of_wheelset.get(wheelset.serial)
+        if known is None:
+            continue
+        expected = known.parameters.nominal_radius
+        if abs(wheelset.nominal_radius_m - expected) > RADIUS_TOLERANCE * expected:
+            reason = (
+                f"{1e3 * wheelset.nominal_radius_m:g} mm differs by more than {100 * RADIUS_TOLERANCE:g} % "
+                f"from the {1e3 * expected:g} mm of class {known.code!r}"
+            )
+            raise file.error(reason, ("wheelsets", index, "nominal_radius_mm"))
