@@ -240,10 +240,12 @@ def bin_parameters(parameters: WindowParameters) -> BinParameters:
     parameters
         Class of the vehicle and filters, which go into the key of the tables.
     """
+    bogie = parameters.vehicle_class.bogie
     return BinParameters(
         source=parameters.signals.source,
         band_limited=True,
         vehicle=parameters.vehicle,
+        wheelbase=None if bogie is None else bogie.wheelbase,
         arrangement=_arrangement(parameters.vehicle_class),
     )
 
