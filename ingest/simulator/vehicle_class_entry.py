@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 from estimation.values.json_value import JsonValue
 from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import BogieParameters
 from ingest.simulator.scenario import Scenario
+from ingest.simulator.sensors import Channel
 
 MILLI = 1e3
 
 
 def class_entry(scenario: Scenario, code: str) -> JsonValue:
-    """Return the entry of a class of a scenario, whose sensors give accelerations without gravity.
+    """Return the entry of a class of a scenario: with the parameters of its vehicles and the sensors of its nodes.
 
     Parameters
     ----------
@@ -19,12 +23,13 @@ def class_entry(scenario: Scenario, code: str) -> JsonValue:
     code
         Of the class.
     """
-    parameters = scenario.parameters
-    return {
+    parameters, bogie, sensors = scenario.parameters, scenario.bogie, scenario.sensors
+    scale_std = sensors.errors.scale
+    entry: dict[str, JsonValue] = {
         "code": code,
         "name": code,
         "source": f"scenario {scenario.name}",
-        "arrangement": "single_wheelset",
+        "arrangement": "single_wheelset" if bogie is None else "bogie",
         "wheelset": {
             "mass_kg": parameters.wheelset_mass,
             "yaw_inertia_kg_m2": parameters.yaw_inertia,
@@ -42,12 +47,30 @@ def class_entry(scenario: Scenario, code: str) -> JsonValue:
         },
         "creep": _creep(parameters),
         "sensors": {
-            "rate_hz": 250.0,
-            "measures_gravity": False,
-            "lateral": _sensor("accelerometer", "axle_box", "y", "m_s2"),
-            "yaw": _sensor("angular_accelerometer", "axle_box", "z", "rad_s2"),
-            "roll": _sensor("angular_accelerometer", "axle_box", "x", "rad_s2"),
-            "mass_lateral": _sensor("accelerometer", "mass", "y", "m_s2"),
+            "rate_hz": float(sensors.rate_hz),
+            "measures_gravity": sensors.measures_gravity,
+            "lateral": _sensor(sensors.lateral, scale_std, "axle_box", "y"),
+            "yaw": _sensor(sensors.yaw, scale_std, "axle_box", "z"),
+            "roll": _sensor(sensors.roll, scale_std, "axle_box", "x"),
+            "mass_lateral": _sensor(sensors.mass_lateral, scale_std, "mass" if bogie is None else "frame", "y"),
+        },
+    }
+    return entry if bogie is None else entry | _bogie(bogie)
+
+
+def _bogie(bogie: BogieParameters) -> dict[str, JsonValue]:
+    return {
+        "bogie": {
+            "wheelbase_m": bogie.wheelbase,
+            "frame_mass_kg": bogie.frame_mass,
+            "frame_yaw_inertia_kg_m2": bogie.frame_yaw_inertia,
+            "body_mass_kg": bogie.body_mass,
+        },
+        "secondary_suspension": {
+            "lateral_stiffness_n_m": bogie.secondary_lateral_stiffness,
+            "lateral_damping_n_s_m": bogie.secondary_lateral_damping,
+            "yaw_stiffness_n_m_rad": bogie.secondary_yaw_stiffness,
+            "yaw_damping_n_m_s_rad": bogie.secondary_yaw_damping,
         },
     }
 
@@ -62,5 +85,15 @@ def _creep(parameters: VehicleParameters) -> JsonValue:
     }
 
 
-def _sensor(kind: str, place: str, axis: str, unit: str) -> JsonValue:
-    return {"kind": kind, "place": place, "axis": axis, f"noise_density_{unit}_rthz": 0.0}
+def _sensor(channel: Channel, scale_std: float, place: str, axis: str) -> JsonValue:
+    linear = axis == "y"
+    kind = "accelerometer" if linear else "gyroscope" if channel.gyroscope else "angular_accelerometer"
+    unit = "m_s2" if linear else "rad_s" if channel.gyroscope else "rad_s2"
+    entry: dict[str, JsonValue] = {
+        "kind": kind,
+        "place": place,
+        "axis": axis,
+        f"noise_density_{unit}_rthz": channel.noise_density,
+        "scale_std": scale_std,
+    }
+    return entry if math.isinf(channel.limit) else entry | {f"range_{unit}": channel.limit}
