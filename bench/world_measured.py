@@ -23,12 +23,13 @@ from estimation.contact.table import ContactTable
 from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray
 from ingest.simulator.campaign import DerailmentError, contact_of, scenario_track, vehicle_run, wheelset_motion
-from ingest.simulator.drawn_fleet import NOMINAL_RADIUS, with_wheelset
+from ingest.simulator.drawn_fleet import with_wheelset
 from ingest.simulator.profile_files import rails_of, wheel_in
 from ingest.simulator.random_streams import Stream, generator
 from ingest.simulator.scenario import Scenario, SectionPlan
 from ingest.simulator.track import TrackTruth
 
+NOMINAL_RADIUS = 0.45  # m, of the fleets of the rows
 ROWS = ("measured_known", "measured_unknown")
 PARTNERS = 3  # other wheels with which each one runs
 DISPLACEMENT = np.arange(-240, 241) * 0.05e-3  # m

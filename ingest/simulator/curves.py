@@ -5,12 +5,12 @@ Motion is relative to the path: y from the designed centre line, yaw from its ta
 a = V^2 kappa - g theta, the uncompensated lateral acceleration, Eq. 1-3 gain
 
     y''    - a - (2 f23/m) kappa
-    psi''  - (V kappa)' - (2 l^2 f11 + 2 f33) kappa / I - (Iwy V/(r0 I)) theta'
+    psi''  - (V kappa)' - (2 l^2 f11 + 2 f33) kappa / I + (Iwy V/(r0 I)) theta'
     ym''   - a
 
 because creep goes by the absolute yaw rate psi' + V kappa; the middle term is the path difference, which a difference
 of rolling radii rL - rR = -2 l r0 kappa would balance. Sensors on the axlebox measure y'' + a, psi'' + (V kappa)',
-phi'' + theta'' and ym'' + a.
+phi'' - theta'' (the left wheel is the lower one) and ym'' + a.
 """
 
 from __future__ import annotations
@@ -104,8 +104,8 @@ def path_motion(
     spin = 2.0 * p.lateral_spin_creep_coefficient * curvature / p.wheelset_mass
     creep = 2.0 * (p.half_contact_distance**2 * p.longitudinal_creep_coefficient + p.spin_creep_coefficient)
     gyroscopic = p.pitch_inertia * speed / p.nominal_radius * tilt_rate
-    yaw = -turning - (creep * curvature + gyroscopic) / p.yaw_inertia
+    yaw = -turning - (creep * curvature - gyroscopic) / p.yaw_inertia  # the right rail above: it rolls by -tilt
     return PathMotion(
         forced=np.ascontiguousarray(np.column_stack([-uncompensated - spin, yaw, -uncompensated])),
-        accelerations=np.stack([uncompensated, turning, np.gradient(tilt_rate, step), uncompensated]),
+        accelerations=np.stack([uncompensated, turning, -np.gradient(tilt_rate, step), uncompensated]),
     )

@@ -25,7 +25,6 @@ from ingest.simulator.scenario import (
     usual_offsets,
 )
 
-NOMINAL_RADIUS = 0.45  # m
 MOST_DRAWS = 1000  # of a wear within its limits
 NORMAL_95 = 1.96  # a 95 % limit in standard deviations
 WEAR_SHARES = (1.0, 0.85, 0.7, 0.5, 1.5)  # tried in turn until a wheelset stays on the rails
@@ -48,7 +47,7 @@ def with_seed(scenario: Scenario, seed: int) -> Scenario:
     if pair.rail_files != (None, None):
         inclination, files, mirrors = pair.file_inclination, pair.rail_files, pair.rail_mirrors
         section = replace(section, rail_files=files, rail_mirrors=mirrors, file_inclination=inclination)
-    return replace(scenario, seed=seed, section=section, vehicles=_vehicles(scenario.drawn, seed, scenario.bogie))
+    return replace(scenario, seed=seed, section=section, vehicles=_vehicles(scenario, scenario.drawn, seed))
 
 
 def with_less_wear(scenario: Scenario, vehicle: str, axle: int, share: float) -> Scenario:
@@ -183,7 +182,7 @@ def no_wear_left(scenario: Scenario, vehicle: str, axle: int, last: ScenarioErro
     )
 
 
-def _vehicles(fleet: DrawnFleet, seed: int, bogie: BogieParameters | None) -> tuple[VehiclePlan, ...]:
+def _vehicles(scenario: Scenario, fleet: DrawnFleet, seed: int) -> tuple[VehiclePlan, ...]:
     """Return the vehicles: wheelsets are numbered across the vehicles, the first axle of all before the second."""
     plans = []
     for number in range(fleet.vehicles):
@@ -193,14 +192,14 @@ def _vehicles(fleet: DrawnFleet, seed: int, bogie: BogieParameters | None) -> tu
                 code=f"V{number}",
                 vehicle_class=fleet.vehicle_class,
                 max_speed=fleet.max_speed,
-                axle_offsets=usual_offsets(len(ranks), bogie),
-                wheelsets=tuple(_wheelset(fleet, seed, rank) for rank in ranks),
+                axle_offsets=usual_offsets(len(ranks), scenario.bogie),
+                wheelsets=tuple(_wheelset(fleet, seed, rank, scenario.parameters.nominal_radius) for rank in ranks),
             )
         )
     return tuple(plans)
 
 
-def _wheelset(fleet: DrawnFleet, seed: int, rank: int) -> WheelsetPlan:
+def _wheelset(fleet: DrawnFleet, seed: int, rank: int, nominal_radius: float) -> WheelsetPlan:
     pair = fleet.pairs[seed % len(fleet.pairs)]
     rng = generator(seed, Stream.WEAR, rank)
     depth, apart = _depth(fleet, pair, rank, rng), rng.normal(0.0, fleet.wear.asymmetry)
@@ -210,7 +209,7 @@ def _wheelset(fleet: DrawnFleet, seed: int, rank: int) -> WheelsetPlan:
     return WheelsetPlan(
         serial=f"W{rank:02d}",
         wheel_profile=pair.wheel_profile,
-        nominal_radius=NOMINAL_RADIUS,
+        nominal_radius=nominal_radius,
         rate_left=0.0,
         rate_right=0.0,
         wear_centre=course.centre,

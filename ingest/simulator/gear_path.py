@@ -62,7 +62,7 @@ def gear_path(
         path[:, AXLE_PATH * axle : AXLE_PATH * (axle + 1)] = np.column_stack(
             [
                 -uncompensated,
-                -turning - gyroscopic,
+                -turning + gyroscopic,  # the right rail above: it rolls by -tilt
                 kappa,
                 line(at) - line(distance) - x * heading(distance),
                 speed * (turned - x * middle),
@@ -70,7 +70,7 @@ def gear_path(
                 speed * (kappa - middle),
             ]
         )
-        sensed[axle, :3] = uncompensated, turning, np.gradient(rolling, step)
+        sensed[axle, :3] = uncompensated, turning, -np.gradient(rolling, step)
     tilt = np.interp(distance, s, curves.cant) / (2.0 * p.half_contact_distance)
     uncompensated, turning = speed**2 * middle - GRAVITY * tilt, np.gradient(speed * middle, step)
     path[:, FRAME_PATH], path[:, FRAME_PATH + 1] = -uncompensated, -turning

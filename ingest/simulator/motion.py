@@ -75,6 +75,7 @@ class WheelsetMotion:
     outside: int
     path_accelerations: FloatArray | None = None  # (4, n) in the order of ACCELERATIONS; None on straight track
     frame_yaw: FloatArray | None = None  # psi_f, rad, of the bogie frame; None without one
+    mass_roll: FloatArray | None = None  # rad, of what the mass sensor is on; None: as the wheelset
 
     def __post_init__(self) -> None:
         n = len(self.t)
@@ -83,8 +84,9 @@ class WheelsetMotion:
         if self.path_accelerations is not None:
             accelerations = frozen_array(self.path_accelerations, (len(ACCELERATIONS), n), name="path_accelerations")
             object.__setattr__(self, "path_accelerations", accelerations)
-        if self.frame_yaw is not None:
-            object.__setattr__(self, "frame_yaw", frozen_array(self.frame_yaw, (n,), name="frame_yaw"))
+        for name in ("frame_yaw", "mass_roll"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
 
     def __len__(self) -> int:
         return len(self.t)

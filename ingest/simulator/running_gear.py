@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -178,8 +178,14 @@ def simulate_gear(
         out,
         outside,
     )
+    frame_roll = out[: gear.axles, GEAR_OUTPUTS.index("roll")].mean(axis=0)  # it rests on both axles
     return tuple(
-        _motion(gear, out[axle], speed, courses[axle], int(outside[axle]), None if sensed is None else sensed[axle])
+        replace(
+            _motion(
+                gear, out[axle], speed, courses[axle], int(outside[axle]), None if sensed is None else sensed[axle]
+            ),
+            mass_roll=frame_roll,
+        )
         for axle in range(gear.axles)
     )
 

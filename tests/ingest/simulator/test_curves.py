@@ -64,7 +64,7 @@ def test_sensors_feel_the_uncompensated_acceleration_and_the_turn() -> None:
     assert turned == pytest.approx(SPEED / CURVE.radius, rel=1e-3)
     tilted = np.cumsum(np.cumsum(record.values[before, 2])) * 1e-6
     rolled = tilted[-1] - (motion.roll[before][-1] - motion.roll[0])
-    assert rolled == pytest.approx(CURVE.cant / (2 * P.half_contact_distance), rel=1e-2)
+    assert rolled == pytest.approx(-CURVE.cant / (2 * P.half_contact_distance), rel=1e-2)  # the left wheel is down
 
 
 def test_at_the_balancing_cant_the_mass_feels_nothing() -> None:

@@ -110,8 +110,10 @@ def gravity_node() -> SensorNode:
 
 
 def test_gravity_is_measured_with_the_roll_and_upwards(motion: WheelsetMotion) -> None:
-    values = measure(motion, gravity_node(), np.random.default_rng(1), NONE).values
+    above = replace(motion, mass_roll=0.5 * motion.roll)
+    values = measure(above, gravity_node(), np.random.default_rng(1), NONE).values
     np.testing.assert_array_equal(values[:, 0], motion.lateral_acceleration + GRAVITY * motion.roll)
+    np.testing.assert_array_equal(values[:, 3], motion.mass_lateral_acceleration + 0.5 * GRAVITY * motion.roll)
     signals = in_sensor_axes(np.zeros((4, 3)), np.zeros(3), PERFECT, gravity=True)
     np.testing.assert_array_equal(signals, np.zeros((4, 3)))
 

@@ -30,7 +30,11 @@ def motion() -> WheelsetMotion:
 def with_signal(motion: WheelsetMotion, values: FloatArray) -> WheelsetMotion:
     """Return a motion of any length whose four accelerations are 1, 2, 3 and 4 times ``values``."""
     n = len(values)
-    names = [name for name in WheelsetMotion.__slots__ if name not in {"outside", "path_accelerations", "frame_yaw"}]
+    names = [
+        name
+        for name in WheelsetMotion.__slots__
+        if name not in {"outside", "path_accelerations", "frame_yaw", "mass_roll"}
+    ]
     blank: dict[str, FloatArray] = dict.fromkeys(names, np.zeros(n))
     blank |= {name: factor * values for factor, name in enumerate(ACCELERATIONS, start=1)}
     return replace(motion, outside=0, **blank)
