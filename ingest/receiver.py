@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from estimation.errors import ConflictError, LogFileError, NotFoundError, StorageError, TreadwatchError
 from estimation.storage import Clock
@@ -18,9 +19,13 @@ from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from ingest.assembly import Assembler, Assembly, Recording, Recordings
+from ingest.assembly import Assembler, Assembly
 from ingest.catalogue import Catalogue
+from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
+from ingest.exchange.bundle import write_bundle
+from ingest.exchange.intake import checked_exchange
 from ingest.logs.formats import format_of
+from ingest.recordings import Recording, Recordings
 
 SECOND_NS = 1_000_000_000
 MAX_ATTEMPTS = 20
@@ -86,6 +91,29 @@ class Receiver:
         """
         return self.accept(self._store_and_read(path, vehicle))
 
+    def receive_exchange(self, description: Path) -> ChunkReceipt:
+        """Take in one exchange of runs; nothing of it is stored unless all of it is good.
+
+        Parameters
+        ----------
+        description
+            Its TOML file, beside its table.
+
+        Raises
+        ------
+        ExchangeError
+            Something in it is missing, impossible, or contradicts itself or the registry; names file, line and field.
+        ConflictError
+            Logs of the vehicle's bus are in the same windows.
+        """
+        with self._storage.read() as unit:
+            exchange = checked_exchange(description, unit)
+            self._assembler.check_no_logs(unit, exchange.vehicle, (exchange.first_ns, exchange.last_ns))
+        with TemporaryDirectory(prefix="treadwatch-exchange-") as folder:
+            bundle = Path(folder) / f"{description.stem}{EXCHANGE_SUFFIX}"
+            write_bundle(bundle, description, exchange.table, exchange.facts)
+            return self.receive_file(bundle, exchange.vehicle)
+
     def receive_files(self, files: Iterable[tuple[Path, str]]) -> Iterator[tuple[Path, ChunkReceipt | Exception]]:
         """Take in many recordings ``(path, vehicle)``; the next are read while one is stored.
 
@@ -138,7 +166,7 @@ class Receiver:
                 yield error
 
     def _store_and_read(self, path: Path, vehicle: str) -> ReceivedFile:
-        suffix = format_of(path).suffix
+        suffix = _suffix_of(path)
         digest = self._raw.put_file(path)
         try:
             return ReceivedFile(path, vehicle, digest, self._recordings.read(self._raw.path(digest, suffix), digest))
@@ -147,7 +175,7 @@ class Receiver:
 
     def _receipt(self, received: ReceivedFile) -> tuple[ChunkRecord, bool]:
         """Return the committed receipt, and whether it had been there before."""
-        suffix = format_of(received.path).suffix
+        suffix = _suffix_of(received.path)
         now_ns = self._clock.now_ns()
         record = ChunkRecord(
             digest=received.digest,
@@ -209,3 +237,7 @@ class Receiver:
         for receipt in assembly.receipts:
             unit.chunks.update(receipt)
         return changed
+
+
+def _suffix_of(path: Path) -> str:
+    return EXCHANGE_SUFFIX if path.suffix == EXCHANGE_SUFFIX else format_of(path).suffix

@@ -26,18 +26,27 @@ def ingest(
         str | None, typer.Option(help="Listen to a live bus: virtual, udp_multicast or socketcan.")
     ] = None,
     channel: Annotated[str | None, typer.Option(help="Channel of the live bus, such as 239.74.163.2 or can0.")] = None,
+    exchange: Annotated[
+        list[Path] | None,
+        typer.Option(help="Exchange of simulated or measured runs: a TOML file beside its table. May be repeated."),
+    ] = None,
     chunk_seconds: Annotated[float, typer.Option(min=1.0, help="Length of a recording cut from a live bus.")] = 60.0,
 ) -> None:
     """Receive CAN recordings of vehicles, from log files or a live bus, and cut them into windows.
 
-    Every recording is stored unchanged before it is decoded. Receiving a recording twice changes nothing.
+    Every recording is stored unchanged before it is decoded. Receiving a recording twice changes nothing. Runs from a
+    simulation or of an instrumented vehicle come in as exchanges.
     """
-    if (interface is None) == (not files):
-        raise ParameterError("give recordings, or --interface with --channel and --vehicle", field="FILES")
-    from api.terminal.ingest import LiveBus, ingest_and_report
+    if (interface is not None) + bool(files) + bool(exchange) != 1:
+        raise ParameterError(
+            "give recordings, or --exchange, or --interface with --channel and --vehicle", field="FILES"
+        )
+    from api.terminal.ingest import Exchanges, LiveBus, ingest_and_report
 
+    if exchange and vehicle is not None:
+        raise ParameterError("an exchange names its vehicle itself", field="--vehicle")
     if interface is None:
-        source: list[Path] | LiveBus = files or []
+        source: list[Path] | Exchanges | LiveBus = Exchanges(tuple(exchange)) if exchange else files or []
     elif channel is None or vehicle is None:
         raise ParameterError("a live bus needs --channel and --vehicle", field="--interface")
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import threading
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,13 +47,20 @@ class LiveBus:
     chunk_seconds: float
 
 
-def ingest_and_report(source: Sequence[Path] | LiveBus, vehicle: str | None, registry: Path | None) -> None:
+@dataclass(frozen=True, slots=True)
+class Exchanges:
+    """Exchanges of runs, by their TOML files."""
+
+    descriptions: tuple[Path, ...]
+
+
+def ingest_and_report(source: Sequence[Path] | Exchanges | LiveBus, vehicle: str | None, registry: Path | None) -> None:
     """Receive recordings or listen to a bus, and print a summary.
 
     Parameters
     ----------
     source
-        Recordings and folders of them, or the bus.
+        Recordings and folders of them, exchanges, or the bus.
     vehicle
         Vehicle of all recordings; by default the part of each file name before ``__``. A live bus needs it.
     registry
@@ -79,6 +86,8 @@ def ingest_and_report(source: Sequence[Path] | LiveBus, vehicle: str | None, reg
         outcomes = _unfinished(receiver, console)
         if isinstance(source, LiveBus):
             outcomes += _live(receiver, source, str(vehicle), console)
+        elif isinstance(source, Exchanges):
+            outcomes += [(path, _outcome(receiver.receive_exchange, path)) for path in source.descriptions]
         else:
             outcomes += receive_with_progress(receiver, recordings_of(source, vehicle), console)
     Console().print(summary(outcomes))
@@ -233,14 +242,14 @@ def _live(receiver: Receiver, source: LiveBus, vehicle: str, console: Console) -
     ):
         console.print(f"listening to {source.interface} {source.channel} for {vehicle}; stop with Ctrl-C")
         for chunk in record(bus, Path(folder), vehicle, chunk_seconds=source.chunk_seconds, stop=stop):
-            outcomes.append((chunk.path, _received(receiver, chunk.path, vehicle)))
+            outcomes.append((chunk.path, _outcome(receiver.receive_file, chunk.path, vehicle)))
             chunk.path.unlink()
             console.print(f"{chunk.path.name}: {chunk.frames:,} frames, {chunk.dropped:,} dropped", highlight=False)
     return list(outcomes)
 
 
-def _received(receiver: Receiver, path: Path, vehicle: str) -> ChunkReceipt | Exception:
+def _outcome(receive: Callable[..., ChunkReceipt], path: Path, *more: str) -> ChunkReceipt | Exception:
     try:
-        return receiver.receive_file(path, vehicle)
+        return receive(path, *more)
     except TreadwatchError as error:
         return error

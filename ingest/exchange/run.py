@@ -1,0 +1,223 @@
+"""From the columns of an exchange to the messages of a vehicle on its clock, in the axes and units of the product.
+
+The messages are those of a bus of its own: signed 64-bit counts of 2^-20 (a micrometre, or a micrometre per second
+squared), kinds and names as in the shipped catalogue, identifiers that no CAN frame has. So windows are cut from an
+exchange by the code that cuts them from a log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from types import MappingProxyType
+
+import numpy as np
+
+from estimation.errors import ExchangeError
+from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.windows import ACCELERATIONS
+from estimation.vehicle.equations_of_motion import GRAVITY
+from ingest.align.clock import AlignCounts, AlignedFrames, TickedValues, TimeFrames
+from ingest.catalogue import ACCELERATION, MOTION, POSITION, SYNC, VEHICLE_NODE, Catalogue, MessagePlan, SignalPlan
+from ingest.codec import FrameCounts
+from ingest.derivative import derivative
+from ingest.exchange.description import SIGNALS, Column, ExchangeFile, unit
+from ingest.exchange.sampling import resampled, ticks_of, uniform_time
+from ingest.exchange.table import ExchangeTable
+from ingest.registry_schema import MAX_AXLES
+from ingest.units import DERIVATIVES, Quantity
+
+INTERVAL_NS = 4_000_000
+COUNT = 2.0**-20
+FIRST_IDENTIFIER = 0x1000  # behind those of 11 bits
+_LARGEST = 1 << 62
+LARGEST: Mapping[str, float] = MappingProxyType(
+    {"lateral": 1e3, "yaw": 1e4, "roll": 1e4, "mass_lateral": 1e3, "speed": 150.0}
+)
+"""Magnitudes in SI that no vehicle has: beyond them a unit is wrong."""
+
+RUN_SHARE, RUN_M = 0.05, 2.0
+"""How far the change of position may be from the integral of the speed: share of the distance run, and m."""
+
+
+@dataclass(frozen=True, slots=True)
+class RegistryFacts:
+    """What of the registry an exchange needs: on the bus of a vehicle its node would send it."""
+
+    section_number: int
+    axle_offset_m: float  # of the axle whose position is given, behind the reference point; 0 for that point
+    measures_gravity: bool  # lateral accelerations of the vehicle's windows are specific forces
+
+
+@dataclass(frozen=True, slots=True)
+class ExchangeRun:
+    """A run at the sampling instants of the vehicle's clock; x forward, y left, z up."""
+
+    tick: IntArray  # (n,) sampling intervals since 1970
+    distance: FloatArray  # (n,) m along the section, of the vehicle's reference point
+    speed: FloatArray  # (n,) m/s
+    odometer_m: FloatArray  # (n,)
+    accelerations: Mapping[int, FloatArray]  # by axle, (n, 4) in the order of ACCELERATIONS
+
+    def __post_init__(self) -> None:
+        n = len(self.tick)
+        object.__setattr__(self, "tick", frozen_array(self.tick, (n,), np.int64, name="tick"))
+        for name in ("distance", "speed", "odometer_m"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+
+
+def exchange_run(file: ExchangeFile, table: ExchangeTable, facts: RegistryFacts) -> ExchangeRun:
+    """Return the run that a table describes.
+
+    Parameters
+    ----------
+    file
+        Its description.
+    table
+        Its columns.
+    facts
+        Of the registry.
+
+    Raises
+    ------
+    ExchangeError
+        Times are not uniform, a magnitude is impossible, the speed is negative, or the position does not go with it.
+    """
+    time = uniform_time(table, file.time.column, unit("time", file.time).factor, file.sampling.rate_hz)
+    tick, at = ticks_of(time, file.run.start_ns, INTERVAL_NS)
+    position, speed = _values(table, "position", file.position), _values(table, "speed", file.speed)
+    _check_speed(table, file, position, speed, time.interval_s)
+    forward = -1.0 if position[-1] < position[0] else 1.0
+    samples = np.arange(time.count)
+    distance = np.interp(at, samples, position) + forward * facts.axle_offset_m
+    speed = np.interp(at, samples, speed)
+    run = np.concatenate([[0.0], np.cumsum(0.5 * INTERVAL_NS * 1e-9 * (speed[1:] + speed[:-1]))])
+    accelerations = _accelerations(file, table, at, measures_gravity=facts.measures_gravity)
+    kept = _whole(accelerations)
+    if not kept.any():
+        raise ExchangeError(f"is too short: {time.count} samples", file=table.path)
+    return ExchangeRun(
+        tick[kept],
+        distance[kept],
+        speed[kept],
+        1e3 * file.run.odometer_km + run[kept],
+        {axle: values[kept] for axle, values in accelerations.items()},
+    )
+
+
+def _values(table: ExchangeTable, name: str, column: Column) -> FloatArray:
+    """Return a column in SI; a sensor that was turned is turned back."""
+    values = table.columns[column.column] * ((-1.0 if column.turned else 1.0) * unit(name, column).factor)
+    if name in LARGEST and unit(name, column).quantity is not Quantity.ANGLE:
+        worst = int(np.argmax(np.abs(values)))
+        if abs(values[worst]) > LARGEST[name]:
+            reason = f"{table.columns[column.column][worst]:g} {column.unit} is no {name} of a vehicle: another unit?"
+            raise table.error(reason, worst, column.column)
+    return np.asarray(np.unwrap(values) if unit(name, column).quantity is Quantity.ANGLE else values)
+
+
+def _check_speed(
+    table: ExchangeTable, file: ExchangeFile, position: FloatArray, speed: FloatArray, interval_s: float
+) -> None:
+    backwards = np.flatnonzero(speed < 0.0)
+    if len(backwards):
+        reason = "is negative: x must point in the direction of running; turn x and y, and give the speed as positive"
+        raise table.error(reason, int(backwards[0]), file.speed.column)
+    run = interval_s * float(0.5 * (speed[1:] + speed[:-1]).sum())
+    moved = abs(float(position[-1] - position[0]))
+    if abs(moved - run) > RUN_M + RUN_SHARE * run:
+        reason = f"the position changes by {moved:.1f} m, the speed gives {run:.1f} m: is a unit another?"
+        raise table.error(reason, len(speed) - 1, file.position.column)
+
+
+def _accelerations(
+    file: ExchangeFile, table: ExchangeTable, at: FloatArray, *, measures_gravity: bool
+) -> Mapping[int, FloatArray]:
+    """Return the accelerations (k, 4) of each axle at places of the series; rates and angles are differentiated there.
+
+    Lateral ones are as the sensors of the vehicle's class have them: y'' + g phi of a node that rolls by phi, or y''.
+    """
+    sensors = [(axle.axle, name, getattr(axle, name)) for axle in file.axles for name in SIGNALS]
+    sampled = resampled(np.column_stack([_values(table, name, column) for _, name, column in sensors]), at)
+    found = {axle.axle: np.empty((len(at), len(SIGNALS))) for axle in file.axles}
+    for values, (axle, name, column) in zip(sampled.T, sensors, strict=True):
+        times = DERIVATIVES.get(unit(name, column).quantity, 0)
+        signal = derivative(values, INTERVAL_NS * 1e-9, times)
+        found[axle][:, SIGNALS.index(name)] = file.axes.signs[name] * signal
+    if file.run.lateral_includes_gravity != measures_gravity:
+        sign = 1.0 if measures_gravity else -1.0
+        for values in found.values():
+            gravity = sign * GRAVITY * _angle(values[:, SIGNALS.index("roll")])
+            values[:, SIGNALS.index("lateral")] += gravity
+            values[:, SIGNALS.index("mass_lateral")] += gravity
+    return found
+
+
+def _angle(acceleration: FloatArray) -> FloatArray:
+    """Return the angle (n,) of an angular acceleration, without its mean and its straight line; NaN where that is."""
+    known = ~np.isnan(acceleration)
+    angle = acceleration[known]
+    t = np.arange(len(angle)) - (len(angle) - 1) / 2.0
+    for _ in range(2):
+        angle = np.concatenate([[0.0], np.cumsum(0.5 * INTERVAL_NS * 1e-9 * (angle[1:] + angle[:-1]))])
+        angle -= angle.mean()
+    angle -= t * (t @ angle) / (t @ t)
+    result = np.full(len(acceleration), np.nan)
+    result[known] = angle
+    return result
+
+
+def _whole(accelerations: Mapping[int, FloatArray]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Return the samples (n,) that every signal reaches: filters lose some at both ends."""
+    return np.asarray(np.logical_and.reduce([~np.isnan(v).any(axis=1) for v in accelerations.values()]))
+
+
+@cache
+def exchange_catalogue() -> Catalogue:
+    """Return the messages of exchanges; no frame carries them."""
+    plans = [
+        _plan(MOTION, VEHICLE_NODE, 0, {"speed": COUNT, "odometer": COUNT}),
+        _plan(POSITION, VEHICLE_NODE, 1, {"track_section": 1.0, "distance": COUNT, "position_quality": COUNT}),
+        _plan(SYNC, None, 2, {"counter": 1.0}),
+    ]
+    plans += [_plan(ACCELERATION, n, 2 + n, dict.fromkeys(ACCELERATIONS, COUNT)) for n in range(1, MAX_AXLES + 1)]
+    return Catalogue(MappingProxyType({plan.arbitration_id: plan for plan in plans}), INTERVAL_NS)
+
+
+def _plan(kind: str, node: int | None, place: int, counts: Mapping[str, float]) -> MessagePlan:
+    signals = tuple(
+        SignalPlan(name, 0, 64, True, count, 0.0, "", -_LARGEST, _LARGEST, None, False)  # noqa: FBT003 - a record's fields
+        for name, count in counts.items()
+    )
+    name = kind if node is None else f"{kind}_{node}"
+    return MessagePlan(name, kind, node, FIRST_IDENTIFIER + place, 0, 0, signals)
+
+
+def aligned_run(run: ExchangeRun, facts: RegistryFacts, position_quality: float) -> AlignedFrames:
+    """Return a run as messages on the vehicle's clock.
+
+    Parameters
+    ----------
+    run
+        The run.
+    facts
+        Of the registry.
+    position_quality
+        0 to 1.
+    """
+    catalogue = exchange_catalogue()
+    motion = np.column_stack([run.speed, run.odometer_m])
+    position = np.column_stack(
+        [np.full(len(run.tick), float(facts.section_number)), run.distance, np.full(len(run.tick), position_quality)]
+    )
+    tables = {catalogue.find(MOTION, VEHICLE_NODE): motion, catalogue.find(POSITION, VEHICLE_NODE): position}
+    tables |= {catalogue.find(ACCELERATION, axle): values for axle, values in run.accelerations.items()}
+    never = np.zeros(len(run.tick), dtype=np.bool_)
+    messages = {}
+    for plan, values in tables.items():
+        raw = np.rint(values / [signal.scale for signal in plan.signals]).astype(np.int64)
+        messages[plan.arbitration_id] = TickedValues(plan, run.tick, raw, never)
+    ends = run.tick[[0, -1]] * INTERVAL_NS
+    counts = AlignCounts(samples=len(run.tick) * len(run.accelerations))
+    return AlignedFrames(MappingProxyType(messages), TimeFrames(ends, ends), FrameCounts(), counts)

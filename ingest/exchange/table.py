@@ -1,0 +1,167 @@
+"""The table of an exchange: named columns of numbers from a CSV or Parquet file, each number finite."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimation.errors import ExchangeError
+from estimation.values.arrays import FloatArray, frozen_array
+from ingest.exchange.description import CsvTable
+
+SUFFIXES = (".csv", ".txt", ".parquet")
+MAGIC = b"PAR1"
+BATCH_ROWS = 65_536
+
+
+@dataclass(frozen=True, slots=True)
+class ExchangeTable:
+    """Columns of a table by name, (n,) each, and where in its file a row is."""
+
+    path: Path
+    columns: Mapping[str, FloatArray]
+    first_line: int | None  # of a text file; rows of a Parquet file have none
+
+    def error(self, reason: str, row: int, column: str) -> ExchangeError:
+        """Return the error that names a row, from 0, and a column."""
+        return _row_error(self.path, self.first_line, reason, row, column)
+
+
+def read_table(path: Path, layout: CsvTable, names: Sequence[str]) -> ExchangeTable:
+    """Return the columns of a table.
+
+    Parameters
+    ----------
+    path
+        A CSV (``.csv``, ``.txt``) or Parquet file.
+    layout
+        How a CSV file is written.
+    names
+        The columns that are needed.
+
+    Raises
+    ------
+    ExchangeError
+        The file is missing, is no such table, lacks a column, or a value is no finite number; names line and column.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ExchangeError(f"is no table: the suffix is none of {', '.join(SUFFIXES)}", file=path)
+    if suffix == ".parquet":
+        values, first_line = _read_parquet(path, names), None
+    else:
+        values, first_line = _read_csv(path, layout, names), layout.first
+    for name in names:
+        bad = np.flatnonzero(~np.isfinite(values[name]))
+        if len(bad):
+            reason = f"{values[name][bad[0]]} is no finite number; {len(bad)} values of the column are not"
+            raise _row_error(path, first_line, reason, int(bad[0]), name)
+    return ExchangeTable(path, {name: frozen_array(values[name], (None,), name=name) for name in names}, first_line)
+
+
+def _row_error(path: Path, first_line: int | None, reason: str, row: int, column: str) -> ExchangeError:
+    if first_line is None:
+        return ExchangeError(f"row {row + 1}: {reason}", file=path, field=column)
+    return ExchangeError(reason, file=path, line=first_line + row, field=column)
+
+
+def _read_csv(path: Path, layout: CsvTable, names: Sequence[str]) -> Mapping[str, FloatArray]:
+    try:
+        lines = path.read_text(encoding="utf-8-sig").rstrip().splitlines()
+    except OSError as error:
+        raise ExchangeError(f"cannot be read: {error.strerror or error}", file=path) from error
+    except UnicodeDecodeError as error:
+        raise ExchangeError("is no text file", file=path) from error
+    if len(lines) < layout.first:
+        raise ExchangeError(f"has {len(lines)} lines; numbers were to begin in line {layout.first}", file=path)
+    header = _cells(lines[layout.header_line - 1], layout)
+    places = _places(path, header, names, layout.header_line)
+    numbers = lines[layout.first - 1 :]
+    if "" in numbers:
+        raise ExchangeError("is empty", file=path, line=layout.first + numbers.index(""))
+    if layout.decimal == ",":
+        numbers = [line.replace(",", ".") for line in numbers]
+    try:
+        table = np.loadtxt(numbers, delimiter=layout.delimiter, usecols=places, comments=None, quotechar='"', ndmin=2)
+    except ValueError as error:
+        raise _first_bad_cell(path, layout, numbers, dict(zip(names, places, strict=True))) from error
+    return {name: table[:, at].copy() for at, name in enumerate(names)}
+
+
+def _cells(line: str, layout: CsvTable) -> list[str]:
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=layout.delimiter, skipinitialspace=True))]
+
+
+def _places(path: Path, header: Sequence[str], names: Sequence[str], line: int | None) -> list[int]:
+    for name in names:
+        if header.count(name) != 1:
+            problem = "is missing" if name not in header else "is there more than once"
+            raise ExchangeError(f"{problem}; the columns are {', '.join(header)}", file=path, line=line, field=name)
+    return [header.index(name) for name in names]
+
+
+def _first_bad_cell(path: Path, layout: CsvTable, numbers: Sequence[str], places: Mapping[str, int]) -> ExchangeError:
+    for row, line in enumerate(numbers):
+        cells = _cells(line, layout)
+        for name, place in places.items():
+            if place >= len(cells):
+                return _row_error(path, layout.first, f"the line has {len(cells)} columns", row, name)
+            try:
+                float(cells[place])
+            except ValueError:
+                return _row_error(path, layout.first, f"{cells[place]!r} is no number", row, name)
+    return ExchangeError("is no table of numbers", file=path)
+
+
+def _read_parquet(path: Path, names: Sequence[str]) -> Mapping[str, FloatArray]:
+    try:
+        from arro3.io import read_parquet  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError as error:
+        raise ExchangeError("needs the extra 'parquet': pip install 'treadwatch[parquet]'", file=path) from error
+    _check_magic(path)
+    try:
+        reader = read_parquet(path, batch_size=BATCH_ROWS)
+        header = list(reader.schema.names)
+        _places(path, header, names, None)
+        table = reader.read_all()
+    except ExchangeError:
+        raise
+    except BaseException as error:
+        if isinstance(error, (KeyboardInterrupt, SystemExit)):
+            raise
+        raise ExchangeError(f"is a damaged Parquet file: {error}", file=path) from error  # panics are no Exceptions
+    return {name: _numbers(path, name, table.column(name)) for name in names}
+
+
+def _check_magic(path: Path) -> None:
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(MAGIC))
+            size = file.seek(0, 2)
+            file.seek(max(size - len(MAGIC), 0))
+            tail = file.read()
+    except OSError as error:
+        raise ExchangeError(f"cannot be read: {error.strerror or error}", file=path) from error
+    if head != MAGIC or tail != MAGIC or size < 3 * len(MAGIC):
+        raise ExchangeError("is no Parquet file, or is cut off", file=path)
+
+
+def _numbers(path: Path, name: str, column: Any) -> FloatArray:  # noqa: ANN401 - of an extra
+    if column.null_count:
+        before = itertools.accumulate((len(chunk) for chunk in column.chunks), initial=0)
+        first, chunk = next((at, chunk) for at, chunk in zip(before, column.chunks, strict=False) if chunk.null_count)
+        at = next(i for i, value in enumerate(chunk) if value.as_py() is None)
+        raise _row_error(path, None, f"is null; {column.null_count} values of the column are", first + at, name)
+    try:
+        values = np.asarray(column.to_numpy())
+    except (NotImplementedError, ValueError, TypeError) as error:
+        raise ExchangeError(f"is no column of numbers ({column.type})", file=path, field=name) from error
+    if values.dtype.kind not in "iuf":
+        raise ExchangeError(f"is no column of numbers ({column.type})", file=path, field=name)
+    return values.astype(np.float64)

@@ -1,0 +1,228 @@
+"""Recordings as they are stored, read again, and merged: which of them belong together."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from estimation.errors import LogFileError, StorageError
+from fleet_db.raw import RawStore
+from fleet_db.receipts import ChunkRecord
+from fleet_db.storage import SqlUnitOfWork
+from ingest.align.clock import TIME_REACH_NS, AlignedFrames, align_to_clock, check_sync_rate
+from ingest.catalogue import Catalogue
+from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
+from ingest.exchange.bundle import read_bundle
+from ingest.exchange.run import aligned_run, exchange_catalogue
+from ingest.frames import FrameBatch, between, empty_batch, merge
+from ingest.logs import read_log
+
+Span = tuple[int, int]
+
+RECORDER_FIRST, RECORDER_LAST = "recorder_first_ns", "recorder_last_ns"
+"""Keys among the counts of a receipt: the recorder's own stamps, by which neighbours of a recording are found."""
+
+ALWAYS = (-(1 << 62), 1 << 62)
+OFFSET_STEP_NS = 500_000_000
+"""Recordings whose recorders disagree by more are not merged frame by frame, only sample by sample."""
+
+IDENTIFIERS = 0x800
+
+CACHED_FRAMES = 3_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """The frames of a chunk in merged order, and their place on the vehicle's clock when taken alone."""
+
+    digest: str
+    batch: FrameBatch  # empty for an exchange
+    alone: AlignedFrames
+    rows: int = 0  # of an exchange
+
+    @property
+    def frames(self) -> int:
+        """Number of frames, or of rows of an exchange."""
+        return self.rows or len(self.batch)
+
+    @property
+    def recorder_ns(self) -> tuple[int, int]:
+        """First and last stamp of the recorder; of an exchange the vehicle's; (0, 0) without frames."""
+        if self.rows:
+            return int(self.alone.times.t_ns[0]), int(self.alone.times.t_ns[-1])
+        if len(self.batch) == 0:
+            return 0, 0
+        return int(self.batch.t_ns[0]), int(self.batch.t_ns[-1])
+
+    @property
+    def vehicle_ns(self) -> tuple[int, int] | None:
+        """First and last vehicle time; None without a TIME frame."""
+        return self.alone.times.vehicle_range(*self.recorder_ns)
+
+
+@dataclass
+class Recordings:
+    """Reads recordings from the raw store; keeps the last few, because neighbours come one after the other."""
+
+    raw: RawStore
+    catalogue: Catalogue
+    _kept: OrderedDict[str, Recording] = field(default_factory=OrderedDict)
+
+    def read(self, path: Path, digest: str) -> Recording:
+        """Read a recording from a file that has this digest.
+
+        Raises
+        ------
+        LogFileError
+            The file is no log that can be read, or its SYNC comes at another rate than in the catalogue.
+        """
+        if path.suffix == EXCHANGE_SUFFIX:
+            return _read_exchange(path, digest)
+        batch = merge([read_log(path)])
+        check_sync_rate(batch, self.catalogue.sample_interval_ns)
+        return Recording(digest, batch, align_to_clock(self.catalogue, batch))
+
+    def catalogue_of(self, record: ChunkRecord) -> Catalogue:
+        """Return the messages that a recording is made of."""
+        return exchange_catalogue() if record.suffix == EXCHANGE_SUFFIX else self.catalogue
+
+    def load(self, record: ChunkRecord) -> Recording:
+        """Return the recording of a receipt.
+
+        Raises
+        ------
+        LogFileError
+            Its file is missing or no log that can be read.
+        """
+        if record.digest not in self._kept:
+            self.keep(self.read(self.raw.path(record.digest, record.suffix), record.digest))
+        self._kept.move_to_end(record.digest)
+        return self._kept[record.digest]
+
+    def load_neighbour(self, record: ChunkRecord) -> Recording:
+        """Return a recording that could be read before.
+
+        Raises
+        ------
+        StorageError
+            It cannot any more: the raw store has lost or damaged it.
+        """
+        try:
+            return self.load(record)
+        except LogFileError as error:
+            raise StorageError(f"a raw recording is lost or damaged: {error}") from error
+
+    def keep(self, recording: Recording) -> None:
+        """Remember a recording that was just read."""
+        self._kept[recording.digest] = recording
+        while len(self._kept) > 1 and sum(kept.frames for kept in self._kept.values()) > CACHED_FRAMES:
+            self._kept.popitem(last=False)
+
+
+def _read_exchange(path: Path, digest: str) -> Recording:
+    file, run, facts = read_bundle(path)
+    return Recording(digest, empty_batch(), aligned_run(run, facts, file.run.position_quality), rows=len(run.tick))
+
+
+def waiting_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> Sequence[ChunkRecord]:
+    """Return the receipts of recordings without TIME whose recorder stamps touch a recording.
+
+    Parameters
+    ----------
+    unit
+        An open transaction.
+    vehicle
+        Code of the vehicle.
+    recording
+        The recording.
+    """
+    if recording.rows:
+        return []
+    return [other for other in unit.chunks.waiting_for_time(vehicle) if _beside(other, recording)]
+
+
+def decoded_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> Sequence[ChunkRecord]:
+    """Return the receipts of decoded recordings whose recorder stamps touch a recording.
+
+    Parameters
+    ----------
+    unit
+        An open transaction.
+    vehicle
+        Code of the vehicle.
+    recording
+        The recording.
+    """
+    return [r for r in unit.chunks.overlapping(vehicle, *ALWAYS) if _beside(r, recording)]
+
+
+def _beside(record: ChunkRecord, recording: Recording) -> bool:
+    first, last = recording.recorder_ns
+    if record.digest == recording.digest or RECORDER_FIRST not in record.counts:
+        return False
+    return (
+        record.counts[RECORDER_FIRST] <= last + TIME_REACH_NS and record.counts[RECORDER_LAST] >= first - TIME_REACH_NS
+    )
+
+
+def align_recordings(recordings: Iterable[Recording], catalogue: Catalogue) -> list[AlignedFrames]:
+    """Merge recordings whose recorder stamps touch and whose recorders agree, and align what was merged.
+
+    The answer depends on the set of recordings, not on their order.
+
+    Parameters
+    ----------
+    recordings
+        Recordings of one vehicle.
+    catalogue
+        The messages of its bus.
+    """
+    groups: list[list[Recording]] = []
+    for recording in sorted(recordings, key=lambda r: (r.recorder_ns, r.digest)):
+        if recording.rows:  # the samples of an exchange belong to no frames
+            groups.append([recording])
+            continue
+        joined = [recording]
+        apart = []
+        for group in groups:
+            if any(_touch(recording, other) for other in group):
+                joined = group + joined
+            else:
+                apart.append(group)
+        groups = [*apart, joined]
+    return [
+        group[0].alone
+        if len(group) == 1
+        else align_to_clock(catalogue, merge([recording.batch for recording in group]))
+        for group in groups
+    ]
+
+
+def _touch(first: Recording, second: Recording) -> bool:
+    """Whether two recordings are of one run of one recorder's clock.
+
+    Next to each other they are, even when the vehicle's clock jumped between them: ``align_to_clock`` finds that.
+    On top of each other they are when the recorders agree on the vehicle's time, or recorded the same frames; else the
+    recorder's clock was set back between them.
+    """
+    (a, b), (c, d) = first.recorder_ns, second.recorder_ns
+    if first.rows or second.rows or a > d + TIME_REACH_NS or c > b + TIME_REACH_NS:
+        return False
+    offsets, others = first.alone.times.offsets(), second.alone.times.offsets()
+    if offsets is None or others is None or max(a, c) >= min(b, d):
+        return True
+    agree = offsets[0] <= others[1] + OFFSET_STEP_NS and others[0] <= offsets[1] + OFFSET_STEP_NS
+    return agree or _share_frames(first.batch, second.batch, max(a, c), min(b, d))
+
+
+def _share_frames(first: FrameBatch, second: FrameBatch, from_ns: int, to_ns: int) -> bool:
+    """Whether most frames that both have in ``[from_ns, to_ns]`` are the same ones."""
+    ours, theirs = (
+        part.t_ns * IDENTIFIERS + part.arbitration_id.astype(np.int64)  # wraps around: a fingerprint
+        for part in (between(first, from_ns, to_ns + 1), between(second, from_ns, to_ns + 1))
+    )
+    return 2 * len(np.intersect1d(ours, theirs)) >= min(len(ours), len(theirs)) > 0
