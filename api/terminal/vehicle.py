@@ -8,11 +8,13 @@ from pathlib import Path
 
 from estimation.vehicle.linear_model import HIGHEST_SPEED, critical_speed, linear_model, modes
 from estimation.vehicle.linear_wheelset import LinearContact, klingel_wavelength
-from estimation.vehicle.observability import CAUSES, Running, observability
+from estimation.vehicle.observability import CAUSES, Running, conicity_shifts, observability
 from estimation.vehicle.vehicle_class import VehicleClass
 from ingest.vehicle_class_file import read_vehicle_class, shipped_class, shipped_classes
 
 CONICITIES = 0.1, 0.2, 0.3, 0.4
+ERROR, SCALE_ERROR = 0.1, 0.01
+LEAST_SHIFT = 5e-5  # of a conicity, that is printed
 
 
 def class_list() -> str:
@@ -100,3 +102,11 @@ def _observability(vehicle_class: VehicleClass, running: Running) -> Iterator[st
     yield f"  {'':<33}" + "".join(f"{cause:>10}" for cause in CAUSES)
     for row in rows:
         yield f"  {row.name:<33}" + "".join(f"{row.std_by_cause[cause]:>10.2g}" for cause in CAUSES)
+    yield ""
+    yield f"Shift of the conicity: a parameter on file {ERROR:.0%} too large, the scale of a sensor {SCALE_ERROR:.0%}"
+    yield f"  {'':<33}{'stiffness on file':>20}{'learnt':>10}"
+    for name, shifts in conicity_shifts(vehicle_class, running).items():
+        error = SCALE_ERROR if name.startswith("scale of") else ERROR
+        held, learnt = (round(error * shift, 4) + 0.0 for shift in shifts)  # no -0.0000
+        if max(abs(held), abs(learnt)) >= LEAST_SHIFT:
+            yield f"  {name:<33}{held:>20.4f}{learnt:>10.4f}"

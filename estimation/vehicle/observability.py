@@ -134,6 +134,34 @@ def observability(vehicle_class: VehicleClass, running: Running) -> tuple[Observ
     )
 
 
+def conicity_shifts(vehicle_class: VehicleClass, running: Running) -> Mapping[str, tuple[float, float]]:
+    """Return by how much the conicity shifts where a parameter on file, or the scale of a sensor, is too large.
+
+    Per unit of relative error, of the front wheelset; the first number with the yaw stiffness of the class, the second
+    where the data alone give it. The names are fields of the class, and ``scale of lateral``, ... of the sensors.
+
+    Parameters
+    ----------
+    vehicle_class
+        The class with its sensors.
+    running
+        Speed, contact geometry and track.
+    """
+    sensitivity = _sensitivity(vehicle_class, running)
+    errors = {**sensitivity.by_parameter, **{f"scale of {name}": item for name, item in sensitivity.by_scale.items()}}
+
+    def shifts(theta: tuple[str, ...], learnt: tuple[str, ...]) -> dict[str, float]:
+        _, weighted, inverse = _least_squares(sensitivity, 1, theta, learnt)
+        return {
+            name: 0.0 if name in learnt else float(-(inverse @ (weighted.T @ change[:, 1]).real)[0])
+            for name, change in errors.items()
+        }
+
+    held = shifts(("conicity", "angle_sum"), ())
+    learnt = shifts(("conicity", "yaw_stiffness"), ("yaw_stiffness",))
+    return {name: (held[name], learnt[name]) for name in errors}
+
+
 @dataclass(frozen=True, slots=True)
 class _Sensitivity:
     """Derivatives of e (f, 2) per metre of alignment, by name, and the spectral densities of what is random."""
@@ -217,10 +245,7 @@ def _by_cause(
     sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], learnt: tuple[str, ...]
 ) -> dict[str, dict[str, float]]:
     """Return the std of each of ``theta`` by cause, from one equation by least squares."""
-    columns = {**sensitivity.by_combination, **{name: sensitivity.by_parameter[name] for name in learnt}}
-    X = np.stack([columns[name][:, equation] for name in theta], axis=1)  # (f, k)
-    weighted = X.conj() * sensitivity.density[:, None]
-    inverse = _inverse((weighted.T @ X).real)
+    X, weighted, inverse = _least_squares(sensitivity, equation, theta, learnt)
     variances: dict[str, FloatArray] = {}
     for cause, spectrum in (("noise", sensitivity.noise), ("track", sensitivity.track)):
         middle = ((weighted * spectrum[:, equation, equation].real[:, None]).T @ X).real / (2 * sensitivity.duration)
@@ -240,6 +265,16 @@ def _by_cause(
         cause: dict(zip(theta, np.sqrt(np.maximum(values, 0.0)).tolist(), strict=True))
         for cause, values in variances.items()
     }
+
+
+def _least_squares(
+    sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], learnt: tuple[str, ...]
+) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    """Return X (f, k), what it is weighted with (f, k), and the inverse of X'X (k, k)."""
+    columns = {**sensitivity.by_combination, **{name: sensitivity.by_parameter[name] for name in learnt}}
+    X = np.stack([columns[name][:, equation] for name in theta], axis=1)
+    weighted = X.conj() * sensitivity.density[:, None]
+    return X, weighted, _inverse((weighted.T @ X).real)
 
 
 def _dilution(sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], information: FloatArray) -> FloatArray:

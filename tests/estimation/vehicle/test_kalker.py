@@ -96,6 +96,7 @@ def test_what_is_open_of_load_and_rail_adds_to_the_rails_condition() -> None:
     assert clean.longitudinal == 0.0
     loaded = creep_coefficient_std(COACH, ContactRadiiStd(wheel_load=0.1), rail_condition_std=0.0)
     assert loaded.longitudinal == pytest.approx(1.1 ** (2 / 3) - 1)
+    assert creep_coefficient_std(COACH, ContactRadiiStd()).lateral == pytest.approx(0.1)
     both = creep_coefficient_std(COACH, ContactRadiiStd(wheel_load=0.1), rail_condition_std=0.2)
     assert both.longitudinal == pytest.approx(math.hypot(0.2, loaded.longitudinal))
 

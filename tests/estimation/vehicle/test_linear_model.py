@@ -202,3 +202,24 @@ def test_a_range_is_narrow_enough_to_find_a_factor_of_1000() -> None:
         for item in plausible_ranges(vehicle):
             width = item.highest / item.lowest
             assert width <= (math.sqrt(UNIT_FACTOR) if item.unit == "Hz" else 2 * UNIT_FACTOR), item.name
+
+
+RANGES = {  # as docs/vehicle-class-file.md has them
+    "wheelset lateral on its primary springs": (COACH, 1.0, 30.0),
+    "wheelset yaw on its primary springs": (COACH, 2.5, 70.0),
+    "frame lateral on the primary springs": (COACH, 2.0, 60.0),
+    "frame yaw on the primary springs": (COACH, 3.0, 90.0),
+    "body lateral on the secondary springs": (COACH, 0.2, 6.0),
+    "frame yaw on the secondary springs": (COACH, 0.3, 9.0),
+    "mass lateral on its springs": (SINGLE, 0.2, 6.0),
+}
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_the_range_of_a_mode_is_the_documented_one(name: str) -> None:
+    vehicle, lowest, highest = RANGES[name]
+    (item,) = [item for item in plausible_ranges(vehicle) if item.name == f"the mode {name!r}"]
+    assert (item.lowest, item.highest) == (lowest, highest)
+    assert not replace(item, value=0.99 * lowest).holds
+    assert not replace(item, value=1.01 * highest).holds
+    assert item.holds

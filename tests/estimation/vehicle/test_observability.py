@@ -12,7 +12,7 @@ from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.linear_model import linear_model
 from estimation.vehicle.linear_wheelset import ComplexArray, LinearContact
 from estimation.vehicle.measurement_equations import combinations, equations, filtered, sensor_filters, true_signals
-from estimation.vehicle.observability import CAUSES, Observed, Running, observability
+from estimation.vehicle.observability import CAUSES, Observed, Running, conicity_shifts, observability
 from estimation.vehicle.vehicle_class import SensorChannel, SensorLayout, VehicleClass
 from ingest.vehicle_class_file import shipped_class, shipped_classes
 
@@ -119,9 +119,10 @@ def test_a_wrong_parameter_shifts_the_conicity_as_computed(name: str, cause: str
     wrong = replace(exact.parameters, **{name: 1.01 * getattr(exact.parameters, name)})
     d = alignment_of(exact, s, sensors)
     assert solved_conicity(exact, exact.parameters, s, sensors, d) == pytest.approx(0.2, abs=1e-9)
-    shift = abs(solved_conicity(exact, wrong, s, sensors, d) - 0.2)
-    assert computed[cause] == pytest.approx(shift, rel=0.2)
-    assert all(computed[other] < 1e-3 * shift for other in CAUSES if other != cause)
+    shift = solved_conicity(exact, wrong, s, sensors, d) - 0.2
+    assert 0.01 * conicity_shifts(exact, RUNNING)[name][0] == pytest.approx(shift, rel=0.2)
+    assert computed[cause] == pytest.approx(abs(shift), rel=0.2)
+    assert all(computed[other] < 1e-3 * abs(shift) for other in CAUSES if other != cause)
 
 
 def test_four_times_the_running_halves_what_is_random_and_nothing_else() -> None:
@@ -162,3 +163,29 @@ def test_a_gyroscope_is_integrated_once() -> None:
     s = np.array([2j * np.pi])
     assert abs(sensor_filters(gyroscope, s)[1][0, 1, 1]) == pytest.approx(1 / (2 * np.pi))
     assert abs(sensor_filters(quiet, s)[1][0, 1, 1]) == pytest.approx(1 / (2 * np.pi) ** 2)
+
+
+def test_a_radius_on_file_that_is_too_large_makes_the_conicity_as_much_too_large() -> None:
+    for code in shipped_classes():
+        held, learnt = conicity_shifts(shipped_class(code), Running())["nominal_radius"]
+        assert held == pytest.approx(0.2, rel=0.02)  # R = -(r0/(l f11)) (moment)
+        assert learnt == pytest.approx(0.2, rel=0.05)
+
+
+def test_what_the_page_on_vehicles_says_of_sensors() -> None:
+    vehicle = shipped_class("coach")
+
+    def std(**changed: SensorChannel) -> float:
+        layout = replace(vehicle.sensors, **changed, yaw_is_gyroscope="yaw" in changed)
+        return row(observability(replace(vehicle, sensors=layout), Running()), "rL - rR").std
+
+    assert std() == pytest.approx(0.022, abs=5e-4)
+    assert std(yaw=SensorChannel(8.7e-5, 0.005)) == pytest.approx(0.017, abs=5e-4)
+    assert std(mass_lateral=SensorChannel(2.5e-4, 0.005)) == pytest.approx(0.022, abs=5e-4)
+    assert std(mass_lateral=SensorChannel(0.98e-3, 0.01)) > std() + 1e-3
+
+
+def test_seen_is_what_has_a_std_below_a_quarter() -> None:
+    causes = dict.fromkeys(CAUSES, 0.0)
+    assert Observed("R", "", 1.0, causes | {"noise": 0.249}, 0.0).seen
+    assert not Observed("R", "", 1.0, causes | {"noise": 0.251}, 0.0).seen
