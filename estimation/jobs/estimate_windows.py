@@ -14,6 +14,7 @@ from functools import lru_cache
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.load_window import load_window
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import UnitOfWork
@@ -121,9 +122,11 @@ def _outcome(unit: UnitOfWork, work: _Work) -> BinTable | Reason:
         return work.assumed
     parameters = work.assumed.windows
     try:
-        window = unit.windows.load(work.record.wheelset, work.record.start_ns)
+        window = load_window(unit, work.record, parameters.vehicle_class)
     except DamagedError as error:
         return Reason(ReasonCode.FILE_DAMAGED, str(error))  # names the file; the other windows go on
+    if isinstance(window, Reason):
+        return window
     position = work.position
     if position is None or position.content_digest != work.record.content_digest:
         return tabulate_window(

@@ -16,6 +16,7 @@ import numpy as np
 from estimation.errors import DamagedError, StoppedError, TreadwatchError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.load_window import load_window
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
 from estimation.jobs.steps.store_alignment import Epoch, EpochPasses, WindowKey, classes_of, store
 from estimation.jobs.steps.vehicle_classes import ClassLookup
@@ -194,9 +195,11 @@ def _examined(
         layout = unit.tracks.layout(section) if section is not None else None
         for record in records:
             try:
-                window = straight_part(unit.windows.load(record.wheelset, record.start_ns), layout, settings.signals)
+                window = load_window(unit, record, assumed.windows.vehicle_class)
             except DamagedError as error:  # names the file; the other windows go on
                 window = Reason(ReasonCode.FILE_DAMAGED, str(error))
+            if not isinstance(window, Reason):
+                window = straight_part(window, layout, settings.signals)
             if isinstance(window, Reason):
                 found.append((((record.wheelset, record.start_ns),), (), window))
             else:

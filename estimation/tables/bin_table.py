@@ -27,6 +27,7 @@ from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, SHARED_IN_BOGIE, YAW_TARGETS, regression
+from estimation.vehicle.sensor_noise import difference_noise
 from estimation.vehicle.vehicle_class import VehicleClass
 
 TABLE_VERSION = 4
@@ -247,6 +248,7 @@ def bin_parameters(parameters: WindowParameters) -> BinParameters:
         vehicle=parameters.vehicle,
         wheelbase=None if bogie is None else bogie.wheelbase,
         arrangement=_arrangement(parameters.vehicle_class),
+        difference_noise=difference_noise(parameters.vehicle_class, parameters.signals.cutoff_wavelength),
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+from estimation.jobs.steps.load_window import load_window
 from estimation.motion.parameters import WindowParameters
 from estimation.motion.window_motion import window_motion
 from estimation.storage import UnitOfWork
@@ -58,8 +59,11 @@ def replayed(
         record, section = item.record, item.record.track_section
         position = _position(unit, record)
         mounting = unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
+        window = load_window(unit, record, parameters.vehicle_class)
+        if isinstance(window, Reason):
+            continue
         moved = window_motion(
-            unit.windows.load(record.wheelset, record.start_ns),
+            window,
             alignment(section, item.track_version) if section is not None else None,
             parameters,
             Correction(position.offset_m, position.scale, position.middle_m) if position is not None else None,

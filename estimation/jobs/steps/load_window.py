@@ -1,0 +1,59 @@
+"""A window with what its vehicle's class adds to it: whether gravity is in it, and the yaw of its bogie frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from estimation.errors import DamagedError, NotFoundError
+from estimation.motion.bogie_frame import with_frame_yaw
+from estimation.storage import UnitOfWork
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Window, WindowRecord
+from estimation.vehicle.vehicle_class import VehicleClass
+
+
+def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleClass) -> Window | Reason:
+    """Return a stored window as its vehicle's class reads it, or why the yaw of its bogie is not known.
+
+    Parameters
+    ----------
+    unit
+        Windows, vehicles and mountings are read.
+    record
+        Of the window.
+    vehicle_class
+        Of its vehicle.
+
+    Raises
+    ------
+    DamagedError
+        The samples of the window are damaged; names the file.
+    """
+    window = unit.windows.load(record.wheelset, record.start_ns)
+    window = replace(window, measures_gravity=vehicle_class.sensors.measures_gravity)
+    partner_axle = vehicle_class.partner(record.axle)
+    if partner_axle is None:
+        return window
+    offsets = unit.registry.vehicle(record.vehicle).axle_offsets_m
+    partner = _partner(unit, record, partner_axle)
+    if isinstance(partner, Reason):
+        return partner
+    if partner.sample_interval_s != window.sample_interval_s or len(partner.valid) != len(window.valid):
+        return _unknown(partner_axle, "is sampled otherwise")
+    return with_frame_yaw(window, partner, offsets[partner_axle - 1] - offsets[record.axle - 1])
+
+
+def _partner(unit: UnitOfWork, record: WindowRecord, axle: int) -> Window | Reason:
+    mounting = unit.registry.mounting_at(record.vehicle, axle, record.start_ns)
+    if mounting is None:
+        return _unknown(axle, "has no wheelset on file")
+    try:
+        return unit.windows.load(mounting.wheelset, record.start_ns)
+    except NotFoundError:
+        return _unknown(axle, "has no window of this time")
+    except DamagedError as error:
+        return _unknown(axle, f"has a damaged window: {error}")
+
+
+def _unknown(axle: int, why: str) -> Reason:
+    return Reason(ReasonCode.FRAME_UNKNOWN, f"the other axle of the bogie, axle {axle}, {why}")

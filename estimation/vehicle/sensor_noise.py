@@ -1,0 +1,34 @@
+"""What the noise of a vehicle's sensors makes of its rolling radius difference."""
+
+from __future__ import annotations
+
+import math
+
+from estimation.vehicle.vehicle_class import VehicleClass
+
+
+def difference_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> float:
+    """Return the variance of rL - rR by the noise of the sensors, times the cube of the speed, m2 (m/s)3.
+
+    The moment of the yaw spring takes nearly all of it: white noise of an acceleration, of density n, integrated twice
+    and without what is slower than f_c = V / L, has the variance n^2 / (3 (2 pi)^4 f_c^3); that of a gyroscope,
+    integrated once, n^2 / ((2 pi)^2 f_c), which is taken at 20 m/s. In a bogie the two sensors of the frame add theirs.
+
+    Parameters
+    ----------
+    vehicle_class
+        Yaw spring, creep coefficient and sensors; a noise density that is not on file is zero.
+    cutoff_wavelength
+        L, m, of the high-pass of the motion.
+    """
+    p, sensors = vehicle_class.parameters, vehicle_class.sensors
+    per_yaw = p.yaw_stiffness * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
+    twice = cutoff_wavelength**3 / (3.0 * (2.0 * math.pi) ** 4)
+    once = cutoff_wavelength * USUAL_SPEED**2 / (2.0 * math.pi) ** 2
+    variance = (once if sensors.yaw_is_gyroscope else twice) * sensors.yaw.noise_density**2
+    if vehicle_class.bogie is not None:
+        variance += 2.0 * twice * (sensors.mass_lateral.noise_density / vehicle_class.bogie.wheelbase) ** 2
+    return per_yaw**2 * variance
+
+
+USUAL_SPEED = 20.0  # m/s
