@@ -18,10 +18,21 @@ from api import contract, docs_page, problems
 from api.metrics import RequestMeasures, StoredMeasures
 from api.middleware import RequestContextMiddleware
 from api.openapi_document import document
-from api.routes import alert_actions, alerts, fleets, geometry, health, jobs, tracks, vehicles, wheelsets
+from api.routes import (
+    alert_actions,
+    alerts,
+    fleets,
+    geometry,
+    health,
+    jobs,
+    tracks,
+    vehicle_classes,
+    vehicles,
+    wheelsets,
+)
 from api.services import Services
 
-RESOURCES = (fleets, vehicles, wheelsets, geometry, alerts, alert_actions, jobs, tracks)
+RESOURCES = (fleets, vehicles, vehicle_classes, wheelsets, geometry, alerts, alert_actions, jobs, tracks)
 # Multi-row reads of SQLite slow each other down in threads: one thread to read, one that may wait to write.
 EMBEDDED_THREADS = 2
 COMMITTED = "openapi.json"  # beside this file; a test compares it with the routes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Literal
@@ -78,6 +79,7 @@ def shipped_path(code: str) -> Path:
     return Path(str(_SHIPPED / f"{code}.toml"))
 
 
+@cache
 def class_of_package(code: str) -> VehicleClass | None:
     """Return a class that the package ships; None where it ships none of this code.
 

@@ -25,7 +25,9 @@ class Vehicle(Representation):
 
     code: str = Field(examples=["V-101"])
     fleet: str = Field(examples=["demo"])
-    vehicle_class: str = Field(examples=["passenger"])
+    vehicle_class: str = Field(
+        description="Code of its class; while that is not on file the vehicle is not estimated.", examples=["coach"]
+    )
     axles: int = Field(examples=[4])
     max_speed_m_s: float = Field(examples=[44.4])
     axle_offsets_m: list[float] = Field(examples=[[2.0, 4.5, 16.0, 18.5]])
@@ -118,6 +120,7 @@ def vehicle(record: VehicleRecord) -> Vehicle:
         links={
             "self": f"/v1/vehicles/{key}",
             "fleet": f"/v1/fleets/{segment(record.fleet)}",
+            "vehicle_class": f"/v1/vehicle-classes/{segment(record.vehicle_class)}",
             "wheelsets": f"/v1/wheelsets?vehicle={key}",
         },
     )

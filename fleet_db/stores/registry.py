@@ -126,9 +126,9 @@ class RegistryStore:
         of_package = self.shipped(code)
         return None if of_package is None else ClassOnFile(of_package)
 
-    def registered_classes_page(self, after: str | None, limit: int) -> Sequence[ClassOnFile]:
-        """Return the newest version of at most ``limit`` registered classes with a code behind ``after``."""
-        return newest_classes(self.connection, after, limit)
+    def vehicle_classes(self) -> Sequence[ClassOnFile]:
+        """Return the newest version of every registered class, by code."""
+        return newest_classes(self.connection)
 
     def add_vehicle_class(self, vehicle_class: VehicleClass, recorded_ns: int) -> EstimatedAgain:
         """Add a class or a new version of it; return what is estimated again: where the motion changes, every window.

@@ -46,25 +46,13 @@ def find_class(connection: Connection, code: str, version: int | None) -> ClassO
     return None if row is None else _on_file(row)
 
 
-def newest_classes(connection: Connection, after: str | None, limit: int) -> Sequence[ClassOnFile]:
-    """Return the newest version of at most ``limit`` classes with a code behind ``after``, by code.
-
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    after
-        Code; None is the begin.
-    limit
-        Largest number of classes.
-    """
+def newest_classes(connection: Connection) -> Sequence[ClassOnFile]:
+    """Return the newest version of every class, by code."""
     newest = select(CLASSES.c.code, func.max(CLASSES.c.version).label("version")).group_by(CLASSES.c.code).subquery()
     statement = select(CLASSES).join(
         newest, (newest.c.code == CLASSES.c.code) & (newest.c.version == CLASSES.c.version)
     )
-    if after is not None:
-        statement = statement.where(CLASSES.c.code > after)
-    return [_on_file(row) for row in connection.execute(statement.order_by(CLASSES.c.code).limit(limit))]
+    return [_on_file(row) for row in connection.execute(statement.order_by(CLASSES.c.code))]
 
 
 def store_class(connection: Connection, vehicle_class: VehicleClass, recorded_ns: int) -> ClassOnFile:

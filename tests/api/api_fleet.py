@@ -17,6 +17,7 @@ from estimation.values.runs import JobOutcome, JobTrigger
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.trend import TrendRecord, WearTrend
 from estimation.values.windows import Window, WindowQuality
+from ingest.vehicle_class_file import shipped_class
 
 SECOND = 1_000_000_000
 DAY = 86_400 * SECOND
@@ -220,6 +221,7 @@ def populate(storage: Storage) -> None:
     """Store everything."""
     with storage.write() as unit:
         unit.registry.add_fleet(FleetRecord("alpha", "Alpha railway"))
+        unit.registry.add_vehicle_class(replace(shipped_class("coach"), code="regional"), RECORDED)
         unit.registry.add_fleet(FleetRecord("=beta", "=1+1"))
         for number in range(3):
             offsets = (0.0, 2.5, 17.0, 19.5)

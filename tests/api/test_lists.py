@@ -19,6 +19,7 @@ from api.problems import ProblemError
 LISTS = [
     "/v1/fleets",
     "/v1/vehicles",
+    "/v1/vehicle-classes",
     "/v1/wheelsets",
     "/v1/wheelsets?fleet=alpha",
     "/v1/wheelsets?vehicle=V-0",
