@@ -15,6 +15,7 @@ from estimation.values.geometry import BinTable, GeometryRecord, TableKey
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
+from estimation.values.suspension import SuspensionFinding
 from estimation.values.track import AlignmentRecord, TrackAlignment, TrackLayout, TrackReport, TrackSectionRecord
 from estimation.values.trend import TrendRecord
 from estimation.values.windows import Window, WindowPosition, WindowRecord, WindowState
@@ -109,6 +110,13 @@ class Trends(Protocol):
     def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None: ...
 
 
+class Suspensions(Protocol):
+    """What the passes of sections show of the suspension of vehicles."""
+
+    def put(self, finding: SuspensionFinding) -> None: ...
+    def list(self, vehicle: str | None = None) -> Sequence[SuspensionFinding]: ...
+
+
 class Alerts(Protocol):
     """Alerts and their feed; at most one open alert per (wheelset, kind), held by the database.
 
@@ -171,6 +179,8 @@ class UnitOfWork(Protocol):
     def geometries(self) -> Geometries: ...
     @property
     def trends(self) -> Trends: ...
+    @property
+    def suspensions(self) -> Suspensions: ...
     @property
     def alerts(self) -> Alerts: ...
     @property

@@ -19,6 +19,7 @@ from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.idempotency import IdempotencyStore
 from fleet_db.stores.jobs import JobRunStore
 from fleet_db.stores.registry import RegistryStore
+from fleet_db.stores.suspension import SuspensionStore
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.vehicle_classes import Shipped, no_class
@@ -44,6 +45,7 @@ class SqlUnitOfWork:
     tables: BinTableStore = field(init=False)
     geometries: GeometryStore = field(init=False)
     trends: TrendStore = field(init=False)
+    suspensions: SuspensionStore = field(init=False)
     alerts: AlertStore = field(init=False)
     jobs: JobRunStore = field(init=False)
     idempotency: IdempotencyStore = field(init=False)
@@ -58,6 +60,7 @@ class SqlUnitOfWork:
         self.tables = BinTableStore(connection, self.changes)
         self.geometries = GeometryStore(connection, self.changes)
         self.trends = TrendStore(connection)
+        self.suspensions = SuspensionStore(connection)
         self.alerts = AlertStore(connection, self.writing, self.changes)
         self.jobs = JobRunStore(connection)
         self.idempotency = IdempotencyStore(connection)

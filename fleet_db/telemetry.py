@@ -18,7 +18,7 @@ import numpy as np
 
 from estimation.errors import DamagedError, StorageError
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
+from estimation.values.windows import ACCELERATIONS, NOT_HUNTING, Hunting, Window, WindowQuality
 from fleet_db.atomic_files import write_atomically
 from fleet_db.fields import from_json, to_json
 from fleet_db.packing import Array, pack, unpack
@@ -123,7 +123,7 @@ def unpack_window(blob: bytes, *, where: str) -> Window:
         **values,
         valid=valid,
         resolution=steps,
-        quality=_quality(scalars["quality"]),
+        quality=_quality(scalars["quality"], scalars.get("hunting")),
     )
 
 
@@ -145,6 +145,7 @@ def _from_counts(packed: Array, step: float) -> FloatArray:
 
 def _scalars(window: Window) -> dict[str, Any]:
     quality = asdict(window.quality)
+    hunting = quality.pop("hunting")  # in the file only where there is some: the file of another window stays as it was
     return {
         "wheelset": window.wheelset,
         "vehicle": window.vehicle,
@@ -158,11 +159,13 @@ def _scalars(window: Window) -> dict[str, Any]:
         "quality": {
             name: value if name in QUALITY_COUNTS else to_json(float(value)) for name, value in quality.items()
         },
+        **({"hunting": to_json(window.quality.hunting)} if hunting["share"] else {}),
     }
 
 
-def _quality(fields: Mapping[str, Any]) -> WindowQuality:
+def _quality(fields: Mapping[str, Any], hunting: Any) -> WindowQuality:  # noqa: ANN401 - JSON
     numbers: dict[str, Any] = {
         name: value if name in QUALITY_COUNTS else from_json(value, float) for name, value in fields.items()
     }
-    return WindowQuality(**numbers)
+    found: Hunting = NOT_HUNTING if hunting is None else from_json(hunting, Hunting)
+    return WindowQuality(**numbers, hunting=found)

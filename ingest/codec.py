@@ -185,11 +185,17 @@ class MessageValues:
         """Return the raw values of one signal, (n,) int64."""
         return self.raw[:, self.plan.names.index(name)].astype(np.int64)
 
-    def values(self) -> FloatArray:
-        """Return (n, m) values in the units of the catalogue; NaN where not valid."""
+    def values(self, *, with_clipped: bool = False) -> FloatArray:
+        """Return (n, m) values in the units of the catalogue; NaN where not valid.
+
+        Parameters
+        ----------
+        with_clipped
+            Whether a value that stands for clipping is given as it is, at the end of the range.
+        """
         scale = np.array([signal.scale for signal in self.plan.signals])
         offset = np.array([signal.offset for signal in self.plan.signals])
-        return scaled(self.raw, *raw_limits(self.plan, with_clipped=False), scale, offset)
+        return scaled(self.raw, *raw_limits(self.plan, with_clipped=with_clipped), scale, offset)
 
     def valid(self) -> BoolArray:
         """Return (n, m): inside the limits, and neither "not available" nor clipped."""

@@ -8,9 +8,10 @@ from api import cursors
 from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer, answer_page, operation
 from api.parameters import Code, FleetFilter
 from api.problems import described
-from api.schemas import registry
+from api.schemas import registry, suspension
 from api.schemas.common import Page
 from api.services import ServicesDep
+from estimation.trend.suspension import suspension_changes
 
 router = APIRouter(prefix="/v1/vehicles", tags=["vehicles"])
 
@@ -37,3 +38,14 @@ def get_vehicle(request: Request, services: ServicesDep, code: Code, _held: IfNo
     with services.storage.read() as unit:
         found = unit.registry.vehicle(code)
     return answer(request, registry.vehicle(found))
+
+
+@router.get("/{code}/suspension", response_model=suspension.Suspension, responses=described(404))
+def get_suspension(request: Request, services: ServicesDep, code: Code, _held: IfNoneMatch = None) -> Response:
+    """Return what the passes of a vehicle show of its yaw stiffness, over time."""
+    with services.storage.read() as unit:
+        unit.registry.vehicle(code)
+        findings = unit.suspensions.list()
+    own = [one for one in findings if one.vehicle == code]
+    change = suspension_changes(findings).get(code)
+    return answer(request, suspension.suspension(code, own, change))

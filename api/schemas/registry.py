@@ -122,6 +122,7 @@ def vehicle(record: VehicleRecord) -> Vehicle:
             "fleet": f"/v1/fleets/{segment(record.fleet)}",
             "vehicle_class": f"/v1/vehicle-classes/{segment(record.vehicle_class)}",
             "wheelsets": f"/v1/wheelsets?vehicle={key}",
+            "suspension": f"/v1/vehicles/{key}/suspension",
         },
     )
 

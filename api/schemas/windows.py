@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pydantic import Field
+
 from api.schemas.common import Representation, finite
 from api.times import Timestamp, to_rfc3339
 from estimation.values.reasons import ReasonCode, code_of, text_of
@@ -20,6 +22,9 @@ class WindowQuality(Representation):
     speed_max_m_s: float | None
     position_quality_1: float | None
     sensor_fault: bool
+    hunting_1: float | None = Field(description="Share of the running time in which the wheelset hunts.")
+    hunting_hz: float | None = Field(description="Frequency of the hunting; null where there is none.")
+    hunting_amplitude_mm: float | None = Field(description="At least that; null where there is none.")
 
 
 class Window(Representation):
@@ -64,6 +69,9 @@ def window(record: WindowRecord) -> Window:
             speed_max_m_s=finite(quality.speed_max_m_s),
             position_quality_1=finite(quality.position_quality),
             sensor_fault=quality.sensor_fault,
+            hunting_1=finite(quality.hunting.share),
+            hunting_hz=finite(quality.hunting.frequency_hz) if quality.hunting.share else None,
+            hunting_amplitude_mm=finite(quality.hunting.amplitude, 1000.0) if quality.hunting.share else None,
         ),
         content_digest=record.content_digest,
         recorded_at=to_rfc3339(record.recorded_ns),

@@ -16,6 +16,7 @@ from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import load_window
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
+from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import tabulate_window
@@ -156,7 +157,8 @@ def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Reason, classes: C
     if classes.assumed(record.vehicle, record.wheelset) != work.assumed:
         return "changed_meanwhile"
     if isinstance(outcome, Reason):
-        unit.windows.mark(record.wheelset, record.start_ns, WindowState.REFUSED, outcome)
+        refusal = in_place_of_quality(outcome, record.quality)
+        unit.windows.mark(record.wheelset, record.start_ns, WindowState.REFUSED, refusal)
         return "refused"
     version = work.track.version if work.track is not None else None
     unit.tables.put(record.wheelset, record.start_ns, outcome, version, record.content_digest)

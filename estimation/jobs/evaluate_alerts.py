@@ -11,14 +11,18 @@ from estimation.alerts.identity import IdentityEvent
 from estimation.alerts.life_cycle import close, transition
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.evaluation import findings, superseded
+from estimation.alerts.rules.hunting import HuntingRule
 from estimation.alerts.rules.identity import IdentityRule
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.alerts.rules.sensor_fault import SensorFaultRule
+from estimation.alerts.rules.suspension_change import SuspensionChangeRule
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.identities import new_events
+from estimation.jobs.steps.suspension import changes_by_wheelset
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Transition
 from estimation.values.registry import WheelsetRecord
+from estimation.values.suspension import SuspensionChange
 from estimation.values.windows import WindowRecord
 
 
@@ -119,6 +123,7 @@ def run(context: JobContext) -> Mapping[str, int]:
         wheelsets = unit.registry.wheelsets()
         serials = [wheelset.serial for wheelset in wheelsets]
         identities = new_events(unit, wheelsets, context.settings.rules.rule(IdentityRule).parameters)
+        changes = changes_by_wheelset(unit, context.settings.rules.rule(SuspensionChangeRule).parameters)
         fleets = [fleet.code for fleet in unit.registry.fleets()]
     counts: Counter[str] = Counter(dict.fromkeys(("wheelsets", *(kind.value for kind in AlertEventKind)), 0))
     found: list[Transition] = []
@@ -126,7 +131,8 @@ def run(context: JobContext) -> Mapping[str, int]:
         for done, serial in enumerate(serials):
             context.checkpoint(done, len(serials))
             with context.storage.write() as unit:
-                events, to_raise = _evaluate(unit, serial, context, identities.get(serial))
+                found_before = _Found(identities.get(serial), changes.get(serial))
+                events, to_raise = _evaluate(unit, serial, context, found_before)
             counts.update(kind.value for kind in events)
             found += to_raise
             counts["wheelsets"] += 1
@@ -139,12 +145,21 @@ def run(context: JobContext) -> Mapping[str, int]:
     return dict(counts)
 
 
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What was found of a wheelset beside the others of its fleet."""
+
+    identity: IdentityEvent | None
+    suspension: SuspensionChange | None
+
+
 def _evaluate(
-    unit: UnitOfWork, serial: str, context: JobContext, identity: IdentityEvent | None
+    unit: UnitOfWork, serial: str, context: JobContext, found: _Found
 ) -> tuple[list[AlertEventKind], list[Transition]]:
     """Store what changes on the open alerts of a wheelset; return the events of that, and what is to be raised."""
     book, now_ns = context.settings.rules, context.clock.now_ns()
-    facts = replace(_facts(unit, unit.registry.wheelset(serial), book), identity=identity)
+    stored = _facts(unit, unit.registry.wheelset(serial), book)
+    facts = replace(stored, identity=found.identity, suspension=found.suspension)
     events: list[AlertEventKind] = []
     to_raise: list[Transition] = []
     ended = superseded(facts, book)
@@ -184,9 +199,13 @@ def _facts(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> Wheels
         vehicle=unit.registry.vehicle(mounting.vehicle),
         geometry=unit.geometries.current(wheelset.serial),
         trend=unit.trends.latest(wheelset.serial),
-        windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, book.rule(SensorFaultRule).latest_windows),
+        windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, _windows_wanted(book)),
         open_alerts=alerts,
     )
+
+
+def _windows_wanted(book: RuleBook) -> int:
+    return max(book.rule(SensorFaultRule).latest_windows, book.rule(HuntingRule).latest_windows)
 
 
 def _latest_windows(unit: UnitOfWork, serial: str, since_ns: int, wanted: int) -> Sequence[WindowRecord]:

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.integration import IntegratedWindow, bridged, mirrored
 from estimation.motion.parameters import Gates, SignalParameters
 from estimation.motion.track_lookup import TRACKS
@@ -36,6 +37,17 @@ def gate(quality: WindowQuality, track_section: str | None, gates: Gates) -> Rea
     gates
         Limits of the quality.
     """
+    refused = _too_poor(quality, gates)
+    if refused is not None:
+        return in_place_of_quality(refused, quality)
+    if track_section is None:
+        return Reason(ReasonCode.SECTION_UNKNOWN, "the track section is not known")
+    if quality.position_quality < gates.least_position_quality:
+        return Reason(ReasonCode.POSITION_UNKNOWN, "the position is not known well enough")
+    return None
+
+
+def _too_poor(quality: WindowQuality, gates: Gates) -> Reason | None:
     if quality.sensor_fault:
         return Reason(ReasonCode.SENSOR_FAULT, "the sensor reports a fault")
     if quality.coverage < gates.least_coverage:
@@ -48,10 +60,6 @@ def gate(quality: WindowQuality, track_section: str | None, gates: Gates) -> Rea
             ReasonCode.CLIPPED,
             f"{quality.clipped:.1%} of the samples are clipped, at most {gates.most_clipped:.0%} may be",
         )
-    if track_section is None:
-        return Reason(ReasonCode.SECTION_UNKNOWN, "the track section is not known")
-    if quality.position_quality < gates.least_position_quality:
-        return Reason(ReasonCode.POSITION_UNKNOWN, "the position is not known well enough")
     return None
 
 

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
+from estimation.values.windows import ACCELERATIONS, Hunting, Window, WindowQuality
 
 Item = TypeVar("Item")
 MOST = 4  # windows; the pass of a longer run is cut, so that a window that comes late changes little
@@ -105,4 +105,10 @@ def _quality(parts: Sequence[WindowQuality]) -> WindowQuality:
         speed_max_m_s=max(part.speed_max_m_s for part in parts),
         position_quality=min(part.position_quality for part in parts),
         sensor_fault=any(part.sensor_fault for part in parts),
+        hunting=_hunting([part.hunting for part in parts]),
     )
+
+
+def _hunting(parts: Sequence[Hunting]) -> Hunting:
+    most = max(parts, key=lambda part: part.share)
+    return replace(most, share=float(np.mean([part.share for part in parts])))

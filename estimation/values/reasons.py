@@ -27,6 +27,10 @@ class ReasonCode(StrEnum):
     SENSOR_FAULT = "sensor_fault", "The sensor reports a failed self-test or an emergency. Check or replace the sensor."
     TOO_FEW_SAMPLES = "too_few_samples", "Too many samples are missing. Check the bus and the recorder."
     CLIPPED = "clipped", "Too many samples are at the limit of the sensor's range. Check its mounting and range."
+    HUNTING = (
+        "hunting",
+        "The wheelset hunts, and drives the sensor to its limits. Check yaw dampers and wheel profiles.",
+    )
     SECTION_UNKNOWN = "section_unknown", "The vehicle is on no section of the registry. Register the section."
     POSITION_UNKNOWN = "position_unknown", "No sample, or too few, has a position on the section."
     FILE_DAMAGED = "file_damaged", "The file of the samples is missing or damaged. Receive the recording again."

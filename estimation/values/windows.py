@@ -12,6 +12,24 @@ from estimation.values.reasons import Reason
 
 
 @dataclass(frozen=True, slots=True)
+class Hunting:
+    """Sustained swaying of a wheelset at its own wavelength, over some running time."""
+
+    share: float  # of the running time, 0 to 1
+    frequency_hz: float  # 0 where the wheelset does not hunt
+    amplitude: float  # m, of the lateral displacement; less than the true one where the sensor clips
+
+    @property
+    def sustained(self) -> bool:
+        """Whether it lasts for most of the time."""
+        return self.share >= HUNTING_SHARE
+
+
+HUNTING_SHARE = 0.5  # of a window's running time that makes it a window of hunting
+NOT_HUNTING = Hunting(0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
 class WindowQuality:
     """What gates look at before a window is estimated."""
 
@@ -24,6 +42,7 @@ class WindowQuality:
     speed_max_m_s: float
     position_quality: float  # 0 (unknown) to 1
     sensor_fault: bool  # self-test failed or an emergency was sent
+    hunting: Hunting = NOT_HUNTING  # found from all samples, clipped ones too
 
 
 @dataclass(frozen=True, slots=True)

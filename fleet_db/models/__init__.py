@@ -10,6 +10,7 @@ from fleet_db.models.idempotency import IdempotencyRow
 from fleet_db.models.jobs import JobRunRow
 from fleet_db.models.measured_profiles import MeasuredProfilesRow
 from fleet_db.models.mountings import MountingRow
+from fleet_db.models.suspension import SuspensionFindingRow
 from fleet_db.models.tracks import (
     TrackAlignmentRow,
     TrackLayoutRow,
@@ -36,6 +37,7 @@ __all__ = [
     "MeasuredProfilesRow",
     "MountingRow",
     "ReprofilingRow",
+    "SuspensionFindingRow",
     "TrackAlignmentRow",
     "TrackLayoutRow",
     "TrackReportRow",

@@ -37,6 +37,9 @@ class WindowRow(Base):
     speed_max_m_s: Mapped[Real | None]
     position_quality: Mapped[Real | None]
     sensor_fault: Mapped[bool]
+    hunting_share: Mapped[Real | None]
+    hunting_hz: Mapped[Real | None]
+    hunting_amplitude_m: Mapped[Real | None]
     state: Mapped[str] = mapped_column(String(16))
     reason: Mapped[Name]
     reason_code: Mapped[ReasonCodeColumn | None]

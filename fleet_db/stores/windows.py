@@ -11,7 +11,7 @@ from sqlalchemy import Connection, Row, Select, and_, bindparam, delete, exists,
 
 from estimation.errors import NotFoundError
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.windows import Window, WindowQuality, WindowRecord, WindowState
+from estimation.values.windows import NOT_HUNTING, Hunting, Window, WindowQuality, WindowRecord, WindowState
 from fleet_db.changes import Changes
 from fleet_db.models import WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.rows import (
@@ -290,12 +290,19 @@ def to_window_record(row: Row[Any]) -> WindowRecord:
             speed_max_m_s=nan_if_null(row.speed_max_m_s),
             position_quality=nan_if_null(row.position_quality),
             sensor_fault=row.sensor_fault,
+            hunting=_hunting(row),
         ),
         state=WindowState(row.state),
         reason=stored_reason(row),
         content_digest=row.content_digest,
         recorded_ns=row.recorded_ns,
     )
+
+
+def _hunting(row: Row[Any]) -> Hunting:
+    if not row.hunting_share:
+        return NOT_HUNTING
+    return Hunting(row.hunting_share, row.hunting_hz or 0.0, row.hunting_amplitude_m or 0.0)
 
 
 def _values(window: Window, mileage_km: float) -> dict[str, object]:
@@ -310,6 +317,9 @@ def _values(window: Window, mileage_km: float) -> dict[str, object]:
         **{name: null_if_nan(getattr(window.quality, name)) for name in REALS},
         "gaps": window.quality.gaps,
         "sensor_fault": window.quality.sensor_fault,
+        "hunting_share": window.quality.hunting.share,
+        "hunting_hz": window.quality.hunting.frequency_hz,
+        "hunting_amplitude_m": window.quality.hunting.amplitude,
         "state": WindowState.PENDING.value,
         **reason_columns(None),
     }

@@ -44,15 +44,20 @@ COUNTER_VALUES = 1 << 32
 
 @dataclass(frozen=True, slots=True)
 class NodeSamples:
-    """Samples of one node; ``clipped`` and ``invalid`` mark samples as their sensor reported them."""
+    """Samples of one node; ``clipped`` and ``invalid`` mark samples as their sensor reported them.
+
+    ``saturated`` has what ``block`` has, and values at the ends of their ranges, which are not valid there.
+    """
 
     block: SampleBlock
+    saturated: FloatArray  # (n, 4)
     clipped: BoolArray  # (n,) a raw value on its limit, or the clipping bit of its second
     invalid: BoolArray  # (n,) a raw value "not available" or outside its limits
     fault_ns: IntArray  # (f,) when the self-test was reported failed or an emergency was sent
 
     def __post_init__(self) -> None:
         n = len(self.block)
+        object.__setattr__(self, "saturated", frozen_array(self.saturated, (n, None), name="saturated"))
         object.__setattr__(self, "clipped", frozen_array(self.clipped, (n,), np.bool_, name="clipped"))
         object.__setattr__(self, "invalid", frozen_array(self.invalid, (n,), np.bool_, name="invalid"))
         object.__setattr__(self, "fault_ns", frozen_array(self.fault_ns, (None,), np.int64, name="fault_ns"))
@@ -87,7 +92,9 @@ def node_samples(
         valid &= ~distrusted[:, None]
         si[distrusted] = np.nan
     t_ns = ticked.tick * interval_ns
-    for array in (si, valid, t_ns):
+    saturated = si if valid.all() else values.values(with_clipped=True)
+    saturated[distrusted] = np.nan
+    for array in (si, valid, t_ns, saturated):
         array.flags.writeable = False
     invalid: BoolArray = np.zeros(len(t_ns), np.bool_)
     clipped = by_status
@@ -98,7 +105,7 @@ def node_samples(
     failed_ns = _failed_self_tests(status) * interval_ns
     counts += AlignCounts(emergencies=len(emergency_ns), self_test_failures=len(failed_ns))
     block = SampleBlock(vehicle, node, ACCELERATIONS, t_ns, si, valid)
-    return NodeSamples(block, clipped, invalid, np.union1d(emergency_ns, failed_ns)), counts
+    return NodeSamples(block, saturated, clipped, invalid, np.union1d(emergency_ns, failed_ns)), counts
 
 
 def _of_node(messages: Mapping[int, TickedValues], kind: str, node: int) -> TickedValues | None:

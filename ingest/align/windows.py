@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from estimation.errors import ParameterError
+from estimation.motion.hunting import find_hunting
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, runs
 from estimation.values.registry import Mounting, VehicleRecord
-from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
+from estimation.values.windows import ACCELERATIONS, Hunting, Window, WindowQuality
 from ingest.align.clock import AlignCounts, TickedValues
 from ingest.align.samples import (
     NO_SECTION,
@@ -252,7 +253,16 @@ def _quality(
         speed_max_m_s=float(speed.max()),
         position_quality=float(motion.position_quality[slot].mean()),
         sensor_fault=bool(last > first),
+        hunting=_hunting(node, span, motion, slot, extent[1] * 1e-9 / len(valid)),
     )
+
+
+def _hunting(node: NodeSamples, span: slice, motion: GridMotion, slot: IntArray, interval_s: float) -> Hunting:
+    """Return what all samples of the node show of hunting, those that clip too."""
+    signals = np.full((2, len(motion.speed)), np.nan)
+    columns = [ACCELERATIONS.index(name) for name in ("lateral_acceleration", "yaw_acceleration")]
+    signals[:, slot] = node.saturated[span][:, columns].T
+    return find_hunting(signals[0], signals[1], motion.speed, interval_s)
 
 
 def add_counts(first: WindowCounts, second: WindowCounts) -> WindowCounts:

@@ -12,11 +12,13 @@ from typing import Annotated, TypeVar
 from annotated_types import Interval
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
+from estimation.alerts.rules.hunting import HuntingRule
 from estimation.alerts.rules.identity import IdentityRule
 from estimation.alerts.rules.limit_forecast import LimitForecastRule
 from estimation.alerts.rules.no_data import NoDataRule
 from estimation.alerts.rules.rule import AlertDelays, AlertRule
 from estimation.alerts.rules.sensor_fault import SensorFaultRule
+from estimation.alerts.rules.suspension_change import SuspensionChangeRule
 from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule
 
 Rule = TypeVar("Rule", bound=AlertRule)
@@ -28,6 +30,8 @@ ALERT_RULES: tuple[type[AlertRule], ...] = (
     NoDataRule,
     SensorFaultRule,
     IdentityRule,
+    HuntingRule,
+    SuspensionChangeRule,
 )
 
 

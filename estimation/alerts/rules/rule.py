@@ -17,6 +17,7 @@ from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Forecast
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.registry import VehicleRecord, WheelsetRecord
+from estimation.values.suspension import SuspensionChange
 from estimation.values.trend import TrendRecord
 from estimation.values.windows import WindowRecord, WindowState
 
@@ -49,9 +50,10 @@ class WheelsetFacts:
     vehicle: VehicleRecord | None  # that it is mounted in
     geometry: GeometryRecord | None  # current
     trend: TrendRecord | None  # latest
-    windows: Sequence[WindowRecord]  # of the mounting in service, the newest ``SensorFaultRule.latest_windows`` only
+    windows: Sequence[WindowRecord]  # of the mounting in service, the newest that any rule looks at
     open_alerts: Sequence[Alert] = ()
     identity: IdentityEvent | None = None  # since the last identity change
+    suspension: SuspensionChange | None = None  # of its vehicle, where its alert stands at this wheelset
     not_assessable_reason: Reason | None = None  # why the data do not show how the wheelset is now
 
     @property

@@ -51,11 +51,14 @@ class SensorFaultRule(AlertRule):
 
 
 def faulty(rule: SensorFaultRule, window: WindowRecord) -> str:
-    """Return what is wrong with the sensor in this window; empty where nothing is."""
+    """Return what is wrong with the sensor in this window; empty where nothing is.
+
+    A sensor that clips because its wheelset hunts is sound.
+    """
     quality = window.quality
     if quality.sensor_fault:
         return "self_test_or_emergency"
-    if quality.clipped > rule.clipped_share:
+    if quality.clipped > rule.clipped_share and not quality.hunting.sustained:
         return "clipping"
     if quality.invalid > rule.invalid_share:
         return "invalid_values"

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.jobs.job import JobContext
+from estimation.jobs.steps.suspension import store_suspension
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.track.journeys import Journey
@@ -82,6 +83,7 @@ def store(unit: UnitOfWork, epoch: Epoch, update: AlignmentUpdate, context: JobC
     if update.outcome.makes_version and update.alignment is not None:
         version = _next_version(unit, epoch, update.alignment, context)
     _report(unit, epoch, update, version, context)
+    store_suspension(unit, epoch.section.code, epoch.records, update, epoch.classes, context)
     for position in _positions(epoch, update, version, context.settings.alignment):
         _place(unit, position)
     return True

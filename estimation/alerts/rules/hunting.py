@@ -1,0 +1,114 @@
+"""Rule: a wheelset that hunts in several of its latest windows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from annotated_types import Interval
+
+from estimation.alerts.rules.rule import (
+    AlertRule,
+    Share,
+    WheelsetFacts,
+    WindowCount,
+    number_evidence,
+    too_few_windows,
+    unknown_evidence,
+)
+from estimation.values.alerts import Finding, Severity
+from estimation.values.json_value import JsonValue
+from estimation.values.windows import HUNTING_SHARE, WindowRecord
+
+
+@dataclass(frozen=True, slots=True)
+class HuntingRule(AlertRule):
+    """The wheelset sways at its own wavelength, sustained, in several of the latest windows."""
+
+    kind: ClassVar[str] = "hunting"
+    limit_unit: ClassVar[str] = "windows"
+    relations: ClassVar[Sequence[tuple[str, str, str]]] = (
+        ("raise_windows", "<=", "latest_windows"),
+        ("critical_windows", "<=", "latest_windows"),
+        ("critical_windows", ">=", "raise_windows"),
+    )
+
+    latest_windows: Annotated[int, Interval(ge=1, le=1000)] = 20
+    raise_windows: WindowCount = 3
+    critical_windows: WindowCount = 10
+    minimum_windows: WindowCount = 3  # behind "it does not hunt"
+    hunting_share: Share = HUNTING_SHARE  # of a window's running time that makes it a window of hunting
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
+        """Return the finding of the latest windows of the mounting."""
+        mounting = facts.wheelset.mounting
+        if mounting is None:
+            return None
+        return hunting_finding(self, facts.wheelset.serial, facts.windows, mounting.from_ns)
+
+
+def hunts(window: WindowRecord, share: float) -> bool:
+    """Return whether a window shows hunting for a share of its running time.
+
+    Parameters
+    ----------
+    window
+        Stored window.
+    share
+        From 0 to 1; of 0 some hunting is needed still.
+    """
+    return window.quality.hunting.share >= share and window.quality.hunting.share > 0.0
+
+
+def hunting_finding(rule: HuntingRule, wheelset: str, windows: Sequence[WindowRecord], measured_ns: int) -> Finding:
+    """Return the finding of the latest windows on hunting.
+
+    Parameters
+    ----------
+    rule
+        Counts of windows.
+    wheelset
+        Serial.
+    windows
+        Windows of the mounting in service, any order; the newest ``rule.latest_windows`` are looked at.
+    measured_ns
+        Used where there is no window.
+    """
+    latest = sorted(windows, key=lambda w: w.start_ns)[-rule.latest_windows :]
+    found = [w for w in latest if hunts(w, rule.hunting_share)]
+    unknown = None if found else too_few_windows(len(latest), rule.minimum_windows)
+    return Finding(
+        wheelset=wheelset,
+        kind=HuntingRule.kind,
+        breached=None if unknown else len(found) >= rule.raise_windows,
+        cleared=None if unknown else not found,
+        severity=Severity.CRITICAL if len(found) >= rule.critical_windows else Severity.WARNING,
+        probability=None,
+        evidence={
+            "hunting_windows": len(found),
+            "windows": len(latest),
+            **_shape(found),
+            **unknown_evidence(unknown),
+        },
+        action="check_yaw_dampers_and_profiles",
+        raise_limit=float(rule.raise_windows),
+        clear_limit=0.0,
+        measured_ns=max((w.start_ns + w.length_ns for w in latest), default=measured_ns),
+    )
+
+
+def _shape(found: Sequence[WindowRecord]) -> dict[str, JsonValue]:
+    """Return frequency, wavelength, amplitude and speed of the windows that show hunting."""
+    if not found:
+        return {"frequency_hz": None, "wavelength_m": None, "amplitude_mm": None, "speed_max_m_s": None}
+    frequency = float(np.median([w.quality.hunting.frequency_hz for w in found]))
+    speed = [0.5 * (w.quality.speed_min_m_s + w.quality.speed_max_m_s) for w in found]
+    lengths = [v / w.quality.hunting.frequency_hz for v, w in zip(speed, found, strict=True)]
+    return {
+        "frequency_hz": number_evidence(frequency, 3),
+        "wavelength_m": number_evidence(float(np.median(lengths)), 2),
+        "amplitude_mm": number_evidence(max(1e3 * w.quality.hunting.amplitude for w in found), 2),
+        "speed_max_m_s": number_evidence(max(w.quality.speed_max_m_s for w in found), 3),
+    }

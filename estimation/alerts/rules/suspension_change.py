@@ -1,0 +1,83 @@
+"""Rule: the yaw stiffness of a vehicle has changed, as its passes show it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar
+
+from annotated_types import Interval
+from scipy.special import ndtr
+
+from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, estimate_evidence, number_evidence
+from estimation.trend.suspension import SuspensionParameters
+from estimation.values.alerts import Finding, Severity
+from estimation.values.intervals import with_interval
+from estimation.values.suspension import SuspensionChange
+
+Change = Annotated[float, Interval(ge=0.01, le=10.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class SuspensionChangeRule(AlertRule):
+    """The ratio of yaw stiffness to creep coefficient of a vehicle has changed by more than friction explains.
+
+    The alert is one of the vehicle; it stands at the wheelset of its first axle.
+    """
+
+    kind: ClassVar[str] = "suspension_change"
+    limit_unit: ClassVar[str] = "1"
+    relations: ClassVar[Sequence[tuple[str, str, str]]] = (("clear_change", "<=", "raise_change"),)
+
+    raise_change: Change = 0.2
+    clear_change: Change = 0.15
+    raise_probability: Probability = 0.9
+    clear_probability: Probability = 0.8
+    parameters: SuspensionParameters = field(default_factory=SuspensionParameters)
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
+        """Return the finding of the vehicle; None where too little is known of it, or at its other wheelsets."""
+        if facts.suspension is None:
+            return None
+        return suspension_change_finding(self, facts.wheelset.serial, facts.suspension)
+
+
+def suspension_change_finding(rule: SuspensionChangeRule, wheelset: str, found: SuspensionChange) -> Finding:
+    """Return the finding of a change.
+
+    Parameters
+    ----------
+    rule
+        Limits and probabilities.
+    wheelset
+        Serial of the wheelset that the alert stands at.
+    found
+        The change of its vehicle.
+    """
+    over = _beyond(found, rule.raise_change)
+    over_clear = _beyond(found, rule.clear_change)
+    return Finding(
+        wheelset=wheelset,
+        kind=SuspensionChangeRule.kind,
+        breached=over >= rule.raise_probability,
+        cleared=1.0 - over_clear >= rule.clear_probability,
+        severity=Severity.WARNING,
+        probability=number_evidence(over, 3),
+        evidence={
+            "vehicle": found.vehicle,
+            "change": estimate_evidence(with_interval(found.change, found.std, count=float(found.recent))),
+            "past_findings": found.past,
+            "recent_findings": found.recent,
+            "other_vehicles": found.others,
+            "limit": rule.raise_change,
+        },
+        action="check_yaw_suspension",
+        raise_limit=rule.raise_change,
+        clear_limit=rule.clear_change,
+        measured_ns=found.recent_ns,
+    )
+
+
+def _beyond(found: SuspensionChange, limit: float) -> float:
+    """Return the probability that the size of the true change is above the limit."""
+    return float(ndtr((found.change - limit) / found.std) + ndtr((-found.change - limit) / found.std))

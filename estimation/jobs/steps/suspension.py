@@ -1,0 +1,89 @@
+"""What an epoch shows of the suspension of vehicles, into the store; and which of them have changed, out of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from estimation.jobs.job import JobContext
+from estimation.storage import UnitOfWork
+from estimation.track.panel.stiffness_ratio import PRIOR_STD
+from estimation.track.update import AlignmentUpdate
+from estimation.trend.suspension import SuspensionParameters, suspension_changes
+from estimation.values.suspension import SuspensionChange, SuspensionFinding
+from estimation.values.windows import WindowRecord
+from estimation.vehicle.class_on_file import ClassOnFile
+
+LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of the ratio
+
+
+def store_suspension(
+    unit: UnitOfWork,
+    section: str,
+    records: Sequence[WindowRecord],
+    update: AlignmentUpdate,
+    classes: Mapping[str, ClassOnFile],
+    context: JobContext,
+) -> int:
+    """Store the stiffness ratio of every vehicle that the epoch shows; return of how many.
+
+    Parameters
+    ----------
+    unit
+        A transaction to write in.
+    section
+        Code of the section.
+    records
+        Windows of the epoch.
+    update
+        What was found.
+    classes
+        By vehicle, as the epoch was estimated with.
+    context
+        Clock and code version of the job.
+    """
+    iterated = update.estimate.iterated
+    if iterated is None or not update.estimate.report.converged or update.outcome.windows_wait:
+        return 0
+    known = 0
+    for code, ratio in sorted(iterated.ratios.items()):
+        own = [record for record in records if record.vehicle == code]
+        if not own or code not in classes or not 0.0 < ratio.std <= LEARNT * PRIOR_STD:
+            continue
+        vehicle = classes[code].vehicle_class.parameters
+        unit.suspensions.put(
+            SuspensionFinding(
+                vehicle=code,
+                section=section,
+                from_ns=min(record.start_ns for record in own),
+                to_ns=max(record.start_ns + record.length_ns for record in own),
+                ratio=ratio.value,
+                ratio_std=ratio.std,
+                assumed=vehicle.yaw_stiffness / vehicle.longitudinal_creep_coefficient,
+                code_version=context.code_version,
+                recorded_ns=context.clock.now_ns(),
+            )
+        )
+        known += 1
+    return known
+
+
+def changes_by_wheelset(unit: UnitOfWork, parameters: SuspensionParameters) -> Mapping[str, SuspensionChange]:
+    """Return the changes of all vehicles, each at the wheelset of the vehicle's first axle that has one.
+
+    Parameters
+    ----------
+    unit
+        Findings and the registry are read.
+    parameters
+        What counts as now, and what friction may do.
+    """
+    changes = suspension_changes(unit.suspensions.list(), parameters)
+    if not changes:
+        return {}
+    first: dict[str, tuple[int, str]] = {}
+    for wheelset in unit.registry.wheelsets():
+        mounting = wheelset.mounting
+        if mounting is not None:
+            here = (mounting.axle, wheelset.serial)
+            first[mounting.vehicle] = min(here, first.get(mounting.vehicle, here))
+    return {first[code][1]: change for code, change in changes.items() if code in first}

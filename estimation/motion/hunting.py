@@ -1,0 +1,166 @@
+"""Hunting: a wheelset that keeps swaying at its own wavelength, whatever the track does.
+
+Above its critical speed a wheelset sways from flange to flange: sustained, narrow in frequency, large, with the yaw of
+the kinematic mode (V psi = y', so that the yaw acceleration is i omega / V times the lateral one). Track irregularity
+makes it sway at the same wavelength, but the amplitude comes and goes, which widens the line in the spectrum; impacts
+and curves have no line, and a rigid body that sways has no yaw to go with it.
+
+Flange contact drives sensors to their limits. The line remains: what is cut off the peaks of an oscillation lowers its
+amplitude and adds odd harmonics, but does not widen it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import NOT_HUNTING, Hunting, WindowQuality
+
+BLOCK_S = 5.0  # over which the oscillation must be sustained
+LEAST_SPEED = 8.0  # m/s
+LEAST_KNOWN = 0.3  # share of a block's samples; what lies between is bridged straight
+LONGEST, SHORTEST = 40.0, 3.5  # m, wavelengths of hunting; a wheel out of round has less
+LEAST_FREQUENCY = 0.8  # Hz
+LINE = (0.75, 1.33)  # of the peak's frequency
+LEAST_SHARE = 0.55  # of the displacement's power that is in the line
+WIDEST = 0.05  # relative standard deviation of the frequency in the line
+LEAST_AMPLITUDE = 2.5e-3  # m
+LEAST_COHERENCE = 0.8  # between lateral and yaw acceleration in the line
+MOST_PHASE = np.pi / 3.0  # from the kinematic mode
+GAINS = (0.3, 3.0)  # of yaw, times what the kinematic mode has
+QUALITY_REASONS = frozenset(
+    {
+        ReasonCode.TOO_FEW_SAMPLES,
+        ReasonCode.CLIPPED,
+        ReasonCode.NO_USABLE_SAMPLE,
+        ReasonCode.INTERRUPTED,
+        ReasonCode.TOO_FEW_USABLE,
+        ReasonCode.OUTSIDE_BINS,
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """The strongest line of a block."""
+
+    frequency_hz: float
+    amplitude: float  # m
+    share: float  # of the displacement's power
+    width: float  # relative
+    coherence: float
+    phase: float  # rad, from the kinematic mode
+    gain: float
+
+    @property
+    def hunts(self) -> bool:
+        """Whether it is that of hunting."""
+        return (
+            self.share >= LEAST_SHARE
+            and self.width <= WIDEST
+            and self.amplitude >= LEAST_AMPLITUDE
+            and self.coherence >= LEAST_COHERENCE
+            and abs(self.phase) <= MOST_PHASE
+            and GAINS[0] <= self.gain <= GAINS[1]
+        )
+
+
+def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_s: float) -> Hunting:
+    """Return how much of some running time a wheelset hunts, at which frequency and how far.
+
+    Parameters
+    ----------
+    lateral, yaw
+        (n,) m/s2 and rad/s2, as the sensors gave them, clipped samples too; NaN where nothing is known.
+    speed
+        (n,) m/s; NaN where not known.
+    interval_s
+        Between samples.
+    """
+    size = round(BLOCK_S / interval_s)
+    running, found = 0, []
+    for start in range(0, len(lateral) - size + 1, size):
+        part = slice(start, start + size)
+        fast = float(np.nan_to_num(np.mean(speed[part])))
+        if fast < LEAST_SPEED:
+            continue
+        running += 1
+        line = _line(lateral[part], yaw[part], fast, interval_s)
+        if line is not None and line.hunts:
+            found.append(line)
+    if not found:
+        return NOT_HUNTING
+    frequency, amplitude = (
+        float(np.median([getattr(line, n) for line in found])) for n in ("frequency_hz", "amplitude")
+    )
+    return Hunting(len(found) / running, frequency, amplitude)
+
+
+def _line(lateral: FloatArray, yaw: FloatArray, speed: float, interval_s: float) -> _Line | None:
+    known = np.isfinite(lateral) & np.isfinite(yaw)
+    if known.mean() < LEAST_KNOWN:
+        return None
+    at = np.arange(len(lateral))
+    window = np.hanning(len(lateral))
+    both = [np.interp(at, at[known], signal[known]) for signal in (lateral, yaw)]
+    a, b = (np.fft.rfft((signal - signal.mean()) * window) for signal in both)
+    frequency = np.fft.rfftfreq(len(lateral), interval_s)
+    slowest = max(LEAST_FREQUENCY, speed / LONGEST)
+    inside = (frequency >= slowest) & (frequency <= speed / SHORTEST)
+    if not inside.any():
+        return None
+    omega = np.where(inside, 2.0 * np.pi * frequency, 1.0)
+    y, turned = np.where(inside, a / omega**2, 0.0), np.where(inside, b * speed / (1j * omega**3), 0.0)
+    power = np.abs(y) ** 2
+    peak = frequency[int(np.argmax(np.convolve(power, np.ones(3), "same")))]
+    line = inside & (frequency > LINE[0] * peak) & (frequency < LINE[1] * peak)
+    total, own = float(power.sum()), power[line]
+    if total <= 0.0:
+        return None
+    middle = float(own @ frequency[line] / own.sum())
+    cross = complex(np.vdot(y[line], turned[line]))
+    other = float((np.abs(turned[line]) ** 2).sum())
+    return _Line(
+        frequency_hz=middle,
+        amplitude=float(np.sqrt(4.0 * own.sum() / (window**2).sum() / len(lateral))),
+        share=float(own.sum()) / total,
+        width=float(np.sqrt(own @ (frequency[line] - middle) ** 2 / own.sum())) / middle,
+        coherence=abs(cross) / float(np.sqrt(own.sum() * other)) if other > 0.0 else 0.0,
+        phase=float(np.angle(cross)),
+        gain=abs(cross) / float(own.sum()),
+    )
+
+
+def hunting_reason(quality: WindowQuality) -> Reason | None:
+    """Return that a window is one of hunting; None where it is not.
+
+    Parameters
+    ----------
+    quality
+        What was counted of the window.
+    """
+    hunting = quality.hunting
+    if not hunting.sustained:
+        return None
+    return Reason(
+        ReasonCode.HUNTING,
+        f"the wheelset hunts for {hunting.share:.0%} of the time, at {hunting.frequency_hz:.1f} Hz and"
+        f" {1e3 * hunting.amplitude:.1f} mm or more",
+    )
+
+
+def in_place_of_quality(reason: Reason, quality: WindowQuality) -> Reason:
+    """Return that the wheelset hunts where the reason of a refusal is what hunting does to the samples.
+
+    Parameters
+    ----------
+    reason
+        Why a window is refused.
+    quality
+        What was counted of it.
+    """
+    hunts = hunting_reason(quality) if reason.code in QUALITY_REASONS else None
+    return reason if hunts is None else Reason(hunts.code, f"{hunts.text}; {reason.text}")
