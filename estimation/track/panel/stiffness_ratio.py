@@ -20,7 +20,7 @@ from estimation.values.intervals import jackknife_std
 
 PRIOR_STD = 0.15  # of the ratio, relative
 SYSTEMATIC_STD = 0.02  # of the ratio, relative: a model of small terms is left, blocks of data cannot show it
-LEAST_EXPLAINED = 0.01  # share below which all is error
+LEAST_EXPLAINED = 0.67  # a smaller share says that something else is wrong
 DAMPING = 0.6  # of a step: position and ratio are refined at once, and each would make up for the other's error
 
 
