@@ -7,6 +7,9 @@ import pytest
 from vehicle_bus import CATALOGUE, INTERVAL_NS, OFFSETS_M, SECOND_NS, SECTION, START_NS, VEHICLE, Run
 
 from estimation.errors import ParameterError
+from estimation.motion.checks import gate
+from estimation.motion.parameters import Gates
+from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.windows import Window
 from ingest import catalogue as kinds
@@ -94,6 +97,23 @@ def test_a_second_with_the_clipping_bit_is_left_out() -> None:
     assert hit.quality.clipped == pytest.approx(0.1, abs=0.001)
     assert hit.quality.coverage == pytest.approx(0.9 - 2 * CLIPPING_GUARD_S / 10.0, abs=0.001)
     assert np.isnan(hit.lateral_acceleration[~hit.valid]).all()
+
+
+def test_a_wheelset_that_hunts_is_seen_though_no_sample_of_it_is_left() -> None:
+    """Flange contact drives both sensors to the ends of their ranges, several times a second."""
+    values = Run(seconds=25.0).accelerations(1)
+    at = np.arange(len(values["yaw_acceleration"])) * INTERVAL_NS * 1e-9
+    omega = 2.0 * np.pi * 4.0  # 5 m at 20 m/s
+    values["lateral_acceleration"] = -300.0 * np.cos(omega * at)
+    values["yaw_acceleration"] = 300.0 * omega / 20.0 * np.sin(omega * at)
+    found, _ = windows(Run(seconds=25.0, changes={(kinds.ACCELERATION, 1): values}))
+    hunting = next(w for w in found if w.axle == 1 and w.start_ns == START_NS + 7 * SECOND_NS)
+    assert hunting.quality.clipped > 0.5
+    assert hunting.quality.coverage == 0.0
+    assert hunting.quality.hunting.share == 1.0
+    assert hunting.quality.hunting.frequency_hz == pytest.approx(4.0, rel=0.02)
+    assert code_of(gate(hunting.quality, "KM12", Gates())) is ReasonCode.HUNTING
+    assert all(w.quality.hunting.share == 0.0 for w in found if w.axle == 2)
 
 
 def padded(values: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
