@@ -83,18 +83,19 @@ def _change(
     moved: Mapping[tuple[str, str, int], float],
     p: SuspensionParameters,
 ) -> SuspensionChange:
-    level, variance = series.level.copy(), series.variance.copy()
+    level, friction = series.level.copy(), np.zeros(len(series.level))
     seen: set[str] = set()
     for k, item in enumerate(series.findings):
         shifts = _shifts_of_others(code, item, by_vehicle, moved)
         seen |= shifts.keys()
         common, common_variance = _common(list(shifts.values()), p)
         level[k] -= common
-        variance[k] += common_variance
-    weight = 1.0 / variance
+        friction[k] = common_variance
+    weight = 1.0 / series.variance
     sides = (slice(0, series.past), slice(series.past, None))
     before, now = (float(weight[side] @ level[side] / weight[side].sum()) for side in sides)
-    spread = float(np.sqrt(sum(1.0 / weight[side].sum() for side in sides)))
+    # what is left of friction lasts as weather does: more findings of a side do not lessen it
+    spread = float(np.sqrt(sum(1.0 / weight[side].sum() + friction[side].mean() for side in sides)))
     change = float(np.expm1(now - before))
     return SuspensionChange(
         vehicle=code,

@@ -1,0 +1,113 @@
+"""A yaw spring that softens is found; friction that all vehicles share is not taken for one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
+from estimation.trend.suspension import SuspensionParameters, suspension_changes
+from estimation.values.suspension import SuspensionChange, SuspensionFinding
+
+DAY = 86_400_000_000_000
+RULE = SuspensionChangeRule()
+
+
+def finding(vehicle: str, day: int, ratio: float, *, section: str = "S", std: float = 0.03) -> SuspensionFinding:
+    return SuspensionFinding(vehicle, section, day * DAY, (day + 1) * DAY, ratio, std, 0.34, "v", 1)
+
+
+def history(
+    vehicle: str, ratios: list[float], *, friction: list[float] | None = None, seed: int = 0, std: float = 0.03
+) -> list[SuspensionFinding]:
+    """Return one finding a day, with the error of its std."""
+    rng = np.random.default_rng([seed, *vehicle.encode()])
+    common = friction or [1.0] * len(ratios)
+    return [
+        finding(vehicle, day, ratio * f * (1.0 + std * float(rng.standard_normal())), std=std)
+        for day, (ratio, f) in enumerate(zip(ratios, common, strict=True))
+    ]
+
+
+def softened(by: float, days: int = 8) -> list[float]:
+    return [1.0] * (days - 3) + [1.0 - by] * 3
+
+
+def breached(change: SuspensionChange) -> bool | None:
+    return suspension_change_finding(RULE, "W", change).breached
+
+
+def test_a_spring_that_softens_is_found_and_only_there() -> None:
+    for seed in range(10):
+        fleet = [*history("A", softened(0.4), seed=seed)]
+        for other in "BCDE":
+            fleet += history(other, [1.0] * 8, seed=seed)
+        changes = suspension_changes(fleet)
+        assert breached(changes["A"]) is True
+        assert changes["A"].change == pytest.approx(-0.4, abs=3.0 * changes["A"].std)
+        assert [breached(changes[other]) for other in "BCDE"] == [False] * 4
+        assert (changes["A"].past, changes["A"].recent, changes["A"].others) == (5, 3, 4)
+        assert changes["A"].recent_ns == 8 * DAY
+
+
+def test_friction_that_all_share_is_no_change() -> None:
+    """Wet rails for three days: the ratio of every vehicle is higher by half."""
+    wet = [1.0] * 5 + [1.5] * 3
+    fleet = [one for name in "ABCDE" for one in history(name, [1.0] * 8, friction=wet)]
+    changes = suspension_changes(fleet)
+    assert [breached(changes[name]) for name in "ABCDE"] == [False] * 5
+    assert max(abs(one.change) for one in changes.values()) < 0.15
+    spring = [one for one in fleet if one.vehicle != "A"] + history("A", softened(0.4), friction=wet)
+    assert breached(suspension_changes(spring)["A"]) is True
+
+
+def test_a_vehicle_alone_needs_more_for_friction_may_be_it() -> None:
+    alone = suspension_changes(history("A", softened(0.3)))["A"]
+    assert alone.others == 0
+    assert breached(alone) is False
+    assert breached(suspension_changes(history("A", softened(0.5)))["A"]) is True
+    fleet = [*history("A", softened(0.3)), *history("B", [1.0] * 8), *history("C", [1.0] * 8)]
+    assert suspension_changes(fleet)["A"].std < 0.7 * alone.std
+
+
+def test_intervals_of_the_change_cover() -> None:
+    """Drawn as assumed: errors of each finding, friction of each day, and a little of each vehicle's own."""
+    p = SuspensionParameters()
+    inside = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        wet = np.exp(p.common_creep_std * rng.standard_normal(8)).tolist()
+        fleet = []
+        for name in "ABCD":
+            own = np.exp(p.own_creep_std * rng.standard_normal(8))
+            spring = softened(0.25) if name == "A" else [1.0] * 8
+            fleet += history(name, (own * spring).tolist(), friction=wet, seed=seed)
+        change = suspension_changes(fleet)["A"]
+        inside.append(abs(change.change + 0.25) < 1.96 * change.std)
+    assert np.mean(inside) >= 0.88
+
+
+def test_too_few_findings_say_nothing() -> None:
+    assert suspension_changes([]) == {}
+    assert suspension_changes(history("A", [1.0] * 5)) == {}
+    assert set(suspension_changes(history("A", [1.0] * 6))) == {"A"}
+
+
+def test_another_class_on_file_is_no_change() -> None:
+    """The ratio is relative to what was assumed: twice the assumed one halves it."""
+    whole = history("A", [1.0] * 8)
+    other_class = [replace(one, ratio=one.ratio / 2.0, ratio_std=one.ratio_std / 2.0, assumed=0.68) for one in whole]
+    mixed = suspension_changes([*whole[:5], *other_class[5:]])["A"]
+    assert mixed.change == pytest.approx(suspension_changes(whole)["A"].change, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "raised", "cleared"),
+    [(-0.2, False, False), (-0.265, True, False), (0.265, True, False), (-0.105, False, True), (-0.115, False, False)],
+)
+def test_the_limits_of_the_rule(change: float, raised: bool, cleared: bool) -> None:  # noqa: FBT001 - of the table
+    found = suspension_change_finding(RULE, "W", SuspensionChange("A", change, 0.05, 5, 3, 4, 9))
+    assert (found.breached, found.cleared) == (raised, cleared)
+    assert (found.measured_ns, found.evidence["vehicle"], found.evidence["other_vehicles"]) == (9, "A", 4)
