@@ -47,6 +47,8 @@ class UncertainNumber(InputTable):
     def _check_std(self) -> Self:
         if self.std and self.value == 0.0:
             raise field_error("the standard deviation of a value of 0 cannot be used", "std")
+        if self.std and self.std > abs(self.value):
+            raise field_error(f"{self.std:g} is more than the value itself; it has the unit of the value", "std")
         return self
 
     @property

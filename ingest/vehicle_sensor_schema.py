@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from estimation.vehicle.vehicle_class import SensorChannel, SensorLayout
-from ingest.input_file import InputTable, NotNegative, Positive, field_error
+from ingest.input_file import InputTable, field_error
 
 
 class SensorTable(InputTable):
@@ -18,13 +18,13 @@ class SensorTable(InputTable):
     kind: Literal["accelerometer", "angular_accelerometer", "gyroscope"]
     place: Literal["axle_box", "frame", "mass"]
     axis: Literal["x", "y", "z"]
-    noise_density_m_s2_rthz: NotNegative | None = None
-    range_m_s2: Positive | None = None
-    noise_density_rad_s2_rthz: NotNegative | None = None
-    range_rad_s2: Positive | None = None
-    noise_density_rad_s_rthz: NotNegative | None = None
-    range_rad_s: Positive | None = None
-    scale_std: NotNegative = 0.0  # relative
+    noise_density_m_s2_rthz: Annotated[float, Field(ge=0.0, le=0.1)] | None = None
+    range_m_s2: Annotated[float, Field(ge=1.0, le=2e4)] | None = None
+    noise_density_rad_s2_rthz: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    range_rad_s2: Annotated[float, Field(ge=0.5, le=2e4)] | None = None
+    noise_density_rad_s_rthz: Annotated[float, Field(ge=0.0, le=0.05)] | None = None
+    range_rad_s: Annotated[float, Field(ge=0.1, le=100.0)] | None = None
+    scale_std: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0  # relative
 
     @model_validator(mode="after")
     def _check_units(self) -> Self:
