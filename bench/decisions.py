@@ -40,7 +40,8 @@ from estimation.values.arrays import FloatArray
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
 from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
 from fleet_db.packed_values import pack_bin_table
-from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_motion, wheelset_record
+from ingest.simulator.axle_motion import wheelset_motion
+from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
 from ingest.simulator.fleet import run_fleet
 from ingest.simulator.scenario_file import load_scenario
 

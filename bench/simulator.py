@@ -9,12 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from bench.report import BenchRow
-from ingest.simulator.campaign import (
-    scenario_track,
-    vehicle_run,
-    wheelset_motion,
-    wheelset_record,
-)
+from ingest.simulator.axle_motion import wheelset_motion
+from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
 from ingest.simulator.scenario_file import load_scenario
 
 RUNS = 5

@@ -22,7 +22,9 @@ from estimation.contact.radius_difference import refined_curve
 from estimation.contact.table import ContactTable
 from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray
-from ingest.simulator.campaign import DerailmentError, contact_of, scenario_track, vehicle_run, wheelset_motion
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from ingest.simulator.axle_motion import DerailmentError, contact_of, wheelset_motion
+from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.drawn_fleet import with_wheelset
 from ingest.simulator.profile_files import rails_of, wheel_in
 from ingest.simulator.random_streams import Stream, generator
@@ -147,9 +149,10 @@ def fault(pair: WheelPair, section: SectionPlan) -> str | None:
     """
     left_rail, right_rail, inclination = rails_of(section)
     left, right = (wheel_in(path) for path in pair)
+    radius = VehicleParameters().nominal_radius
     try:
         wheelset = WheelsetOnTrack(
-            left, right, left_rail, right_rail, inclination, section.nominal_gauge, NOMINAL_RADIUS, NOMINAL_RADIUS
+            left, right, left_rail, right_rail, inclination, section.nominal_gauge, radius, radius
         )
         table = contact_table(wheelset, DISPLACEMENT, outside="hold")
     except ContactError as error:

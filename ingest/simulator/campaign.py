@@ -2,36 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.contact.table import ContactTable
-from estimation.errors import ContactError, ProfileError, ScenarioError
+from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
-from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
-from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset, travelled
+from ingest.simulator.motion import STEP, WheelsetMotion, travelled
 from ingest.simulator.random_streams import Stream, generator, seed_of
-from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.scenario import NORMAL_REACH, Scenario, SpeedRange, VehiclePlan, WheelsetPlan
 from ingest.simulator.sensor_errors import NodeErrors, draw_node_errors
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
-from ingest.simulator.table_range import displacement_limit, first_climb, gauge_grid
+from ingest.simulator.surface import with_surface
 from ingest.simulator.track import TrackRecipe, TrackTruth, from_zero, make_track, read_track
-from ingest.simulator.wear import GeometryTruth, WornContact, truth_of, wear_at, worn_contact
 
 MARGIN = 200.0  # m of track beyond both ends of a section that runs cross as a whole
 LEAD_IN = 160.0  # m before such a section where a run begins
 RUN_OUT = 50.0  # m behind it where the last axle ends
-
-
-class DerailmentError(ScenarioError):
-    """A wheelset leaves the range of its contact geometry; ``axle`` (from 0) says which."""
-
-    axle: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +49,11 @@ def scenario_track(scenario: Scenario) -> TrackTruth:
     """
     section = scenario.section
     if section.file is not None:
-        return from_zero(read_track(section.file))
-    assert section.recipe is not None
-    return make_track(with_margins(scenario, section.recipe), seed_of(scenario.seed, Stream.TRACK))
+        track = from_zero(read_track(section.file))
+    else:
+        assert section.recipe is not None
+        track = make_track(with_margins(scenario, section.recipe), seed_of(scenario.seed, Stream.TRACK))
+    return with_surface(track, scenario.running, scenario.seed)
 
 
 def with_margins(scenario: Scenario, recipe: TrackRecipe) -> TrackRecipe:
@@ -165,159 +154,6 @@ def odometer_scale(scenario: Scenario, vehicle: VehiclePlan) -> float:
     """
     rng = generator(scenario.seed, Stream.ODOMETER, scenario.vehicles.index(vehicle))
     return 1.0 + scenario.position.odometer_scale_std * float(rng.standard_normal())
-
-
-def wheelset_motion(
-    scenario: Scenario, track: TrackTruth, run: VehicleRun, axle: int, table: ContactTable | None = None
-) -> WheelsetMotion:
-    """Return the true motion of the wheelset at ``axle`` (from 0) over ``run``.
-
-    ``table`` is its contact geometry where that is at hand already; made here otherwise.
-
-    Parameters
-    ----------
-    scenario
-        Section, wear, errors of the vehicle's parameters.
-    track
-        The true track.
-    run
-        Where and how fast the vehicle runs.
-    axle
-        Number of the axle, from 0.
-    table
-        Contact geometry of the wheelset, if it has been computed already; None to compute it here.
-
-    Raises
-    ------
-    DerailmentError
-        The wheelset leaves the range of its contact geometry: the scenario lets it derail.
-    """
-    axles = together(scenario, run.vehicle, axle)
-    known = [table if place == axle else None for place in axles]
-    return axle_motions(scenario, track, run, axles, known)[axles.index(axle)]
-
-
-def together(scenario: Scenario, vehicle: VehiclePlan, axle: int) -> tuple[int, ...]:
-    """Return the axles (from 0) that move together with ``axle``: those of its bogie, or itself alone.
-
-    Parameters
-    ----------
-    scenario
-        With or without bogies.
-    vehicle
-        The vehicle.
-    axle
-        From 0.
-    """
-    if scenario.bogie is None:
-        return (axle,)
-    first = axle - axle % AXLES_OF_A_BOGIE
-    return tuple(range(first, min(first + AXLES_OF_A_BOGIE, len(vehicle.wheelsets))))
-
-
-def axle_motions(
-    scenario: Scenario,
-    track: TrackTruth,
-    run: VehicleRun,
-    axles: Sequence[int],
-    tables: Sequence[ContactTable | None],
-) -> tuple[WheelsetMotion, ...]:
-    """Return the true motion of the wheelsets at ``axles`` (from 0), which move together, over ``run``.
-
-    Parameters
-    ----------
-    scenario, track, run
-        As :func:`wheelset_motion` takes them.
-    axles
-        As :func:`together` returns them.
-    tables
-        Contact geometry of each; None to compute it here.
-
-    Raises
-    ------
-    DerailmentError
-        A wheelset leaves the range of its contact geometry: the scenario lets it derail.
-    """
-    found = [
-        contact_of(scenario, track, run.vehicle.wheelsets[axle], run.odometer).table if table is None else table
-        for axle, table in zip(axles, tables, strict=True)
-    ]
-    start = float(run.distance[0]) - run.vehicle.axle_offsets[axles[0]]
-    parameters = vehicle_parameters(scenario, run.vehicle.code)
-    if scenario.bogie is None:
-        motions: tuple[WheelsetMotion, ...] = (simulate_wheelset(parameters, found[0], track, run.speed, start),)
-    else:
-        gear = RunningGear(parameters, vehicle_bogie(scenario, run.vehicle.code))
-        motions = simulate_gear(gear, found, track, run.speed, start)
-    for axle, table, motion in zip(axles, found, motions, strict=True):
-        _check_on_rails(run, axle, table, motion)
-    return motions
-
-
-def _check_on_rails(run: VehicleRun, axle: int, table: ContactTable, motion: WheelsetMotion) -> None:
-    at = first_climb(table, motion)
-    if at is None:
-        return
-    error = DerailmentError(
-        f"{run.vehicle.wheelsets[axle].serial} derails in campaign {run.campaign + 1}: at {motion.distance[at]:.1f} m "
-        f"of the section a wheel climbs its rail, {1e3 * motion.relative_displacement[at]:+.1f} mm beside the track "
-        f"centre in {1e3 * motion.gauge_deviation[at]:+.1f} mm of gauge deviation",
-        field=f"vehicles.{run.vehicle.code}",
-    )
-    error.axle = axle
-    raise error
-
-
-def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> WornContact:
-    """Return the contact geometry of a wheelset at one mileage of its vehicle.
-
-    Parameters
-    ----------
-    scenario
-        Section and the range of displacements.
-    track
-        The true track, whose gauge deviations the table covers.
-    plan
-        Wheel profile and course of wear.
-    odometer
-        Of the vehicle, m.
-
-    Raises
-    ------
-    ScenarioError
-        The profiles do not touch on both sides at every gauge of the track, or cannot wear that much.
-    """
-    gauges, limit = gauge_grid(track), displacement_limit(scenario, track)
-    with _named(scenario, plan):
-        return worn_contact(plan, wear_at(plan, odometer), scenario.section, gauges, limit)
-
-
-def true_geometry(scenario: Scenario, plan: WheelsetPlan, contact: WornContact) -> GeometryTruth:
-    """Return the true geometry of a wheelset at nominal gauge.
-
-    Parameters
-    ----------
-    scenario, plan
-        As :func:`contact_of` takes them.
-    contact
-        What that returns; the gauge of its track decides no more than the range of displacements.
-
-    Raises
-    ------
-    ScenarioError
-        The profiles do not touch on both sides at nominal gauge.
-    """
-    with _named(scenario, plan):
-        return truth_of(contact)
-
-
-@contextmanager
-def _named(scenario: Scenario, plan: WheelsetPlan) -> Iterator[None]:
-    """Name wheelset and section in what profiles and contact search raise."""
-    try:
-        yield
-    except (ContactError, ProfileError) as error:
-        raise ScenarioError(f"{plan.serial} on {scenario.section.code}: {error.reason}", field=error.field) from error
 
 
 def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> SensorRecord:

@@ -46,6 +46,7 @@ class CreepConstants(NamedTuple):
     slip: float  # kS
     residual: float  # A, friction at large slip velocity over mu0
     decay: float  # B, s/m
+    free_rolling: bool = False  # whether the angular velocity of the wheels is a state, or V/r0
 
 
 @dataclass(frozen=True, slots=True)

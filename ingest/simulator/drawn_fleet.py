@@ -193,23 +193,24 @@ def _vehicles(scenario: Scenario, fleet: DrawnFleet, seed: int) -> tuple[Vehicle
                 vehicle_class=fleet.vehicle_class,
                 max_speed=fleet.max_speed,
                 axle_offsets=usual_offsets(len(ranks), scenario.bogie),
-                wheelsets=tuple(_wheelset(fleet, seed, rank, scenario.parameters.nominal_radius) for rank in ranks),
+                wheelsets=tuple(_wheelset(scenario, fleet, seed, rank) for rank in ranks),
             )
         )
     return tuple(plans)
 
 
-def _wheelset(fleet: DrawnFleet, seed: int, rank: int, nominal_radius: float) -> WheelsetPlan:
+def _wheelset(scenario: Scenario, fleet: DrawnFleet, seed: int, rank: int) -> WheelsetPlan:
     pair = fleet.pairs[seed % len(fleet.pairs)]
     rng = generator(seed, Stream.WEAR, rank)
     depth, apart = _depth(fleet, pair, rank, rng), rng.normal(0.0, fleet.wear.asymmetry)
     if fleet.wear_alike:
         depth, apart = pair.deepest_wear * 0.5, 0.0
+    smaller, uneven = generator(seed, Stream.DIAMETER, rank).standard_normal(2)
     course = wear_course(WearFamily.S1002_ON_60E1 if "1002" in pair.wheel_profile else WearFamily.P8_ON_56E1, 0.0)
     return WheelsetPlan(
         serial=f"W{rank:02d}",
         wheel_profile=pair.wheel_profile,
-        nominal_radius=nominal_radius,
+        nominal_radius=scenario.parameters.nominal_radius + fleet.radius_std * smaller,
         rate_left=0.0,
         rate_right=0.0,
         wear_centre=course.centre,
@@ -219,7 +220,7 @@ def _wheelset(fleet: DrawnFleet, seed: int, rank: int, nominal_radius: float) ->
         initial_right=depth * (1.0 - apart),
         initial_mileage=0.0,
         reprofilings=(),
-        diameter_difference=0.0,
+        diameter_difference=fleet.diameter_difference_std * uneven,
         fault=None,
         wheel_files=_wheel_files(pair, seed, rank),
     )

@@ -13,18 +13,9 @@ from pathlib import Path
 from ingest.catalogue import default_catalogue
 from ingest.frames import FrameBatch
 from ingest.logs.blf_writer import write_blf
+from ingest.simulator.axle_motion import DerailmentError, axle_motions, contact_of, together, true_geometry
 from ingest.simulator.bus_frames import vehicle_frames
-from ingest.simulator.campaign import (
-    DerailmentError,
-    axle_motions,
-    contact_of,
-    failed,
-    scenario_track,
-    together,
-    true_geometry,
-    vehicle_run,
-    wheelset_record,
-)
+from ingest.simulator.campaign import failed, scenario_track, vehicle_run, wheelset_record
 from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less_wear
 from ingest.simulator.scenario import Scenario, VehiclePlan
 from ingest.simulator.sensors import SensorRecord

@@ -39,7 +39,7 @@ CONTACT = 8
 class GearConstants(NamedTuple):
     """The parameters of a running gear by their symbols, as the compiled code takes them."""
 
-    axle: Constants
+    each: tuple[Constants, Constants]  # of both axles
     axles: int  # 1 or 2
     half_base: float  # a, m
     frame_mass: float
@@ -49,7 +49,6 @@ class GearConstants(NamedTuple):
     cs: float
     k2: float
     c2: float
-    free_rolling: bool
     traction: tuple[float, float]  # traction force of each axle over the acceleration, kg
     braking: tuple[float, float]
 
@@ -90,13 +89,13 @@ def place_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) ->
 
 
 @compiled
-def out_of_round(g: GearConstants, wheels: Wheels, axle: int, s: float, speed: float, contact: FloatArray) -> None:
+def out_of_round(c: Constants, wheels: Wheels, axle: int, s: float, speed: float, contact: FloatArray) -> None:
     """Add what wheels that are not round change to rolling radii, roll and roll rate in ``contact`` (8,).
 
     Parameters
     ----------
-    g
-        Of the running gear.
+    c
+        Of the wheelset.
     wheels
         Amplitudes and phases.
     axle
@@ -111,7 +110,7 @@ def out_of_round(g: GearConstants, wheels: Wheels, axle: int, s: float, speed: f
     left, right = wheels.amplitude[2 * axle], wheels.amplitude[2 * axle + 1]
     if left == 0.0 and right == 0.0:
         return
-    angle, c = s / g.axle.r0, g.axle
+    angle = s / c.r0
     at_left, at_right = angle + wheels.phase[2 * axle], angle + wheels.phase[2 * axle + 1]
     more_left, more_right = left * math.sin(at_left), right * math.sin(at_right)
     contact[0] += more_left
@@ -168,17 +167,17 @@ def gear_rates(
     outside = 0
     force = moment = yaw = 0.0
     for axle in range(g.axles):
-        at = s - 2.0 * g.half_base * axle
+        at, c = s - 2.0 * g.half_base * axle, g.each[axle]
         first = AXLE_STATES * axle
         here, under = contact[axle], track[axle]
         track_at(coefficients, grids[axle], at, under)
         place_at(coefficients, grids[axle], at, place)
-        under[0] -= g.axle.r0 * place[0]
-        under[1] -= g.axle.r0 * place[1]
+        under[0] -= c.r0 * place[0]
+        under[1] -= c.r0 * place[1]
         if not look_up(tables[axle], grids[axle], state[first] - under[0], under[2], here):
             outside += 1 << axle
         x = g.half_base if axle == 0 else -g.half_base
-        suspension, turned = suspended(g, x, path[AXLE_PATH * axle :], state[first : first + 4], state)
+        suspension, turned = suspended(c, x, path[AXLE_PATH * axle :], state[first : first + 4], state)
         force += suspension
         moment += x * suspension
         yaw += turned
@@ -189,10 +188,10 @@ def gear_rates(
             continue
         here[7] = here[5] * (state[first + 1] - speed * under[1]) + here[6] * speed * under[3] + speed * place[1]
         here[4] += place[0]
-        out_of_round(g, wheels, axle, at, speed, here)
+        out_of_round(c, wheels, axle, at, speed, here)
         mass = g.traction[axle] if slope > 0.0 else g.braking[axle]
         wheelset(
-            g, creep, speed, mass * slope, path[AXLE_PATH * axle :], place, here, suspension, turned,
+            c, creep, speed, mass * slope, path[AXLE_PATH * axle :], place, here, suspension, turned,
             state[first : first + AXLE_STATES], rates[first : first + AXLE_STATES],
         )  # fmt: skip
     carried(g, path, force, moment + yaw, state, rates)
@@ -200,13 +199,13 @@ def gear_rates(
 
 
 @compiled
-def suspended(g: GearConstants, x: float, path: FloatArray, axle: FloatArray, state: FloatArray) -> tuple[float, float]:
+def suspended(c: Constants, x: float, path: FloatArray, axle: FloatArray, state: FloatArray) -> tuple[float, float]:
     """Return lateral force (N) and yaw moment (N m) of the suspension on a wheelset.
 
     Parameters
     ----------
-    g
-        Of the running gear.
+    c
+        Of the wheelset.
     x
         Place of the axle ahead of the middle of the frame, m.
     path
@@ -216,7 +215,6 @@ def suspended(g: GearConstants, x: float, path: FloatArray, axle: FloatArray, st
     state
         (16,) of the running gear.
     """
-    c = g.axle
     deflection = state[FRAME] + x * state[FRAME + 2] - axle[0] - path[3]
     rate = state[FRAME + 1] + x * state[FRAME + 3] - axle[1] - path[4]
     turned, turning = axle[2] + path[5] - state[FRAME + 2], axle[3] + path[6] - state[FRAME + 3]
@@ -225,7 +223,7 @@ def suspended(g: GearConstants, x: float, path: FloatArray, axle: FloatArray, st
 
 @compiled
 def wheelset(
-    g: GearConstants,
+    c: Constants,
     creep: CreepConstants,
     speed: float,
     traction: float,
@@ -241,8 +239,8 @@ def wheelset(
 
     Parameters
     ----------
-    g, creep
-        Parameters of the running gear.
+    c, creep
+        Parameters of the wheelset.
     speed
         m/s, above ``STANDSTILL``.
     traction
@@ -260,7 +258,7 @@ def wheelset(
     rates
         (5,) written.
     """
-    c, per_speed = g.axle, 1.0 / speed
+    per_speed = 1.0 / speed
     v, psi, psi_rate, roll, roll_rate = state[1], state[2], state[3], contact[4], contact[7]
     rolling = (1.0 + state[4] * per_speed) / c.r0
     turn = (psi_rate + speed * path[2]) * per_speed
@@ -288,7 +286,7 @@ def wheelset(
     moment += 0.5 * c.half * load * A * psi - (c.pitch_inertia * speed / c.r0) * roll_rate + turned
     rates[0], rates[1] = v, force / c.mass + path[0]
     rates[2], rates[3] = psi_rate, moment / c.inertia + path[1]
-    rates[4] = (c.r0 * traction - braking) * c.r0 / c.pitch_inertia if g.free_rolling else 0.0
+    rates[4] = (c.r0 * traction - braking) * c.r0 / c.pitch_inertia if creep.free_rolling else 0.0
 
 
 @compiled

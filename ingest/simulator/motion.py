@@ -85,8 +85,8 @@ class WheelsetMotion:
             accelerations = frozen_array(self.path_accelerations, (len(ACCELERATIONS), n), name="path_accelerations")
             object.__setattr__(self, "path_accelerations", accelerations)
         for name in ("frame_yaw", "mass_roll"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+            if (values := getattr(self, name)) is not None:
+                object.__setattr__(self, name, frozen_array(values, (n,), name=name))
 
     def __len__(self) -> int:
         return len(self.t)

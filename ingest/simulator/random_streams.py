@@ -23,6 +23,11 @@ class Stream(IntEnum):
     VEHICLE = 22  # errors of its parameters, by vehicle
     WHEEL = 23  # file of a measured one, by wheelset
     MEASURED_WHEELSET = 24  # of the bench, by wheelset
+    CROSS_LEVEL = 60
+    FRICTION = 61  # along the section; of the fleet by campaign
+    LOAD = 62
+    OUT_OF_ROUND = 63  # phases, by vehicle, axle and campaign
+    DIAMETER = 64  # by wheelset
     STAMPS = 40  # jitter of each, by vehicle and campaign
     NODE_ERRORS = 41  # scale, mounting and skew of the sensors, by vehicle and axle
     TEMPERATURE = 42  # drift of the sensors, by vehicle, axle and campaign

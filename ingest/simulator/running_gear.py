@@ -33,7 +33,7 @@ from ingest.simulator.motion import (
     course,
 )
 from ingest.simulator.rates import Grid
-from ingest.simulator.stepping import sub_steps, time_derivative
+from ingest.simulator.stepping import OUTPUTS, sub_steps, time_derivative
 from ingest.simulator.track import TrackTruth
 
 
@@ -58,6 +58,7 @@ class RunningGear:
     bogie: BogieParameters | None = None
     creep: Creep = field(default_factory=Creep)
     wheels: tuple[tuple[Wheel, Wheel], ...] = ()  # left and right of each axle; empty: round
+    nominal_radii: tuple[float, ...] = ()  # m, of each axle; empty: those of ``parameters``
     traction: tuple[float, ...] | None = None
     braking: tuple[float, ...] | None = None
 
@@ -82,15 +83,15 @@ class RunningGear:
         p, b = self.parameters, self.bogie
         mass = p.load / GRAVITY
         driving, braking = (_of_two(shares, mass) for shares in (self.traction, self.braking))
-        axle, rolling = constants(p), self.free_rolling
+        radii = self.nominal_radii or (p.nominal_radius,)
+        each = tuple(constants(replace(p, nominal_radius=radius)) for radius in (radii[0], radii[-1]))
+        pair = (each[0], each[1])
         if b is None:
             none = 0.0
             mass_above = p.suspended_mass
-            return GearConstants(
-                axle, 1, none, mass_above, none, none, none, none, none, none, rolling, driving, braking
-            )
+            return GearConstants(pair, 1, none, mass_above, none, none, none, none, none, none, driving, braking)
         return GearConstants(
-            axle=axle,
+            each=pair,
             axles=AXLES_OF_A_BOGIE,
             half_base=0.5 * b.wheelbase,
             frame_mass=b.frame_mass,
@@ -100,7 +101,6 @@ class RunningGear:
             cs=b.secondary_lateral_damping,
             k2=b.secondary_yaw_stiffness,
             c2=b.secondary_yaw_damping,
-            free_rolling=rolling,
             traction=driving,
             braking=braking,
         )
@@ -164,7 +164,7 @@ def simulate_gear(
     out, outside = np.empty((AXLES_OF_A_BOGIE, len(GEAR_OUTPUTS), len(speed))), np.zeros(AXLES_OF_A_BOGIE, np.int64)
     integrate_gear(
         gear.constants(),
-        gear.creep.constants(),
+        gear.creep.constants()._replace(free_rolling=gear.free_rolling),
         _wheels(gear),
         (prepared[0].nodes, prepared[-1].nodes),
         (_grid(prepared[0], track), _grid(prepared[-1], track)),
@@ -178,31 +178,27 @@ def simulate_gear(
         out,
         outside,
     )
-    frame_roll = out[: gear.axles, GEAR_OUTPUTS.index("roll")].mean(axis=0)  # it rests on both axles
+    mass_roll = out[: gear.axles, GEAR_OUTPUTS.index("roll")].mean(axis=0)  # it rests on the axles
     return tuple(
         replace(
-            _motion(
-                gear, out[axle], speed, courses[axle], int(outside[axle]), None if sensed is None else sensed[axle]
-            ),
-            mass_roll=frame_roll,
+            _motion(out[axle], speed, at),
+            outside=int(outside[axle]),
+            frame_yaw=None if gear.bogie is None else out[axle, -1],
+            path_accelerations=None if sensed is None else sensed[axle],
+            mass_roll=mass_roll,
         )
-        for axle in range(gear.axles)
+        for axle, at in enumerate(courses)
     )
 
 
-def _motion(
-    gear: RunningGear, out: FloatArray, speed: FloatArray, distance: FloatArray, outside: int, sensed: FloatArray | None
-) -> WheelsetMotion:
-    named = dict(zip(GEAR_OUTPUTS, out, strict=True))
-    frame_yaw = named.pop("frame_yaw")
+def _motion(out: FloatArray, speed: FloatArray, distance: FloatArray) -> WheelsetMotion:
+    named = dict(zip(OUTPUTS, out[: len(OUTPUTS)], strict=True))
     return WheelsetMotion(
         t=STEP * np.arange(len(speed), dtype=np.float64),
         distance=distance,
         speed=speed,
         roll_acceleration=time_derivative(named["roll_rate"], STEP),
-        outside=outside,
-        path_accelerations=sensed,
-        frame_yaw=None if gear.bogie is None else frame_yaw,
+        outside=0,
         **named,
     )
 

@@ -10,6 +10,7 @@ from estimation.errors import ScenarioError
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
 from ingest.simulator.class_on_file import ClassOnFile
+from ingest.simulator.running import RunningPlan
 from ingest.simulator.sensors import SensorNode
 from ingest.simulator.track import TrackRecipe
 
@@ -255,6 +256,8 @@ class DrawnFleet:
     vehicle_class: str
     max_speed: float  # m/s
     wear: FleetWear = field(default_factory=FleetWear)
+    radius_std: float = 0.0  # m, of the nominal rolling radii of the wheelsets
+    diameter_difference_std: float = 0.0  # m, of left minus right
     total: int | None = None  # wheelsets of the fleet, where the last ones to be filled stay free; None: all places
 
     @property
@@ -293,6 +296,7 @@ class Scenario:
     vehicle_errors: VehicleErrors | None = None  # None: vehicles have ``parameters`` exactly
     bogie: BogieParameters | None = None  # None: single wheelsets
     class_on_file: ClassOnFile | None = None  # None: that of ``parameters``
+    running: RunningPlan = field(default_factory=RunningPlan)
 
     @property
     def pair(self) -> str:

@@ -20,6 +20,7 @@ from ingest.input_file import InputFile, InputTable, Location, Text, field_error
 from ingest.simulator.campaign import MARGIN
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.profile_files import rail_in, wheel_in
+from ingest.simulator.running import RunningPlan
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_schema.class_on_file import ClassOnFileTable
 from ingest.simulator.scenario_schema.drawn_fleet import DrawnFleetTable
@@ -28,7 +29,9 @@ from ingest.simulator.scenario_schema.fleet import FleetTable, VehicleTable
 from ingest.simulator.scenario_schema.measurement import BusTable, PositionTable, SensorsTable
 from ingest.simulator.scenario_schema.rails import RailFiles
 from ingest.simulator.scenario_schema.running import SessionsTable, SpeedTable
+from ingest.simulator.scenario_schema.running_plan import CreepTable, TractionTable, WheelsTable
 from ingest.simulator.scenario_schema.track import SectionTable
+from ingest.simulator.scenario_schema.units import MM
 
 MAX_SEED = 2**53
 
@@ -51,6 +54,9 @@ class ScenarioTable(InputTable):
     drawn_fleet: DrawnFleetTable | None = None
     vehicle_errors: VehicleErrorsTable | None = None
     class_on_file: ClassOnFileTable | None = None
+    creep: CreepTable = Field(default_factory=CreepTable)
+    wheels: WheelsTable = Field(default_factory=WheelsTable)
+    traction: TractionTable | None = None
 
     @model_validator(mode="after")
     def _check_fleet(self) -> Self:
@@ -120,26 +126,41 @@ class ScenarioTable(InputTable):
             Folder of the scenario file: relative file names start here.
         """
         length, bogie = self.section.length_m or 0.0, self.dynamics.bogie_plan()
+        parameters = self.dynamics.parameters()
         scenario = Scenario(
             name=self.name,
             description=self.description,
             seed=self.seed,
             fleet_code=self.fleet.code,
             fleet_name=self.fleet.name,
-            parameters=self.dynamics.parameters(),
+            parameters=parameters,
             section=self.section.plan(folder),
             sensors=self.sensors.plan(),
             speed=self.speed.plan(),
             sessions=self.sessions.plan((length + 2.0 * MARGIN) / self.speed.lowest_m_s),
             bus=self.bus.plan(),
             position=self.position.plan(),
-            vehicles=tuple(vehicle.plan(folder, bogie) for vehicle in self.vehicles),
+            vehicles=tuple(vehicle.plan(folder, parameters.nominal_radius, bogie) for vehicle in self.vehicles),
             drawn=None if self.drawn_fleet is None else self.drawn_fleet.plan(folder),
             vehicle_errors=None if self.vehicle_errors is None else self.vehicle_errors.plan(),
             bogie=bogie,
             class_on_file=None if self.class_on_file is None else self.class_on_file.plan(folder),
+            running=self._running(),
         )
         return with_seed(scenario, self.seed)
+
+    def _running(self) -> RunningPlan:
+        level, load = self.section.cross_level, self.section.load_variation
+        return RunningPlan(
+            creep=self.creep.plan(),
+            friction=self.creep.friction_plan(),
+            cross_level=None if level is None else level.plan(),
+            load_variation=None if load is None else load.plan(),
+            out_of_round=MM * self.wheels.out_of_round_mm,
+            traction=self.traction is not None,
+            driven_axles=() if self.traction is None else tuple(self.traction.driven_axles),
+            contact_half_width=MM * self.wheels.contact_half_width_mm,
+        )
 
 
 def builtin_scenarios() -> tuple[str, ...]:

@@ -135,6 +135,8 @@ class DrawnFleetTable(InputTable):
     profiles_measured: int = Field(default=0, ge=0, le=512)
     vehicle_class: Text = Field(default="multiple unit", alias="class")
     max_speed_km_h: float = Field(default=120.0, gt=0.0, le=400.0)
+    radius_std_mm: float = Field(default=0.0, ge=0.0, le=20.0)
+    diameter_difference_std_mm: float = Field(default=0.0, ge=0.0, le=2.0)
     pairs: list[PairTable] = Field(min_length=1)
 
     @model_validator(mode="after")
@@ -182,4 +184,6 @@ class DrawnFleetTable(InputTable):
             max_speed=KM_PER_HOUR * self.max_speed_km_h,
             wear=self.wear.plan(),
             total=self.wheelsets,
+            radius_std=MM * self.radius_std_mm,
+            diameter_difference_std=MM * self.diameter_difference_std_mm,
         )

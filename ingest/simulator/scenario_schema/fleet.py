@@ -54,7 +54,7 @@ class WheelsetTable(InputTable):
 
     serial: Text
     wheel_profile: WheelName = "P8"
-    nominal_radius_mm: float = Field(default=450.0, ge=150.0, le=700.0)
+    nominal_radius_mm: float | None = Field(default=None, ge=150.0, le=700.0)
     wear_mm_per_100000_km: float = Field(default=0.0, ge=0.0, le=20.0)
     wear_left_mm_per_100000_km: float | None = Field(default=None, ge=0.0, le=20.0)
     wear_right_mm_per_100000_km: float | None = Field(default=None, ge=0.0, le=20.0)
@@ -91,13 +91,15 @@ class WheelsetTable(InputTable):
         left, right = (self.wheel_file or side for side in (self.wheel_left_file, self.wheel_right_file))
         return None if left is None else folder / left, None if right is None else folder / right
 
-    def plan(self, folder: Path) -> WheelsetPlan:
+    def plan(self, folder: Path, radius: float) -> WheelsetPlan:
         """Return the wheelset in SI units; where wear is not located, as measured on such wheels.
 
         Parameters
         ----------
         folder
             Folder of the scenario file: relative file names start here.
+        radius
+            Nominal rolling radius where the table has none, m.
         """
         family = WearFamily.S1002_ON_60E1 if "1002" in self.wheel_profile else WearFamily.P8_ON_56E1
         course = wear_course(family, 0.0)
@@ -114,7 +116,7 @@ class WheelsetTable(InputTable):
         return WheelsetPlan(
             serial=self.serial,
             wheel_profile=self.wheel_profile,
-            nominal_radius=MM * self.nominal_radius_mm,
+            nominal_radius=radius if self.nominal_radius_mm is None else MM * self.nominal_radius_mm,
             rate_left=per_metre * left,
             rate_right=per_metre * right,
             wear_centre=MM * (course.centre / MM if centre is None else centre),
@@ -158,13 +160,15 @@ class VehicleTable(InputTable):
             return usual_offsets(len(self.wheelsets), bogie)
         return tuple(self.axle_offsets_m)
 
-    def plan(self, folder: Path, bogie: BogieParameters | None = None) -> VehiclePlan:
+    def plan(self, folder: Path, radius: float, bogie: BogieParameters | None) -> VehiclePlan:
         """Return the vehicle in SI units.
 
         Parameters
         ----------
         folder
             Folder of the scenario file: relative file names start here.
+        radius
+            Nominal rolling radius of wheelsets that have none of their own, m.
         bogie
             Of the vehicles, where they have bogies.
         """
@@ -173,5 +177,5 @@ class VehicleTable(InputTable):
             vehicle_class=self.vehicle_class,
             max_speed=KM_PER_HOUR * self.max_speed_km_h,
             axle_offsets=self.offsets(bogie),
-            wheelsets=tuple(wheelset.plan(folder) for wheelset in self.wheelsets),
+            wheelsets=tuple(wheelset.plan(folder, radius) for wheelset in self.wheelsets),
         )

@@ -23,6 +23,7 @@ from ingest.simulator.scenario_schema.irregularities import (
 )
 from ingest.simulator.scenario_schema.profile_names import RailName
 from ingest.simulator.scenario_schema.rails import RailFiles
+from ingest.simulator.scenario_schema.running_plan import CrossLevelTable, LoadVariationTable
 from ingest.simulator.scenario_schema.survey import SurveyTable
 from ingest.simulator.scenario_schema.units import MM
 from ingest.simulator.track import TrackRecipe
@@ -91,6 +92,8 @@ class SectionTable(RailFiles):
     gauge_kurtosis: Kurtosis = GAUSSIAN
     long_alignment: LongWavesTable | None = None
     long_gauge: LongWavesTable | None = None
+    cross_level: CrossLevelTable | None = None
+    load_variation: LoadVariationTable | None = None
     curves: list[CurveTable] = Field(default_factory=list)
     defects: list[DefectTable] = Field(default_factory=list)
     switches: list[SwitchTable] = Field(default_factory=list)

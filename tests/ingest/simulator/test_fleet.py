@@ -21,7 +21,8 @@ from ingest.catalogue import default_catalogue
 from ingest.codec import Decoded, decode
 from ingest.frames import FrameBatch
 from ingest.logs import read_log
-from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_motion, wheelset_record
+from ingest.simulator.axle_motion import wheelset_motion
+from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
 from ingest.simulator.fleet import FleetReport, prepare, run_fleet, simulate_campaign
 from ingest.simulator.live import transmit
 from ingest.simulator.scenario import PositionErrors, Scenario

@@ -11,14 +11,8 @@ from scenario_text import SMALL
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.wear import TreadWear, worn
 from estimation.errors import ScenarioError
-from ingest.simulator.campaign import (
-    axle_motions,
-    contact_of,
-    scenario_track,
-    together,
-    vehicle_run,
-    wheelset_motion,
-)
+from ingest.simulator.axle_motion import axle_motions, contact_of, together, wheelset_motion
+from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.drawn_fleet import shares_of_wear, with_seed
 from ingest.simulator.fleet import prepare, run_fleet
 from ingest.simulator.profile_files import rails_of

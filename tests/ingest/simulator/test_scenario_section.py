@@ -11,7 +11,8 @@ from scenario_text import SMALL
 
 from estimation.errors import ScenarioError
 from ingest.registry_file import read_registry
-from ingest.simulator.campaign import contact_of, scenario_track, vehicle_run, wheelset_motion
+from ingest.simulator.axle_motion import contact_of, wheelset_motion
+from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.fleet import prepare
 from ingest.simulator.isolated import IsolatedKind
 from ingest.simulator.scenario import PositionErrors, Scenario

@@ -14,7 +14,8 @@ from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray
-from ingest.simulator.campaign import contact_of, scenario_track, true_geometry
+from ingest.simulator.axle_motion import contact_of, true_geometry
+from ingest.simulator.campaign import scenario_track
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
 from ingest.simulator.wear import AMPLITUDES, truth_of, wear_at, worn_contact

@@ -1,0 +1,248 @@
+"""The motion of the wheelsets of a vehicle over one run, each on its own contact geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import convolve1d
+
+from estimation.contact.table import ContactTable
+from estimation.errors import ContactError, ProfileError, ScenarioError
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
+from ingest.simulator.campaign import VehicleRun
+from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
+from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
+from ingest.simulator.random_streams import Stream, generator
+from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
+from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
+from ingest.simulator.surface import friction_factor
+from ingest.simulator.table_range import displacement_limit, first_climb, gauge_grid
+from ingest.simulator.track import TrackTruth
+from ingest.simulator.wear import GeometryTruth, WornContact, truth_of, wear_at, worn_contact
+
+MEANS = ("rolling_radius_left", "rolling_radius_right", "contact_angle_left", "contact_angle_right", "roll")
+
+
+class DerailmentError(ScenarioError):
+    """A wheelset leaves the range of its contact geometry; ``axle`` (from 0) says which."""
+
+    axle: int = 0
+
+
+def wheelset_motion(
+    scenario: Scenario, track: TrackTruth, run: VehicleRun, axle: int, table: ContactTable | None = None
+) -> WheelsetMotion:
+    """Return the true motion of the wheelset at ``axle`` (from 0) over ``run``.
+
+    ``table`` is its contact geometry where that is at hand already; made here otherwise.
+
+    Parameters
+    ----------
+    scenario
+        Section, wear, errors of the vehicle's parameters.
+    track
+        The true track.
+    run
+        Where and how fast the vehicle runs.
+    axle
+        Number of the axle, from 0.
+    table
+        Contact geometry of the wheelset, if it has been computed already; None to compute it here.
+
+    Raises
+    ------
+    DerailmentError
+        The wheelset leaves the range of its contact geometry: the scenario lets it derail.
+    """
+    axles = together(scenario, run.vehicle, axle)
+    known = [table if place == axle else None for place in axles]
+    return axle_motions(scenario, track, run, axles, known)[axles.index(axle)]
+
+
+def together(scenario: Scenario, vehicle: VehiclePlan, axle: int) -> tuple[int, ...]:
+    """Return the axles (from 0) that move together with ``axle``: those of its bogie, or itself alone.
+
+    Parameters
+    ----------
+    scenario
+        With or without bogies.
+    vehicle
+        The vehicle.
+    axle
+        From 0.
+    """
+    if scenario.bogie is None:
+        return (axle,)
+    first = axle - axle % AXLES_OF_A_BOGIE
+    return tuple(range(first, min(first + AXLES_OF_A_BOGIE, len(vehicle.wheelsets))))
+
+
+def axle_motions(
+    scenario: Scenario,
+    track: TrackTruth,
+    run: VehicleRun,
+    axles: Sequence[int],
+    tables: Sequence[ContactTable | None],
+) -> tuple[WheelsetMotion, ...]:
+    """Return the true motion of the wheelsets at ``axles`` (from 0), which move together, over ``run``.
+
+    Parameters
+    ----------
+    scenario, track, run
+        As :func:`wheelset_motion` takes them.
+    axles
+        As :func:`together` returns them.
+    tables
+        Contact geometry of each; None to compute it here.
+
+    Raises
+    ------
+    DerailmentError
+        A wheelset leaves the range of its contact geometry: the scenario lets it derail.
+    """
+    found = [
+        contact_of(scenario, track, run.vehicle.wheelsets[axle], run.odometer).table if table is None else table
+        for axle, table in zip(axles, tables, strict=True)
+    ]
+    start = float(run.distance[0]) - run.vehicle.axle_offsets[axles[0]]
+    contacts = [averaged(table, scenario.running.contact_half_width) for table in found]
+    gear = running_gear(scenario, run, axles)
+    if scenario.bogie is None and scenario.running.plain:
+        alone = replace(gear.parameters, nominal_radius=gear.nominal_radii[0])
+        motions: tuple[WheelsetMotion, ...] = (simulate_wheelset(alone, contacts[0], track, run.speed, start),)
+    else:
+        motions = simulate_gear(gear, contacts, track, run.speed, start)
+    for axle, table, motion in zip(axles, found, motions, strict=True):
+        _check_on_rails(run, axle, table, motion)
+    return motions
+
+
+def running_gear(scenario: Scenario, run: VehicleRun, axles: Sequence[int]) -> RunningGear:
+    """Return the true running gear of the wheelsets at ``axles`` (from 0), which move together, in one run.
+
+    Parameters
+    ----------
+    scenario
+        Parameters and their errors; how wheels roll.
+    run
+        Of which vehicle and campaign.
+    axles
+        As :func:`together` returns them.
+    """
+    code, running = run.vehicle.code, scenario.running
+    shares = running.shares_of_traction(len(run.vehicle.wheelsets))
+    factor = friction_factor(running, scenario.seed, run.campaign)
+    return RunningGear(
+        parameters=vehicle_parameters(scenario, code),
+        bogie=vehicle_bogie(scenario, code),
+        creep=replace(running.creep, friction=min(factor * running.creep.friction, 1.0)),
+        wheels=tuple(_wheels(scenario, run, axle) for axle in axles) if running.out_of_round else (),
+        traction=tuple(shares[axle] for axle in axles) if running.traction else None,
+        braking=(1.0,) * len(axles) if running.traction else None,
+        nominal_radii=tuple(run.vehicle.wheelsets[axle].nominal_radius for axle in axles),
+    )
+
+
+def _wheels(scenario: Scenario, run: VehicleRun, axle: int) -> tuple[Wheel, Wheel]:
+    order = scenario.vehicles.index(run.vehicle)
+    phases = generator(scenario.seed, Stream.OUT_OF_ROUND, order, axle, run.campaign).uniform(0.0, 2.0 * np.pi, 2)
+    left, right = (Wheel(scenario.running.out_of_round, float(phase)) for phase in phases)
+    return left, right
+
+
+def averaged(table: ContactTable, half_width: float) -> ContactTable:
+    """Return a contact table whose radii, angles and roll are means over a contact of finite size.
+
+    Parameters
+    ----------
+    table
+        Of contact points.
+    half_width
+        Of the semi-ellipse of lateral displacement over which the mean is taken, m; 0 leaves the table as it is.
+    """
+    step = float(table.lateral_displacement[1] - table.lateral_displacement[0])
+    reach = int(half_width / step)
+    if reach == 0:
+        return table
+    weights = np.sqrt(1.0 - (step * np.arange(-reach, reach + 1) / half_width) ** 2)
+    weights /= weights.sum()
+    left, right, angle_left, angle_right, roll = (
+        convolve1d(getattr(table, name), weights, axis=0, mode="nearest") for name in MEANS
+    )
+    return replace(
+        table,
+        rolling_radius_left=left,
+        rolling_radius_right=right,
+        contact_angle_left=angle_left,
+        contact_angle_right=angle_right,
+        roll=roll,
+    )
+
+
+def _check_on_rails(run: VehicleRun, axle: int, table: ContactTable, motion: WheelsetMotion) -> None:
+    at = first_climb(table, motion)
+    if at is None:
+        return
+    error = DerailmentError(
+        f"{run.vehicle.wheelsets[axle].serial} derails in campaign {run.campaign + 1}: at {motion.distance[at]:.1f} m "
+        f"of the section a wheel climbs its rail, {1e3 * motion.relative_displacement[at]:+.1f} mm beside the track "
+        f"centre in {1e3 * motion.gauge_deviation[at]:+.1f} mm of gauge deviation",
+        field=f"vehicles.{run.vehicle.code}",
+    )
+    error.axle = axle
+    raise error
+
+
+def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> WornContact:
+    """Return the contact geometry of a wheelset at one mileage of its vehicle.
+
+    Parameters
+    ----------
+    scenario
+        Section and the range of displacements.
+    track
+        The true track, whose gauge deviations the table covers.
+    plan
+        Wheel profile and course of wear.
+    odometer
+        Of the vehicle, m.
+
+    Raises
+    ------
+    ScenarioError
+        The profiles do not touch on both sides at every gauge of the track, or cannot wear that much.
+    """
+    gauges, limit = gauge_grid(track), displacement_limit(scenario, track)
+    with _named(scenario, plan):
+        return worn_contact(plan, wear_at(plan, odometer), scenario.section, gauges, limit)
+
+
+def true_geometry(scenario: Scenario, plan: WheelsetPlan, contact: WornContact) -> GeometryTruth:
+    """Return the true geometry of a wheelset at nominal gauge.
+
+    Parameters
+    ----------
+    scenario, plan
+        As :func:`contact_of` takes them.
+    contact
+        What that returns; the gauge of its track decides no more than the range of displacements.
+
+    Raises
+    ------
+    ScenarioError
+        The profiles do not touch on both sides at nominal gauge.
+    """
+    with _named(scenario, plan):
+        return truth_of(contact)
+
+
+@contextmanager
+def _named(scenario: Scenario, plan: WheelsetPlan) -> Iterator[None]:
+    """Name wheelset and section in what profiles and contact search raise."""
+    try:
+        yield
+    except (ContactError, ProfileError) as error:
+        raise ScenarioError(f"{plan.serial} on {scenario.section.code}: {error.reason}", field=error.field) from error

@@ -1,0 +1,96 @@
+"""What a scenario draws along its track beside alignment and gauge: cross level, friction, vertical load."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.special import ndtr
+
+from estimation.errors import ParameterError
+from estimation.values.arrays import FloatArray
+from ingest.simulator.irregularity import Waves, superpose
+from ingest.simulator.random_streams import Stream, generator
+from ingest.simulator.running import FrictionPlan, RunningPlan
+from ingest.simulator.track import Surface, TrackTruth
+
+RAIL_DISTANCE = 1.5  # m, over which cross level is measured (EN 13848-1)
+LEAST_LOAD = 0.2  # of the mean: wheels stay on the rails
+
+
+def with_surface(track: TrackTruth, plan: RunningPlan, seed: int) -> TrackTruth:
+    """Return the track with what the scenario draws along it; each has a random stream of its own.
+
+    Parameters
+    ----------
+    track
+        The true track.
+    plan
+        What is drawn.
+    seed
+        Of the scenario.
+
+    Raises
+    ------
+    ParameterError
+        The grid of the track does not carry the wavelengths.
+    """
+    if not plan.changes_the_track:
+        return track
+    n = len(track.s)
+    roll, friction, load = np.zeros(n), np.ones(n), np.ones(n)
+    if plan.cross_level is not None:
+        roll = _drawn(track, plan.cross_level, generator(seed, Stream.CROSS_LEVEL), "cross_level") / RAIL_DISTANCE
+    if plan.friction is not None:
+        friction = friction_along(plan.friction, n, track.interval, generator(seed, Stream.FRICTION))
+        friction = friction / plan.creep.friction
+    if plan.load_variation is not None:
+        varied = 1.0 + _drawn(track, plan.load_variation, generator(seed, Stream.LOAD), "load_variation")
+        load = np.maximum(varied, LEAST_LOAD)
+    return replace(track, surface=Surface(roll, friction, load))
+
+
+def friction_along(plan: FrictionPlan, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """Return the coefficient of friction (n,): every value between the limits is as frequent, changes are smooth.
+
+    Parameters
+    ----------
+    plan
+        Limits, and the standard deviation of the Gaussian that smooths white noise.
+    n, interval
+        Of the grid; the latter in m.
+    rng
+        Source of the noise.
+    """
+    width = plan.correlation / interval
+    reach = int(np.ceil(4.0 * width))
+    smooth = gaussian_filter1d(rng.standard_normal(n + 2 * reach), width, mode="wrap")[reach : reach + n]
+    scale = np.sqrt(2.0 * np.sqrt(np.pi) * width)  # of white noise that is smoothed so
+    return np.asarray(plan.lowest + (plan.highest - plan.lowest) * ndtr(scale * smooth))
+
+
+def friction_factor(plan: RunningPlan, seed: int, campaign: int) -> float:
+    """Return by what the coefficient of friction is multiplied in a campaign (from 0): rails are dry, wet or dirty.
+
+    Parameters
+    ----------
+    plan
+        How much that varies.
+    seed
+        Of the scenario.
+    campaign
+        From 0.
+    """
+    if plan.friction is None or plan.friction.campaign_std == 0.0:
+        return 1.0
+    return float(np.exp(plan.friction.campaign_std * generator(seed, Stream.FRICTION, campaign).standard_normal()))
+
+
+def _drawn(track: TrackTruth, waves: Waves, rng: np.random.Generator, key: str) -> FloatArray:
+    """Return the sum of waves (n,) on the grid of the track."""
+    try:
+        values = superpose([waves], [rng], length=track.length, interval=track.interval)
+    except ParameterError as error:
+        raise ParameterError(error.reason, field=f"section.{key}") from error
+    return np.asarray(np.interp(track.s - track.s[0], track.interval * np.arange(len(values)), values))
