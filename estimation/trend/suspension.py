@@ -9,21 +9,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
 from estimation.values.arrays import FloatArray
 from estimation.values.suspension import SuspensionChange, SuspensionFinding
+
+Findings = Annotated[int, Interval(ge=1, le=1000)]
+RelativeStd = Annotated[float, Interval(ge=0.001, le=1.0)]
 
 
 @dataclass(frozen=True, slots=True)
 class SuspensionParameters:
     """What counts as now, and what friction may do."""
 
-    recent: int = 3  # newest findings of a vehicle
-    least_past: int = 3  # findings before them
-    common_creep_std: float = 0.15  # relative, of a section and time, where no other vehicle shows it
-    own_creep_std: float = 0.04  # relative, of a vehicle against the others on one section: other wheels, other hours
+    recent: Findings = 3  # newest findings of a vehicle
+    least_past: Findings = 3  # findings before them
+    common_creep_std: RelativeStd = 0.15  # relative, of a section and time, where no other vehicle shows it
+    own_creep_std: RelativeStd = (
+        0.04  # relative, of a vehicle against the others on one section: other wheels, other hours
+    )
 
 
 @dataclass(frozen=True, slots=True)

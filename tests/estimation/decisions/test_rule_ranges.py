@@ -97,6 +97,25 @@ RANGES: dict[str, dict[str, Range]] = {
         "parameters.least_bins": COUNT,
         "parameters.least_windows": COUNT,
     },
+    "hunting": {
+        **DELAYS,
+        "latest_windows": Range(1, 1000, whole=True),
+        "raise_windows": WINDOWS,
+        "critical_windows": WINDOWS,
+        "minimum_windows": WINDOWS,
+        "hunting_share": SHARE,
+    },
+    "suspension_change": {
+        **DELAYS,
+        "raise_change": Range(0.01, 10.0),
+        "clear_change": Range(0.01, 10.0),
+        "raise_probability": PROBABILITY,
+        "clear_probability": PROBABILITY,
+        "parameters.recent": Range(1, 1000, whole=True),
+        "parameters.least_past": Range(1, 1000, whole=True),
+        "parameters.common_creep_std": Range(0.001, 1.0),
+        "parameters.own_creep_std": Range(0.001, 1.0),
+    },
     "alarm_flood": {"more_than": WINDOWS, "within_hours": Range(0.01, 87_600.0)},
 }  # fmt: skip
 
