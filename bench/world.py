@@ -113,7 +113,7 @@ def _line(case: Mapping[str, Any]) -> str:
 
 def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m bench world", description=__doc__)
-    parser.add_argument("--seeds", type=_seeds, default=[0], help="as in 0-19 or 3 (default: 0)")
+    parser.add_argument("--seeds", type=seed_range, default=[0], help="as in 0-19 or 3 (default: 0)")
     parser.add_argument("--rows", type=_rows, default=None, help="names, with commas between (default: all)")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings")
@@ -129,7 +129,8 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     return options
 
 
-def _seeds(text: str) -> list[int]:
+def seed_range(text: str) -> list[int]:
+    """Return the seeds of ``0-19`` or ``3``."""
     first, _, last = text.partition("-")
     return list(range(int(first), int(last or first) + 1))
 

@@ -49,10 +49,23 @@ def score(scenario: Scenario, cache: Path, folder: Path) -> WorldScore:
     began = time.perf_counter()
     with received(scenario, recorded, folder) as (storage, context):
         run_jobs(context)
-        return _stored(storage, scenario, recorded.truth, began)
+        return stored_score(storage, scenario, recorded.truth, began)
 
 
-def _stored(storage: Storage, scenario: Scenario, truth_file: Path, began: float) -> WorldScore:
+def stored_score(storage: Storage, scenario: Scenario, truth_file: Path, began: float) -> WorldScore:
+    """Return what the jobs have stored, compared with the truth.
+
+    Parameters
+    ----------
+    storage
+        Of the deployment.
+    scenario
+        The row, with its seed.
+    truth_file
+        Of the recordings.
+    began
+        Wall clock (``time.perf_counter``) before the recordings were received, s.
+    """
     wheelsets, widths = [], []
     with storage.read() as unit:
         for truth, geometry in published(unit, truth_file):

@@ -119,7 +119,7 @@ def _width_row(name: str, cases: Sequence[Mapping[str, Any]]) -> tuple[str, ...]
         name,
         str(len(cases)),
         _without_intervals(cases),
-        _share(covered, published),
+        share(covered, published),
         f"{np.median(widths):.3f}" if widths else "",
         f"{np.median(errors):.4f}" if errors else "",
     )
@@ -130,7 +130,8 @@ def _without_intervals(cases: Sequence[Mapping[str, Any]]) -> str:
     return str(sum(figures([case])[1][1] == 0 for case in cases))
 
 
-def _share(covered: int, published: int) -> str:
+def share(covered: int, published: int) -> str:
+    """Return a share of intervals in words; empty where there are none."""
     return f"{covered / published:.1%} of {published}".replace("%", " %") if published else ""
 
 
@@ -139,12 +140,12 @@ def _summary(name: str, cases: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     errors, (covered, published), widths = figures(cases)
     right = sum(case["survey"] in reach.survey for case in cases)
     p95 = float(np.percentile(errors, 95)) if errors else float("nan")
-    share = covered / published if published else float("nan")
+    covering = covered / published if published else float("nan")
     highest = 1.0 if reach.covers_above else COVERAGE[1]
     met = (
         (not reach.survey or right == len(cases))
         and (reach.p95 is None or p95 <= reach.p95)
-        and (COVERAGE[0] <= share <= highest if published else reach.covers_above)
+        and (COVERAGE[0] <= covering <= highest if published else reach.covers_above)
     )
     return (
         name,
@@ -152,7 +153,7 @@ def _summary(name: str, cases: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
         _without_intervals(cases),
         f"{right} of {len(cases)}" if reach.survey else "",
         f"{np.median(errors):.4f} / {p95:.4f}" if errors else "none",
-        _share(covered, published),
+        share(covered, published),
         f"{np.median(widths):.3f}" if widths else "",
         f"{np.median([case['diversity'] for case in cases]):.2f}",
         "" if reach.p95 is None else f"{reach.p95:g}",
@@ -168,9 +169,9 @@ def tables(cases: Sequence[Mapping[str, Any]]) -> list[Table]:
     cases
         Of all rows and seeds.
     """
-    found = [_table(TITLE, HEADER, summary_rows(cases))]
+    found = [terminal_table(TITLE, HEADER, summary_rows(cases))]
     widths = width_rows(cases)
-    return [*found, _table(WIDTH_TITLE, WIDTH_HEADER, widths)] if widths else found
+    return [*found, terminal_table(WIDTH_TITLE, WIDTH_HEADER, widths)] if widths else found
 
 
 def page_body(cases: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -188,7 +189,8 @@ def page_body(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     return found
 
 
-def _table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+def terminal_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Return a table for a terminal."""
     table = Table(*header, title=title, title_justify="left")
     for cells in rows:
         table.add_row(*cells)

@@ -41,10 +41,10 @@ def no_progress(_what: str, _done: int, _of: int) -> None:
 
 
 def recording_key(scenario: Scenario) -> str:
-    """Return a digest of everything that shapes the recordings; what is on file of track and profiles does not."""
+    """Return a digest of everything that shapes the recordings; track, profiles and class on file do not."""
     section = replace(scenario.section, surveyed=False, gauge_surveyed=False, survey=SurveyPlan())
     drawn = None if scenario.drawn is None else replace(scenario.drawn, profiles_measured=0)
-    shaping = replace(scenario, name="", description="", section=section, drawn=drawn)
+    shaping = replace(scenario, name="", description="", section=section, drawn=drawn, class_on_file=None)
     digest = hashlib.sha256(repr(shaping).encode())
     for path in scenario.files:
         digest.update(path.read_bytes())

@@ -1,0 +1,106 @@
+"""Tables of the vehicle bench: what counts as found, as a false alarm and as published; and scenarios of the curve."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from api.comparison.trial import recording_key
+from bench import vehicle_power
+from bench.vehicle_table import HEADER, POWER_HEADER, ROWS, page_body, power_rows, summary_rows
+from bench.vehicles import SCENARIOS, scenario_of, stored_cases
+
+
+def case(row: str, statuses: list[str], *, covered: int = 0, error: float = 0.005, seed: int = 0) -> dict[str, Any]:
+    """Return a case in which every wheelset that is ``estimated`` has 20 intervals, ``covered`` of them right."""
+    verdicts = [
+        {"serial": f"W{number}", "status": status, "code": "" if status == "estimated" else "why", "published": good}
+        for number, status in enumerate(statuses)
+        for good in [status == "estimated"]
+    ]
+    wheelsets = [
+        {"error": error if item["published"] else None, "conicity": {"published": 20 * item["published"], "covered": n}}
+        for item in verdicts
+        for n in [covered if item["published"] else 0]
+    ]
+    cost = {"cpu_seconds": 6.0, "wheelset_hours": 3.0}
+    return {"row": row, "seed": seed, "verdicts": verdicts, "wheelsets": wheelsets, "half_widths": [], **cost}
+
+
+def cells(header: tuple[str, ...], row: tuple[str, ...]) -> dict[str, str]:
+    return dict(zip(header, row, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("statuses", "covered", "error", "met"),
+    [
+        (["estimated"] * 4, 19, 0.005, "yes"),
+        (["estimated"] * 4, 19, 0.011, "NO"),  # error
+        (["estimated"] * 4, 17, 0.005, "NO"),  # coverage
+        (["estimated"] * 3 + ["model_mismatch"], 19, 0.005, "NO"),  # a false alarm
+        (["model_mismatch"] * 4, 19, 0.005, "NO"),
+    ],
+)
+def test_a_right_class_is_held_to_error_coverage_and_false_alarms(
+    statuses: list[str], covered: int, error: float, met: str
+) -> None:
+    (row,) = summary_rows([case("soft_known", statuses, covered=covered, error=error)])
+    assert cells(HEADER, row)["met"] == met
+
+
+@pytest.mark.parametrize(
+    ("statuses", "met"),
+    [
+        (["model_mismatch"] * 3 + ["unestimated"], "yes"),
+        (["model_mismatch"] * 3 + ["estimated"], "NO"),
+    ],
+)
+def test_of_a_wrong_class_nothing_may_be_published(statuses: list[str], met: str) -> None:
+    (row,) = summary_rows([case("wrong_nodes_swapped", statuses, covered=19)])
+    found = cells(HEADER, row)
+    assert found["met"] == met
+    assert found["mismatch"] == "3 of 4"
+    assert found["CPU s/h"] == "2.0"
+    assert found["reasons"] == f"why {sum(status != 'estimated' for status in statuses)}"
+
+
+def test_the_power_curve_has_a_line_for_each_size_of_an_error() -> None:
+    none, half = "power:nothing:0", "power:yaw_stiffness:-50"
+    cases = [
+        case(half, ["model_mismatch"] * 3 + ["estimated"], covered=10, error=0.03),
+        case(none, ["estimated"] * 4, covered=19),
+    ]
+    first, second = (cells(POWER_HEADER, row) for row in power_rows(cases))
+    assert (first["parameter"], first["error on file"], first["mismatch"]) == ("nothing", "", "0 %")
+    assert (second["error on file"], second["mismatch"], second["published"]) == ("-50 %", "75 %", "25 %")
+    assert second["covers"] == "50.0 % of 20"
+    assert len(page_body(cases)) == 4
+    assert len(page_body([case("soft_known", ["estimated"], covered=19)])) == 2
+
+
+def test_every_row_is_a_scenario_file() -> None:
+    assert {path.stem for path in SCENARIOS.glob("*.toml")} <= set(ROWS)
+
+
+def test_wrong_parameters_are_on_file_and_not_in_the_recordings(tmp_path: Path) -> None:
+    right = scenario_of(vehicle_power.BASE, 0, tmp_path)
+    wrong = scenario_of("power:yaw_stiffness:+20", 0, tmp_path)
+    assert recording_key(wrong) == recording_key(right)
+    assert wrong.class_on_file is not None
+    on_file = wrong.class_on_file.vehicle_class.parameters
+    assert on_file.yaw_stiffness == pytest.approx(1.2 * right.parameters.yaw_stiffness)
+    assert on_file.lateral_stiffness == right.parameters.lateral_stiffness
+    small = scenario_of("power:nominal_radius:-10", 0, tmp_path)
+    assert small.class_on_file is not None
+    assert small.class_on_file.nominal_radius == pytest.approx(0.414)
+
+
+def test_results_are_read_as_far_as_they_go_and_the_last_of_a_case_counts(tmp_path: Path) -> None:
+    path = tmp_path / "vehicles.jsonl"
+    assert stored_cases(path) == []
+    lines = [{"row": "a", "seed": 0, "x": 1}, {"row": "a", "seed": 1, "x": 2}, {"row": "a", "seed": 0, "x": 3}]
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    assert [(item["seed"], item["x"]) for item in stored_cases(path)] == [(0, 3), (1, 2)]
