@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
+from estimation.geometry.model_fit import mismatch, model_fit
 from estimation.geometry.shared_scale import solve_with_shared_scales
 from estimation.geometry.uncertainty import DisplacementError, ParameterUncertainty, quotient_widening
 from estimation.tables import least_squares
@@ -88,7 +89,7 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
     of_scale = np.concatenate([replicates.yaw[:, :, 1], replicates.yaw[:, :, 1, :1]], axis=-1)
     R = _combination(of_scale, np.append(unc.yaw(), unc.scale), screening, parameters.prior_radius)
     curve = curve_estimates(_curve(table, replicates, screening, bins, unc), parameters.curve)
-    return WheelsetGeometry(
+    geometry = WheelsetGeometry(
         bin_edges=table.edges,
         samples=table.weight.sum(axis=0),
         rolling_radius_sum=S,
@@ -106,6 +107,10 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
         status=curve.at_reference.status,
         reason=curve.at_reference.reason,
     )
+    fit = model_fit(table, bins, parameters.sensor_scale_std)
+    stds = (unc.stiffness, unc.creep)
+    reason = None if fit is None else mismatch(fit, *stds, in_bogie=bins.wheelbase is not None)
+    return geometry if reason is None else geometry.mismatched(reason)
 
 
 def _screened(

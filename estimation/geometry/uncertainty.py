@@ -60,10 +60,10 @@ class ParameterUncertainty:
     mass: float = 0.025
     ratio: float | None = None
     inverse_friction: float = 3.0  # of 1/mu, which is taken as zero: creep forces are linear
-    displacement: float = 0.0  # of a common scale error of y - d that the alignment leaves open
+    displacement: float = 0.0  # of a common scale error of y - d: lateral sensor and alignment
     jump_position_std: float = 0.0  # m, of where contact jumps are from place to place, on a gauge that varies
     jump_mean_std: float = 0.0  # m, of where they are on average: a gauge that is not on file
-    scale: float = 0.0  # of rL - rR as a whole: by nominal radius and half contact distance
+    scale: float = 0.0  # of rL - rR as a whole: by nominal radius, half contact distance and the yaw sensor
 
     @classmethod
     def of(cls, vehicle_class: VehicleClass) -> Self:
@@ -78,7 +78,12 @@ class ParameterUncertainty:
             creep=vehicle_class.std_of("longitudinal_creep_coefficient"),
             stiffness=vehicle_class.std_of("yaw_stiffness"),
             mass=vehicle_class.std_of("yaw_inertia"),
-            scale=math.hypot(vehicle_class.std_of("nominal_radius"), vehicle_class.std_of("half_contact_distance")),
+            displacement=vehicle_class.sensors.lateral.scale_std,
+            scale=math.hypot(
+                vehicle_class.std_of("nominal_radius"),
+                vehicle_class.std_of("half_contact_distance"),
+                vehicle_class.sensors.yaw.scale_std,
+            ),
         )
 
     def on(self, tracks: Iterable[TrackAlignment], wheelset: str | None = None) -> ParameterUncertainty:
@@ -97,7 +102,7 @@ class ParameterUncertainty:
         return replace(
             self,
             ratio=max(ratio_stds) if ratio_stds and len(ratio_stds) == len(used) else self.ratio,
-            displacement=max((_scale_std(track, wheelset) for track in used), default=self.displacement),
+            displacement=math.hypot(self.displacement, max((_scale_std(one, wheelset) for one in used), default=0.0)),
             jump_position_std=max(
                 (_jump_position_std(track, wheelset) for track in used), default=self.jump_position_std
             ),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+
+import numpy as np
 
 from estimation.values.arrays import FloatArray, bin_centres, frozen_array
 from estimation.values.json_value import JsonValue
@@ -114,6 +116,31 @@ class WheelsetGeometry:
     def bin_centres(self) -> FloatArray:
         """Bin centres (b,), m."""
         return bin_centres(self.bin_edges)
+
+    def mismatched(self, reason: Reason) -> WheelsetGeometry:
+        """Return the geometry of a wheelset that does not follow the equations: no number is published.
+
+        Parameters
+        ----------
+        reason
+            What does not fit.
+        """
+        nothing, b = np.full(len(self.samples), np.nan), len(self.samples)
+        unknown = Estimate.unknown(reason, float(self.windows), Status.MODEL_MISMATCH)
+        values = BinValues(nothing, nothing, (BinStatus.UNOBSERVABLE,) * b)
+        return replace(
+            self,
+            rolling_radius_sum=values,
+            rolling_radius_difference=values,
+            contact_angle_sum=values,
+            contact_angle_difference=values,
+            conicity=(unknown,) * len(self.conicity),
+            equivalent_conicity=unknown,
+            nonlinearity=unknown,
+            zero_crossing=unknown,
+            status=Status.MODEL_MISMATCH,
+            reason=reason,
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ class Status(StrEnum):
     UNESTIMATED = "unestimated"
     ESTIMATED = "estimated"
     INVALID = "invalid"
+    MODEL_MISMATCH = "model_mismatch"  # the data do not follow the equations of the vehicle's class
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,6 +98,14 @@ class ReasonCode(StrEnum):
         "conicity_open",
         "The data leave the conicity open. A survey of the section, its gauge included, or more passes narrow it down.",
     )
+    YAW_SPRING_DIFFERS = (
+        "yaw_spring_differs",
+        "The wheelset yaws as on another yaw suspension. Check the vehicle's class, wheelbase and order of the nodes.",
+    )
+    MOTION_UNEXPLAINED = (
+        "motion_unexplained",
+        "The motion follows neither track nor wheels. Check the vehicle's class, the track and the sensors.",
+    )
     AMPLITUDE_NOT_COVERED = "amplitude_not_covered", "The wheelset has not moved as far as this amplitude."
     OFFSET_NOT_OBSERVABLE = "offset_not_observable", "Band-limited signals carry no constant offset."
     NO_ZERO_CROSSING = "no_zero_crossing", "rL - rR has no zero in the range covered."
