@@ -14,6 +14,7 @@ from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobOutcome, JobTrigger
+from estimation.values.suspension import SuspensionFinding
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.trend import TrendRecord, WearTrend
 from estimation.values.windows import Window, WindowQuality
@@ -217,6 +218,27 @@ def track_report(section: str, version: int | None, status: Status) -> TrackRepo
     return TrackReport(section, version, made, status, reason, 10, "d" * 64, "0.1.0+test", report, RECORDED + 9)
 
 
+def suspension_finding(vehicle: str, day: int, ratio: float) -> SuspensionFinding:
+    """Return what the passes of a day show."""
+    return SuspensionFinding(
+        vehicle=vehicle,
+        section="S-1",
+        from_ns=START + day * DAY,
+        to_ns=START + (day + 1) * DAY,
+        ratio=ratio,
+        ratio_std=0.03125,
+        assumed=0.336,
+        code_version="0.1.0+test",
+        recorded_ns=RECORDED + day,
+    )
+
+
+def suspension_findings() -> list[SuspensionFinding]:
+    """Return those of 8 days, of a vehicle whose spring softens and of another."""
+    ratios = [("V-0", day, 1.0 if day < 5 else 0.5) for day in range(8)] + [("V-1", day, 1.0) for day in range(8)]
+    return [suspension_finding(vehicle, day, ratio) for vehicle, day, ratio in ratios]
+
+
 def populate(storage: Storage) -> None:
     """Store everything."""
     with storage.write() as unit:
@@ -258,6 +280,8 @@ def populate(storage: Storage) -> None:
         unit.geometries.put(geometry_record(RECORDED + DAY, 0.25))
         unit.trends.put(trend_record(RECORDED, 0.1875))
         unit.trends.put(trend_record(RECORDED + DAY, 0.25))
+        for finding in suspension_findings():
+            unit.suspensions.put(finding)
     for serial in WHEELSETS[:10]:
         raised(storage, serial, fleet="alpha" if int(serial[-1]) % 2 == 0 else "=beta")
     raised(storage, WHEELSETS[0], "no_data")

@@ -155,6 +155,23 @@ def test_an_extrapolated_current_conicity_is_one_number_too() -> None:
         assert unknown.current_1.reason_code == "no_geometry_since_reprofiling"
 
 
+def test_a_vehicle_leads_to_what_its_passes_show_of_its_suspension(client: httpx.Client) -> None:
+    vehicle = get(client, "/v1/vehicles/V-0")
+    suspension = get(client, vehicle["links"]["suspension"])
+    assert [one["stiffness_ratio_1"]["value"] for one in suspension["findings"]] == [1.0] * 5 + [0.5] * 3
+    first = suspension["findings"][0]
+    assert (first["section"], first["assumed_m"], first["measured_to"]) == ("S-1", 0.336, "2025-06-16T15:06:40Z")
+    assert first["stiffness_ratio_1"]["std"] == 0.03125
+    assert first["stiffness_ratio_1"]["interval_95"] == pytest.approx([1.0 - 0.06125, 1.0 + 0.06125], abs=1e-4)
+    change = suspension["change"]
+    assert change["change_1"]["value"] == pytest.approx(-0.5, abs=0.05)
+    assert change["change_1"]["interval_95"][1] < -0.2
+    assert (change["past_findings"], change["recent_findings"], change["other_vehicles"]) == (5, 3, 1)
+    nothing = get(client, "/v1/vehicles/V-2/suspension")
+    assert (nothing["findings"], nothing["change"]) == ([], None)
+    assert client.get("/v1/vehicles/V-9/suspension").status_code == 404
+
+
 @pytest.mark.parametrize("resource", ["geometry", "trend"])
 def test_as_of_gives_what_was_recorded_then(client: httpx.Client, resource: str) -> None:
     path = f"/v1/wheelsets/WS-000/{resource}"

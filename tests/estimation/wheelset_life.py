@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from paper_class import paper_class
@@ -12,7 +12,7 @@ from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, Whe
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
-from estimation.values.windows import Window, WindowQuality, WindowRecord, WindowState
+from estimation.values.windows import NOT_HUNTING, Hunting, Window, WindowQuality, WindowRecord, WindowState
 
 DAY_NS = 86_400_000_000_000
 WINDOW_NS = 30_000_000_000
@@ -139,7 +139,15 @@ def wear(storage: Storage, wheelset: str, days: int, *, rate: float = 0.003, bas
         )
 
 
-def run_windows(storage: Storage, wheelset: str, day: float, count: int, *, faulty: bool = False) -> None:
+def run_windows(
+    storage: Storage,
+    wheelset: str,
+    day: float,
+    count: int,
+    *,
+    faulty: bool = False,
+    hunting: Hunting = NOT_HUNTING,
+) -> None:
     """Store windows of a day; faulty ones are refused, the others estimated."""
     start = (START_NS + round(day * DAY_NS)) // WINDOW_NS * WINDOW_NS
     n = 4
@@ -162,7 +170,7 @@ def run_windows(storage: Storage, wheelset: str, day: float, count: int, *, faul
                 resolution=(1e-3, 1e-3, 1e-3, 1e-3),
                 track_section=None,
                 odometer_m=1e6 * day,
-                quality=quality(sensor_fault=faulty),
+                quality=replace(quality(sensor_fault=faulty), hunting=hunting),
             )
             unit.windows.put(window, 1000.0 * day, 1)
             state = WindowState.REFUSED if faulty else WindowState.ESTIMATED

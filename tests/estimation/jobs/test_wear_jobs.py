@@ -18,6 +18,9 @@ from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, CloseRea
 from estimation.values.quantities import Status
 from estimation.values.registry import Mounting, Reprofiling
 from estimation.values.runs import JobRun, JobTrigger
+from estimation.values.suspension import SuspensionFinding
+from estimation.values.track import TrackSectionRecord
+from estimation.values.windows import Hunting
 
 RAISED, UPDATED, CLEARED, CLOSED = (
     AlertEventKind.RAISED,
@@ -220,3 +223,34 @@ def test_the_order_of_wheelsets_does_not_change_their_alerts(sqlite_storage: Sto
     run_jobs(sqlite_storage, 90.5)
     alerts = {serial: open_alert(sqlite_storage, serial, "limit_forecast") for serial in order}
     assert alerts["W1"].evidence == alerts["W2"].evidence
+
+
+def test_hunting_and_a_softened_suspension_become_alerts(storage: Storage) -> None:
+    register(storage, "W1", "W2")
+    hunting = Hunting(1.0, 4.0, 0.006)
+    run_windows(storage, "W1", 1, 4, hunting=hunting)
+    with storage.write() as unit:
+        unit.tracks.add_section(TrackSectionRecord("S", 1, "", "56E1", 0.05, 1.435, 5000.0))
+        for day in range(8):
+            span = START_NS + day * DAY_NS, START_NS + (day + 1) * DAY_NS
+            ratio = 1.0 if day < 5 else 0.5
+            unit.suspensions.put(SuspensionFinding("V1", "S", *span, ratio, 0.03, 0.34, "v", 1))
+    run_jobs(storage, 8.0)
+    assert sorted((alert.wheelset, alert.kind) for alert in opened(storage)) == [
+        ("W1", "hunting"),
+        ("W1", "suspension_change"),  # of its vehicle, at its first axle
+        ("W2", "no_data"),
+    ]
+    assert open_alert(storage, "W1", "suspension_change").evidence["vehicle"] == "V1"
+    before = len(feed(storage))
+    run_jobs(storage, 8.0)
+    assert len(feed(storage)) == before
+    for day in (8.1, 8.3):
+        run_windows(storage, "W1", day, 20)
+        run_jobs(storage, day + 0.1)
+    assert (CLEARED, "hunting") in feed_of(storage)
+
+
+def opened(storage: Storage) -> Sequence[Alert]:
+    with storage.read() as unit:
+        return unit.alerts.all_open()

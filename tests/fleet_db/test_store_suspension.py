@@ -1,0 +1,50 @@
+"""What is stored of the suspension of vehicles and of the hunting of windows, on both databases."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import stored_values as make
+from same_values import same_values
+
+from estimation.values.suspension import SuspensionFinding
+from estimation.values.windows import NOT_HUNTING, Hunting
+from fleet_db.storage import SqlStorage
+from fleet_db.telemetry import pack_window, unpack_window, window_digest
+
+FINDING = SuspensionFinding("V-1", "S-7", 10, 20, 0.8125, 0.03125, 0.336, "3", 99)
+
+
+def test_findings_come_back_in_order_of_time(fleet: SqlStorage) -> None:
+    later, other = replace(FINDING, from_ns=20, to_ns=30), replace(FINDING, vehicle="V-2")
+    with fleet.write() as unit:
+        for one in (later, other, FINDING):
+            unit.suspensions.put(one)
+    with fleet.read() as unit:
+        assert unit.suspensions.list("V-1") == [FINDING, later]
+        assert unit.suspensions.list() == [FINDING, later, other]
+
+
+def test_an_epoch_that_is_looked_at_again_replaces_its_finding(fleet: SqlStorage) -> None:
+    again = replace(FINDING, ratio=0.75, recorded_ns=120)
+    for one in (FINDING, again):
+        with fleet.write() as unit:
+            unit.suspensions.put(one)
+    with fleet.read() as unit:
+        assert unit.suspensions.list("V-1") == [again]
+
+
+def test_hunting_is_stored_with_its_window(fleet: SqlStorage) -> None:
+    calm = make.window()
+    hunting = replace(calm, quality=replace(calm.quality, hunting=Hunting(0.75, 4.25, 0.00625)))
+    assert same_values(unpack_window(pack_window(hunting), where="here"), hunting)
+    assert same_values(unpack_window(pack_window(calm), where="here"), calm)
+    assert window_digest(hunting) != window_digest(calm)
+    for window in (calm, hunting):
+        with fleet.write() as unit:
+            unit.windows.put(window, 10.0, 50)
+        with fleet.read() as unit:
+            record = unit.windows.get("WS-1", window.start_ns)
+        assert record is not None
+        assert record.quality.hunting == window.quality.hunting
+    assert calm.quality.hunting == NOT_HUNTING
