@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Literal
 
@@ -34,6 +35,9 @@ class Settings(BaseSettings):
         after data are stored.
     jobs_every_s
         Interval of all scheduled jobs, in seconds; left out, each job has its own.
+    catalogues
+        Mapping files of buses of one's own, with ``:`` between them (``;`` on Windows); left out, all vehicles have
+        the shipped bus.
     estimator
         Which estimator of ``estimation.estimators.catalogue`` turns windows into geometries.
     shutdown_timeout_s
@@ -54,9 +58,10 @@ class Settings(BaseSettings):
     window_length_s: float = Field(default=60.0, gt=0.0, le=3600.0)
     jobs_every_s: float | None = Field(default=None, gt=0.0)
     estimator: str = "bins"
+    catalogues: str | None = None
     shutdown_timeout_s: int = Field(default=10, ge=1, le=600)
 
-    @field_validator("database_url", "rules_file", "jobs_every_s", mode="before")
+    @field_validator("database_url", "rules_file", "jobs_every_s", "catalogues", mode="before")
     @classmethod
     def _empty_is_left_out(cls, value: object) -> object:
         """Read ``TREADWATCH_RULES_FILE=`` (as compose files leave it) as not set."""
@@ -76,6 +81,11 @@ class Settings(BaseSettings):
         if self.database_url is not None:
             return self.database_url
         return f"sqlite:///{(self.data_dir / 'treadwatch.sqlite').resolve()}"
+
+    @property
+    def catalogue_files(self) -> tuple[Path, ...]:
+        """Mapping files of buses of one's own."""
+        return tuple(Path(name) for name in (self.catalogues or "").split(os.pathsep) if name)
 
     @property
     def raw_dir(self) -> Path:

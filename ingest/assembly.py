@@ -12,7 +12,9 @@ from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.clock import (
     CONTEXT_NS,
+    AlignCounts,
     AlignedFrames,
+    TickedValues,
     merge_aligned,
 )
 from ingest.align.windows import (
@@ -27,6 +29,8 @@ from ingest.align.windows import (
 )
 from ingest.catalogue import Catalogue
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
+from ingest.own_bus.bus import OwnBus
+from ingest.own_bus.samples import own_samples
 from ingest.recordings import (
     RECORDER_FIRST,
     RECORDER_LAST,
@@ -73,7 +77,6 @@ class Assembly:
 class Assembler:
     """Assembles the windows that a recording touches from every recording that touches those windows."""
 
-    catalogue: Catalogue
     recordings: Recordings
     length_ns: int
 
@@ -84,7 +87,7 @@ class Assembler:
         if span is None:
             beside += decoded_beside(unit, record.vehicle, recording)
             joined = [recording, *(self.recordings.load_neighbour(other) for other in beside)]
-            span = _span(recording, align_recordings(joined, self.catalogue))
+            span = _span(recording, align_recordings(joined))
         if span is None:
             return [record]
         _, _, from_ns, to_ns = needed_range(*span, self.length_ns)
@@ -120,14 +123,14 @@ class Assembler:
         _check_one_kind(record.vehicle, record.suffix, sources)
         loaded = {source.digest: self.recordings.load_neighbour(source) for source in sources[1:]}
         loaded[record.digest] = recording
-        aligned = align_recordings(loaded.values(), self.catalogue)
+        aligned = align_recordings(loaded.values())
         coming = [(source, loaded[source.digest]) for source in sources if source.state is not ChunkState.DECODED]
         spans = [_span(each, aligned) for _, each in coming]
         receipts = [_receipt_after(*each, span) for each, span in zip(coming, spans, strict=True)]
         known = [span for span in spans if span is not None]
         if not known:
             return Assembly(frozenset(loaded), tuple(receipts), ())
-        samples, counts = vehicle_samples(vehicle.code, self.recordings.catalogue_of(record), merge_aligned(aligned))
+        samples, counts = _samples(vehicle.code, recording.catalogue, merge_aligned(aligned))
         windows, made = self._windows(unit, vehicle, samples, known)
         receipts[0] = _with_counts(receipts[0], {**_nonzero(asdict(counts)), **asdict(made)})
         return Assembly(frozenset(loaded), tuple(receipts), windows)
@@ -145,6 +148,14 @@ class Assembler:
             else:
                 counts = add_counts(counts, outcome)
         return tuple(windows), replace(counts, windows=len(windows))
+
+
+def _samples(
+    vehicle: str, catalogue: Catalogue, messages: Mapping[int, TickedValues]
+) -> tuple[VehicleSamples, AlignCounts]:
+    if isinstance(catalogue, OwnBus):
+        return own_samples(vehicle, catalogue, messages)
+    return vehicle_samples(vehicle, catalogue, messages)
 
 
 def _check_one_kind(vehicle: str, suffix: str, sources: Iterable[ChunkRecord]) -> None:

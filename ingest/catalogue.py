@@ -137,7 +137,7 @@ def load_catalogue(path: Path) -> Catalogue:
     CatalogueError
         The file cannot be read, or lacks what the codec needs; names file and field.
     """
-    database = _parse(path)
+    database = parse_dbc(path)
     messages = {message.frame_id: _message_plan(message, path) for message in database.messages}
     catalogue = Catalogue(MappingProxyType(messages), _sample_interval_ns(messages, path))
     _check_needed(catalogue, path)
@@ -151,7 +151,14 @@ def default_catalogue() -> Catalogue:
         return load_catalogue(path)
 
 
-def _parse(path: Path) -> Any:  # noqa: ANN401 - cantools is untyped
+def parse_dbc(path: Path) -> Any:  # noqa: ANN401 - cantools is untyped
+    """Return a DBC file as cantools reads it.
+
+    Raises
+    ------
+    CatalogueError
+        The file cannot be read, or is no DBC file.
+    """
     import cantools  # noqa: PLC0415 - a slow import, needed only to read a catalogue
 
     try:

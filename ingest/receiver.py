@@ -25,6 +25,7 @@ from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.bundle import write_bundle
 from ingest.exchange.intake import checked_exchange
 from ingest.logs.formats import format_of
+from ingest.own_bus.choice import BusChoice
 from ingest.recordings import Recording, Recordings
 
 SECOND_NS = 1_000_000_000
@@ -59,7 +60,7 @@ class Receiver:
     storage, raw
         Where receipts and windows, and where raw bytes go.
     catalogue
-        The frames of the vehicles' buses.
+        The frames of the vehicles' buses, or the choice among several.
     clock
         Ours.
     window_length_s
@@ -67,14 +68,19 @@ class Receiver:
     """
 
     def __init__(
-        self, storage: SqlStorage, raw: RawStore, catalogue: Catalogue, clock: Clock, window_length_s: float = 60.0
+        self,
+        storage: SqlStorage,
+        raw: RawStore,
+        catalogue: Catalogue | BusChoice,
+        clock: Clock,
+        window_length_s: float = 60.0,
     ) -> None:
         self._storage = storage
         self._raw = raw
-        self._catalogue = catalogue
+        self._buses = catalogue if isinstance(catalogue, BusChoice) else BusChoice(catalogue, {})
         self._clock = clock
-        self._recordings = Recordings(raw, catalogue)
-        self._assembler = Assembler(catalogue, self._recordings, round(window_length_s * SECOND_NS))
+        self._recordings = Recordings(raw, self._bus_of)
+        self._assembler = Assembler(self._recordings, round(window_length_s * SECOND_NS))
 
     def receive_file(self, path: Path, vehicle: str) -> ChunkReceipt:
         """Take in one recording of a vehicle.
@@ -165,11 +171,23 @@ class Receiver:
             except TreadwatchError as error:
                 yield error
 
+    def _bus_of(self, vehicle: str) -> Catalogue:
+        return self._buses.of_vehicle(self._class_of, vehicle)
+
+    def _class_of(self, vehicle: str) -> str | None:
+        try:
+            with self._storage.read() as unit:
+                return unit.registry.vehicle(vehicle).vehicle_class
+        except NotFoundError:
+            return None
+
     def _store_and_read(self, path: Path, vehicle: str) -> ReceivedFile:
         suffix = _suffix_of(path)
         digest = self._raw.put_file(path)
         try:
-            return ReceivedFile(path, vehicle, digest, self._recordings.read(self._raw.path(digest, suffix), digest))
+            return ReceivedFile(
+                path, vehicle, digest, self._recordings.read(self._raw.path(digest, suffix), digest, vehicle)
+            )
         except LogFileError as error:
             return ReceivedFile(path, vehicle, digest, error)
 

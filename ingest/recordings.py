@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,6 +20,8 @@ from ingest.exchange.bundle import read_bundle
 from ingest.exchange.run import aligned_run, exchange_catalogue
 from ingest.frames import FrameBatch, between, empty_batch, merge
 from ingest.logs import read_log
+from ingest.own_bus.bus import OwnBus
+from ingest.own_bus.decoding import align_own
 
 Span = tuple[int, int]
 
@@ -42,6 +44,7 @@ class Recording:
     digest: str
     batch: FrameBatch  # empty for an exchange
     alone: AlignedFrames
+    catalogue: Catalogue
     rows: int = 0  # of an exchange
 
     @property
@@ -69,11 +72,11 @@ class Recordings:
     """Reads recordings from the raw store; keeps the last few, because neighbours come one after the other."""
 
     raw: RawStore
-    catalogue: Catalogue
+    catalogue_of: Callable[[str], Catalogue]  # of the bus of a vehicle
     _kept: OrderedDict[str, Recording] = field(default_factory=OrderedDict)
 
-    def read(self, path: Path, digest: str) -> Recording:
-        """Read a recording from a file that has this digest.
+    def read(self, path: Path, digest: str, vehicle: str) -> Recording:
+        """Read a recording of a vehicle from a file that has this digest.
 
         Raises
         ------
@@ -82,13 +85,11 @@ class Recordings:
         """
         if path.suffix == EXCHANGE_SUFFIX:
             return _read_exchange(path, digest)
+        catalogue = self.catalogue_of(vehicle)
         batch = merge([read_log(path)])
-        check_sync_rate(batch, self.catalogue.sample_interval_ns)
-        return Recording(digest, batch, align_to_clock(self.catalogue, batch))
-
-    def catalogue_of(self, record: ChunkRecord) -> Catalogue:
-        """Return the messages that a recording is made of."""
-        return exchange_catalogue() if record.suffix == EXCHANGE_SUFFIX else self.catalogue
+        if not isinstance(catalogue, OwnBus):
+            check_sync_rate(batch, catalogue.sample_interval_ns)
+        return Recording(digest, batch, align_frames(catalogue, batch), catalogue)
 
     def load(self, record: ChunkRecord) -> Recording:
         """Return the recording of a receipt.
@@ -98,8 +99,9 @@ class Recordings:
         LogFileError
             Its file is missing or no log that can be read.
         """
-        if record.digest not in self._kept:
-            self.keep(self.read(self.raw.path(record.digest, record.suffix), record.digest))
+        kept = self._kept.get(record.digest)
+        if kept is None or not (kept.rows or kept.catalogue is self.catalogue_of(record.vehicle)):
+            self.keep(self.read(self.raw.path(record.digest, record.suffix), record.digest, record.vehicle))
         self._kept.move_to_end(record.digest)
         return self._kept[record.digest]
 
@@ -125,7 +127,26 @@ class Recordings:
 
 def _read_exchange(path: Path, digest: str) -> Recording:
     file, run, facts = read_bundle(path)
-    return Recording(digest, empty_batch(), aligned_run(run, facts, file.run.position_quality), rows=len(run.tick))
+    frames = aligned_run(run, facts, file.run.position_quality)
+    return Recording(digest, empty_batch(), frames, exchange_catalogue(), rows=len(run.tick))
+
+
+def align_frames(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
+    """Decode a batch and put its frames on the vehicle's clock.
+
+    Parameters
+    ----------
+    catalogue
+        The messages of the bus.
+    batch
+        Frames in merged order (:func:`ingest.frames.merge`).
+
+    Raises
+    ------
+    LogFileError
+        The sampling instants of a bus of one's own come at another rate than its mapping gives.
+    """
+    return align_own(catalogue, batch) if isinstance(catalogue, OwnBus) else align_to_clock(catalogue, batch)
 
 
 def waiting_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> Sequence[ChunkRecord]:
@@ -169,7 +190,7 @@ def _beside(record: ChunkRecord, recording: Recording) -> bool:
     )
 
 
-def align_recordings(recordings: Iterable[Recording], catalogue: Catalogue) -> list[AlignedFrames]:
+def align_recordings(recordings: Iterable[Recording]) -> list[AlignedFrames]:
     """Merge recordings whose recorder stamps touch and whose recorders agree, and align what was merged.
 
     The answer depends on the set of recordings, not on their order.
@@ -178,8 +199,6 @@ def align_recordings(recordings: Iterable[Recording], catalogue: Catalogue) -> l
     ----------
     recordings
         Recordings of one vehicle.
-    catalogue
-        The messages of its bus.
     """
     groups: list[list[Recording]] = []
     for recording in sorted(recordings, key=lambda r: (r.recorder_ns, r.digest)):
@@ -197,7 +216,7 @@ def align_recordings(recordings: Iterable[Recording], catalogue: Catalogue) -> l
     return [
         group[0].alone
         if len(group) == 1
-        else align_to_clock(catalogue, merge([recording.batch for recording in group]))
+        else align_frames(group[0].catalogue, merge([recording.batch for recording in group]))
         for group in groups
     ]
 

@@ -30,6 +30,10 @@ def ingest(
         list[Path] | None,
         typer.Option(help="Exchange of simulated or measured runs: a TOML file beside its table. May be repeated."),
     ] = None,
+    catalogue: Annotated[
+        list[Path] | None,
+        typer.Option(help="Mapping file of a bus of your own, beside its DBC file; by default TREADWATCH_CATALOGUES."),
+    ] = None,
     chunk_seconds: Annotated[float, typer.Option(min=1.0, help="Length of a recording cut from a live bus.")] = 60.0,
 ) -> None:
     """Receive CAN recordings of vehicles, from log files or a live bus, and cut them into windows.
@@ -51,4 +55,4 @@ def ingest(
         raise ParameterError("a live bus needs --channel and --vehicle", field="--interface")
     else:
         source = LiveBus(interface, channel, chunk_seconds)
-    ingest_and_report(source, vehicle, registry)
+    ingest_and_report(source, vehicle, registry, catalogue or ())

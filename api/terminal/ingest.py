@@ -24,6 +24,8 @@ from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus, record
 from ingest.catalogue import default_catalogue
 from ingest.logs import SUFFIXES
+from ingest.own_bus.choice import bus_choice
+from ingest.own_bus.loading import load_own_bus
 from ingest.receiver import ChunkReceipt, Receiver
 from ingest.registry_file import LoadedRegistry, load_registry
 
@@ -54,7 +56,12 @@ class Exchanges:
     descriptions: tuple[Path, ...]
 
 
-def ingest_and_report(source: Sequence[Path] | Exchanges | LiveBus, vehicle: str | None, registry: Path | None) -> None:
+def ingest_and_report(
+    source: Sequence[Path] | Exchanges | LiveBus,
+    vehicle: str | None,
+    registry: Path | None,
+    catalogues: Sequence[Path] = (),
+) -> None:
     """Receive recordings or listen to a bus, and print a summary.
 
     Parameters
@@ -65,11 +72,14 @@ def ingest_and_report(source: Sequence[Path] | Exchanges | LiveBus, vehicle: str
         Vehicle of all recordings; by default the part of each file name before ``__``. A live bus needs it.
     registry
         File of fleets, vehicles, wheelsets and sections to load first.
+    catalogues
+        Mapping files of buses of one's own; by default those of the settings.
 
     Raises
     ------
     InputError
-        A path does not exist, a folder holds no recording, or a file name does not contain its vehicle.
+        A path does not exist, a folder holds no recording, or a file name does not contain its vehicle; a mapping file
+        cannot be used.
     StorageError
         The database cannot be used.
     typer.Exit
@@ -80,8 +90,9 @@ def ingest_and_report(source: Sequence[Path] | Exchanges | LiveBus, vehicle: str
     with closing(open_store(settings)) as storage:
         if registry is not None:
             _load(registry, storage, console)
+        buses = bus_choice(default_catalogue(), [load_own_bus(path) for path in catalogues or settings.catalogue_files])
         receiver = Receiver(
-            storage, raw_store(settings), default_catalogue(), SystemClock(), window_length_s=settings.window_length_s
+            storage, raw_store(settings), buses, SystemClock(), window_length_s=settings.window_length_s
         )
         outcomes = _unfinished(receiver, console)
         if isinstance(source, LiveBus):

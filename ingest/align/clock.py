@@ -8,7 +8,7 @@ with that remainder, is the number of the SYNC: exact, and the same from any TIM
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -239,6 +239,24 @@ def align_to_clock(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
     """
     decoded = decode(catalogue, batch)
     clock, counts = sync_clock(decoded, batch, catalogue.sample_interval_ns)
+    found = align_decoded(decoded, batch, clock, time_frames(decoded, batch))
+    samples = sum(len(message.tick) for message in found.messages.values() if message.plan.kind == ACCELERATION)
+    return replace(found, align_counts=counts + found.align_counts + AlignCounts(samples=samples))
+
+
+def align_decoded(decoded: Decoded, batch: FrameBatch, clock: SyncClock, times: TimeFrames) -> AlignedFrames:
+    """Put decoded frames on the vehicle's clock; counts of SYNCs and samples are the caller's.
+
+    Parameters
+    ----------
+    decoded, batch
+        The batch, in the order of time, and what it contains.
+    clock
+        The SYNCs.
+    times
+        The TIME frames.
+    """
+    counts = AlignCounts()
     messages = {}
     without_sync = 0
     for arbitration_id, values in decoded.messages.items():
@@ -256,9 +274,8 @@ def align_to_clock(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
             without_sync += int(np.count_nonzero(~found))
             messages[arbitration_id], repeated = by_tick(values.plan, tick[found], values.raw[found])
         counts += repeated
-    samples = sum(len(message.tick) for message in messages.values() if message.plan.kind == ACCELERATION)
-    counts += AlignCounts(frames_without_sync=without_sync, samples=samples)
-    return AlignedFrames(MappingProxyType(messages), time_frames(decoded, batch), decoded.counts, counts)
+    counts += AlignCounts(frames_without_sync=without_sync)
+    return AlignedFrames(MappingProxyType(messages), times, decoded.counts, counts)
 
 
 def _cycles(plan: MessagePlan, interval_ns: int) -> int:
