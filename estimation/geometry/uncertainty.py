@@ -32,6 +32,9 @@ SCALE_PER_GAUGE_SQUARE = 0.015e6  # 1/m2, of y - d per variance of the gauge: fa
 SCALE_PER_MEAN_GAUGE = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm, by contact tables
 
 
+CONTACT_ROLL_STD = 0.02  # rad/m, of the roll of the contact per displacement, from wheel to wheel
+
+
 def quotient_widening(relative: float) -> float:
     """Return by how much the std of a quotient exceeds that of first order: 1/(1 - s), infinite from 0.4.
 
@@ -74,11 +77,13 @@ class ParameterUncertainty:
         vehicle_class
             The class, with the relative standard deviations of its parameters.
         """
+        level = vehicle_class.sensors.measures_gravity  # then the roll of the contact has been taken off
+        of_roll = CONTACT_ROLL_STD * vehicle_class.parameters.nominal_radius if level else 0.0
         return cls(
             creep=vehicle_class.std_of("longitudinal_creep_coefficient"),
             stiffness=vehicle_class.std_of("yaw_stiffness"),
             mass=vehicle_class.std_of("yaw_inertia"),
-            displacement=vehicle_class.sensors.lateral.scale_std,
+            displacement=math.hypot(vehicle_class.sensors.lateral.scale_std, of_roll),
             scale=math.hypot(
                 vehicle_class.std_of("nominal_radius"),
                 vehicle_class.std_of("half_contact_distance"),

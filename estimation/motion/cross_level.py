@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from estimation.values.arrays import FloatArray
 
-CONTACT_ROLL = 0.09  # rad/m, roll of the contact per displacement: worn P8 on 56E1 have 0.08 to 0.16 up to 5 mm
+CONTACT_ROLL = 0.105  # rad/m, roll of the contact per displacement: P8 on 56E1 have 0.08 new and 0.13 worn, at 3 mm
 
 
 def relative_displacement(displacement: FloatArray, roll: FloatArray, radius: float) -> FloatArray:
