@@ -14,7 +14,8 @@ from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
-from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_motion
+from ingest.simulator.axle_motion import wheelset_motion
+from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.motion import STEP
 from ingest.simulator.scenario_file import read_scenario
 from ingest.vehicle_class_file import shipped_class
