@@ -37,12 +37,12 @@ class ChunkRecord:
 
 @dataclass(frozen=True, slots=True)
 class EstimatedAgain:
-    """What is estimated again because the class of vehicles has changed.
+    """What is estimated again because the class of vehicles, or the nominal radius of a wheelset, has changed.
 
     Attributes
     ----------
-    vehicles
-        Codes of the vehicles of which something is.
+    subjects
+        Codes of the vehicles, or the wheelset, of which something is.
     windows
         How many of their windows; 0 where only geometries are.
     from_ns
@@ -51,7 +51,7 @@ class EstimatedAgain:
         Codes of the sections whose alignment is estimated from the begin.
     """
 
-    vehicles: tuple[str, ...] = ()
+    subjects: tuple[str, ...] = ()
     windows: int = 0
     from_ns: int | None = None
     sections: tuple[str, ...] = ()

@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 from estimation.errors import ConflictError, LogFileError, NotFoundError, StorageError, TreadwatchError
 from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Window
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
@@ -251,10 +252,25 @@ class Receiver:
         for mounted in assembly.windows:
             mounting = mounted.mounting
             run_km = mounted.window.odometer_m / 1000.0 - mounting.vehicle_odometer_km
-            changed += unit.windows.put(mounted.window, mounting.wheelset_mileage_km + run_km, self._clock.now_ns())
+            mileage_km = mounting.wheelset_mileage_km + run_km
+            before = unit.windows.get(mounting.wheelset, mounted.window.start_ns)
+            if not unit.windows.put(mounted.window, mileage_km, self._clock.now_ns()):
+                continue
+            changed += 1
+            after = unit.windows.get(mounting.wheelset, mounted.window.start_ns)
+            if before is None or after is None or before.content_digest != after.content_digest:
+                _requeue_partner(unit, mounted.window)
         for receipt in assembly.receipts:
             unit.chunks.update(receipt)
         return changed
+
+
+def _requeue_partner(unit: SqlUnitOfWork, window: Window) -> None:
+    """Let the window of the other axle in the bogie wait again: it is estimated with the signals of both."""
+    on_file = unit.registry.vehicle_class(unit.registry.vehicle(window.vehicle).vehicle_class)
+    partner = None if on_file is None else on_file.vehicle_class.partner(window.axle)
+    if partner is not None:
+        unit.windows.requeue_axle(window.vehicle, partner, window.start_ns)
 
 
 def _suffix_of(path: Path) -> str:

@@ -61,7 +61,7 @@ class LoadedRegistry:
     """What a registry file did to the store."""
 
     contents: RegistryContents
-    again: tuple[EstimatedAgain, ...]  # what is estimated again, class by class and vehicle by vehicle
+    again: tuple[EstimatedAgain, ...]  # what is estimated again, by class, vehicle and wheelset
     without_class: tuple[VehicleRecord, ...]  # vehicles of the file that are not estimated: nobody knows their class
 
 
@@ -90,7 +90,7 @@ def load_registry(path: Path, unit_of_work: SqlUnitOfWork, recorded_ns: int) -> 
     _store(path, "fleets", contents.fleets, registry.add_fleet)
     again = [registry.add_vehicle_class(one, recorded_ns) for one in contents.classes]
     again += _store(path, "vehicles", contents.vehicles, lambda one: registry.add_vehicle(one, recorded_ns))
-    _store(path, "wheelsets", contents.wheelsets, registry.add_wheelset)
+    again += _store(path, "wheelsets", contents.wheelsets, lambda one: registry.add_wheelset(one, recorded_ns))
     _store(path, "mountings", contents.mountings, registry.add_mounting)
     _store(path, "reprofilings", contents.reprofilings, registry.add_reprofiling)
     _store(path, "measured_profiles", contents.measured_profiles, registry.add_measured_profiles)
@@ -99,7 +99,7 @@ def load_registry(path: Path, unit_of_work: SqlUnitOfWork, recorded_ns: int) -> 
     _store(path, "track_sections", contents.layouts, lambda layout: _add_layout(unit_of_work, layout))
     known = {code for code in _classes_of(contents) if registry.vehicle_class(code) is not None}
     without = tuple(vehicle for vehicle in contents.vehicles if vehicle.vehicle_class not in known)
-    return LoadedRegistry(contents, tuple(one for one in again if one.vehicles), without)
+    return LoadedRegistry(contents, tuple(one for one in again if one.subjects), without)
 
 
 def _classes_of(contents: RegistryContents) -> set[str]:

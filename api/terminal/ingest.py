@@ -212,13 +212,13 @@ def registry_lines(loaded: LoadedRegistry) -> list[str]:
     """
     lines = []
     for one in loaded.again:
-        vehicles = ", ".join(one.vehicles)
+        whose = ", ".join(one.subjects)
         if one.windows and one.from_ns is not None:
             since = to_rfc3339(one.from_ns)
             sections = f", and the alignment of {', '.join(one.sections)}" if one.sections else ""
-            lines.append(f"estimated again: {one.windows:,} windows of {vehicles} since {since}{sections}")
+            lines.append(f"estimated again: {one.windows:,} windows of {whose} since {since}{sections}")
         elif one.from_ns is not None:
-            lines.append(f"estimated again: geometries of {vehicles}, with other standard deviations")
+            lines.append(f"estimated again: geometries of {whose}, with other standard deviations")
     for code in sorted({vehicle.vehicle_class for vehicle in loaded.without_class}):
         vehicles = ", ".join(item.code for item in loaded.without_class if item.vehicle_class == code)
         lines.append(f"warning: class {code!r} is not on file: {vehicles} will not be estimated until it is")

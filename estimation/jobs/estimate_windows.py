@@ -14,7 +14,7 @@ from functools import lru_cache
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.load_window import load_window
+from estimation.jobs.steps.load_window import load_window, partner_digest
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.window_motion import NO_ALIGNMENT
@@ -59,6 +59,7 @@ class _Work:
     track: TrackAlignment | None
     position: WindowPosition | None
     assumed: Assumed | Reason  # of the vehicle
+    partner: str | None  # digest of the window on the other axle of the bogie
     mounted_reversed: bool = False
     layout: TrackLayout | None = None
 
@@ -113,7 +114,8 @@ def _compute(
             turned = mounting is not None and mounting.reversed
             section = record.track_section
             assumed = classes.assumed(record.vehicle, record.wheelset)
-            work = _Work(record, alignment(section), position, assumed, turned, layout(section))
+            partner = _partner(unit, record, assumed)
+            work = _Work(record, alignment(section), position, assumed, partner, turned, layout(section))
             found.append((work, _outcome(unit, work)))
         return found
 
@@ -147,15 +149,8 @@ def _outcome(unit: UnitOfWork, work: _Work) -> BinTable | Reason:
 
 def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Reason, classes: ClassLookup) -> str:
     record = work.record
-    now = unit.windows.get(record.wheelset, record.start_ns)
-    if now is None or now.content_digest != record.content_digest:
+    if _changed(unit, work, classes):
         return "changed_meanwhile"  # still pending: the next batch takes it
-    if unit.tracks.position(record.wheelset, record.start_ns) != work.position:
-        return "changed_meanwhile"
-    if _layout_version(unit, record.track_section) != (work.layout.version if work.layout is not None else None):
-        return "changed_meanwhile"
-    if classes.assumed(record.vehicle, record.wheelset) != work.assumed:
-        return "changed_meanwhile"
     if isinstance(outcome, Reason):
         refusal = in_place_of_quality(outcome, record.quality)
         unit.windows.mark(record.wheelset, record.start_ns, WindowState.REFUSED, refusal)
@@ -164,6 +159,25 @@ def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Reason, classes: C
     unit.tables.put(record.wheelset, record.start_ns, outcome, version, record.content_digest)
     unit.windows.mark(record.wheelset, record.start_ns, WindowState.ESTIMATED)
     return "estimated"
+
+
+def _changed(unit: UnitOfWork, work: _Work, classes: ClassLookup) -> bool:
+    """Whether something that a window was estimated with is another by now."""
+    record = work.record
+    now = unit.windows.get(record.wheelset, record.start_ns)
+    if now is None or now.content_digest != record.content_digest:
+        return True
+    assumed = classes.assumed(record.vehicle, record.wheelset)
+    return (
+        unit.tracks.position(record.wheelset, record.start_ns) != work.position
+        or _layout_version(unit, record.track_section) != (work.layout.version if work.layout is not None else None)
+        or assumed != work.assumed
+        or _partner(unit, record, assumed) != work.partner
+    )
+
+
+def _partner(unit: UnitOfWork, record: WindowRecord, assumed: Assumed | Reason) -> str | None:
+    return None if isinstance(assumed, Reason) else partner_digest(unit, record, assumed.windows.vehicle_class)
 
 
 def _layout_version(unit: UnitOfWork, section: str | None) -> int | None:

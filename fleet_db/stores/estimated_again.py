@@ -1,4 +1,4 @@
-"""What is estimated again after the class of vehicles has changed: their windows, and all that rests on them."""
+"""What is estimated again after the class of vehicles or the radius of a wheelset has changed, from the windows on."""
 
 from __future__ import annotations
 
@@ -58,15 +58,27 @@ class Again:
         codes
             Of the vehicles.
         """
-        of_vehicles = WINDOWS.c.vehicle.in_(codes)
+        return self._windows(tuple(codes), WINDOWS.c.vehicle.in_(codes))
+
+    def wheelset(self, serial: str) -> EstimatedAgain:
+        """Let all windows of a wheelset wait again, and start the sections again that it helped to align.
+
+        Parameters
+        ----------
+        serial
+            Of the wheelset.
+        """
+        return self._windows((f"wheelset {serial}",), WINDOWS.c.wheelset == serial)
+
+    def _windows(self, names: tuple[str, ...], chosen: ColumnElement[bool]) -> EstimatedAgain:
         windows, from_ns = self.connection.execute(
-            select(func.count(), func.min(WINDOWS.c.start_ns)).where(of_vehicles)
+            select(func.count(), func.min(WINDOWS.c.start_ns)).where(chosen)
         ).one()
-        sections = self._aligned_by(of_vehicles)
-        self._wait(of_vehicles)
+        sections = self._aligned_by(chosen)
+        self._wait(chosen)
         for section in sections:
             self._restart(section)
-        return EstimatedAgain(tuple(codes), int(windows), from_ns, tuple(sections))
+        return EstimatedAgain(names, int(windows), from_ns, tuple(sections))
 
     def geometries(self, codes: Sequence[str]) -> EstimatedAgain:
         """Let only the geometries of the wheelsets of some vehicles be estimated again.

@@ -164,8 +164,10 @@ class RegistryStore:
         before, after = self.vehicle_class(was), self.vehicle_class(record.vehicle_class)
         return Again(self.connection, self.changes, recorded_ns).class_changed([record.code], before, after)
 
-    def add_wheelset(self, record: WheelsetRecord) -> None:
+    def add_wheelset(self, record: WheelsetRecord, recorded_ns: int | None = None) -> EstimatedAgain:
         """Add a wheelset or change it; the mounting and the reprofilings that it carries are added too.
+
+        Return what is estimated again because its nominal radius is another now.
 
         Raises
         ------
@@ -177,12 +179,17 @@ class RegistryStore:
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
         values = {name: getattr(record, name) for name in ("serial", "fleet", "wheel_profile", "nominal_radius_m")}
+        same = WHEELSETS.c.serial == record.serial
+        was = self.connection.scalar(select(WHEELSETS.c.nominal_radius_m).where(same))
         if upsert(self.connection, WHEELSETS, values):
             self.changes.note(record.serial)
         if record.mounting is not None:
             self.add_mounting(record.mounting)
         for reprofiling in record.reprofilings:
             self.add_reprofiling(reprofiling)
+        if was is None or was == record.nominal_radius_m:
+            return NOTHING_AGAIN
+        return Again(self.connection, self.changes, recorded_ns).wheelset(record.serial)
 
     def add_mounting(self, record: Mounting) -> None:
         """Add a mounting, or change the one of the same wheelset and start (to end it, for one).

@@ -140,6 +140,15 @@ class WindowStore:
             self._forget_position(record.wheelset, record.start_ns)
         return len(found)
 
+    def requeue_axle(self, vehicle: str, axle: int, start_ns: int) -> int:
+        """Let the window of an axle that starts at a time wait again, its position too; return how many there are."""
+        same = (WINDOWS.c.vehicle == vehicle, WINDOWS.c.axle == axle, WINDOWS.c.start_ns == start_ns)
+        found = self._records(select(WINDOWS).where(*same))
+        for record in found:
+            self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
+            self._forget_position(record.wheelset, record.start_ns)
+        return len(found)
+
     def requeue_section(self, track_section: str) -> int:
         """Set every window of a section to pending; return how many were not."""
         not_pending = (WINDOWS.c.track_section == track_section, WINDOWS.c.state != WindowState.PENDING.value)

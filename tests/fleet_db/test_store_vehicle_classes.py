@@ -113,7 +113,7 @@ def test_a_changed_class_lets_every_window_of_its_vehicles_wait_and_says_since_w
     estimated(fleet)
     with fleet.write() as unit:
         again = unit.registry.add_vehicle_class(STIFFER, 200)
-        assert (again.vehicles, again.windows, again.from_ns, again.sections) == (("V-1", "V-2"), 3, make.START, ())
+        assert (again.subjects, again.windows, again.from_ns, again.sections) == (("V-1", "V-2"), 3, make.START, ())
         assert unit.tracks.position("WS-1", make.START) is None
         assert unit.geometries.stale(10) == ["WS-1", "WS-2"]
     assert pending(fleet) == {"WS-1": [WindowState.PENDING] * 2, "WS-2": [WindowState.PENDING]}
@@ -140,8 +140,18 @@ def test_a_vehicle_of_another_class_than_before_is_estimated_again_alone(fleet: 
     estimated(fleet)
     with fleet.write() as unit:
         moved = replace(unit.registry.vehicle("V-2"), vehicle_class="stiff")
-        assert unit.registry.add_vehicle(moved, 300).vehicles == ("V-2",)
+        assert unit.registry.add_vehicle(moved, 300).subjects == ("V-2",)
         assert unit.registry.add_vehicle(moved, 400) == NOTHING_AGAIN
+    assert pending(fleet) == {"WS-1": [WindowState.ESTIMATED] * 2, "WS-2": [WindowState.PENDING]}
+
+
+def test_a_wheelset_of_another_radius_than_before_is_estimated_again_alone(fleet: SqlStorage) -> None:
+    estimated(fleet)
+    with fleet.write() as unit:
+        turned = replace(unit.registry.wheelset("WS-2"), nominal_radius_m=0.42)
+        again = unit.registry.add_wheelset(turned)
+        assert (again.subjects, again.windows) == (("wheelset WS-2",), 1)
+        assert unit.registry.add_wheelset(turned) == NOTHING_AGAIN
     assert pending(fleet) == {"WS-1": [WindowState.ESTIMATED] * 2, "WS-2": [WindowState.PENDING]}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +23,11 @@ from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.assembly import WAITING
 from ingest.canopen import SYNC_ID, TIME_ID
-from ingest.catalogue import default_catalogue
+from ingest.catalogue import ACCELERATION, default_catalogue
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.logs import write_blf
 from ingest.receiver import ChunkReceipt, Receiver
+from ingest.vehicle_class_file import shipped_class
 
 LENGTH_S = 10.0
 
@@ -225,6 +227,27 @@ def test_a_late_piece_makes_only_its_windows_pending_again(registered: SqlStorag
         pending = {(r.wheelset, r.start_ns) for r in unit.windows.ready(100, [])}
     assert pending == {key for key in after if after[key] != before[key]}
     assert pending == {(f"WS-{axle}", START_NS + 27 * SECOND_NS) for axle in (1, 2)}
+
+
+@pytest.mark.parametrize(("code", "again"), [("coach", {"WS-1", "WS-2"}), ("paper", {"WS-2"})])
+def test_a_late_piece_of_one_axle_lets_the_other_axle_of_its_bogie_wait_too(
+    registered: SqlStorage, tmp_path: Path, code: str, again: set[str]
+) -> None:
+    run = Run(seconds=60.0).frames()
+    acceleration = run.arbitration_id == default_catalogue().find(ACCELERATION, 2).arbitration_id
+    late = acceleration & (run.t_ns >= run.t_ns[0] + 29 * SECOND_NS) & (run.t_ns < run.t_ns[0] + 31 * SECOND_NS)
+    paths = files_of([take(run, ~late), take(run, late)], tmp_path)
+    receiver = receiver_on(registered, tmp_path)
+    receiver.receive_file(paths[0], VEHICLE)
+    with registered.write() as unit:
+        unit.registry.add_vehicle_class(replace(shipped_class(code), code="multiple unit"), 1)
+        for key in content(unit):
+            unit.windows.mark(*key, WindowState.ESTIMATED)
+    receiver.receive_file(paths[1], VEHICLE)
+    with registered.read() as unit:
+        assert {(r.wheelset, r.start_ns) for r in unit.windows.ready(100, [])} == {
+            (serial, START_NS + 27 * SECOND_NS) for serial in again
+        }
 
 
 def test_a_corrupt_recording_is_kept_rejected_and_named(registered: SqlStorage, tmp_path: Path) -> None:

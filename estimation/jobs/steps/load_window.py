@@ -43,6 +43,24 @@ def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleCl
     return with_frame_yaw(window, partner, offsets[partner_axle - 1] - offsets[record.axle - 1])
 
 
+def partner_digest(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleClass) -> str | None:
+    """Return the digest of the window on the other axle of the bogie; None where there is no such window.
+
+    Parameters
+    ----------
+    unit
+        Windows and mountings are read.
+    record
+        Of the window.
+    vehicle_class
+        Of its vehicle.
+    """
+    axle = vehicle_class.partner(record.axle)
+    mounting = None if axle is None else unit.registry.mounting_at(record.vehicle, axle, record.start_ns)
+    partner = None if mounting is None else unit.windows.get(mounting.wheelset, record.start_ns)
+    return None if partner is None else partner.content_digest
+
+
 def _partner(unit: UnitOfWork, record: WindowRecord, axle: int) -> Window | Reason:
     mounting = unit.registry.mounting_at(record.vehicle, axle, record.start_ns)
     if mounting is None:
