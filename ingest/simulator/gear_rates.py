@@ -14,7 +14,9 @@ alone, whose angular velocity is V/r0), u = r0 omega - V is a state of every whe
     Iwy u'/r0 = -sum r Fx + r0 T - Iwy V'/r0 + (torque that turns the wheelset with the speed) = -sum r Fx + r0 T
 
 with T the traction force of the axle. A track that rolls by p (cross level) carries the wheelset along: the axle,
-r0 above the rails, is displaced by -r0 p, its roll is that of the contact plus p, and the load acts on it vertically.
+r0 above the rails, is displaced by -r0 p, its roll is that of the contact plus p, and the rails bear W vertically. What
+is above rolls with the mean of p at its axles, and its weight W - m g bears on each axle along its own normal:
+(W - m g) p on the wheelset, and as much the other way on the frame. A p that is the same everywhere is a cant of -p.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ import math
 from typing import NamedTuple
 
 from estimation.values.arrays import FloatArray
+from estimation.vehicle.equations_of_motion import GRAVITY
 from ingest.simulator.creep_laws import CreepConstants, share_of_linear
 from ingest.simulator.rates import STANDSTILL, Constants, Grid, compiled, look_up, track_at
 
@@ -86,6 +89,31 @@ def place_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) ->
         at = 8 + 4 * k
         out[2 * k] = ((c[at] * h + c[at + 1]) * h + c[at + 2]) * h + c[at + 3]
         out[2 * k + 1] = (3.0 * c[at] * h + 2.0 * c[at + 1]) * h + c[at + 2]
+
+
+@compiled
+def roll_above(
+    g: GearConstants, coefficients: FloatArray, grids: tuple[Grid, Grid], s: float, place: FloatArray
+) -> float:
+    """Return the mean roll of the track at the axles, rad.
+
+    Parameters
+    ----------
+    g
+        Of the running gear.
+    coefficients, grids
+        As :func:`gear_rates` takes them.
+    s
+        Distance of the first axle, m.
+    place
+        (6,) work space.
+    """
+    total = 0.0
+    if coefficients.shape[1] > CONTACT:
+        for axle in range(g.axles):
+            place_at(coefficients, grids[axle], s - 2.0 * g.half_base * axle, place)
+            total += place[0]
+    return total / g.axles
 
 
 @compiled
@@ -165,6 +193,7 @@ def gear_rates(
         (6,) work space.
     """
     outside = 0
+    leaning = roll_above(g, coefficients, grids, s, place)
     force = moment = yaw = 0.0
     for axle in range(g.axles):
         at, c = s - 2.0 * g.half_base * axle, g.each[axle]
@@ -178,6 +207,7 @@ def gear_rates(
             outside += 1 << axle
         x = g.half_base if axle == 0 else -g.half_base
         suspension, turned = suspended(c, x, path[AXLE_PATH * axle :], state[first : first + 4], state)
+        suspension += (c.load - c.mass * GRAVITY) * leaning
         force += suspension
         moment += x * suspension
         yaw += turned

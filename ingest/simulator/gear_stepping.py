@@ -1,4 +1,8 @@
-"""The stepping loop of a running gear: Runge-Kutta of 4th order over a given course, compiled."""
+"""The stepping loop of a running gear: Runge-Kutta of 4th order over a given course, compiled.
+
+The compiler keeps this loop, with all that it calls, until this file changes: after a change of ``gear_rates`` or
+``creep_laws`` alone its cache must be deleted.
+"""
 
 from __future__ import annotations
 

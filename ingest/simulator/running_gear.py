@@ -32,7 +32,7 @@ from ingest.simulator.motion import (
     constants,
     course,
 )
-from ingest.simulator.rates import Grid
+from ingest.simulator.rates import STANDSTILL, Grid
 from ingest.simulator.stepping import OUTPUTS, sub_steps, time_derivative
 from ingest.simulator.track import TrackTruth
 
@@ -213,7 +213,8 @@ def _parts(gear: RunningGear, speed: FloatArray) -> np.ndarray:
     if gear.free_rolling:
         rate = max(rate, 2.0 * p.longitudinal_creep_coefficient * p.nominal_radius**2 / p.pitch_inertia)
     fewest = int(np.ceil(gear.fastest_mode() * STEP / RATE_LIMIT))
-    return np.maximum(sub_steps(speed, STEP, rate, RATE_LIMIT), fewest)
+    stands = np.maximum(speed[1:], speed[:-1]) < STANDSTILL  # without creep
+    return np.where(stands, fewest, np.maximum(sub_steps(speed, STEP, rate, RATE_LIMIT), fewest))
 
 
 def _of_two(shares: tuple[float, ...] | None, mass: float) -> tuple[float, float]:
@@ -236,7 +237,7 @@ def _start(gear: RunningGear, track: TrackTruth, start: float, speed: float) -> 
     """Return the states (16,) of a gear at rest relative to the track: wheelsets on its line, all else along it."""
     state = np.zeros(GEAR_STATES)
     at = [start - gear.places[0] + x for x in gear.places]
-    offset, slope = track.line_at(np.array(at))
+    offset, slope = track.line_at(np.array(at), gear.parameters.nominal_radius)
     for axle in range(gear.axles):
         first = AXLE_STATES * axle
         state[first : first + 3] = offset[axle], speed * slope[axle], slope[axle]

@@ -103,6 +103,17 @@ class ScenarioTable(InputTable):
         return self
 
     @model_validator(mode="after")
+    def _check_driven_axles(self) -> Self:
+        if self.drawn_fleet is None:
+            fewest = min(len(vehicle.wheelsets) for vehicle in self.vehicles)
+        else:
+            fewest = self.drawn_fleet.wheelsets_each
+        for axle in () if self.traction is None else self.traction.driven_axles:
+            if axle > fewest:
+                raise field_error(f"there is no axle {axle} in every vehicle", "traction", "driven_axles")
+        return self
+
+    @model_validator(mode="after")
     def _check_length(self) -> Self:
         if self.sessions.whole_section and self.section.length_m is None:
             raise field_error("needs a section with 'length_m'", "sessions", "whole_section")

@@ -88,9 +88,10 @@ class TrackTruth:
         between = CubicSpline(self.s, e, bc_type="natural")(self.s[:-1] + 0.5 * self.interval)
         return float(min(e.min(), between.min())), float(max(e.max(), between.max()))
 
-    def line_at(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return alignment, m, and its slope at ``distance`` (n,), m, each (n,)."""
-        cubic = CubicSpline(self.s, self.alignment, bc_type="natural")
+    def line_at(self, distance: FloatArray, height: float) -> tuple[FloatArray, FloatArray]:
+        """Return alignment, m, and its slope at ``distance`` (n,), m, each (n,), at ``height`` above the rails, m."""
+        line = self.alignment if self.surface is None else self.alignment - height * self.surface.roll
+        cubic = CubicSpline(self.s, line, bc_type="natural")
         return np.asarray(cubic(distance)), np.asarray(cubic(distance, 1))
 
     def spline_coefficients(self) -> FloatArray:

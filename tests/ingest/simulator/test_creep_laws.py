@@ -10,9 +10,10 @@ import pytest
 from analytic_contact import HALF, RADIUS, cones, smooth_pair
 
 from estimation.errors import ParameterError
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.vehicle_class import BogieParameters
 from ingest.simulator.creep_laws import Creep, CreepLaw, share_of_linear
+from ingest.simulator.curves import Curves
 from ingest.simulator.motion import simulate_wheelset
 from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
 from ingest.simulator.track import Surface, TrackRecipe, TrackTruth, make_track
@@ -94,8 +95,8 @@ def test_cross_level_carries_the_axle_and_pulls_it_down() -> None:
     assert motion.alignment[-1] == pytest.approx(-RADIUS * p)
     assert motion.roll[-1] == pytest.approx(p)
     np.testing.assert_allclose(motion.mass_roll, motion.roll)
-    # steady state with ym = y: lateral 2 f22 psi + 2 f23 D/(2 r0) - W (D/2 + p) = 0 with D = 2 slope x,
-    # yaw -l f11/r0 2 gamma x - 2 f23 psi + (l W gamma - k) psi = 0
+    # steady state: lateral 2 f22 psi + 2 f23 D/(2 r0) - W (D/2 + p) = 0 with D = 2 slope x: what the mass loses to
+    # its own tilt comes back through the spring; yaw -l f11/r0 2 gamma x - 2 f23 psi + (l W gamma - k) psi = 0
     f11, f22, f23 = P.longitudinal_creep_coefficient, P.lateral_creep_coefficient, P.lateral_spin_creep_coefficient
     system = np.array(
         [
@@ -105,6 +106,27 @@ def test_cross_level_carries_the_axle_and_pulls_it_down() -> None:
     )
     balanced = np.linalg.solve(system, [P.load * p, 0.0])
     assert x == pytest.approx(float(balanced[0]), rel=0.01)
+
+
+def test_cross_level_that_is_the_same_everywhere_is_a_cant() -> None:
+    """Relative to the track vehicles move, or come to rest, as on straight canted track."""
+    p, s, flat, level_line = 2e-3, np.arange(0.0, 500.0, 0.5), np.ones(1000), np.zeros(1000)
+    rough = make_track(TrackRecipe(length=500.0, interval=0.5), np.random.SeedSequence(3)).alignment[:1000]
+    single = RunningGear(replace(P, load=P.axle_load))
+    tied = replace(BOGIE, secondary_lateral_stiffness=2e6, secondary_lateral_damping=0.3e6, secondary_yaw_damping=1e5)
+    weight = (P.wheelset_mass + 0.5 * (BOGIE.frame_mass + BOGIE.body_mass)) * GRAVITY
+    bogie = RunningGear(replace(P, load=weight, lateral_stiffness=2e6), tied)
+    for gear, line, begin in ((single, rough, 0), (bogie, level_line, 19_900)):
+        rolled = TrackTruth(s, line, level_line, surface=Surface(p * flat, flat, flat))
+        cant = Curves(level_line, -2.0 * P.half_contact_distance * p * flat)
+        tables = [cones(0.1)] * gear.axles
+        one, other = (
+            simulate_gear(gear, tables, track, np.full(20_000, 20.0), 20.0)[0]
+            for track in (rolled, TrackTruth(s, line, level_line, cant))
+        )
+        for name in ("relative_displacement", "yaw"):
+            expected = getattr(other, name)[begin:]
+            np.testing.assert_allclose(getattr(one, name)[begin:], expected, atol=2e-3 * np.abs(expected).max())
 
 
 def test_a_wheel_that_is_not_round_turns_once_per_revolution() -> None:

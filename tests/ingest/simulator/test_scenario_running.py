@@ -1,0 +1,120 @@
+"""Friction, cross level, load, wheels and traction of a scenario: drawn as its keys say, refused where impossible."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenario_text import SMALL
+
+from estimation.errors import ScenarioError
+from ingest.simulator.axle_motion import averaged, axle_motions, contact_of, running_gear, wheelset_motion
+from ingest.simulator.campaign import scenario_track, vehicle_run
+from ingest.simulator.creep_laws import CreepLaw
+from ingest.simulator.running import FrictionPlan, RunningPlan
+from ingest.simulator.scenario import Scenario
+from ingest.simulator.scenario_file import read_scenario
+from ingest.simulator.surface import RAIL_DISTANCE, friction_along
+
+RUNNING = """[creep]
+law = "vermeulen_johnson"
+lowest_friction = 0.15
+highest_friction = 0.5
+correlation_m = 20.0
+campaign_std_percent = 20.0
+[wheels]
+out_of_round_mm = 0.1
+contact_half_width_mm = 0.5
+[traction]
+driven_axles = [2]
+[section.cross_level]
+std_mm = 2.0
+[section.load_variation]
+std_percent = 10.0
+[fleet]"""
+
+
+def scenario_of(folder: Path, text: str) -> Scenario:
+    path = folder / "scenario.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_scenario(path)
+
+
+def test_every_key_gets_into_the_running_gear_and_the_track(tmp_path: Path) -> None:
+    scenario = scenario_of(tmp_path, SMALL.replace("[fleet]", RUNNING))
+    track, vehicle = scenario_track(scenario), scenario.vehicles[0]
+    assert track.surface is not None
+    assert (RAIL_DISTANCE * track.surface.roll).std() == pytest.approx(2e-3, rel=0.01)
+    assert track.surface.load.std() == pytest.approx(0.1, rel=0.01)
+    mean = 0.5 * (0.15 + 0.5)
+    assert 0.15 <= mean * track.surface.friction.min() < mean * track.surface.friction.max() <= 0.5
+    gears = [running_gear(scenario, vehicle_run(scenario, track, vehicle, campaign), (1,)) for campaign in (0, 1)]
+    assert gears[0].creep.law is CreepLaw.VERMEULEN_JOHNSON
+    assert gears[0].creep.friction != gears[1].creep.friction
+    assert [wheel.amplitude for wheel in gears[0].wheels[0]] == [1e-4, 1e-4]
+    assert gears[0].wheels[0][0].phase != gears[0].wheels[0][1].phase
+    assert (gears[0].traction, gears[0].braking) == ((3.0,), (1.0,))
+    run = vehicle_run(scenario, track, vehicle, 0)
+    motion = wheelset_motion(scenario, track, run, 0)
+    assert motion.mass_roll is not None
+    line = replace(scenario, running=replace(scenario.running, traction=False))
+    assert not np.array_equal(wheelset_motion(line, track, run, 0).yaw, motion.yaw)
+
+
+def test_what_is_not_drawn_leaves_track_and_motion_as_they_are(tmp_path: Path) -> None:
+    scenario = scenario_of(tmp_path, SMALL)
+    track = scenario_track(scenario)
+    assert track.surface is None
+    assert scenario.running == RunningPlan()
+    assert scenario.running.plain
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("vermeulen_johnson", "kalker", "'kalker' is none of linear, vermeulen_johnson, polach"),
+        ("vermeulen_johnson", "linear", "has no effect with law = 'linear'"),
+        ("highest_friction = 0.5", "highest_friction = 0.1", "0.1 is below 'lowest_friction', 0.15"),
+        ("highest_friction = 0.5\n", "", "'creep.highest_friction': is missing"),
+        ("highest_friction = 0.5", "highest_friction = 0.5\nfriction = 0.3", "cannot be given beside its limits"),
+        ("highest_friction = 0.5", "highest_friction = 0.5\nslip_factor = 0.3", "has no effect without law = 'polach'"),
+        ("driven_axles = [2]", "driven_axles = [9]", "there is no axle 9"),
+    ],
+)
+def test_impossible_running_is_refused(tmp_path: Path, old: str, new: str, reason: str) -> None:
+    with pytest.raises(ScenarioError, match=reason):
+        scenario_of(tmp_path, SMALL.replace("[fleet]", RUNNING.replace(old, new)))
+
+
+def test_friction_is_spread_evenly_between_its_limits_and_changes_over_its_correlation_length() -> None:
+    mu = friction_along(FrictionPlan(0.2, 0.4, 10.0), 200_000, 0.25, np.random.default_rng(1))
+    counts, _ = np.histogram(mu, bins=4, range=(0.2, 0.4))
+    np.testing.assert_allclose(counts / len(mu), 0.25, atol=0.03)
+    assert np.corrcoef(mu[:-4], mu[4:])[0, 1] > 0.99  # 1 m
+    assert abs(np.corrcoef(mu[:-200], mu[200:])[0, 1]) < 0.1  # 50 m
+
+
+def test_contacts_of_finite_size_smooth_the_table_and_keep_a_cone(tmp_path: Path) -> None:
+    scenario = scenario_of(tmp_path, SMALL)
+    track = scenario_track(scenario)
+    table = contact_of(scenario, track, scenario.vehicles[0].wheelsets[0], 5e7).table
+    smooth = averaged(table, 0.5e-3)
+    bends = [np.abs(np.diff(item.rolling_radius_left[:, 0], 2)).max() for item in (smooth, table)]
+    assert bends[0] < 0.5 * bends[1]
+    assert averaged(table, 0.0) is table
+    sloped = replace(table, rolling_radius_left=table.rolling_radius_left * 0.0 + table.lateral_displacement[:, None])
+    kept = averaged(sloped, 0.5e-3).rolling_radius_left[20:-20]
+    np.testing.assert_allclose(kept, sloped.rolling_radius_left[20:-20], atol=1e-12)
+
+
+def test_wheelsets_of_another_radius_get_contact_and_motion_of_that_radius(tmp_path: Path) -> None:
+    small = scenario_of(tmp_path, SMALL.replace("[fleet]", "[dynamics]\nnominal_radius = 0.42\n[fleet]"))
+    track, vehicle = scenario_track(small), small.vehicles[0]
+    assert {item.nominal_radius for item in vehicle.wheelsets} == {0.42}
+    run = vehicle_run(small, track, vehicle, 0)
+    table = contact_of(small, track, vehicle.wheelsets[0], run.odometer).table
+    assert float(table.rolling_radius_left.mean()) == pytest.approx(0.42, abs=5e-3)
+    (motion,) = axle_motions(small, track, run, (0,), [table])
+    assert motion.outside == 0
