@@ -66,19 +66,52 @@ def check_vehicles(file: InputFile, vehicles: Sequence[VehicleRecord], classes: 
     """
     for index, vehicle in enumerate(vehicles):
         known = classes.get(vehicle.vehicle_class)
-        if known is None or known.bogie is None:
-            continue
-        if vehicle.axles % AXLES_OF_A_BOGIE:
-            reason = f"{vehicle.axles}: class {known.code!r} runs on bogies of two axles"
-            raise file.error(reason, ("vehicles", index, "axles"))
-        offsets = vehicle.axle_offsets_m
-        for front, rear in zip(offsets[::2], offsets[1::2], strict=True):
-            if abs(abs(rear - front) - known.bogie.wheelbase) > WHEELBASE_TOLERANCE:
-                reason = (
-                    f"axles at {front:g} and {rear:g} m are {abs(rear - front):g} m apart, "
-                    f"the wheelbase of class {known.code!r} is {known.bogie.wheelbase:g} m"
-                )
-                raise file.error(reason, ("vehicles", index, "axle_offsets_m"))
+        misfit = None if known is None else _misfit(vehicle, known)
+        if misfit is not None:
+            field, reason = misfit
+            raise file.error(reason, ("vehicles", index, field))
+
+
+def check_classes(
+    file: InputFile, classes: Sequence[VehicleClass], on_file: Mapping[str, Sequence[VehicleRecord]]
+) -> None:
+    """Refuse classes to which vehicles on file do not belong.
+
+    Parameters
+    ----------
+    file
+        The registry file.
+    classes
+        Of the file, in its order.
+    on_file
+        By code of the class, its vehicles that the file does not change.
+
+    Raises
+    ------
+    InputError
+        As ``check_vehicles``.
+    """
+    for index, one in enumerate(classes):
+        for vehicle in on_file.get(one.code, ()):
+            misfit = _misfit(vehicle, one)
+            if misfit is not None:
+                raise file.error(f"vehicle {vehicle.code!r} on file: {misfit[1]}", (_FIELD, index))
+
+
+def _misfit(vehicle: VehicleRecord, known: VehicleClass) -> tuple[str, str] | None:
+    """Return field and reason why the axles of a vehicle are not those of a class; None where they are."""
+    if known.bogie is None:
+        return None
+    if vehicle.axles % AXLES_OF_A_BOGIE:
+        return "axles", f"{vehicle.axles}: class {known.code!r} runs on bogies of two axles"
+    offsets = vehicle.axle_offsets_m
+    for front, rear in zip(offsets[::2], offsets[1::2], strict=True):
+        if abs(abs(rear - front) - known.bogie.wheelbase) > WHEELBASE_TOLERANCE:
+            return "axle_offsets_m", (
+                f"axles at {front:g} and {rear:g} m are {abs(rear - front):g} m apart, "
+                f"the wheelbase of class {known.code!r} is {known.bogie.wheelbase:g} m"
+            )
+    return None
 
 
 def check_wheelsets(

@@ -25,7 +25,7 @@ from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.registry import RegistryStore
 from ingest.input_file import InputFile, Location, read_json
 from ingest.profiles.wheel_profile import read_wheel_profile
-from ingest.registry_classes import check_vehicles, check_wheelsets, read_classes
+from ingest.registry_classes import check_classes, check_vehicles, check_wheelsets, read_classes
 from ingest.registry_schema import AlignmentEntry, MeasurementEntry, RegistryObject, SectionEntry
 from ingest.track_file import (
     LAYOUT_COLUMNS,
@@ -110,10 +110,16 @@ def _check_classes(file: InputFile, contents: RegistryContents, registry: Regist
     """Refuse vehicles and wheelsets of the file that do not belong to their class, of the file or on file."""
     classes = {one.code: one for one in contents.classes}
     for code in _classes_of(contents) - set(classes):
-        on_file = registry.vehicle_class(code)
-        if on_file is not None:
-            classes[code] = on_file.vehicle_class
+        known = registry.vehicle_class(code)
+        if known is not None:
+            classes[code] = known.vehicle_class
     check_vehicles(file, contents.vehicles, classes)
+    changed = {vehicle.code for vehicle in contents.vehicles}
+    on_file = {
+        one.code: [vehicle for vehicle in registry.vehicles_of_class(one.code) if vehicle.code not in changed]
+        for one in contents.classes
+    }
+    check_classes(file, contents.classes, on_file)
     of_vehicle = {vehicle.code: classes.get(vehicle.vehicle_class) for vehicle in contents.vehicles}
     found = {item.wheelset: of_vehicle.get(item.vehicle) for item in contents.mountings}
     check_wheelsets(file, contents.wheelsets, {name: one for name, one in found.items() if one is not None})

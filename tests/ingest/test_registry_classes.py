@@ -113,6 +113,17 @@ def test_axles_of_a_bogie_are_its_wheelbase_apart(sqlite_storage: SqlStorage, tm
     assert "wheelbase of class 'coach' is 2.56 m" in str(error)
 
 
+def test_a_changed_class_still_fits_the_vehicles_on_file(sqlite_storage: SqlStorage, tmp_path: Path) -> None:
+    load(sqlite_storage, tmp_path, registry())
+    shorter = COACH | {"bogie": COACH["bogie"] | {"wheelbase_m": 2.4}}
+    alone = {"format": "treadwatch-registry-1", "vehicle_classes": [shorter]}
+    with pytest.raises(InputError, match="vehicle 'V1' on file") as found:
+        load(sqlite_storage, tmp_path, alone)
+    assert found.value.field == "vehicle_classes[0]"
+    both = registry(axle_offsets_m=[0.0, 2.4, 19.0, 21.4]) | {"vehicle_classes": [shorter]}
+    load(sqlite_storage, tmp_path, both)
+
+
 def test_a_vehicle_on_bogies_has_an_even_number_of_axles(sqlite_storage: SqlStorage, tmp_path: Path) -> None:
     error = refused(sqlite_storage, tmp_path, registry(axles=3, axle_offsets_m=[0.0, WHEELBASE, 19.0]))
     assert error.field == "vehicles[0].axles"

@@ -1,0 +1,128 @@
+"""Mountings: which wheelset ran at which axle of which vehicle, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from sqlalchemy import Connection, Row, and_, or_, select
+
+from estimation.errors import ConflictError, ParameterError
+from estimation.values.registry import Mounting
+from fleet_db.models import MountingRow
+from fleet_db.rows import table_of, upsert
+
+MOUNTINGS = table_of(MountingRow)
+
+
+def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
+    """Return the mounting at an axle that covers ``at_ns``.
+
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    vehicle
+        Code.
+    axle
+        From 1.
+    at_ns
+        ns UTC on the vehicle's clock.
+    """
+    statement = select(MOUNTINGS).where(
+        MOUNTINGS.c.vehicle == vehicle,
+        MOUNTINGS.c.axle == axle,
+        MOUNTINGS.c.from_ns <= at_ns,
+        or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > at_ns),
+    )
+    row = connection.execute(statement).first()
+    return None if row is None else to_mounting(row)
+
+
+def mountings_on(connection: Connection, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
+    """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start.
+
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    vehicle
+        Code.
+    from_ns, to_ns
+        Interval of the vehicle's clock, ns UTC, its end excluded.
+    """
+    statement = (
+        select(MOUNTINGS)
+        .where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.from_ns < to_ns)
+        .where(or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > from_ns))
+        .order_by(MOUNTINGS.c.axle, MOUNTINGS.c.from_ns)
+    )
+    return [to_mounting(row) for row in connection.execute(statement)]
+
+
+def mountings_of(connection: Connection, wheelset: str) -> Sequence[Mounting]:
+    """Return every mounting of a wheelset, oldest first."""
+    statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset == wheelset).order_by(MOUNTINGS.c.from_ns)
+    return [to_mounting(row) for row in connection.execute(statement)]
+
+
+def reversed_on_file(connection: Connection, record: Mounting) -> bool | None:
+    """Return which way round the mounting of the same wheelset and start is on file; None where there is none."""
+    key = and_(MOUNTINGS.c.wheelset == record.wheelset, MOUNTINGS.c.from_ns == record.from_ns)
+    found = connection.execute(select(MOUNTINGS.c.reversed).where(key)).first()
+    return None if found is None else bool(found.reversed)
+
+
+def add_mounting(connection: Connection, record: Mounting, axles: int) -> bool:
+    """Store a mounting on a vehicle of so many axles; return whether anything changed.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    record
+        The mounting.
+    axles
+        Number of axles of its vehicle.
+
+    Raises
+    ------
+    ParameterError
+        The vehicle has no such axle, or the mounting ends before it starts.
+    ConflictError
+        It overlaps another of the same wheelset or of the same axle.
+    """
+    if not 1 <= record.axle <= axles:
+        raise ParameterError(f"vehicle {record.vehicle!r} has axles 1 to {axles}, not {record.axle}", field="axle")
+    if record.to_ns is not None and record.to_ns <= record.from_ns:
+        raise ParameterError(f"ends at {record.to_ns}, not after its start at {record.from_ns}", field="to_ns")
+    other = _overlapping(connection, record)
+    if other is not None:
+        raise ConflictError(
+            f"wheelset {record.wheelset!r} at axle {record.axle} of {record.vehicle!r} from {record.from_ns}: "
+            f"overlaps wheelset {other.wheelset!r} at axle {other.axle} of {other.vehicle!r} from {other.from_ns}",
+            kind="mounting",
+            key=record.wheelset,
+        )
+    return upsert(connection, MOUNTINGS, asdict(record))
+
+
+def _overlapping(connection: Connection, record: Mounting) -> Mounting | None:
+    table = MOUNTINGS.c
+    same_key = and_(table.wheelset == record.wheelset, table.from_ns == record.from_ns)
+    same_axle = and_(table.vehicle == record.vehicle, table.axle == record.axle)
+    statement = select(MOUNTINGS).where(
+        ~same_key,
+        or_(table.wheelset == record.wheelset, same_axle),
+        or_(table.to_ns.is_(None), table.to_ns > record.from_ns),
+    )
+    if record.to_ns is not None:
+        statement = statement.where(table.from_ns < record.to_ns)
+    row = connection.execute(statement.order_by(table.from_ns)).first()
+    return None if row is None else to_mounting(row)
+
+
+def to_mounting(row: Row[Any]) -> Mounting:
+    """Return the value of a row."""
+    return Mounting(**row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
