@@ -241,7 +241,7 @@ def _angle_sum(
     """Return A over the bins; in a bogie it cannot be seen beside the yaw spring."""
     theta, prior = replicates.yaw[:, :, 0, :], parameters.prior_angle
     if bins.wheelbase is not None:
-        theta, prior = np.full_like(theta, np.inf), 0.0
+        theta = np.full_like(theta, np.nan)
     return _combination(theta, parameters.uncertainty.yaw(), screening, prior)
 
 
