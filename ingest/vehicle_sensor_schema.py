@@ -24,7 +24,7 @@ class SensorTable(InputTable):
     range_rad_s2: Annotated[float, Field(ge=0.5, le=2e4)] | None = None
     noise_density_rad_s_rthz: Annotated[float, Field(ge=0.0, le=0.05)] | None = None
     range_rad_s: Annotated[float, Field(ge=0.1, le=100.0)] | None = None
-    scale_std: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0  # relative
+    scale_std: Annotated[float, Field(ge=0.0, le=0.5)] = 0.01  # relative; the default is that of usual sensors
 
     @model_validator(mode="after")
     def _check_units(self) -> Self:
