@@ -49,7 +49,7 @@ def solve_with_shared_scales(
     left = np.where(counted, gram[:, :, :q, :q] - coupling @ of_shared, 0.0).sum(axis=1)
     right = np.where(counted, cross[:, :, :q, :] - coupling @ alone, 0.0).sum(axis=1)
     unshared = np.maximum(square - np.einsum("rbi,rbi->rb", alone[..., 0], cross[:, :, q:, 0]), 0.0)
-    freedom = np.maximum(weight.sum(axis=1) - b * (p - q), 1.0)
+    freedom = np.maximum(np.where(solvable, weight - (p - q), 0.0).sum(axis=1), 1.0)
     variance = np.where(solvable, unshared, 0.0).sum(axis=1) / freedom
     common = np.linalg.solve(left + (variance / prior_std**2)[:, None, None] * np.eye(q), right)[:, None]
     own = alone - of_shared @ common

@@ -39,6 +39,8 @@ def test_the_defaults_are_half_of_the_95_percent_limits() -> None:
         "lateral_stiffness": 0.1,
         "lateral_damping": 0.1,
         "yaw_stiffness": 0.1,
+        "saturation": 6.0,  # of 1/mu, which is taken as zero
+        "noise": 0.0,
     }
     np.testing.assert_allclose(2.0 * UNCERTAIN.lateral(), [limits[name] for name in LATERAL_TARGETS[1:]])
     np.testing.assert_allclose(2.0 * UNCERTAIN.yaw(), [limits[name] for name in YAW_TARGETS[1:]])
@@ -47,7 +49,7 @@ def test_the_defaults_are_half_of_the_95_percent_limits() -> None:
 
 def test_an_estimated_ratio_stands_for_creep_and_stiffness_of_the_yaw_equation_alone() -> None:
     known = replace(UNCERTAIN, ratio=0.03)
-    np.testing.assert_allclose(known.yaw(), [0.0, 0.03, 0.025, 0.1])
+    np.testing.assert_allclose(known.yaw(), [0.0, 0.03, 0.025, 0.1, 3.0, 0.0])
     np.testing.assert_array_equal(known.lateral(), UNCERTAIN.lateral())
 
 

@@ -17,7 +17,7 @@ from estimation.tables import bin_table
 from estimation.tables.least_squares import solve
 from estimation.values.motion import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.regressors import regression
+from estimation.vehicle.regressors import YAW_TARGETS, regression
 
 PARAMETERS = bin_table.BinParameters()
 
@@ -64,7 +64,7 @@ def test_a_bin_equals_least_squares_on_its_samples() -> None:
     a, c = eq.yaw[inside].T
     X = np.column_stack([a, c, c * u, c * u**2])
     expected, *_ = np.linalg.lstsq(X / np.linalg.norm(X, axis=0), eq.yaw_targets[inside, 0], rcond=None)
-    theta = solve(table.yaw.sum(axis=0), table.weight.sum(axis=0), 4, 5).theta[b, :, 0]
+    theta = solve(table.yaw.sum(axis=0), table.weight.sum(axis=0), 4, len(YAW_TARGETS)).theta[b, :, 0]
     np.testing.assert_allclose(theta, expected / np.linalg.norm(X, axis=0), rtol=1e-6)
     assert table.weight.sum(axis=0)[b] == inside.sum()
 
@@ -128,7 +128,7 @@ def test_all_four_combinations_are_found_from_ideal_signals() -> None:
     n = table.weight.sum(axis=0)
     good = n > 2000
     lateral = solve(table.lateral.sum(axis=0), n, 4, 7).theta[good]
-    yaw = solve(table.yaw.sum(axis=0), n, 4, 5).theta[good]
+    yaw = solve(table.yaw.sum(axis=0), n, 4, len(YAW_TARGETS)).theta[good]
     x = x[good]
     assert good.sum() > 15
     S, D = lateral[:, 0, 0], lateral[:, 2, 0]

@@ -138,11 +138,15 @@ def test_a_learnt_ratio_stands_for_creep_and_yaw_stiffness_in_the_yaw_equation_a
         "yaw_stiffness": 0.05,
         "yaw_inertia": 0.025,
         "spin_creep": 0.1,
+        "saturation": 3.0,
+        "noise": 0.0,
     }
     assert dict(zip(YAW_TARGETS[1:], learnt.yaw(), strict=True)) == {
         "longitudinal_creep": 0.0,
         "yaw_stiffness": 0.01,
         "yaw_inertia": 0.025,
         "spin_creep": 0.1,
+        "saturation": 3.0,
+        "noise": 0.0,
     }
     np.testing.assert_array_equal(learnt.lateral(), assumed.lateral())
