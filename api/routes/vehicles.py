@@ -11,7 +11,7 @@ from api.problems import described
 from api.schemas import registry, suspension
 from api.schemas.common import Page
 from api.services import ServicesDep
-from estimation.trend.suspension import suspension_changes
+from estimation.trend.suspension import SuspensionParameters, suspension_changes
 
 router = APIRouter(prefix="/v1/vehicles", tags=["vehicles"])
 
@@ -43,9 +43,10 @@ def get_vehicle(request: Request, services: ServicesDep, code: Code, _held: IfNo
 @router.get("/{code}/suspension", response_model=suspension.Suspension, responses=described(404))
 def get_suspension(request: Request, services: ServicesDep, code: Code, _held: IfNoneMatch = None) -> Response:
     """Return what the passes of a vehicle show of its yaw stiffness, over time."""
+    usual = SuspensionParameters()
     with services.storage.read() as unit:
         unit.registry.vehicle(code)
-        findings = unit.suspensions.list()
-    own = [one for one in findings if one.vehicle == code]
-    change = suspension_changes(findings).get(code)
-    return answer(request, suspension.suspension(code, own, change))
+        findings = unit.suspensions.list(code)
+        newest = unit.suspensions.newest(usual.recent + usual.most_past)
+    change = suspension_changes(newest, usual).get(code)
+    return answer(request, suspension.suspension(code, findings, change))

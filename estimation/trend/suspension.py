@@ -14,9 +14,12 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.suspension import SuspensionChange, SuspensionFinding
 
+MEDIAN_VARIANCE = np.pi / 2.0  # of that of a mean, of normal values
+MAD_STD = 1.4826  # standard deviations in a median absolute deviation
+DAY_NS = 86_400_000_000_000
 Findings = Annotated[int, Interval(ge=1, le=1000)]
 RelativeStd = Annotated[float, Interval(ge=0.001, le=1.0)]
 
@@ -27,6 +30,8 @@ class SuspensionParameters:
 
     recent: Findings = 3  # newest findings of a vehicle
     least_past: Findings = 3  # findings before them
+    most_past: Findings = 60  # of them that are looked at, the newest
+    together_days: Annotated[float, Interval(ge=0.01, le=365.0)] = 1.0  # between passes that have friction in common
     common_creep_std: RelativeStd = 0.15  # relative, of a section and time, where no other vehicle shows it
     own_creep_std: RelativeStd = (
         0.04  # relative, of a vehicle against the others on one section: other wheels, other hours
@@ -62,38 +67,75 @@ def suspension_changes(
         What counts as now, and what friction may do.
     """
     p = parameters or SuspensionParameters()
-    by_vehicle = {
-        code: _series([item for item in findings if item.vehicle == code], p)
-        for code in sorted({item.vehicle for item in findings})
-    }
-    moved = {
-        (item.vehicle, item.section, item.to_ns): series.level[k] - series.reference
-        for series in by_vehicle.values()
-        if series.past > 0
-        for k, item in enumerate(series.findings)
-    }
+    by_vehicle = _by_vehicle(findings, p)
+    sections = _by_section(by_vehicle)
     enough = {code: s for code, s in by_vehicle.items() if s.past >= p.least_past and len(s.level) > s.past}
-    return {code: _change(code, series, by_vehicle, moved, p) for code, series in enough.items()}
+    return {code: _change(code, series, sections, p) for code, series in enough.items()}
+
+
+def _by_vehicle(findings: Sequence[SuspensionFinding], p: SuspensionParameters) -> dict[str, _Series]:
+    own: dict[str, list[SuspensionFinding]] = {}
+    for item in findings:
+        own.setdefault(item.vehicle, []).append(item)
+    return {code: _series(own[code], p) for code in sorted(own)}
 
 
 def _series(own: Sequence[SuspensionFinding], p: SuspensionParameters) -> _Series:
-    ordered = sorted(own, key=lambda item: (item.to_ns, item.section))
+    ordered = sorted(own, key=lambda item: (item.to_ns, item.section))[-(p.recent + p.most_past) :]
     level = np.array([np.log(item.ratio * item.assumed) for item in ordered])
     variance = np.array([(item.ratio_std / item.ratio) ** 2 for item in ordered])
     return _Series(ordered, level, variance + p.own_creep_std**2, max(0, len(ordered) - p.recent))
 
 
-def _change(
-    code: str,
-    series: _Series,
-    by_vehicle: Mapping[str, _Series],
-    moved: Mapping[tuple[str, str, int], float],
-    p: SuspensionParameters,
-) -> SuspensionChange:
+@dataclass(frozen=True, slots=True)
+class _Section:
+    """By how much vehicles differ from their own past on a section, in order of the begin of the passes."""
+
+    from_ns: IntArray  # (k,)
+    to_ns: IntArray  # (k,)
+    longest_ns: int
+    vehicle: tuple[str, ...]  # (k,)
+    shift: FloatArray  # (k,)
+
+    def of_others(self, code: str, item: SuspensionFinding, within_ns: int) -> dict[str, float]:
+        """Return by vehicle how the others differ: of each the passes nearest in time, within some of it."""
+        first = int(np.searchsorted(self.from_ns, item.from_ns - within_ns - self.longest_ns, side="left"))
+        last = int(np.searchsorted(self.from_ns, item.to_ns + within_ns, side="right"))
+        nearest: dict[str, tuple[int, float]] = {}
+        for k in range(first, last):
+            if self.vehicle[k] == code or self.to_ns[k] < item.from_ns - within_ns:
+                continue
+            apart = abs(int(self.from_ns[k]) + int(self.to_ns[k]) - item.from_ns - item.to_ns)
+            found = (apart, float(self.shift[k]))
+            nearest[self.vehicle[k]] = min(found, nearest.get(self.vehicle[k], found))
+        return {other: shift for other, (_, shift) in nearest.items()}
+
+
+def _by_section(by_vehicle: Mapping[str, _Series]) -> dict[str, _Section]:
+    """Return the sections that vehicles with a past have run on."""
+    rows: dict[str, list[tuple[int, int, str, float]]] = {}
+    for code, series in by_vehicle.items():
+        if series.past == 0:
+            continue
+        for item, level in zip(series.findings, series.level, strict=True):
+            row = (item.from_ns, item.to_ns, code, float(level) - series.reference)
+            rows.setdefault(item.section, []).append(row)
+    return {section: _section(sorted(listed)) for section, listed in rows.items()}
+
+
+def _section(rows: Sequence[tuple[int, int, str, float]]) -> _Section:
+    from_ns, to_ns = (np.array([row[k] for row in rows], dtype=np.int64) for k in (0, 1))
+    return _Section(
+        from_ns, to_ns, int((to_ns - from_ns).max()), tuple(row[2] for row in rows), np.array([row[3] for row in rows])
+    )
+
+
+def _change(code: str, series: _Series, sections: Mapping[str, _Section], p: SuspensionParameters) -> SuspensionChange:
     level, friction = series.level.copy(), np.zeros(len(series.level))
+    within_ns = round(p.together_days * DAY_NS)
     seen: set[str] = set()
     for k, item in enumerate(series.findings):
-        shifts = _shifts_of_others(code, item, by_vehicle, moved)
+        shifts = sections[item.section].of_others(code, item, within_ns)
         seen |= shifts.keys()
         common, common_variance = _common(list(shifts.values()), p)
         level[k] -= common
@@ -115,21 +157,6 @@ def _change(
     )
 
 
-def _shifts_of_others(
-    code: str, item: SuspensionFinding, by_vehicle: Mapping[str, _Series], moved: Mapping[tuple[str, str, int], float]
-) -> dict[str, float]:
-    """Return by vehicle by how much others differ from their own past on that section over that time."""
-    shifts: dict[str, list[float]] = {}
-    for other, series in by_vehicle.items():
-        if other == code or series.past == 0:
-            continue
-        for theirs in series.findings:
-            together = theirs.section == item.section and theirs.from_ns < item.to_ns and item.from_ns < theirs.to_ns
-            if together:
-                shifts.setdefault(other, []).append(moved[other, theirs.section, theirs.to_ns])
-    return {other: float(np.mean(values)) for other, values in shifts.items()}
-
-
 def _common(shifts: Sequence[float], p: SuspensionParameters) -> tuple[float, float]:
     """Return what a section does to all ratios, as far as the others show it, and the variance that is left of it.
 
@@ -139,6 +166,16 @@ def _common(shifts: Sequence[float], p: SuspensionParameters) -> tuple[float, fl
     prior = p.common_creep_std**2
     if not shifts:
         return 0.0, prior
-    own = 2.0 * p.own_creep_std**2 * 1.57 / len(shifts)  # of a median
+    middle = float(np.median(shifts))
+    own = max(2.0 * p.own_creep_std**2, _scatter(shifts, middle, p) ** 2) * MEDIAN_VARIANCE / len(shifts)
     worth = prior / (prior + own)
-    return worth * float(np.median(shifts)), worth * own
+    return worth * middle, worth * own
+
+
+def _scatter(shifts: Sequence[float], middle: float, p: SuspensionParameters) -> float:
+    """Return the standard deviation between vehicles; with one or two nobody knows which of them has changed."""
+    if len(shifts) == 1:
+        return p.common_creep_std
+    if len(shifts) == 2:  # noqa: PLR2004 - two have no majority
+        return float(np.std(shifts, ddof=1))
+    return MAD_STD * float(np.median(np.abs(np.asarray(shifts) - middle)))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, Row, Select, func, select
+from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
 from estimation.values.suspension import SuspensionFinding
 from fleet_db.models.suspension import SuspensionFindingRow
@@ -37,20 +39,38 @@ class SuspensionStore:
 
     def list(self, vehicle: str | None = None) -> Sequence[SuspensionFinding]:
         """Return the findings of a vehicle, or of all, in order of vehicle, time and section."""
-        statement = select(FINDINGS).order_by(FINDINGS.c.vehicle, FINDINGS.c.to_ns, FINDINGS.c.section)
+        statement = select(FINDINGS)
         if vehicle is not None:
             statement = statement.where(FINDINGS.c.vehicle == vehicle)
-        return [
-            SuspensionFinding(
-                vehicle=row.vehicle,
-                section=row.section,
-                from_ns=row.from_ns,
-                to_ns=row.to_ns,
-                ratio=row.ratio,
-                ratio_std=row.ratio_std,
-                assumed=row.assumed_m,
-                code_version=row.code_version,
-                recorded_ns=row.recorded_ns,
-            )
-            for row in self.connection.execute(statement)
-        ]
+        return self._read(statement, FINDINGS.c)
+
+    def newest(self, count: int) -> Sequence[SuspensionFinding]:
+        """Return the newest findings of every vehicle, in order of vehicle, time and section.
+
+        Parameters
+        ----------
+        count
+            At most so many of each.
+        """
+        order = (FINDINGS.c.to_ns.desc(), FINDINGS.c.section.desc())
+        rank = func.row_number().over(partition_by=FINDINGS.c.vehicle, order_by=order)
+        ranked = select(FINDINGS, rank.label("rank")).subquery()
+        return self._read(select(ranked).where(ranked.c.rank <= count), ranked.c)
+
+    def _read(self, statement: Select[Any], columns: ReadOnlyColumnCollection[str, Any]) -> Sequence[SuspensionFinding]:
+        ordered = statement.order_by(columns.vehicle, columns.to_ns, columns.section)
+        return [_finding(row) for row in self.connection.execute(ordered)]
+
+
+def _finding(row: Row[Any]) -> SuspensionFinding:
+    return SuspensionFinding(
+        vehicle=row.vehicle,
+        section=row.section,
+        from_ns=row.from_ns,
+        to_ns=row.to_ns,
+        ratio=row.ratio,
+        ratio_std=row.ratio_std,
+        assumed=row.assumed_m,
+        code_version=row.code_version,
+        recorded_ns=row.recorded_ns,
+    )

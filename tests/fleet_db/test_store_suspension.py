@@ -23,6 +23,8 @@ def test_findings_come_back_in_order_of_time(fleet: SqlStorage) -> None:
     with fleet.read() as unit:
         assert unit.suspensions.list("V-1") == [FINDING, later]
         assert unit.suspensions.list() == [FINDING, later, other]
+        assert unit.suspensions.newest(2) == [FINDING, later, other]
+        assert unit.suspensions.newest(1) == [later, other]
 
 
 def test_an_epoch_that_is_looked_at_again_replaces_its_finding(fleet: SqlStorage) -> None:

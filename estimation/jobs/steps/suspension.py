@@ -77,7 +77,7 @@ def changes_by_wheelset(unit: UnitOfWork, parameters: SuspensionParameters) -> M
     parameters
         What counts as now, and what friction may do.
     """
-    changes = suspension_changes(unit.suspensions.list(), parameters)
+    changes = suspension_changes(unit.suspensions.newest(parameters.recent + parameters.most_past), parameters)
     if not changes:
         return {}
     first: dict[str, tuple[int, str]] = {}

@@ -113,6 +113,8 @@ RANGES: dict[str, dict[str, Range]] = {
         "clear_probability": PROBABILITY,
         "parameters.recent": Range(1, 1000, whole=True),
         "parameters.least_past": Range(1, 1000, whole=True),
+        "parameters.most_past": Range(1, 1000, whole=True),
+        "parameters.together_days": Range(0.01, 365.0),
         "parameters.common_creep_std": Range(0.001, 1.0),
         "parameters.own_creep_std": Range(0.001, 1.0),
     },

@@ -89,6 +89,40 @@ def test_intervals_of_the_change_cover() -> None:
     assert np.mean(inside) >= 0.88
 
 
+@pytest.mark.parametrize(("others", "found"), [("B", None), ("BC", True), ("BCD", True)])
+def test_a_vehicle_whose_spring_has_changed_does_not_accuse_the_others(others: str, found: bool | None) -> None:  # noqa: FBT001
+    for seed in range(10):
+        fleet = history("A", softened(0.45), seed=seed)
+        fleet += [one for name in others for one in history(name, [1.0] * 8, seed=seed)]
+        changes = suspension_changes(fleet)
+        assert [breached(changes[name]) for name in others] == [False] * len(others)
+        assert found is None or breached(changes["A"]) is found
+
+
+def test_vehicles_of_one_day_show_each_others_friction() -> None:
+    """Their passes follow each other; those of other days or sections show nothing."""
+    fleet = [*history("A", [1.0] * 8), *history("B", [1.0] * 8)]
+
+    def others(hours: float, section: str = "S") -> int:
+        by = round(hours / 24.0 * DAY)
+        moved = [
+            replace(one, from_ns=one.from_ns + by, to_ns=one.from_ns + by + 1, section=section)
+            for one in fleet
+            if one.vehicle == "B"
+        ]
+        short = [replace(one, to_ns=one.from_ns + 1) for one in fleet if one.vehicle == "A"]
+        return suspension_changes([*short, *moved], SuspensionParameters(together_days=0.25))["A"].others
+
+    assert [others(hours) for hours in (0.0, 5.9, 6.1, -5.9, -6.1)] == [1, 1, 0, 1, 0]
+    assert others(0.0, "elsewhere") == 0
+
+
+def test_the_past_is_the_newest_of_what_was_before() -> None:
+    long_ago = history("A", [2.0] * 10 + [1.0] * 10 + [0.5] * 3)
+    assert suspension_changes(long_ago, SuspensionParameters(most_past=10))["A"].change == pytest.approx(-0.5, abs=0.05)
+    assert suspension_changes(long_ago)["A"].past == 20
+
+
 def test_too_few_findings_say_nothing() -> None:
     assert suspension_changes([]) == {}
     assert suspension_changes(history("A", [1.0] * 5)) == {}
