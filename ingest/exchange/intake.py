@@ -55,6 +55,7 @@ def checked_exchange(description: Path, unit: SqlUnitOfWork) -> Exchange:
         reason = f"the registry has no class {vehicle.vehicle_class!r}, of which vehicle {vehicle.code} is"
         raise toml.error(reason, ("run", "vehicle"))
     gravity = on_file.vehicle_class.sensors.measures_gravity
+    in_bogie = on_file.vehicle_class.bogie is not None
     facts = RegistryFacts(section.number, _offset(file, vehicle), measures_gravity=gravity)
     table = description.parent / file.data
     if not table.is_file():
@@ -63,7 +64,7 @@ def checked_exchange(description: Path, unit: SqlUnitOfWork) -> Exchange:
     _check_section(run, facts, section, toml, table)
     first_ns, last_ns = (int(end) * INTERVAL_NS for end in run.tick[[0, -1]])
     _check_mountings(file, toml, unit, (first_ns, last_ns))
-    check_signs(run, file, toml)
+    check_signs(run, file, toml, in_bogie=in_bogie)
     return Exchange(description, table, vehicle.code, facts, first_ns, last_ns)
 
 

@@ -4,7 +4,8 @@ Of an axle that rolls forward, three signals are bound to each other. With a yaw
 ``y' = V psi`` up to small creep. Further to the left its left wheel runs on a larger radius, and is higher: roll goes
 with lateral displacement. So of lateral, yaw and roll the one that contradicts both others is turned. What cross
 level adds to roll and, as gravity, to the lateral accelerometer is bounded by the roll itself. The mass above takes
-power from the axle, for its suspension damps: its acceleration goes with the axle's lateral velocity.
+power from the axle, for its suspension damps: its acceleration goes with the axle's lateral velocity. A bogie frame
+follows its axles: its velocity does.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class SignEvidence:
     lateral_yaw: float | None
     roll_low: float
     roll_high: float
-    mass: float  # acceleration of the mass with the lateral velocity of the axle
+    mass: float  # acceleration of the mass, velocity of a bogie frame, with the lateral velocity of the axle
 
     @property
     def turned(self) -> Turned | None:
@@ -66,7 +67,7 @@ class SignEvidence:
         return Turned.YAW if self.roll_low > -BACKWARDS else Turned.LATERAL_OR_YAW
 
 
-def sign_evidence(run: ExchangeRun, axle: int) -> SignEvidence:
+def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidence:
     """Return how lateral, yaw and roll of an axle go with each other over a run.
 
     Parameters
@@ -75,13 +76,17 @@ def sign_evidence(run: ExchangeRun, axle: int) -> SignEvidence:
         The run.
     axle
         One of its axles.
+    in_bogie
+        What is above the axle is the frame of a bogie.
     """
     integrated = integrate(_window(run, axle), np.ones(len(run.tick), np.bool_), SignalParameters())
     low, high = _roll_bounds(integrated)
-    return SignEvidence(lateral_yaw_correlation(integrated), low, high, _mass_correlation(integrated))
+    return SignEvidence(
+        lateral_yaw_correlation(integrated), low, high, _mass_correlation(integrated, in_bogie=in_bogie)
+    )
 
 
-def check_signs(run: ExchangeRun, file: ExchangeFile, toml: InputFile) -> None:
+def check_signs(run: ExchangeRun, file: ExchangeFile, toml: InputFile, *, in_bogie: bool) -> None:
     """Raise where the signals of a run contradict its axes.
 
     Parameters
@@ -90,13 +95,15 @@ def check_signs(run: ExchangeRun, file: ExchangeFile, toml: InputFile) -> None:
         The run in the axes of the product, as described.
     file, toml
         Its description, and where in the file each key stands.
+    in_bogie
+        The vehicle has bogies.
 
     Raises
     ------
     ExchangeError
         A signal has the wrong sign: on all axles its axis, on some of them its sensor; names what must be turned.
     """
-    found = {axle: sign_evidence(run, axle) for axle in run.accelerations}
+    found = {axle: sign_evidence(run, axle, in_bogie=in_bogie) for axle in run.accelerations}
     turned = {axle: evidence.turned for axle, evidence in found.items()}
     kinds = set(turned.values())
     if kinds == {None}:
@@ -177,11 +184,11 @@ def _roll_bounds(integrated: IntegratedWindow) -> tuple[float, float]:
     return float((product - gravity) / scale), float((product + gravity) / scale)
 
 
-def _mass_correlation(integrated: IntegratedWindow) -> float:
+def _mass_correlation(integrated: IntegratedWindow, *, in_bogie: bool) -> float:
     seconds = round(LOOK_S / INTERVAL_S)
     product, mass, velocity = 0.0, 0.0, 0.0
     for segment in integrated.segments:
-        a = high_pass_running_mean(segment.accelerations[3], seconds)
+        a = high_pass_running_mean((segment.rates if in_bogie else segment.accelerations)[3], seconds)
         b = high_pass_running_mean(segment.rates[0], seconds)
         product, mass, velocity = product + float(a @ b), mass + float(a @ a), velocity + float(b @ b)
     return float(product / np.sqrt(mass * velocity)) if mass * velocity > 0.0 else 0.0

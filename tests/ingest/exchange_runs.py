@@ -14,6 +14,7 @@ from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
+from estimation.vehicle.vehicle_class import SensorLayout
 from ingest.simulator.axle_motion import wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.motion import STEP
@@ -150,7 +151,7 @@ def register(unit: UnitOfWork) -> None:
     """Store what the registry must know of the vehicle."""
     registry = unit.registry
     registry.add_fleet(FleetRecord("X", "Exchange"))
-    registry.add_vehicle_class(replace(shipped_class("coach"), code="railcar"), 1)
+    registry.add_vehicle_class(replace(shipped_class("paper"), code="railcar", sensors=SensorLayout()), 1)
     registry.add_vehicle(VehicleRecord(VEHICLE, "X", "railcar", 2, 40.0, (OFFSET_M, 4.5)))
     unit.tracks.add_section(TrackSectionRecord(SECTION, 7, "Line", "56E1", 0.05, 1.435, LENGTH_M))
     for axle in (1, 2):
