@@ -205,7 +205,8 @@ def gear_rates(
         under[1] -= c.r0 * place[1]
         if not look_up(tables[axle], grids[axle], state[first] - under[0], under[2], here):
             outside += 1 << axle
-        x = g.half_base if axle == 0 else -g.half_base
+        here[4] += place[0]
+        x = g.half_base * (1 - 2 * axle)
         suspension, turned = suspended(c, x, path[AXLE_PATH * axle :], state[first : first + 4], state)
         suspension += (c.load - c.mass * GRAVITY) * leaning
         force += suspension
@@ -213,11 +214,9 @@ def gear_rates(
         yaw += turned
         if speed < STANDSTILL:
             here[7] = 0.0
-            here[4] += place[0]
             rates[first : first + AXLE_STATES] = 0.0
             continue
         here[7] = here[5] * (state[first + 1] - speed * under[1]) + here[6] * speed * under[3] + speed * place[1]
-        here[4] += place[0]
         out_of_round(c, wheels, axle, at, speed, here)
         mass = g.traction[axle] if slope > 0.0 else g.braking[axle]
         wheelset(

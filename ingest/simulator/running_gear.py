@@ -36,6 +36,9 @@ from ingest.simulator.rates import STANDSTILL, Grid
 from ingest.simulator.stepping import OUTPUTS, sub_steps, time_derivative
 from ingest.simulator.track import TrackTruth
 
+ROLLING_LIMIT = 2.0  # as RATE_LIMIT, of the wheels' angular velocity: it follows what steers so fast that only its rest
+# state matters
+
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
@@ -211,7 +214,8 @@ def _parts(gear: RunningGear, speed: FloatArray) -> np.ndarray:
     p = gear.parameters
     rate = creep_rate(p, 1.0)
     if gear.free_rolling:
-        rate = max(rate, 2.0 * p.longitudinal_creep_coefficient * p.nominal_radius**2 / p.pitch_inertia)
+        rolling = 2.0 * p.longitudinal_creep_coefficient * p.nominal_radius**2 / p.pitch_inertia
+        rate = max(rate, rolling * RATE_LIMIT / ROLLING_LIMIT)
     fewest = int(np.ceil(gear.fastest_mode() * STEP / RATE_LIMIT))
     stands = np.maximum(speed[1:], speed[:-1]) < STANDSTILL  # without creep
     return np.where(stands, fewest, np.maximum(sub_steps(speed, STEP, rate, RATE_LIMIT), fewest))

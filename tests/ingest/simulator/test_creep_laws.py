@@ -28,7 +28,7 @@ def level(length: float = 1000.0) -> TrackTruth:
     return TrackTruth(s, np.zeros(len(s)), np.zeros(len(s)))
 
 
-@pytest.mark.parametrize("u", [1e-6, 0.5, 2.999, 3.001, 20.0])
+@pytest.mark.parametrize("u", [1e-6, 0.5, 2.5, 2.999, 3.001, 20.0])
 def test_vermeulen_and_johnson_saturate_at_three_times_friction(u: float) -> None:
     force = u * share_of_linear(JOHNSON.constants(), u * 1000.0, 1000.0, 0.1)
     expected = 1.0 if u >= 3.0 else 1.0 - (1.0 - u / 3.0) ** 3

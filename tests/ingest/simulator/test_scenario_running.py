@@ -16,7 +16,7 @@ from ingest.simulator.creep_laws import CreepLaw
 from ingest.simulator.running import FrictionPlan, RunningPlan
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
-from ingest.simulator.surface import RAIL_DISTANCE, friction_along
+from ingest.simulator.surface import friction_along
 
 RUNNING = """[creep]
 law = "vermeulen_johnson"
@@ -46,7 +46,7 @@ def test_every_key_gets_into_the_running_gear_and_the_track(tmp_path: Path) -> N
     scenario = scenario_of(tmp_path, SMALL.replace("[fleet]", RUNNING))
     track, vehicle = scenario_track(scenario), scenario.vehicles[0]
     assert track.surface is not None
-    assert (RAIL_DISTANCE * track.surface.roll).std() == pytest.approx(2e-3, rel=0.01)
+    assert track.surface.roll.std() == pytest.approx(2e-3 / 1.5, rel=0.01)
     assert track.surface.load.std() == pytest.approx(0.1, rel=0.01)
     mean = 0.5 * (0.15 + 0.5)
     assert 0.15 <= mean * track.surface.friction.min() < mean * track.surface.friction.max() <= 0.5
