@@ -194,7 +194,7 @@ def _grouped(number: int) -> Callable[[BinParameters], BinParameters]:
 
 
 def _certain() -> GeometryParameters:
-    return GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0))
+    return GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
 
 
 def _spread(estimates: Sequence[WheelsetGeometry]) -> FloatArray:

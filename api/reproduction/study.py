@@ -79,7 +79,7 @@ def run(gauge_std: float, seconds: float, seed: int) -> Case:
     motion = simulate_wheelset(VehicleParameters(), table, track, speed, 20.0)
     seen = ideal_motion(motion)
     parameters = bin_table.BinParameters()
-    certain = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0))
+    certain = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
     estimate = estimate_geometry(bin_table.tabulate(seen, parameters), parameters, certain)
     printed = paper_equations.estimate(seen, paper_equations.PaperParameters(width=parameters.width))
     truth, jump = _truth(table, estimate.bin_edges)

@@ -75,7 +75,7 @@ def _trend() -> list[float | None]:
     ]
     found = refresh(points, 0.3)
     ahead = found.distance_to_limit_km
-    return [*_estimate(found.current), *_estimate(found.slope_per_1000_km), ahead.p10, ahead.p50, ahead.p90]
+    return [*_estimate(found.fitted), *_estimate(found.slope_per_1000_km), ahead.p10, ahead.p50, ahead.p90]
 
 
 def _estimate(estimate: Estimate) -> list[float | None]:

@@ -27,7 +27,7 @@ from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.vehicle.regressors import regression
 
-CERTAIN = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0))
+CERTAIN = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
 ALL = pytest.mark.parametrize("estimator", estimators(), ids=lambda item: item.name)
 
 
