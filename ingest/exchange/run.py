@@ -87,7 +87,7 @@ def exchange_run(file: ExchangeFile, table: ExchangeTable, facts: RegistryFacts)
     time = uniform_time(table, file.time.column, unit("time", file.time).factor, file.sampling.rate_hz)
     tick, at = ticks_of(time, file.run.start_ns, INTERVAL_NS)
     position, speed = _values(table, "position", file.position), _values(table, "speed", file.speed)
-    _check_speed(table, file, position, speed, time.interval_s)
+    _check_speed(table, file.position.column, file.speed.column, (position, speed), time.interval_s)
     forward = -1.0 if position[-1] < position[0] else 1.0
     samples = np.arange(time.count)
     distance = np.interp(at, samples, position) + forward * facts.axle_offset_m
@@ -118,17 +118,19 @@ def _values(table: ExchangeTable, name: str, column: Column) -> FloatArray:
 
 
 def _check_speed(
-    table: ExchangeTable, file: ExchangeFile, position: FloatArray, speed: FloatArray, interval_s: float
+    table: ExchangeTable, place: str, rate: str, values: tuple[FloatArray, FloatArray], interval_s: float
 ) -> None:
+    """Raise where the speed is negative, or the position (column ``place``) does not go with it (column ``rate``)."""
+    position, speed = values
     backwards = np.flatnonzero(speed < 0.0)
     if len(backwards):
         reason = "is negative: x must point in the direction of running; turn x and y, and give the speed as positive"
-        raise table.error(reason, int(backwards[0]), file.speed.column)
+        raise table.error(reason, int(backwards[0]), rate)
     run = interval_s * float(0.5 * (speed[1:] + speed[:-1]).sum())
     moved = abs(float(position[-1] - position[0]))
     if abs(moved - run) > RUN_M + RUN_SHARE * run:
         reason = f"the position changes by {moved:.1f} m, the speed gives {run:.1f} m: is a unit another?"
-        raise table.error(reason, len(speed) - 1, file.position.column)
+        raise table.error(reason, len(speed) - 1, place)
 
 
 def _accelerations(
