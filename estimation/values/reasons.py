@@ -50,6 +50,10 @@ class ReasonCode(StrEnum):
         "frame_unknown",
         "The yaw of the bogie frame is not known: the other node of the bogie has no window. Check its sensors.",
     )
+    AXLE_DISTANCE = (
+        "axle_distance",
+        "The track reaches the axles of the bogie unlike their distance on file. Check nodes, axle offsets and class.",
+    )
     # position and pass
     POSITION_UNCERTAIN = "position_uncertain", "The position along the section could not be confirmed."
     PASS_TOO_SHORT = "pass_too_short", "The pass is shorter than the filters need."

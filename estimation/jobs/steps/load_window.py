@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from estimation.errors import DamagedError, NotFoundError
+from estimation.motion.axle_distance import check_axle_distance
 from estimation.motion.bogie_frame import with_frame_yaw
 from estimation.storage import UnitOfWork
 from estimation.values.reasons import Reason, ReasonCode
@@ -13,7 +14,7 @@ from estimation.vehicle.vehicle_class import VehicleClass
 
 
 def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleClass) -> Window | Reason:
-    """Return a stored window as its vehicle's class reads it, or why the yaw of its bogie is not known.
+    """Return a stored window as its vehicle's class reads it, or why its bogie's frame is unknown or another.
 
     Parameters
     ----------
@@ -40,7 +41,9 @@ def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleCl
         return partner
     if partner.sample_interval_s != window.sample_interval_s or len(partner.valid) != len(window.valid):
         return _unknown(partner_axle, "is sampled otherwise")
-    return with_frame_yaw(window, partner, offsets[partner_axle - 1] - offsets[record.axle - 1])
+    ahead = offsets[partner_axle - 1] - offsets[record.axle - 1]
+    contradiction = check_axle_distance(window, partner, ahead)
+    return with_frame_yaw(window, partner, ahead) if contradiction is None else contradiction
 
 
 def partner_digest(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleClass) -> str | None:

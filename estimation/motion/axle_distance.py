@@ -1,0 +1,117 @@
+"""How far the two axles of a bogie are apart, from what their nodes measure: the roll of both on one track.
+
+Over short waves a wheelset does not follow the track, whatever its suspension and its wear: its roll is the track's,
+and that of the rear axle is the same, later by the wheelbase. Where the nodes say otherwise, they are not on the axles
+that they are registered on, or the bogie is another one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Window
+
+STEP = 0.1  # m
+BAND = (3.0, 6.0)  # m, wavelengths: the ends of a band-pass of 4th order
+ORDER = 4
+FARTHEST = 5.0  # m; beyond, the next wave of the band looks alike
+SETTLED = 30.0  # m that the filter takes at each end
+LEAST_RUN = 300.0  # m
+LEAST_SHARE = 0.5  # of the samples of a window that both nodes must have
+LEAST_CORRELATION = 0.5
+TOLERANCE = 0.4  # m; what is found is within 0.15 m of the truth
+NEXT_WAVE = 1.0  # m: further away the maximum may be that of another wave
+CLEAR = 0.2  # by how much its correlation must then be above that at the expected distance
+
+
+@dataclass(frozen=True, slots=True)
+class AxleDistance:
+    """By how far an axle is ahead of the other one of its bogie."""
+
+    ahead: float  # m, negative where it is behind
+    correlation: float  # of the rolls, there
+    expected: float  # the highest correlation within ``TOLERANCE`` of the expected distance
+
+
+def check_axle_distance(window: Window, partner: Window, ahead: float) -> Reason | None:
+    """Return that the nodes of a bogie contradict where they are registered; None where they do not or are silent.
+
+    Parameters
+    ----------
+    window, partner
+        Of the two nodes of a bogie, over the same time, with as many samples.
+    ahead
+        By how much the node of ``window`` is ahead of the other, m, by the registry; negative at the rear axle.
+    """
+    found = axle_distance(window, partner, ahead)
+    if found is None or found.correlation < LEAST_CORRELATION or abs(found.ahead - ahead) <= TOLERANCE:
+        return None
+    if abs(found.ahead - ahead) > NEXT_WAVE and found.correlation < found.expected + CLEAR:
+        return None
+    return Reason(
+        ReasonCode.AXLE_DISTANCE,
+        f"the track reaches the other axle of the bogie {found.ahead:+.1f} m later, by the registry {ahead:+.1f} m"
+        f" (correlation {found.correlation:.2f})",
+    )
+
+
+def axle_distance(window: Window, partner: Window, ahead: float) -> AxleDistance | None:
+    """Return by how far one axle of a bogie is ahead of the other; None where too little is known.
+
+    Parameters
+    ----------
+    window, partner, ahead
+        As :func:`check_axle_distance` takes them.
+    """
+    known = window.valid & partner.valid & np.isfinite(window.speed)
+    if known.mean() < LEAST_SHARE:
+        return None
+    at = np.arange(len(known))
+    speed = np.interp(at, at[known], window.speed[known])
+    run = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) * window.sample_interval_s
+    if run[-1] < LEAST_RUN:
+        return None
+    grid = np.arange(0.0, run[-1], STEP)
+    own, other = (_short_waves(grid, run, node.roll_acceleration, known) for node in (window, partner))
+    power = float(np.sqrt((own @ own) * (other @ other)))
+    if not power > 0.0:
+        return None
+    return _highest(_correlation(own, other) / power, ahead)
+
+
+def _short_waves(grid: FloatArray, run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatArray:
+    """Return a signal on a grid of distance, zero where it is unknown, of the wavelengths of the band."""
+    values = np.interp(grid, run, np.where(known, roll, 0.0))
+    ends = round(SETTLED / STEP)
+    return np.asarray(sosfiltfilt(_band_pass(), values)[ends:-ends])
+
+
+@lru_cache(maxsize=1)
+def _band_pass() -> FloatArray:
+    shortest, longest = BAND
+    return np.asarray(butter(ORDER, (1.0 / longest, 1.0 / shortest), btype="bandpass", fs=1.0 / STEP, output="sos"))
+
+
+def _correlation(own: FloatArray, other: FloatArray) -> FloatArray:
+    """Return sum(own[n] other[n + k]) for k steps from -``FARTHEST`` to ``FARTHEST``."""
+    reach = round(FARTHEST / STEP)
+    size = 1 << (len(own) + reach).bit_length()
+    products = np.fft.irfft(np.conj(np.fft.rfft(own, size)) * np.fft.rfft(other, size), size)
+    return np.concatenate([products[-reach:], products[: reach + 1]])
+
+
+def _highest(correlation: FloatArray, ahead: float) -> AxleDistance:
+    """Return the maximum of a correlation; its magnitude where one of the wheelsets is mounted the other way round."""
+    if -correlation.min() > correlation.max():
+        correlation = -correlation
+    distance = STEP * (np.arange(len(correlation)) - len(correlation) // 2)
+    at = int(np.argmax(correlation))
+    near = np.abs(distance - ahead) <= TOLERANCE
+    expected = float(correlation[near].max()) if near.any() else 0.0
+    return AxleDistance(float(distance[at]), float(correlation[at]), expected)

@@ -1,0 +1,94 @@
+"""How far the axles of a bogie are apart by what their nodes measure: right, swapped, another wheelbase, silent."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plain_windows import plain_window
+from scipy.signal import butter, sosfiltfilt
+
+from estimation.motion.axle_distance import axle_distance, check_axle_distance
+from estimation.values.arrays import FloatArray
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Window
+
+SPEED = 20.0
+RATE = 50.0
+COUNT = 3000
+WHEELBASE = 2.5
+
+
+def nodes(distance: float = WHEELBASE, noise: float = 0.1, count: int = COUNT, speed: float = SPEED) -> list[Window]:
+    """Return front and rear node on a rough track, each with a wear and noise of its own."""
+    step = 0.01
+    track = np.cumsum(np.random.default_rng(5).standard_normal(round(speed * count / RATE / step) + 2000))
+    rough = sosfiltfilt(butter(2, (1 / 40.0, 1 / 2.0), btype="bandpass", fs=1 / step, output="sos"), track)
+    rough /= rough.std()
+    at = np.arange(count) * speed / RATE + 8.0
+    found = []
+    for behind, size in ((0.0, 1.0), (distance, 0.6)):
+        roll = size * np.interp(at - behind, step * np.arange(len(rough)), rough)
+        found.append(window(roll + noise * np.random.default_rng(int(10 * size)).standard_normal(count), speed))
+    return found
+
+
+def window(roll: FloatArray, speed: float = SPEED) -> Window:
+    n = len(roll)
+    return plain_window(n / RATE, roll_acceleration=roll, speed=np.full(n, speed), distance=np.arange(n) * speed / RATE)
+
+
+@pytest.mark.parametrize("distance", [1.8, 2.5, 3.1])
+def test_the_distance_of_the_axles_is_found_from_either_side(distance: float) -> None:
+    front, rear = nodes(distance)
+    for first, second, ahead in ((front, rear, distance), (rear, front, -distance)):
+        found = axle_distance(first, second, ahead)
+        assert found is not None
+        assert found.ahead == pytest.approx(ahead, abs=0.051)
+        assert found.correlation > 0.9
+        assert check_axle_distance(first, second, ahead) is None
+
+
+def test_swapped_nodes_and_another_wheelbase_are_contradicted() -> None:
+    front, rear = nodes()
+    for first, second, ahead in ((rear, front, WHEELBASE), (front, rear, -WHEELBASE), (front, rear, 1.8)):
+        reason = check_axle_distance(first, second, ahead)
+        assert isinstance(reason, Reason)
+        assert reason.code is ReasonCode.AXLE_DISTANCE
+    assert check_axle_distance(front, rear, 2.2) is None, "within the tolerance"
+
+
+def test_a_wheelset_that_is_mounted_the_other_way_round_is_on_its_axle() -> None:
+    front, rear = nodes()
+    assert check_axle_distance(front, replace(rear, roll_acceleration=-rear.roll_acceleration), WHEELBASE) is None
+
+
+def test_nodes_that_see_no_common_track_are_silent() -> None:
+    rng = np.random.default_rng(8)
+    one, other = (window(rng.standard_normal(COUNT)) for _ in range(2))
+    assert check_axle_distance(one, other, WHEELBASE) is None
+    assert axle_distance(window(np.zeros(COUNT)), other, WHEELBASE) is None
+
+
+def test_nodes_that_measure_little_of_the_track_are_silent() -> None:
+    front, rear = nodes(noise=0.65)
+    found = axle_distance(rear, front, WHEELBASE)
+    assert found is not None
+    assert found.ahead == pytest.approx(-WHEELBASE, abs=0.15)
+    assert 0.35 < found.correlation < 0.5
+    assert check_axle_distance(rear, front, WHEELBASE) is None
+
+
+def test_too_few_samples_and_short_runs_say_nothing() -> None:
+    front, rear = nodes()
+    invalid = np.arange(COUNT) < 0.6 * COUNT
+    assert axle_distance(front, replace(rear, valid=~invalid), WHEELBASE) is None
+    assert axle_distance(*nodes(count=600), WHEELBASE) is None
+
+
+def test_of_two_waves_alike_the_registered_one_is_believed() -> None:
+    """A track of one wavelength of 4.5 m looks the same 4.5 m further on."""
+    front, rear = (window(np.sin(2.0 * np.pi / 4.5 * (np.arange(COUNT) * SPEED / RATE - x))) for x in (0.0, 2.5))
+    assert check_axle_distance(front, rear, WHEELBASE) is None
+    assert check_axle_distance(front, rear, WHEELBASE - 4.5) is None
