@@ -25,9 +25,9 @@ LEAST_KNOWN = 0.3  # share of a block's samples; what lies between is bridged st
 LONGEST, SHORTEST = 40.0, 3.5  # m, wavelengths of hunting; a wheel out of round has less
 LEAST_FREQUENCY = 0.8  # Hz
 LINE = (0.75, 1.33)  # of the peak's frequency
-LEAST_SHARE = 0.55  # of the displacement's power that is in the line
-WIDEST = 0.05  # relative standard deviation of the frequency in the line
-LEAST_AMPLITUDE = 2.5e-3  # m
+# amplitude from which on, m; least share of the displacement's power in the line; its largest relative width
+STEADY = (2.5e-3, 0.55, 0.05)
+FLANGE_TO_FLANGE = (5e-3, 0.9, 0.11)  # of which rough track disturbs the rhythm
 LEAST_COHERENCE = 0.8  # between lateral and yaw acceleration in the line
 MOST_PHASE = np.pi / 3.0  # from the kinematic mode
 GAINS = (0.3, 3.0)  # of yaw, times what the kinematic mode has
@@ -58,10 +58,12 @@ class _Line:
     @property
     def hunts(self) -> bool:
         """Whether it is that of hunting."""
+        sustained = any(
+            self.amplitude >= amplitude and self.share >= share and self.width <= width
+            for amplitude, share, width in (STEADY, FLANGE_TO_FLANGE)
+        )
         return (
-            self.share >= LEAST_SHARE
-            and self.width <= WIDEST
-            and self.amplitude >= LEAST_AMPLITUDE
+            sustained
             and self.coherence >= LEAST_COHERENCE
             and abs(self.phase) <= MOST_PHASE
             and GAINS[0] <= self.gain <= GAINS[1]

@@ -68,8 +68,9 @@ def test_what_resembles_hunting_in_part_is_none() -> None:
     assert share(lateral, yaw, np.full(n, 4.0 * 41.0)) == share(lateral, yaw, np.full(n, 4.0 * 3.4)) == 0.0
     envelope = np.abs(np.sin(2.0 * np.pi * 0.9 * at))  # comes and goes
     assert share(lateral * envelope * 2.0, yaw * envelope * 2.0) == 0.0
-    beats = 1.0 + np.cos(2.0 * np.pi * 0.6 * at)  # three lines within the width of one
-    assert share(lateral * beats, yaw * beats) == 0.0
+    beats = (1.0 + np.cos(2.0 * np.pi * 0.5 * at)) / np.sqrt(1.5)  # three lines within the width of one
+    assert share(0.9 * lateral * beats, 0.9 * yaw * beats) == 0.0
+    assert share(1.1 * lateral * beats, 1.1 * yaw * beats) == 1.0  # from flange to flange
     impacts = np.zeros(n)
     impacts[::90] = 60.0
     assert share(impacts, impacts) == 0.0
