@@ -14,7 +14,7 @@ from estimation.errors import ScenarioError
 from ingest.simulator.axle_motion import axle_motions, contact_of, together, wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.drawn_fleet import shares_of_wear, with_seed
-from ingest.simulator.fleet import prepare, run_fleet
+from ingest.simulator.fleet import prepare, run_fleet, simulate_campaign
 from ingest.simulator.profile_files import rails_of
 from ingest.simulator.scenario import Scenario, WheelsetPlan
 from ingest.simulator.scenario_file import read_scenario
@@ -313,3 +313,13 @@ def test_bogies_that_do_not_fit_are_refused(tmp_path: Path, change: tuple[str, s
 def test_the_axles_of_a_bogie_are_its_wheelbase_apart() -> None:
     assert impossible_bogies((0.0, 2.5, 19.0, 21.5), 2.5) is None
     assert impossible_bogies((0.0, 2.5, 19.0, 21.4), 2.5) is not None
+
+
+def test_a_recording_of_bogies_has_both_wheelsets_where_one_node_has_failed(tmp_path: Path) -> None:
+    fault = '[vehicles.wheelsets.fault]\nkind = "no_transmission"\nfrom_campaign = 1\n'
+    wheelsets = '[[vehicles.wheelsets]]\nserial = "A"\n' + fault + '[[vehicles.wheelsets]]\nserial = "B"\n'
+    head = '[[vehicles]]\ncode = "V"\nclass = "coach"\nmax_speed_km_h = 120.0\n'
+    scenario = scenario_of(tmp_path, (DRAWN + head + wheelsets).replace("[fleet]", BOGIES))
+    batch, truths = simulate_campaign(scenario, scenario_track(scenario), scenario.vehicles[0], 0)
+    assert [truth.axle for truth in truths] == [1, 2]
+    assert set(batch.arbitration_id[(batch.arbitration_id & 0x780) == 0x180].tolist()) == {0x182, 0x190}
