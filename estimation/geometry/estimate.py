@@ -34,6 +34,9 @@ FEWEST_BINS = 5
 
 NOISE = YAW_TARGETS.index("noise")
 
+HIDDEN_JUMP_SHARE = 0.5  # of the error of y - d, by which contact jumps are off where it is hidden
+HIDDEN_SHARE = 0.5  # of the residual's variance that sensor noise may make up, for the rest to show the error of y - d
+
 
 @dataclass(frozen=True, slots=True)
 class GeometryParameters:
@@ -122,7 +125,7 @@ def _screened(
     jump = ~too_few & _jumps(replicates, too_few, parameters)
     unc = parameters.uncertainty
     centre = table.centres
-    noise = _displacement_noise(replicates, too_few | jump, bins)
+    noise, hidden = _displacement_noise(replicates, too_few | jump, bins, unc.expected_noise)
     error = DisplacementError.of(
         noise,
         centre,
@@ -130,7 +133,7 @@ def _screened(
         integrated=bins.band_limited,
         scale=unc.displacement,
         jump_position_std=unc.jump_position_std,
-        jump_mean_std=unc.jump_mean_std,
+        jump_mean_std=float(np.hypot(unc.jump_mean_std, HIDDEN_JUMP_SHARE * noise if hidden else 0.0)),
     )
     return _BinScreening(too_few, jump, centre, error, parameters.informative)
 
@@ -193,20 +196,25 @@ def _jumps(replicates: _Replicates, too_few: BoolArray, parameters: GeometryPara
     return np.asarray((rise > parameters.jump_step) | (replicates.residual > limit))
 
 
-def _displacement_noise(replicates: _Replicates, out: BoolArray, bins: BinParameters) -> float:
-    """Return the std of the error of y - d, m, from residual over slope in the bins where that is least.
+def _displacement_noise(
+    replicates: _Replicates, out: BoolArray, bins: BinParameters, expected: float
+) -> tuple[float, bool]:
+    """Return the std of the error of y - d, m, from residual over slope where that is least, and whether it is hidden.
 
     Least, because curvature and jumps near by add to the residual; over the root of two, because rL - rR has lost its
-    slow part like y - d, and has an error of the same size.
+    slow part like y - d, and has an error of the same size. Where the noise of the yaw sensor makes most of the
+    residual, it hides the error of y - d, which then is at least what is ``expected``, m.
     """
     slope = np.abs(replicates.yaw[0, :, 2, 0]) / bins.width
     of_sensors = np.maximum(replicates.yaw[0, :, 1, NOISE], 0.0)  # m2, of rL - rR
     residual = np.sqrt(np.maximum(replicates.residual**2 - of_sensors, 0.0))
     use = ~out & np.isfinite(slope) & np.isfinite(residual)
     if use.sum() < FEWEST_BINS:
-        return 0.0
+        return 0.0, False
     steep = use & (slope >= np.median(slope[use]))
-    return float(np.quantile(residual[steep] / slope[steep], 0.25) / np.sqrt(2.0))
+    shown = float(np.quantile(residual[steep] / slope[steep], 0.25) / np.sqrt(2.0))
+    hidden = float(np.median(of_sensors[use] / np.maximum(replicates.residual[use] ** 2, 1e-300))) > HIDDEN_SHARE
+    return (max(shown, expected), True) if hidden else (shown, False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
+from estimation.vehicle.sensor_noise import displacement_noise
 from estimation.vehicle.vehicle_class import VehicleClass
 
 UNKNOWN_FACTOR = 0.4  # relative std of a factor from which on nothing is known of the quotient
@@ -66,6 +67,7 @@ class ParameterUncertainty:
     displacement: float = 0.0  # of a common scale error of y - d: lateral sensor and alignment
     jump_position_std: float = 0.0  # m, of where contact jumps are from place to place, on a gauge that varies
     jump_mean_std: float = 0.0  # m, of where they are on average: a gauge that is not on file
+    expected_noise: float = 0.0  # m, std of the error of y - d by its sensors and the alignment
     scale: float = 0.0  # of rL - rR as a whole: by nominal radius, half contact distance and the yaw sensor
 
     @classmethod
@@ -83,6 +85,7 @@ class ParameterUncertainty:
             creep=vehicle_class.std_of("longitudinal_creep_coefficient"),
             stiffness=vehicle_class.std_of("yaw_stiffness"),
             mass=vehicle_class.std_of("yaw_inertia"),
+            expected_noise=displacement_noise(vehicle_class),
             displacement=math.hypot(vehicle_class.sensors.lateral.scale_std, of_roll),
             scale=math.hypot(
                 vehicle_class.std_of("nominal_radius"),
@@ -107,6 +110,7 @@ class ParameterUncertainty:
         return replace(
             self,
             ratio=max(ratio_stds) if ratio_stds and len(ratio_stds) == len(used) else self.ratio,
+            expected_noise=math.hypot(self.expected_noise, max((_alignment_std(one) for one in used), default=0.0)),
             displacement=math.hypot(self.displacement, max((_scale_std(one, wheelset) for one in used), default=0.0)),
             jump_position_std=max(
                 (_jump_position_std(track, wheelset) for track in used), default=self.jump_position_std
@@ -129,6 +133,12 @@ def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings 
     if track.findings is None or wheelset is None or track.source != AlignmentSource.RECORDED:
         return track.findings
     return track.findings if wheelset in track.findings.gauge_shifts else None
+
+
+def _alignment_std(track: TrackAlignment) -> float:
+    """Return the median std, m, of an alignment where it is known."""
+    known = np.isfinite(track.alignment_std)
+    return float(np.median(track.alignment_std[known])) if known.any() else 0.0
 
 
 def _scale_std(track: TrackAlignment, wheelset: str | None) -> float:

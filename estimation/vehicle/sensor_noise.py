@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from estimation.vehicle.equations_of_motion import GRAVITY
 from estimation.vehicle.vehicle_class import VehicleClass
 
 
@@ -32,3 +33,24 @@ def difference_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> f
 
 
 USUAL_SPEED = 20.0  # m/s
+USUAL_CUTOFF = 40.0  # m
+
+
+def displacement_noise(vehicle_class: VehicleClass) -> float:
+    """Return the std of the lateral displacement by the noise of the sensors at a usual speed and cut-off, m.
+
+    Of white noise of an acceleration, integrated twice; where gravity is taken out, also of that of the roll sensor:
+    g times its double integral, integrated twice once more.
+
+    Parameters
+    ----------
+    vehicle_class
+        Sensors; a noise density that is not on file is zero.
+    """
+    sensors, slowest = vehicle_class.sensors, USUAL_SPEED / USUAL_CUTOFF
+    variance = sensors.lateral.noise_density**2 / (3.0 * (2.0 * math.pi) ** 4 * slowest**3)
+    if sensors.measures_gravity:
+        of_roll = (GRAVITY * sensors.roll.noise_density) ** 2
+        powers = (6, 5) if sensors.roll_is_gyroscope else (8, 7)
+        variance += of_roll / (powers[1] * (2.0 * math.pi) ** powers[0] * slowest ** powers[1])
+    return math.sqrt(variance)
