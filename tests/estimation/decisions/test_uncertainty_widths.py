@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper_class import PAPER_CLASS
 from plain_windows import plain_track
 
 from estimation.geometry.uncertainty import ParameterUncertainty
@@ -131,3 +132,19 @@ def test_a_gauge_that_is_wide_as_a_whole_leaves_the_scale_open_as_far_as_it_does
     for found, beyond in ((None, 2.0), (findings("W1"), 1.5)):
         wide = replace(track(found), gauge_deviation=gauge, scale_std=0.0)
         assert UNCERTAIN.on([wide], "W1").displacement == pytest.approx(np.hypot(0.15 * beyond, 0.0025), rel=0.01)
+
+
+def test_what_is_not_known_of_the_vehicle_is_the_class_s() -> None:
+    usual = ParameterUncertainty.of(PAPER_CLASS)
+    assert (usual.creep, usual.stiffness, usual.mass) == (0.10, 0.05, 0.025)
+    assert usual.scale == pytest.approx(np.hypot(0.002, 0.002))
+    stds = {
+        "longitudinal_creep_coefficient": 0.2,
+        "yaw_stiffness": 0.3,
+        "yaw_inertia": 0.04,
+        "nominal_radius": 0.03,
+        "half_contact_distance": 0.04,
+    }
+    own = ParameterUncertainty.of(replace(PAPER_CLASS, relative_std=stds))
+    assert (own.creep, own.stiffness, own.mass) == (0.2, 0.3, 0.04)
+    assert own.scale == pytest.approx(0.05)
