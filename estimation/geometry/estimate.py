@@ -202,8 +202,9 @@ def _displacement_noise(
     """Return the std of the error of y - d, m, from residual over slope where that is least, and whether it is hidden.
 
     Least, because curvature and jumps near by add to the residual; over the root of two, because rL - rR has lost its
-    slow part like y - d, and has an error of the same size. Where the noise of the yaw sensor makes most of the
-    residual, it hides the error of y - d, which then is at least what is ``expected``, m.
+    slow part like y - d, and has an error of the same size; up to all of it where that much is ``expected``, m, of
+    sensors and alignment. Where the noise of the yaw sensor makes most of the residual, it hides the error of y - d,
+    which then is at least what is expected.
     """
     slope = np.abs(replicates.yaw[0, :, 2, 0]) / bins.width
     of_sensors = np.maximum(replicates.yaw[0, :, 1, NOISE], 0.0)  # m2, of rL - rR
@@ -212,7 +213,8 @@ def _displacement_noise(
     if use.sum() < FEWEST_BINS:
         return 0.0, False
     steep = use & (slope >= np.median(slope[use]))
-    shown = float(np.quantile(residual[steep] / slope[steep], 0.25) / np.sqrt(2.0))
+    whole = float(np.quantile(residual[steep] / slope[steep], 0.25))
+    shown = max(whole / np.sqrt(2.0), min(whole, expected))
     hidden = float(np.median(of_sensors[use] / np.maximum(replicates.residual[use] ** 2, 1e-300))) > HIDDEN_SHARE
     return (max(shown, expected), True) if hidden else (shown, False)
 

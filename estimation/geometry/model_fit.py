@@ -23,7 +23,7 @@ from estimation.vehicle.regressors import REGRESSORS, SHARED_IN_BOGIE, YAW_TARGE
 
 SENSOR_SCALE = 0.02  # std of the spring error by the scales of the sensors
 SHARE_IN_BOGIE = 0.5  # of an error of stiffness or creep that shows as spring error; the curve takes up the rest
-STDS = 2.5  # of the spring error, beyond which the class is another
+STDS = 2.2  # of the spring error, beyond which the class is another
 MOST_MISFIT = 0.65  # right classes on measured wheels and on gauge that varies unknown have up to 0.6
 LEAST_SAMPLES = 200.0  # of a bin
 FEWEST_BINS = 5
