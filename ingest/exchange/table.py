@@ -22,7 +22,7 @@ BATCH_ROWS = 65_536
 
 @dataclass(frozen=True, slots=True)
 class ExchangeTable:
-    """Columns of a table by name, (n,) each, and where in its file a row is."""
+    """Columns of a table by their names, (n,) each, and where in its file a row is."""
 
     path: Path
     columns: Mapping[str, FloatArray]

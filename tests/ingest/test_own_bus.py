@@ -215,7 +215,7 @@ def test_a_live_bus_of_another_kind(registered: SqlStorage, tmp_path: Path, own_
             target=lambda: chunks.extend(record(ours, tmp_path, VEHICLE, chunk_seconds=60.0, stop=stop))
         )
         listening.start()
-        sent = send(theirs, frames, clock_s=_hurried())
+        sent = send(theirs, frames, clock_s=_scaled_time())
         stop.set()
         listening.join()
     assert sum(chunk.frames for chunk in chunks) == sent == len(frames)
@@ -233,7 +233,7 @@ def test_a_live_bus_of_another_kind(registered: SqlStorage, tmp_path: Path, own_
     assert whole
 
 
-def _hurried() -> object:
+def _scaled_time() -> object:
     """Return a clock that runs ten thousand times as fast as ours."""
     import time  # noqa: PLC0415 - here alone
 
