@@ -15,6 +15,7 @@ from running_service import Service
 from api.schemas import geometry as geometry_schema
 from api.schemas import trend as trend_schema
 from estimation.errors import ParameterError
+from estimation.values.reasons import Reason, ReasonCode
 
 
 def get(client: httpx.Client, path: str, **params: str | int) -> Any:  # noqa: ANN401 - JSON
@@ -153,6 +154,19 @@ def test_an_extrapolated_current_conicity_is_one_number_too() -> None:
         unknown = trend_schema.trend(of_trend, other)
         assert (unknown.current_1.value, unknown.current_mileage_km) == (None, None)
         assert unknown.current_1.reason_code == "no_geometry_since_reprofiling"
+
+
+def test_a_geometry_that_contradicts_its_class_shows_what_does_not_fit_and_no_number() -> None:
+    why = Reason(ReasonCode.YAW_SPRING_DIFFERS, "a moment of +90%")
+    record = replace(api_fleet.geometry_record(5, 0.29), geometry=api_fleet.geometry(0.29).mismatched(why))
+    shown = geometry_schema.geometry(record).model_dump(mode="json")
+    assert (shown["status"], shown["reason_code"], shown["reason"]) == ("model_mismatch", why.code.value, why.text)
+    numbers = [shown["equivalent_conicity_1"], shown["equivalent_conicity_at_3_mm_1"]]
+    numbers += [one["equivalent_conicity_1"] for one in shown["conicity_by_amplitude"]]
+    assert len(numbers) > 3
+    for one in numbers:
+        assert (one["value"], one["std"], one["status"]) == (None, None, "model_mismatch")
+        assert one["reason_code"] == "yaw_spring_differs"
 
 
 def test_a_vehicle_leads_to_what_its_passes_show_of_its_suspension(client: httpx.Client) -> None:

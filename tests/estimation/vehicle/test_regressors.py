@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bogie_run import COACH, SOFT, WHEELBASE, ideal_in_bogie, motions, wheelset
 from smooth_wheelset import SmoothTable, ideal, run, track
 
 from estimation.geometry.uncertainty import ParameterUncertainty
@@ -150,3 +151,52 @@ def test_a_learnt_ratio_stands_for_creep_and_yaw_stiffness_in_the_yaw_equation_a
         "noise": 0.0,
     }
     np.testing.assert_array_equal(learnt.lateral(), assumed.lateral())
+
+
+@pytest.mark.parametrize("yaw_stiffness", [SOFT, COACH])
+@pytest.mark.parametrize("axle", [0, 1])
+def test_the_equations_hold_in_a_bogie_on_the_true_geometry(yaw_stiffness: float, axle: int) -> None:
+    """The spring is tied to the frame, sample by sample; without the frame's yaw the moment is another."""
+    m, p = motions(yaw_stiffness)[axle], wheelset(yaw_stiffness)
+    motion = ideal_in_bogie(m)
+    equation = regression(motion, p, wheelbase=WHEELBASE)
+    R, A = m.rolling_radius_left - m.rolling_radius_right, m.contact_angle_left + m.contact_angle_right
+    S, D = m.rolling_radius_left + m.rolling_radius_right, m.contact_angle_left - m.contact_angle_right
+    z1, z2 = equation.lateral_targets[:, 0], equation.yaw_targets[:, 0]
+    angles = p.half_contact_distance * p.load / 2 * m.yaw
+    inner = slice(2000, -10)  # the first steps of the fastest creep modes are coarse
+    left = (z2 - A * angles - R * equation.yaw[:, -1])[inner]
+    assert np.abs(left).max() < 2e-3 * np.abs(z2[inner]).max()
+    assert np.abs((z1 - S * equation.lateral[:, 0] - D * equation.lateral[:, 1])[inner]).max() < 1e-3 * np.abs(z1).max()
+    blind = replace(motion, frame_yaw=None, frame_yaw_rate=None, frame_displacement=None)
+    alone = regression(blind, p).yaw_targets[:, 0] - A * angles - R * equation.yaw[:, -1]
+    assert np.abs(alone[inner]).max() > 0.1 * np.abs(z2[inner]).max()
+    rolling = (m.lateral_velocity + p.nominal_radius * m.roll_rate) / m.speed
+    np.testing.assert_allclose(equation.yaw[:, 0], p.yaw_stiffness * rolling, atol=1e-9 * p.yaw_stiffness)
+    np.testing.assert_allclose(equation.yaw[:, 1], p.yaw_stiffness * m.mass_lateral_displacement / WHEELBASE)
+
+
+def test_the_derivative_by_friction_is_that_of_the_creep_law() -> None:
+    """Vermeulen and Johnson: the linear creep that a force needs, at friction so large that it bounds little."""
+    motion = ideal(run(20))
+    target = regression(motion, ASSUMED).yaw_targets[:, YAW_TARGETS.index("saturation")]
+    p, inverse = ASSUMED, 1e-4  # 1/mu
+    moment = p.yaw_inertia * motion.yaw_acceleration + p.yaw_stiffness * motion.yaw + p.yaw_damping * motion.yaw_rate
+    lateral = p.wheelset_mass * motion.lateral_acceleration + p.load * motion.roll
+    lateral -= p.lateral_stiffness * motion.suspension_deflection
+    lateral -= p.lateral_damping * motion.suspension_deflection_rate
+    force = np.hypot(moment / (2.0 * p.half_contact_distance), 0.5 * lateral)  # of one wheel
+    per_bound = inverse / (0.5 * p.axle_load)
+    linear = force.copy()
+    for _ in range(20):
+        u = linear * per_bound
+        linear = force / (1.0 - u / 3.0 + u**2 / 27.0)
+    found = moment * (linear / np.maximum(force, 1e-12) - 1.0) / inverse
+    np.testing.assert_allclose(found, target, rtol=1e-3, atol=1e-3 * np.abs(target).max())
+
+
+def test_the_noise_target_is_the_variance_of_the_radius_difference_at_the_speed_of_the_sample() -> None:
+    motion = ideal(run(20, swing=3.0))
+    equation = regression(motion, ASSUMED, difference_noise=7.0)
+    np.testing.assert_allclose(equation.yaw_targets[:, -1] / equation.yaw[:, 1], 7.0 / motion.speed**3)
+    assert not regression(motion, ASSUMED).yaw_targets[:, -1].any()
