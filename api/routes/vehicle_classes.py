@@ -25,7 +25,7 @@ Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out,
 def list_vehicle_classes(
     request: Request, services: ServicesDep, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
 ) -> Response:
-    """List the newest version of each vehicle class, by code; those of the package too, unless registered anew."""
+    """List the newest version of each vehicle class, by code; those of the package too, unless registered again."""
     after = cursors.decode_text(operation(request), {}, cursor)
     with services.storage.read() as unit:
         registered = {found.vehicle_class.code: found for found in unit.registry.vehicle_classes()}

@@ -1,8 +1,8 @@
 """The yaw equation of a wheelset in a bogie: scale errors of sensors beside a curve in every bin.
 
 A stiff yaw spring turns a scale error e of the yaw sensor into the moment k_psi e psi, and one between the two frame
-sensors into k_psi e ym / wheelbase. Per bin they could not be told from noise. But they are the same for all bins, and
-known beforehand within the accuracy of sensors. Elimination of the bins' own unknowns leaves one equation for each; so
+sensors into k_psi e ym / wheelbase. Per bin they could not be parted from noise. But they are the same for all bins,
+and known beforehand within the accuracy of sensors. Elimination of the bins' own unknowns leaves one equation for each; so
 the sums of the bins are all that is needed.
 """
 

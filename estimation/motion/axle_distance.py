@@ -21,7 +21,7 @@ STEP = 0.1  # m
 BAND = (3.0, 6.0)  # m, wavelengths: the ends of a band-pass of 4th order
 ORDER = 4
 FARTHEST = 5.0  # m; beyond, the next wave of the band looks alike
-SETTLED = 30.0  # m that the filter takes at each end
+FILTERED = 30.0  # m that the filter takes at each end
 LEAST_RUN = 300.0  # m
 LEAST_SHARE = 0.5  # of the samples of a window that both nodes must have
 LEAST_CORRELATION = 0.5
@@ -88,7 +88,7 @@ def axle_distance(window: Window, partner: Window, ahead: float) -> AxleDistance
 def _short_waves(grid: FloatArray, run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatArray:
     """Return a signal on a grid of distance, zero where it is unknown, of the wavelengths of the band."""
     values = np.interp(grid, run, np.where(known, roll, 0.0))
-    ends = round(SETTLED / STEP)
+    ends = round(FILTERED / STEP)
     return np.asarray(sosfiltfilt(_band_pass(), values)[ends:-ends])
 
 

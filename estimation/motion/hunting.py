@@ -21,7 +21,7 @@ from estimation.values.windows import NOT_HUNTING, Hunting, WindowQuality
 
 BLOCK_S = 5.0  # over which the oscillation must be sustained
 LEAST_SPEED = 8.0  # m/s
-LEAST_KNOWN = 0.3  # share of a block's samples; what lies between is bridged straight
+LEAST_KNOWN = 0.3  # share of a block's samples; what is between is bridged straight
 LONGEST, SHORTEST = 40.0, 3.5  # m, wavelengths of hunting; a wheel out of round has less
 LEAST_FREQUENCY = 0.8  # Hz
 LINE = (0.75, 1.33)  # of the peak's frequency

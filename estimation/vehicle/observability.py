@@ -164,7 +164,7 @@ def conicity_shifts(vehicle_class: VehicleClass, running: Running) -> Mapping[st
 
 @dataclass(frozen=True, slots=True)
 class _Sensitivity:
-    """Derivatives of e (f, 2) per metre of alignment, by name, and the spectral densities of what is random."""
+    """Derivatives of e (f, 2) per metre of alignment, and the spectral densities of what is random."""
 
     at: Combinations
     by_combination: Mapping[str, ComplexArray]

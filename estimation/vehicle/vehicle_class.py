@@ -80,7 +80,7 @@ class SensorLayout:
 
     @property
     def channels(self) -> Mapping[str, SensorChannel]:
-        """Channels by name."""
+        """Channels under their names."""
         return {
             "lateral": self.lateral,
             "yaw": self.yaw,
@@ -95,7 +95,7 @@ class VehicleClass:
 
     ``parameters`` are those of one wheelset: in a bogie its stiffness and damping are those of the primary
     suspension of one wheelset, its suspended mass is what one wheelset carries laterally, and its load the axle load.
-    ``relative_std`` holds by name of a field of ``parameters`` or ``bogie`` how well it is known; a field that is
+    ``relative_std`` holds for fields of ``parameters`` or ``bogie`` how well each is known; a field that is
     missing has the default of its kind (``default_relative_std``).
 
     Raises

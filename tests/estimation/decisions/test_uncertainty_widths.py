@@ -12,6 +12,7 @@ from plain_windows import plain_track
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings
 from estimation.vehicle.regressors import LATERAL_TARGETS, YAW_TARGETS
+from estimation.vehicle.vehicle_class import SensorChannel
 
 UNCERTAIN = ParameterUncertainty()
 S = np.arange(1001.0)
@@ -148,3 +149,10 @@ def test_what_is_not_known_of_the_vehicle_is_the_class_s() -> None:
     own = ParameterUncertainty.of(replace(PAPER_CLASS, relative_std=stds))
     assert (own.creep, own.stiffness, own.mass) == (0.2, 0.3, 0.04)
     assert own.scale == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(("gravity", "of_roll"), [(True, 0.02 * 0.45), (False, 0.0)])
+def test_the_roll_of_the_contact_is_known_to_two_hundredths_per_metre(*, gravity: bool, of_roll: float) -> None:
+    sensors = replace(PAPER_CLASS.sensors, measures_gravity=gravity, lateral=SensorChannel(scale_std=0.004))
+    found = ParameterUncertainty.of(replace(PAPER_CLASS, sensors=sensors))
+    assert found.displacement == pytest.approx(np.hypot(0.004, of_roll))

@@ -15,12 +15,13 @@ from estimation.track.gridded_pass import grid_pass, with_ratio
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
 from estimation.track.journeys import PositionParameters, journeys
 from estimation.track.panel.basis import Panel, PanelParameters
-from estimation.track.panel.stiffness_ratio import SYSTEMATIC_STD
+from estimation.track.panel.stiffness_ratio import PRIOR_STD, SYSTEMATIC_STD, Ratio, with_ratio_std
 from estimation.track.passes import Pass, passes
 from estimation.track.results import findings
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 CONES = (0.05, 0.10, 0.16)
+NAMES = ("stiffness_term", "difference")
 SOFT, RIGHT = 17.0, 23.0  # m/s of the vehicle that is assumed 20 % too soft, and of one that is known
 PANEL = Panel.of(PanelParameters(length=2800.0, basis_count=21))
 
@@ -60,6 +61,33 @@ def test_the_std_of_a_ratio_covers_its_error_and_reaches_the_geometry() -> None:
     track_findings = findings(one, gauge_estimated=False).findings
     assert track_findings.stiffness_ratio_std == max(ratio.std for ratio in one.ratios.values())
     assert track_findings.stiffness_ratio == {vehicle: ratio.value for vehicle, ratio in one.ratios.items()}
+
+
+def test_what_the_curves_leave_unexplained_widens_a_ratio_as_far_as_the_stiffness_term_is_the_difference() -> None:
+    """Errors of R make a ratio too small in every block of data alike; a third unexplained counts for the most."""
+    passes_of = [grid_pass(item, PANEL.grid) for item in assumed_stiffness(1.0)]
+    one = iterated(1.0)
+    widths = {}
+    for explained in (1.0, 0.9, 0.67, 0.3):
+        ratios = {vehicle: Ratio() for vehicle in one.ratios}
+        widths[explained] = with_ratio_std(ratios, passes_of, one.solution, PANEL, explained)
+    for vehicle in one.ratios:
+        own = [item for item in passes_of if item.source.vehicle == vehicle]
+        E, R = (np.concatenate([getattr(item, name)[item.inside] for item in own]) for name in NAMES)
+        share = float(E @ E / (R @ R))
+        plain, wide = (widths[explained][vehicle].std for explained in (1.0, 0.9))
+        assert wide == pytest.approx(weighed(plain, (1.0 / 0.9 - 1.0) * share), rel=1e-6)
+        assert widths[0.67][vehicle].std == pytest.approx(weighed(plain, (1.0 / 0.67 - 1.0) * share), rel=1e-6)
+        assert widths[0.3] == widths[0.67], "no more than that"
+
+
+def weighed(plain: float, more: float) -> float:
+    """Return the std of a ratio with one more error of its step, from the std without it."""
+    of_data = np.sqrt(plain**2 - SYSTEMATIC_STD**2)  # sqrt(w) e with w = p^2/(p^2 + e^2)
+    before = PRIOR_STD**2 * of_data**2 / (PRIOR_STD**2 - of_data**2)
+    square = before + more**2
+    worth = PRIOR_STD**2 / (PRIOR_STD**2 + square)
+    return float(np.hypot(np.sqrt(worth * square), SYSTEMATIC_STD))
 
 
 def test_the_ratio_makes_the_radius_difference_that_of_the_vehicle_as_it_is() -> None:

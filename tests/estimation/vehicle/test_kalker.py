@@ -42,7 +42,7 @@ def test_the_narrow_end_of_the_table_approaches_the_limit_of_line_contact() -> N
     assert c22 == pytest.approx(math.pi**2 / 4, rel=0.025)
 
 
-def test_between_two_rows_lies_what_lies_between_their_values() -> None:
+def test_between_two_rows_a_value_is_between_theirs() -> None:
     for between, one, other in zip(*map(table_coefficients, (0.95, 0.9, 1.0)), strict=True):
         assert min(one, other) < between < max(one, other)
 
