@@ -2,8 +2,8 @@
 
 A stiff yaw spring turns a scale error e of the yaw sensor into the moment k_psi e psi, and one between the two frame
 sensors into k_psi e ym / wheelbase. Per bin they could not be parted from noise. But they are the same for all bins,
-and known beforehand within the accuracy of sensors. Elimination of the bins' own unknowns leaves one equation for each; so
-the sums of the bins are all that is needed.
+and known beforehand within the accuracy of sensors. Elimination of the bins' own unknowns leaves one equation for each;
+so the sums of the bins are all that is needed.
 """
 
 from __future__ import annotations
