@@ -12,10 +12,11 @@ from estimation.geometry.estimate import GeometryParameters, _displacement_noise
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables import least_squares
 from estimation.tables.bin_table import BinParameters
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
+from estimation.vehicle.regressors import YAW_TARGETS
 
 PARAMETERS = BinParameters(width=0.25e-3, reach=1.5e-3, groups=6)
 CENTRE = 0.5 * (PARAMETERS.edges[:-1] + PARAMETERS.edges[1:])
@@ -274,10 +275,32 @@ def test_the_yaw_uncertainty_reaches_the_conicity() -> None:
     assert geometry.equivalent_conicity.std == pytest.approx(0.0, abs=1e-6)
 
 
-def replicates(residual: FloatArray, slope: FloatArray) -> _Replicates:
+def noise_of(
+    residual: FloatArray, slope: FloatArray, out: BoolArray, expected: float = 0.0, of_sensors: float = 0.0
+) -> tuple[float, bool]:
+    """Return the error of y - d of bins with these residuals, m, and slopes of R; of_sensors is a variance, m2."""
     yaw = np.zeros((1, BINS, 4, 7))
     yaw[0, :, 2, 0] = slope * PARAMETERS.width
-    return _Replicates(np.zeros((1, BINS, 4, 7)), yaw, residual, every(6.0))
+    yaw[0, :, 1, YAW_TARGETS.index("noise")] = of_sensors
+    found = _Replicates(np.zeros((1, BINS, 4, 7)), yaw, residual, every(6.0))
+    return _displacement_noise(found, out, PARAMETERS, expected)
+
+
+@pytest.mark.parametrize(("expected", "found"), [(3e-5, 5e-5 / np.sqrt(2.0)), (4e-5, 4e-5), (9e-5, 5e-5)])
+def test_the_noise_of_the_displacement_is_up_to_all_of_the_residual_where_that_much_is_expected(
+    expected: float, found: float
+) -> None:
+    nothing = np.zeros(BINS, dtype=bool)
+    assert noise_of(every(1e-5), every(0.2), nothing, expected) == (pytest.approx(found), False)
+
+
+@pytest.mark.parametrize(("share", "hidden"), [(0.49, False), (0.51, True)])
+def test_the_noise_of_sensors_hides_that_of_the_displacement_from_half_of_the_residual(
+    share: float, *, hidden: bool
+) -> None:
+    nothing, left = np.zeros(BINS, dtype=bool), 5e-5 * np.sqrt(1.0 - share)
+    found = noise_of(every(1e-5), every(0.2), nothing, 9e-5, share * 1e-10)
+    assert found == (pytest.approx(9e-5 if hidden else left), hidden)
 
 
 def test_the_noise_of_the_displacement_is_the_lower_quartile_in_the_steeper_half() -> None:
@@ -286,21 +309,21 @@ def test_the_noise_of_the_displacement_is_the_lower_quartile_in_the_steeper_half
     steep = sorted(range(BINS), key=lambda b: -abs(slope[b]))[: (BINS + 1) // 2]
     expected = np.percentile([residual[b] / abs(slope[b]) for b in steep], 25.0) / np.sqrt(2.0)
     nothing = np.zeros(BINS, dtype=bool)
-    assert _displacement_noise(replicates(residual, slope), nothing, PARAMETERS) == pytest.approx(expected)
+    assert noise_of(residual, slope, nothing) == (pytest.approx(expected), False)
 
 
 @pytest.mark.parametrize(("left", "known"), [(5, True), (4, False)])
 def test_the_noise_of_the_displacement_needs_five_bins(left: int, *, known: bool) -> None:
     out = np.arange(BINS) >= left
     residual, slope = odd(1e-5, 1e-3), every(0.2)
-    noise = _displacement_noise(replicates(residual, slope), out, PARAMETERS)
+    noise, _ = noise_of(residual, slope, out)
     assert noise == (pytest.approx(1e-5 / 0.2 / np.sqrt(2.0)) if known else 0.0)
     broken = residual.copy()
     broken[left:] = np.nan
     nothing = np.zeros(BINS, dtype=bool)
-    assert _displacement_noise(replicates(broken, slope), nothing, PARAMETERS) == noise
+    assert noise_of(broken, slope, nothing)[0] == noise
     slope[left:] = np.nan
-    assert _displacement_noise(replicates(residual, slope), nothing, PARAMETERS) == noise
+    assert noise_of(residual, slope, nothing)[0] == noise
 
 
 def test_a_table_of_other_parameters_is_refused() -> None:
