@@ -41,7 +41,8 @@ def ingest(
     Every recording is stored unchanged before it is decoded. Receiving a recording twice changes nothing. Runs from a
     simulation or of an instrumented vehicle come in as exchanges.
     """
-    if (interface is not None) + bool(files) + bool(exchange) != 1:
+    sources = (interface is not None) + bool(files) + bool(exchange)
+    if sources > 1 or (sources == 0 and registry is None):  # a registry may come alone
         raise ParameterError(
             "give recordings, or --exchange, or --interface with --channel and --vehicle", field="FILES"
         )

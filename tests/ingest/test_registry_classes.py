@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from in_process_command import Run
 
 from api.terminal.ingest import registry_lines
 from estimation.errors import InputError
@@ -157,3 +158,14 @@ def test_a_class_of_the_package_need_not_be_registered(sqlite_storage: SqlStorag
     content["vehicles"][0]["axle_offsets_m"] = [0.0, 1.8, 19.0, 20.8]
     with pytest.raises(InputError, match="wheelbase of class 'coach'"):
         load(storage, tmp_path, content)
+
+
+def test_a_registry_is_loaded_without_recordings_and_says_who_waits_for_a_class(
+    treadwatch: Run, tmp_path: Path
+) -> None:
+    path = tmp_path / "registry.json"
+    path.write_text(json.dumps(registry(vehicle_class="tram")))
+    treadwatch("db", "upgrade")
+    done = treadwatch("ingest", "--registry", path)
+    assert done.returncode == 0, done.stderr
+    assert "class 'tram' is not on file: V1 will not be estimated" in done.stderr
