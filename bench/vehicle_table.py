@@ -213,4 +213,6 @@ def _error(errors: Sequence[float]) -> str:
 
 def _reasons(cases: Sequence[Mapping[str, Any]]) -> str:
     codes = Counter(verdict["code"] for case in cases for verdict in case["verdicts"] if verdict["code"])
+    if not (codes or counted(cases).published):  # nothing was refused: there is no alignment
+        return ", ".join(sorted({case["survey"] for case in cases if case["survey"]}))
     return ", ".join(f"{code} {count}" for code, count in codes.most_common(MOST_REASONS))

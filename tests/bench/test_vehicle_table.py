@@ -67,6 +67,14 @@ def test_of_a_wrong_class_nothing_may_be_published(statuses: list[str], met: str
     assert found["reasons"] == f"why {sum(status != 'estimated' for status in statuses)}"
 
 
+def test_a_fleet_without_alignment_has_the_verdict_on_its_survey_as_reason() -> None:
+    waiting = case("coach_known", ["unestimated"] * 2) | {"survey": "survey_unit"}
+    for verdict in waiting["verdicts"]:
+        verdict["code"] = ""
+    (row,) = summary_rows([waiting])
+    assert cells(HEADER, row)["reasons"] == "survey_unit"
+
+
 def test_the_power_curve_has_a_line_for_each_size_of_an_error() -> None:
     none, half = "power:nothing:0", "power:yaw_stiffness:-50"
     cases = [
