@@ -32,6 +32,9 @@ FEWEST_GROUPS = 4
 
 FEWEST_BINS = 5
 
+PRIOR_SAMPLES = (
+    1000.0  # that what is known of the sensors' scales outweighs: errors of y - d last, and look like scales
+)
 NOISE = YAW_TARGETS.index("noise")
 
 HIDDEN_JUMP_SHARE = 0.5  # of the error of y - d, by which contact jumps are off where it is hidden
@@ -165,7 +168,7 @@ def _replicates(table: BinTable, bins: BinParameters, parameters: GeometryParame
     if bins.wheelbase is None:
         yaw = _solve(sums, weight, len(YAW_TARGETS))
     else:
-        shared, std = SHARED_IN_BOGIE, parameters.sensor_scale_std
+        shared, std = SHARED_IN_BOGIE, parameters.sensor_scale_std / float(np.sqrt(PRIOR_SAMPLES))
         yaw = solve_with_shared_scales(sums, weight, shared, size, len(YAW_TARGETS), std)
     own = yaw.theta.reshape(len(weight), b, size, len(YAW_TARGETS))[:, :, size - REGRESSORS :]
     vehicle = bins.vehicle
@@ -213,8 +216,9 @@ def _displacement_noise(
     if use.sum() < FEWEST_BINS:
         return 0.0, False
     steep = use & (slope >= np.median(slope[use]))
-    whole = float(np.quantile(residual[steep] / slope[steep], 0.25))
-    shown = max(whole / np.sqrt(2.0), min(whole, expected))
+    least = float(np.quantile(residual[steep] / slope[steep], 0.25) / np.sqrt(2.0))
+    most = float(np.linalg.norm(residual[use]) / max(float(np.linalg.norm(slope[use])), 1e-300))
+    shown = max(least, min(most, expected))
     hidden = float(np.median(of_sensors[use] / np.maximum(replicates.residual[use] ** 2, 1e-300))) > HIDDEN_SHARE
     return (max(shown, expected), True) if hidden else (shown, False)
 

@@ -14,12 +14,13 @@ from functools import reduce
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from estimation.errors import ParameterError
 from estimation.motion.parameters import WindowParameters
 from estimation.motion.window_motion import window_motion
 from estimation.tables import least_squares
-from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.geometry import BinTable
 from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
@@ -129,9 +130,11 @@ def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
     equations = regression(motion, parameters.vehicle, parameters.difference_noise, parameters.wheelbase or 1.0)
     x1, x2 = equations.lateral.T
     *first, c = equations.yaw.T
+    targets = equations.yaw_targets.copy()
+    targets[:, YAW_TARGETS.index("noise")] += c * fast_noise(targets[:, 0] / c, inside)
     cells = parameters.groups * bins
     lateral = least_squares.collect(np.column_stack([x1, x1 * u, x2, x2 * u]), equations.lateral_targets, cell, cells)
-    yaw = least_squares.collect(np.column_stack([*first, c, c * u, c * u * u]), equations.yaw_targets, cell, cells)
+    yaw = least_squares.collect(np.column_stack([*first, c, c * u, c * u * u]), targets, cell, cells)
     shape = (parameters.groups, bins)
     return BinTable(
         parameter_key=parameters.key,
@@ -142,6 +145,30 @@ def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
         samples=int(inside.sum()),
         windows=1,
     )
+
+
+def fast_noise(difference: FloatArray, valid: BoolArray) -> float:
+    """Return the variance, m2, of what varies faster in rL - rR than a wheelset can: vibration and sensor noise.
+
+    The median of what a running mean over some hundredths of a second leaves, so that contact jumps do not count.
+
+    Parameters
+    ----------
+    difference
+        (n,) rL - rR sample by sample, m; NaN where not known.
+    valid
+        (n,) samples that count.
+    """
+    known = valid & np.isfinite(difference)
+    if not known.any():
+        return 0.0
+    filled = np.where(known, difference, 0.0)
+    fast = filled - uniform_filter1d(filled, FAST_SAMPLES)
+    return (float(np.median(np.abs(fast[known]))) * MEDIAN_TO_STD) ** 2
+
+
+FAST_SAMPLES = 17  # at 250 Hz: faster than some 10 Hz
+MEDIAN_TO_STD = 1.4826  # of the absolute value of a normal variable
 
 
 def merge(first: BinTable, second: BinTable, forgetting: float = 1.0) -> BinTable:
