@@ -58,7 +58,7 @@ def test_conicity_from_real_sensors_is_near_and_its_intervals_cover() -> None:
 
 
 def test_intervals_widen_with_the_noise_of_the_sensors() -> None:
-    quiet, loud = from_mems(1, 0.12, density=1e-4), from_mems(1, 0.12, density=1e-2)
+    quiet, loud = from_mems(1, 0.12, density=1e-4), from_mems(1, 0.12, density=4e-3)
     assert quiet.equivalent_conicity.std is not None
     assert loud.equivalent_conicity.std is not None
     assert loud.equivalent_conicity.std > 2 * quiet.equivalent_conicity.std
