@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.windows import ACCELERATIONS, Window
@@ -157,12 +158,13 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
     accelerations -= accelerations.mean(axis=1, keepdims=True)
     rates = _detrended_integrals(accelerations, dt)
     displacements = _running_integrals(rates, dt)
-    if window.measures_gravity:
-        accelerations[_LATERAL] -= GRAVITY * displacements[_ROLL]
-        rates[_LATERAL] = _detrended_integrals(accelerations[_LATERAL], dt)
-        displacements[_LATERAL] = _running_integrals(rates[_LATERAL], dt)
     speed = bridged(window.speed[part], known)
     (run,) = _running_integrals(speed[None, :], dt)
+    if window.measures_gravity:
+        (roll,) = remove_wander(displacements[[_ROLL]], run, known, ROLL_CUTOFF)
+        accelerations[_LATERAL] -= GRAVITY * roll
+        rates[_LATERAL] = _detrended_integrals(accelerations[_LATERAL], dt)
+        displacements[_LATERAL] = _running_integrals(rates[_LATERAL], dt)
     own = slice(0, len(ACCELERATIONS))
     of_frame = [values[-1] for values in (accelerations, rates, displacements)]
     return IntegratedSegment(
@@ -178,6 +180,7 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
     )
 
 
+ROLL_CUTOFF = 120.0  # m: of longer waves the roll is drift, which two more integrals would make grow beyond all filters
 _ROLL = ACCELERATIONS.index("roll_acceleration")
 _LATERAL = [ACCELERATIONS.index("lateral_acceleration"), ACCELERATIONS.index("mass_lateral_acceleration")]
 
