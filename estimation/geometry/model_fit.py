@@ -25,6 +25,7 @@ SENSOR_SCALE = 0.02  # std of the spring error by the scales of the sensors
 SHARE_IN_BOGIE = 0.5  # of an error of stiffness or creep that shows as spring error; the curve takes up the rest
 STDS = 2.2  # of the spring error, beyond which the class is another
 MOST_MISFIT = 0.65  # right classes on measured wheels and on gauge that varies unknown have up to 0.6
+NOISE_DOUBT = 0.5  # of the variance that sensor noise makes: sensors may be as much worse than on file
 LEAST_SAMPLES = 200.0  # of a bin
 FEWEST_BINS = 5
 FREE = 1e6  # std of what nothing is known of beforehand
@@ -66,7 +67,8 @@ def model_fit(table: BinTable, bins: BinParameters, sensor_scale_std: float) -> 
     unit = 1.0 if in_bogie else 0.5 * p.half_contact_distance * p.load / p.yaw_stiffness
     errors = unit * np.nanmedian(theta[:, :, 0, 0], axis=1)
     per_metre = p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius
-    unexplained = solved.residual_variance[: int(used.sum())] / per_metre**2 - theta[0, :, shared, _NOISE]
+    of_noise = (1.0 + NOISE_DOUBT) * theta[0, :, shared, _NOISE]
+    unexplained = solved.residual_variance[: int(used.sum())] / per_metre**2 - of_noise
     curve = theta[0, :, shared, 0]
     left, size = (float(np.average(part, weights=weight[0, used])) for part in (unexplained, curve**2))
     if not (math.isfinite(left) and size > 0.0):

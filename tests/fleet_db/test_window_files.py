@@ -68,7 +68,10 @@ def test_the_lowest_and_highest_counts_are_kept_apart_from_the_missing_ones() ->
     assert same_values(unpack_window(pack_window(edge), where="here"), edge)
 
 
-@pytest.mark.parametrize("name", [field.name for field in fields(Window)])
+OF_CLASS = {"frame_yaw_acceleration", "measures_gravity"}  # not stored: they follow from the class of the vehicle
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Window) if field.name not in OF_CLASS])
 def test_every_field_is_in_the_digest(name: str) -> None:
     window = make.window()
     value = getattr(window, name)
