@@ -1,0 +1,58 @@
+"""Where noise of the yaw sensor hides the error of the lateral displacement, what is expected stands for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from estimation.geometry.estimate import (
+    HIDDEN_JUMP_SHARE,
+    HIDDEN_SHARE,
+    NOISE,
+    PRIOR_SAMPLES,
+    GeometryParameters,
+    _displacement_noise,
+    _Replicates,
+)
+from estimation.geometry.model_fit import NOISE_DOUBT
+from estimation.motion.integration import ROLL_CUTOFF
+from estimation.tables.bin_table import BinParameters
+from estimation.vehicle.regressors import LATERAL_TARGETS, YAW_TARGETS
+
+BINS, SLOPE, EXPECTED = 21, 0.5, 0.12e-3
+PARAMETERS = BinParameters()
+
+
+def replicates(residual: float, of_sensors: float) -> _Replicates:
+    """Return a straight curve with a residual of rL - rR, m, of which sensors make a part, m."""
+    yaw = np.zeros((1, BINS, 4, len(YAW_TARGETS)))
+    yaw[0, :, 2, 0] = SLOPE * PARAMETERS.width
+    yaw[0, :, 1, NOISE] = of_sensors**2
+    lateral = np.zeros((1, BINS, 4, len(LATERAL_TARGETS)))
+    return _Replicates(lateral, yaw, np.full(BINS, residual), np.full(BINS, 16.0))
+
+
+def found(residual: float, of_sensors: float, expected: float = EXPECTED) -> tuple[float, bool]:
+    return _displacement_noise(replicates(residual, of_sensors), np.zeros(BINS, dtype=np.bool_), PARAMETERS, expected)
+
+
+def test_without_sensor_noise_the_residual_shows_the_error() -> None:
+    assert found(0.05e-3, 0.0, expected=0.0) == (pytest.approx(0.05e-3 / SLOPE / np.sqrt(2.0)), False)
+
+
+def test_all_of_the_residual_is_error_of_the_displacement_where_that_much_is_expected() -> None:
+    assert found(0.05e-3, 0.0, expected=0.08e-3) == (pytest.approx(0.08e-3), False)
+    assert found(0.05e-3, 0.0, expected=1e-3) == (pytest.approx(0.05e-3 / SLOPE), False)
+
+
+def test_noise_of_the_yaw_sensor_hides_it() -> None:
+    most = np.sqrt(HIDDEN_SHARE) * 0.4e-3
+    assert found(0.4e-3, 1.01 * most)[1]
+    assert not found(0.4e-3, 0.99 * most)[1]
+    assert found(0.4e-3, 0.4e-3) == (pytest.approx(EXPECTED), True)
+
+
+def test_the_shipped_figures() -> None:
+    assert (HIDDEN_SHARE, HIDDEN_JUMP_SHARE, PRIOR_SAMPLES) == (0.5, 1.5, 1000.0)
+    assert GeometryParameters().sensor_scale_std == 0.02
+    assert (NOISE_DOUBT, ROLL_CUTOFF) == (0.5, 120.0)
