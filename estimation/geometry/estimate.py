@@ -37,7 +37,7 @@ PRIOR_SAMPLES = (
 )
 NOISE = YAW_TARGETS.index("noise")
 
-HIDDEN_JUMP_SHARE = 1.5  # of the error of y - d, by which contact jumps are off where it is hidden
+HIDDEN_JUMP_SHARE = 0.5  # of the error of y - d, by which contact jumps are off where it is hidden
 HIDDEN_SHARE = 0.5  # of the residual's variance that sensor noise may make up, for the rest to show the error of y - d
 
 

@@ -53,6 +53,6 @@ def test_noise_of_the_yaw_sensor_hides_it() -> None:
 
 
 def test_the_shipped_figures() -> None:
-    assert (HIDDEN_SHARE, HIDDEN_JUMP_SHARE, PRIOR_SAMPLES) == (0.5, 1.5, 1000.0)
+    assert (HIDDEN_SHARE, HIDDEN_JUMP_SHARE, PRIOR_SAMPLES) == (0.5, 0.5, 1000.0)
     assert GeometryParameters().sensor_scale_std == 0.02
     assert (NOISE_DOUBT, ROLL_CUTOFF) == (0.5, 120.0)
