@@ -85,7 +85,7 @@ def _lateral(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) ->
 
 
 def yaw_output(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) -> FloatArray:
-    """Return psi'' - Omega2 (k,), rad/s^2 (Eq. 17).
+    """Return psi'' - Omega2 (k,), rad/s^2 (Eq. 17); the frame of a bogie moves the other end of the yaw spring.
 
     Parameters
     ----------
@@ -103,6 +103,8 @@ def yaw_output(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) 
         (2 * p.lateral_spin_creep_coefficient / V) * motion.lateral_velocity
         - (damping + p.yaw_damping) * motion.yaw_rate
     ) / p.yaw_inertia
+    if motion.frame_yaw is not None and motion.frame_yaw_rate is not None:
+        known = known + (p.yaw_stiffness * motion.frame_yaw + p.yaw_damping * motion.frame_yaw_rate) / p.yaw_inertia
     return np.asarray((motion.yaw_acceleration - known)[keep])
 
 

@@ -72,7 +72,7 @@ def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> Se
     """
     keep = usable(motion)
     equations = regression(motion, state.parameters.vehicle)
-    targets = equations.yaw_targets[keep] / equations.yaw[keep, 1:]
+    targets = equations.yaw_targets[keep] / equations.yaw[keep, -1:]
     functions = basis(motion.displacement[keep])
     groups = group_of(motion.block[keep], GROUPS)
     gram, cross = state.gram.copy(), state.cross.copy()

@@ -30,6 +30,7 @@ from estimation.values.geometry import BinTable, GeometryRecord, WheelsetGeometr
 from estimation.values.identity import IdentityChange
 from estimation.values.json_value import JsonValue
 from estimation.values.motion import Motion
+from estimation.values.quantities import Status
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.windows import WindowRecord
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -313,17 +314,21 @@ class _Used:
 def _geometry(unit: UnitOfWork, entries: Sequence[_Entry], used: _Used, half_life_km: float | None) -> WheelsetGeometry:
     """Return the geometry of the entries' windows; ``half_life_km`` is of forgetting, None for none."""
     bins, settings = bin_parameters(used.assumed.windows), used.settings
-    if settings.estimator != SHIPPED:
-        motions = _weighted_motions(unit, entries, used.assumed.windows, half_life_km)
-        published = PublishedBins(bins.edges, settings.geometry_key(bins.key))
-        return _from_motions(motions, settings, used.assumed.windows.vehicle, used.uncertainty, published)
     tables = _tables(unit, entries)
     table = (
         bin_table.merge_all([table for _, table in tables], bins)
         if half_life_km is None
         else bin_table.merge_with_mileage(tables, half_life_km, bins)
     )
-    return estimate_geometry(table, bins, replace(settings.geometry, uncertainty=used.uncertainty))
+    shipped = estimate_geometry(table, bins, replace(settings.geometry, uncertainty=used.uncertainty))
+    if settings.estimator == SHIPPED:
+        return shipped
+    motions = _weighted_motions(unit, entries, used.assumed.windows, half_life_km)
+    published = PublishedBins(bins.edges, settings.geometry_key(bins.key))
+    other = _from_motions(motions, settings, used.assumed.windows.vehicle, used.uncertainty, published)
+    if shipped.status is Status.MODEL_MISMATCH and shipped.reason is not None:
+        return other.mismatched(shipped.reason)  # whatever the estimator, the data do not follow the class
+    return other
 
 
 def _nothing(settings: EstimationSettings, parameter_key: str) -> WheelsetGeometry:
