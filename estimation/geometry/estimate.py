@@ -19,7 +19,7 @@ from estimation.tables import least_squares
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import BinStatus, BinTable, BinValues, WheelsetGeometry
-from estimation.values.intervals import jackknife_std, normal_equivalent
+from estimation.values.intervals import jackknife_std, leave_one_out, normal_equivalent
 from estimation.vehicle.regressors import (
     LATERAL_TARGETS,
     REGRESSORS,
@@ -32,9 +32,7 @@ FEWEST_GROUPS = 4
 
 FEWEST_BINS = 5
 
-PRIOR_SAMPLES = (
-    1000.0  # that what is known of the sensors' scales outweighs: errors of y - d last, and look like scales
-)
+PRIOR_SAMPLES = 1000.0  # outweighed by the sensors' known scales: errors of y - d last, and look like scales
 NOISE = YAW_TARGETS.index("noise")
 
 HIDDEN_JUMP_SHARE = 0.5  # of the error of y - d, by which contact jumps are off where it is hidden
@@ -160,10 +158,10 @@ def _curve(
 
 def _replicates(table: BinTable, bins: BinParameters, parameters: GeometryParameters) -> _Replicates:
     present = table.weight.sum(axis=1) > 0
-    weight = _leave_one_out(table.weight, present)
+    weight = leave_one_out(table.weight, present)
     b = weight.shape[1]
-    lateral = _solve(_leave_one_out(table.lateral, present), weight, len(LATERAL_TARGETS))
-    sums = _leave_one_out(table.yaw, present)
+    lateral = _solve(leave_one_out(table.lateral, present), weight, len(LATERAL_TARGETS))
+    sums = leave_one_out(table.yaw, present)
     size = bins.yaw_regressors
     if bins.wheelbase is None:
         yaw = _solve(sums, weight, len(YAW_TARGETS))
@@ -179,11 +177,6 @@ def _replicates(table: BinTable, bins: BinParameters, parameters: GeometryParame
         np.sqrt(yaw.residual_variance[:b]) / per_metre,
         (table.weight > 0).sum(axis=0).astype(np.float64),
     )
-
-
-def _leave_one_out(groups: FloatArray, present: BoolArray) -> FloatArray:
-    total = groups.sum(axis=0)
-    return np.concatenate([total[None], total[None] - groups[present]])
 
 
 def _solve(packed: FloatArray, weight: FloatArray, targets: int) -> least_squares.Solution:

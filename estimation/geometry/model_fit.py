@@ -15,9 +15,8 @@ import numpy as np
 
 from estimation.geometry.shared_scale import solve_with_shared_scales
 from estimation.tables.bin_table import BinParameters
-from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable
-from estimation.values.intervals import jackknife_std
+from estimation.values.intervals import jackknife_std, leave_one_out
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.vehicle.regressors import REGRESSORS, SHARED_IN_BOGIE, YAW_TARGETS
 
@@ -55,7 +54,7 @@ def model_fit(table: BinTable, bins: BinParameters, sensor_scale_std: float) -> 
     """
     p = bins.vehicle
     present = table.weight.sum(axis=1) > 0
-    weight, sums = _leave_one_out(table.weight, present), _leave_one_out(table.yaw, present)
+    weight, sums = leave_one_out(table.weight, present), leave_one_out(table.yaw, present)
     used = weight[0] >= LEAST_SAMPLES
     if used.sum() < FEWEST_BINS or present.sum() < FEWEST_BINS:
         return None
@@ -104,8 +103,3 @@ def mismatch(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie:
         )
         return Reason(ReasonCode.MOTION_UNEXPLAINED, text)
     return None
-
-
-def _leave_one_out(groups: FloatArray, present: np.ndarray) -> FloatArray:
-    total = groups.sum(axis=0)
-    return np.concatenate([total[None], total[None] - groups[present]])

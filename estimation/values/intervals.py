@@ -5,11 +5,30 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import stdtrit
 
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.quantities import Estimate, Status
 
 NORMAL_95 = 1.959963984540054
 """Standard deviations from the mean of a normal distribution to the ends of its 95 % interval."""
+
+
+def leave_one_out(groups: FloatArray, present: BoolArray) -> FloatArray:
+    """Return sums over all groups of blocks (row 0), then over all but one.
+
+    Parameters
+    ----------
+    groups
+        (n, ...) sums of each group.
+    present
+        (n,) which groups have data, g of them.
+
+    Returns
+    -------
+    FloatArray
+        (1 + g, ...) sums.
+    """
+    total = groups.sum(axis=0)
+    return np.concatenate([total[None], total[None] - groups[present]])
 
 
 def jackknife_std(replicates: FloatArray) -> FloatArray:
