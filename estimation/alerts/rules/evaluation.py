@@ -8,6 +8,7 @@ from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.identity import mounting_corrected
 from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
 from estimation.values.alerts import Alert, CloseReason, Finding
+from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 
 
@@ -44,8 +45,9 @@ def _ending(alert: Alert, facts: WheelsetFacts, book: RuleBook) -> tuple[CloseRe
 def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]:
     """Return what every rule that is switched on finds; nothing of a wheelset that is not in service.
 
-    Where the sensor is silent or faulty, or where the wheelset was reprofiled or mounted after the newest data, the
-    wear rules find ``unknown``: old numbers are never read as the present state.
+    Where the sensor is silent or faulty, where the wheelset was reprofiled or mounted after the newest data, or where
+    those do not follow the class of the vehicle, the wear rules find ``unknown``: old numbers are never read as the
+    present state.
 
     Parameters
     ----------
@@ -74,5 +76,7 @@ def _not_assessable_reason(facts: WheelsetFacts, found: list[tuple[AlertRule, Fi
         return Reason(ReasonCode.NO_GEOMETRY, "no geometry yet")
     if mounting is not None and geometry.to_ns <= mounting.from_ns:
         return Reason(ReasonCode.NO_DATA_SINCE_MOUNTING, "no data since it was mounted")
+    if geometry.geometry.status is Status.MODEL_MISMATCH:  # nor is a trend from before the present state
+        return geometry.geometry.reason
     hidden = (rule.hides_wear for rule, finding in found if finding is not None and finding.breached)
     return next(filter(None, hidden), None)

@@ -21,7 +21,7 @@ from plain_facts import (
     trend_record,
 )
 from scipy import stats
-from wheelset_life import DAY_NS, geometry_of, quality, window_record
+from wheelset_life import DAY_NS, geometry_of, known, quality, window_record
 
 from estimation.alerts.identity import IdentityEvent, Mistake
 from estimation.alerts.rules.book import RuleBook
@@ -38,6 +38,7 @@ from estimation.alerts.rules.rule import (
 from estimation.alerts.rules.sensor_fault import SensorFaultRule, faulty, sensor_fault_finding
 from estimation.values.alerts import CloseReason, Finding, Severity
 from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Reprofiling
 from estimation.values.windows import WindowState
 
@@ -216,6 +217,18 @@ def test_old_numbers_are_never_read_as_the_present_state() -> None:
         "hunting": False,
     }
     assert "sensor_fault" not in breached(facts_of(), RuleBook().with_rules(SensorFaultRule(enabled=False)))
+
+
+def test_a_trend_is_not_read_as_the_present_state_where_the_newest_data_contradict_the_class() -> None:
+    why = Reason(ReasonCode.YAW_SPRING_DIFFERS, "a moment of +90%")
+    trend = trend_record(trend_of(fitted=known(0.6, 0.01)))
+    before = facts_of(trend=trend)
+    after = replace(before, geometry=geometry_record(geometry_of(conicity=0.6, even=0.3).mismatched(why)))
+    of_wear = ("conicity_limit", "limit_forecast")
+    assert [breached(before)[kind] for kind in of_wear] == [True, True]
+    assert [breached(after)[kind] for kind in (*of_wear, "wheel_asymmetry")] == [None, None, None]
+    (found,) = (one for one in findings(after, RuleBook(), 600) if one.kind == "conicity_limit")
+    assert (found.evidence["unknown_because_code"], found.cleared) == ("yaw_spring_differs", None)
 
 
 def test_why_the_profile_cannot_be_judged() -> None:

@@ -1,0 +1,117 @@
+"""Wheelsets of a bogie whose class does not describe it, from windows to REST: no number, no alert, and why."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from alignment_job import LENGTH, Clock, surveyed
+from bogie_run import SOFT, WHEELBASE, of_bogie, windows
+from smooth_wheelset import SmoothTable
+
+from api.factory import create_app
+from api.settings import Settings
+from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
+from estimation.contact.conicity import equivalent_conicity
+from estimation.jobs.catalogue import job_named
+from estimation.jobs.job import JobContext, run_job
+from estimation.jobs.settings import EstimationSettings, JobSettings
+from estimation.storage import Storage
+from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.runs import JobTrigger
+from estimation.values.track import TrackSectionRecord
+from fleet_db.storage import SqlStorage
+
+LOW_LIMIT = RuleBook().with_rules(ConicityLimitRule(minimum_windows=1, bands=(SpeedBand(0.02),)))
+SOON_NS = 200 * 10**9  # the windows end 80 s before
+
+
+def register(storage: SqlStorage, yaw_stiffness: float) -> None:
+    """Register a soft bogie by a class of a certain yaw stiffness, and put the windows of both axles."""
+    with storage.write() as unit:
+        unit.registry.add_vehicle_class(of_bogie(yaw_stiffness), 1)
+        unit.registry.add_fleet(FleetRecord("F", "Fleet"))
+        unit.tracks.add_section(TrackSectionRecord("S1", 1, "Section", "56E1", 0.05, 1.435, LENGTH))
+        unit.tracks.add_alignment(surveyed())
+        unit.registry.add_vehicle(VehicleRecord("V1", "F", "bogie", 2, 40.0, (1.0, 1.0 + WHEELBASE)))
+        for axle in (1, 2):
+            unit.registry.add_wheelset(WheelsetRecord(f"W{axle}", "F", "P8", 0.45, None))
+            unit.registry.add_mounting(Mounting(f"W{axle}", "V1", axle, 0, None, 0.0, 0.0))
+            for window in windows(SOFT, axle):
+                unit.windows.put(replace(window, track_section="S1"), 10.0, 1)
+
+
+def run_jobs(storage: Storage, estimator: str) -> None:
+    settings = JobSettings(estimation=EstimationSettings(estimator=estimator), rules=LOW_LIMIT)
+    for name in ("estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts"):
+        done = run_job(job_named(name), JobContext(storage, Clock(SOON_NS), "test", settings), JobTrigger.CLI)
+        assert done.outcome == "succeeded", done.error
+
+
+def served(storage: SqlStorage, path: str) -> Any:  # noqa: ANN401 - JSON
+    url = f"sqlite:///{storage.engine.url.database}"
+    app = create_app(Settings(data_dir=storage.data_dir, database_url=url, port=0, _env_file=None))
+
+    async def get() -> httpx.Response:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://treadwatch") as client:
+            return await client.get(path)
+
+    answer = asyncio.run(get())
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def numbers(document: object, name: str = "") -> Iterator[float | None]:
+    """Yield every value and standard deviation in a document."""
+    if isinstance(document, dict):
+        for key, value in document.items():
+            yield from numbers(value, key)
+    elif isinstance(document, list):
+        for value in document:
+            yield from numbers(value, name)
+    elif name in {"value", "std"}:
+        assert document is None or isinstance(document, float)
+        yield document
+
+
+def kinds_of_alerts(storage: SqlStorage) -> set[tuple[str, str]]:
+    return {(one["wheelset"], one["kind"]) for one in served(storage, "/v1/alerts")["items"]}
+
+
+@pytest.mark.parametrize("estimator", ["bins", "cubic"])
+def test_a_class_twice_as_stiff_gives_no_number_and_no_alert(sqlite_storage: SqlStorage, estimator: str) -> None:
+    register(sqlite_storage, 2 * SOFT)
+    run_jobs(sqlite_storage, estimator)
+    for serial in ("W1", "W2"):
+        geometry = served(sqlite_storage, f"/v1/wheelsets/{serial}/geometry")
+        assert (geometry["status"], geometry["reason_code"]) == ("model_mismatch", "yaw_spring_differs")
+        assert "of the yaw spring" in geometry["reason"]
+        assert geometry["n_windows"] == len(windows(SOFT, 1))
+        trend = served(sqlite_storage, f"/v1/wheelsets/{serial}/trend")
+        assert trend["points"]["value_1"] == []
+        assert (trend["current_1"]["status"], trend["status"]) == ("model_mismatch", "unestimated")
+        found = [*numbers(geometry), *numbers(trend)]
+        assert len(found) > 100
+        assert set(found) == {None}
+    assert kinds_of_alerts(sqlite_storage) == set()
+
+
+@pytest.mark.parametrize("estimator", ["bins", "cubic"])
+def test_of_the_right_class_the_same_windows_exceed_the_limit(sqlite_storage: SqlStorage, estimator: str) -> None:
+    register(sqlite_storage, SOFT)
+    run_jobs(sqlite_storage, estimator)
+    x = np.linspace(-10e-3, 10e-3, 2001)
+    for serial, cone in (("W1", 0.1), ("W2", 0.14)):
+        geometry = served(sqlite_storage, f"/v1/wheelsets/{serial}/geometry")
+        assert (geometry["status"], geometry["estimator"]) == ("estimated", estimator)
+        table = SmoothTable(cone)
+        (true,) = equivalent_conicity(x, table.left(x) - table.right(x), np.array([3e-3]))
+        assert sum(one is not None for one in numbers(geometry)) > 50
+        assert geometry["equivalent_conicity_at_3_mm_1"]["value"] == pytest.approx(true, abs=0.01)
+    assert kinds_of_alerts(sqlite_storage) == {("W1", "conicity_limit"), ("W2", "conicity_limit")}
