@@ -55,6 +55,35 @@ def test_offsets_and_scales_are_found_by_correlation_and_refined_by_the_panel() 
     assert np.sqrt((fine**2).mean()) < 0.5 * np.sqrt((coarse**2).mean())
 
 
+OFF = (14.0, -9.0, 17.0, -15.0, 12.0, -18.0)  # m, of journeys over parts of the section, each 300 m after the last
+
+
+def _part(item: Pass, number: int) -> Pass:
+    inside = slice(*np.searchsorted(item.at, (300.0 * number, 300.0 * number + 600.0)))
+    return replace(
+        item,
+        at=item.at[inside] + OFF[number],
+        displacement=item.displacement[inside],
+        difference=item.difference[inside],
+        stiffness_term=None,
+        start_ns=number * 10**13,
+    )
+
+
+def test_journeys_over_parts_of_a_section_are_placed_in_a_chain() -> None:
+    """Each shares a place with the next one only; vehicles alternate."""
+    items = [
+        _part(item, k) for item in fleet_passes() for k in range(len(OFF)) if (k % 2 == 0) == (item.vehicle[0] == "1")
+    ]
+    found = correlate_positions(journeys(items, POSITIONS), PANEL.grid, POSITIONS)
+    by_part = {start // 10**13: one for (_, start), one in found.items()}
+    assert len(by_part) == len(OFF)
+    for k in range(len(OFF) - 1):
+        middle = 300.0 * k + 450.0
+        placed = [by_part[j].at(np.array([middle + OFF[j]]))[0] for j in (k, k + 1)]
+        assert placed[0] == pytest.approx(placed[1], abs=1.0)
+
+
 def test_passes_at_their_places_are_not_moved() -> None:
     grouped = journeys(fleet_passes(), POSITIONS)
     corrections = correlate_positions(grouped, PANEL.grid, POSITIONS)
