@@ -22,7 +22,7 @@ from ingest.simulator.gear_rates import (
     gear_rates,
 )
 from ingest.simulator.rates import STANDSTILL, Grid, compiled
-from ingest.simulator.stepping import OUTPUTS
+from ingest.simulator.stepping import OUTPUTS, advance
 
 GEAR_OUTPUTS = (*OUTPUTS, "frame_yaw")
 TRACK = 4
@@ -156,40 +156,21 @@ def gear_step(
     middle, after = speed + 0.5 * slope * h, speed + slope * h
     s_middle, s_after = s + 0.25 * h * (speed + middle), s + 0.5 * h * (speed + after)
     path += rise
-    move(state, 0.5 * h, k1, trial)
+    advance(state, 0.5 * h, k1, trial)
     gear_rates(
         g, creep, wheels, tables, grids, coefficients, middle, slope, s_middle, path, trial, k2, contact, track, place
     )
-    move(state, 0.5 * h, k2, trial)
+    advance(state, 0.5 * h, k2, trial)
     gear_rates(
         g, creep, wheels, tables, grids, coefficients, middle, slope, s_middle, path, trial, k3, contact, track, place
     )
     path += rise
-    move(state, h, k3, trial)
+    advance(state, h, k3, trial)
     gear_rates(
         g, creep, wheels, tables, grids, coefficients, after, slope, s_after, path, trial, k4, contact, track, place
     )
     for k in range(GEAR_STATES):
         state[k] += h / 6.0 * (k1[k] + 2.0 * k2[k] + 2.0 * k3[k] + k4[k])
-
-
-@compiled
-def move(state: FloatArray, h: float, rates: FloatArray, out: FloatArray) -> None:
-    """Write ``state`` + ``h`` ``rates`` into ``out``, all (16,).
-
-    Parameters
-    ----------
-    state
-        (16,) in SI.
-    h
-        Time step, s.
-    rates
-        (16,) time derivative of the state.
-    out
-        (16,) written.
-    """
-    for k in range(GEAR_STATES):
-        out[k] = state[k] + h * rates[k]
 
 
 @compiled

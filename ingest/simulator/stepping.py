@@ -35,20 +35,20 @@ OUTPUTS = (
 
 @compiled
 def advance(state: FloatArray, h: float, rates: FloatArray, out: FloatArray) -> None:
-    """Write ``state`` + ``h`` ``rates`` into ``out``, all (6,).
+    """Write ``state`` + ``h`` ``rates`` into ``out``.
 
     Parameters
     ----------
     state
-        (6,) y, y', psi, psi', ym, ym' in SI.
+        (n,) in SI.
     h
         Time step, s.
     rates
-        (6,) time derivative of the state.
+        (n,) time derivative of the state.
     out
-        (6,) written.
+        (n,) written.
     """
-    for k in range(STATES):
+    for k in range(len(state)):
         out[k] = state[k] + h * rates[k]
 
 

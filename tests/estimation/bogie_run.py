@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 from paper_class import PAPER_CLASS
-from smooth_wheelset import SmoothTable, mems_windows, track
+from smooth_wheelset import SmoothTable, ideal, mems_windows, track
 
 from estimation.motion.bogie_frame import with_frame_yaw
 from estimation.motion.parameters import WindowParameters
@@ -85,21 +85,8 @@ def parameters(vehicle_class: VehicleClass) -> WindowParameters:
 def ideal_in_bogie(m: WheelsetMotion) -> Motion:
     """Return the motion of a wheelset in a bogie as ideal sensors measure it."""
     assert m.frame_yaw is not None
-    return Motion(
-        speed=m.speed,
-        displacement=m.relative_displacement,
-        lateral_velocity=m.lateral_velocity,
-        lateral_acceleration=m.lateral_acceleration,
-        yaw=m.yaw,
-        yaw_rate=m.yaw_rate,
-        yaw_acceleration=m.yaw_acceleration,
-        roll=m.roll,
-        roll_rate=m.roll_rate,
-        suspension_deflection=m.mass_lateral_displacement - m.lateral_displacement,
-        suspension_deflection_rate=m.mass_lateral_velocity - m.lateral_velocity,
-        valid=np.ones(len(m), dtype=bool),
-        block=(m.t / 20.0).astype(np.int64),
-        band_limited=False,
+    return replace(
+        ideal(m),
         frame_yaw=m.frame_yaw,
         frame_yaw_rate=np.gradient(m.frame_yaw, 1e-3),
         frame_displacement=m.mass_lateral_displacement,

@@ -14,6 +14,8 @@ from estimation.alerts.rules.rule import (
     Share,
     WheelsetFacts,
     WindowCount,
+    measured_until,
+    newest_windows,
     number_evidence,
     too_few_windows,
     unknown_evidence,
@@ -76,7 +78,7 @@ def hunting_finding(rule: HuntingRule, wheelset: str, windows: Sequence[WindowRe
     measured_ns
         Used where there is no window.
     """
-    latest = sorted(windows, key=lambda w: w.start_ns)[-rule.latest_windows :]
+    latest = newest_windows(windows, rule.latest_windows)
     found = [w for w in latest if hunts(w, rule.hunting_share)]
     unknown = None if found else too_few_windows(len(latest), rule.minimum_windows)
     return Finding(
@@ -95,7 +97,7 @@ def hunting_finding(rule: HuntingRule, wheelset: str, windows: Sequence[WindowRe
         action="check_yaw_dampers_and_profiles",
         raise_limit=float(rule.raise_windows),
         clear_limit=0.0,
-        measured_ns=max((w.start_ns + w.length_ns for w in latest), default=measured_ns),
+        measured_ns=measured_until(latest, measured_ns),
     )
 
 

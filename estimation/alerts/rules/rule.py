@@ -145,6 +145,32 @@ def unknown_evidence(reason: Reason | None) -> dict[str, JsonValue]:
     return {"unknown_because": text_of(reason), "unknown_because_code": code_of(reason)}
 
 
+def newest_windows(windows: Sequence[WindowRecord], count: int) -> list[WindowRecord]:
+    """Return the newest windows, oldest first.
+
+    Parameters
+    ----------
+    windows
+        In any order.
+    count
+        How many at most.
+    """
+    return sorted(windows, key=lambda window: window.start_ns)[-count:]
+
+
+def measured_until(windows: Sequence[WindowRecord], otherwise_ns: int) -> int:
+    """Return the end of the last window, ns UTC.
+
+    Parameters
+    ----------
+    windows
+        In any order.
+    otherwise_ns
+        Returned where there is none.
+    """
+    return max((window.start_ns + window.length_ns for window in windows), default=otherwise_ns)
+
+
 def too_few_windows(windows: int, needed: int) -> Reason | None:
     """Return that there are fewer windows than a rule needs; None where there are enough.
 

@@ -15,6 +15,8 @@ from estimation.alerts.rules.rule import (
     Share,
     WheelsetFacts,
     WindowCount,
+    measured_until,
+    newest_windows,
     number_evidence,
     too_few_windows,
     unknown_evidence,
@@ -84,7 +86,7 @@ def sensor_fault_finding(
     measured_ns
         Used where there is no window.
     """
-    latest = sorted(windows, key=lambda w: w.start_ns)[-rule.latest_windows :]
+    latest = newest_windows(windows, rule.latest_windows)
     reasons = [r for r in (faulty(rule, w) for w in latest) if r]
     n, k = len(latest), len(reasons)
     enough = n >= rule.minimum_windows
@@ -106,5 +108,5 @@ def sensor_fault_finding(
         action="replace_sensor",
         raise_limit=rule.raise_share,
         clear_limit=rule.clear_share,
-        measured_ns=max((w.start_ns + w.length_ns for w in latest), default=measured_ns),
+        measured_ns=measured_until(latest, measured_ns),
     )
