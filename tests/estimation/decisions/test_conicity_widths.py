@@ -1,4 +1,4 @@
-"""Conicity, nonlinearity and zero crossing of curves whose answer is known, and the widths of their intervals."""
+"""Conicity and nonlinearity of curves whose answer is known, and the widths of their intervals."""
 
 from __future__ import annotations
 
@@ -6,77 +6,37 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain_curves import (
+    AT_3,
+    BINS,
+    CENTRE,
+    CONE,
+    EDGES,
+    EXACT,
+    GROUPS,
+    PARAMETERS,
+    STRETCHED,
+    WIDTH,
+    cubic,
+    curve,
+    estimates,
+    line,
+    nodes,
+    std,
+    usable,
+    value,
+)
 from scipy import stats
 from scipy.special import ndtr
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.geometry.conicity import (
-    CurveEstimates,
-    CurveParameters,
     CurveReplicates,
-    at_reference_amplitude,
-    curve_estimates,
-    not_covered,
-    too_few_blocks,
 )
 from estimation.geometry.sharpening import jumps_displaced, sharpen
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import FloatArray
-from estimation.values.intervals import NORMAL_95, jackknife_std
-from estimation.values.quantities import Estimate
-from estimation.values.reasons import Reason, ReasonCode, code_of
-
-WIDTH = 0.25e-3
-EDGES = (np.arange(-28, 30) - 0.5) * WIDTH
-CENTRE = 0.5 * (EDGES[:-1] + EDGES[1:])
-BINS = len(CENTRE)
-EXACT = DisplacementError(0.0, 0.0, 0.0)
-PARAMETERS = CurveParameters()
-CONE = 0.1  # tan gamma_e: rL - rR = 2 x 0.1 x
-GROUPS = 6
-AT_3 = PARAMETERS.amplitudes.index(3e-3)
-STRETCHED = (CONE / (1.0 - NORMAL_95 * 0.02) - CONE) / NORMAL_95  # by a scale of 0.02, at the end of 95 %
-
-
-def line(slope: float, offset: float = 0.0) -> FloatArray:
-    """Return the quadratics (b, 3) over u of a straight curve, m."""
-    return np.column_stack([slope * (CENTRE - offset), np.full(BINS, slope * WIDTH), np.zeros(BINS)])
-
-
-def cubic(linear: float = 2 * CONE, third: float = 3e3) -> FloatArray:
-    """Return the quadratics that osculate a cubic at the centres."""
-    value = linear * CENTRE + third * CENTRE**3
-    slope = (linear + 3 * third * CENTRE**2) * WIDTH
-    return np.column_stack([value, slope, 3 * third * CENTRE * WIDTH**2])
-
-
-def curve(shape: FloatArray | None = None, *others: FloatArray, **changes: object) -> CurveReplicates:
-    whole = line(2 * CONE) if shape is None else shape
-    rows = np.stack([whole, *(others or (whole,) * GROUPS)])
-    made = CurveReplicates(
-        EDGES, rows, np.zeros((BINS, 0, 3)), np.ones(BINS, dtype=bool), EXACT, 8.0, band_limited=True
-    )
-    return replace(made, **changes)
-
-
-def estimates(item: CurveReplicates) -> CurveEstimates:
-    return curve_estimates(item, PARAMETERS)
-
-
-def std(estimate: Estimate) -> float:
-    assert estimate.std is not None
-    return estimate.std
-
-
-def value(estimate: Estimate) -> float:
-    assert estimate.value is not None
-    return estimate.value
-
-
-def test_the_amplitudes_of_en_15302_and_their_neighbours_are_published() -> None:
-    np.testing.assert_allclose(PARAMETERS.amplitudes, np.linspace(0.5e-3, 6e-3, 23), atol=1e-12)
-    assert PARAMETERS.reference_amplitude == 3e-3
-    assert (PARAMETERS.nonlinearity_low, PARAMETERS.nonlinearity_high) == (2e-3, 4e-3)
+from estimation.values.intervals import jackknife_std
 
 
 def test_a_cone_has_its_conicity_at_every_amplitude_and_no_width() -> None:
@@ -136,24 +96,6 @@ def test_the_nonlinearity_is_the_change_of_conicity_over_two_millimetres() -> No
     conicity, others = by_hand(item, (2e-3, 4e-3))
     jackknife = float(jackknife_std((conicity[:, 1] - conicity[:, 0]) / 2.0))
     assert std(found.nonlinearity) == pytest.approx(np.hypot(jackknife, 0.4 * np.sqrt((others**2).sum())), rel=1e-6)
-
-
-def nodes(item: CurveReplicates) -> tuple[FloatArray, list[FloatArray]]:
-    """Return edges and centres (2 b + 1,) and every replicate there: the mean of both bins at an edge."""
-    x, rows = [], []
-    for replicate in item.difference:
-        places, values = [], []
-        for b, (r, slope, bend) in enumerate(replicate):
-            left = r + slope * -0.5 + bend * 0.25
-            if b:
-                before = replicate[b - 1]
-                left = 0.5 * (left + before[0] + before[1] * 0.5 + before[2] * 0.25)
-            places += [EDGES[b], CENTRE[b]]
-            values += [left, r]
-        last = replicate[-1]
-        x = np.array([*places, EDGES[-1]])
-        rows.append(np.array([*values, last[0] + last[1] * 0.5 + last[2] * 0.25]))
-    return np.asarray(x), rows
 
 
 def by_hand(item: CurveReplicates, amplitudes: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
@@ -235,22 +177,6 @@ def test_what_both_sides_have_in_common_widens_what_the_high_pass_has_passed(low
             assert std(whole[k]) < 1e-5
 
 
-@pytest.mark.parametrize("share", [0.99, 1.01])
-def test_a_conicity_that_is_open_by_more_than_a_fifth_is_not_published(share: float) -> None:
-    item = curve(sensitivity=line(2 * 0.1 * share)[:, None])
-    found = estimates(item)
-    for a, one in zip(found.amplitude, found.conicity, strict=True):
-        assert one.count == 8.0
-        assert code_of(one.reason) is (None if share < 1.0 else ReasonCode.CONICITY_OPEN)
-        text = f"the data leave the conicity at {1e3 * a:g} mm open by 0.20 either way"
-        assert one.reason is None or one.reason.text == text
-    assert found.reported_amplitude == 3e-3
-    assert found.at_reference.reason == (None if share < 1.0 else found.conicity[0].reason)
-    assert value(found.nonlinearity) == pytest.approx(0.0, abs=1e-7)
-    assert std(found.nonlinearity) == pytest.approx(0.8 * np.sqrt(2.0) * 0.1 * share / 2.0, rel=1e-3)
-    assert value(estimates(replace(item, band_limited=False)).zero_crossing) == pytest.approx(0.0, abs=1e-9)
-
-
 def test_a_stretch_widens_alike_at_every_amplitude_up_to_the_end_of_the_range() -> None:
     """Shrunk, the curve does not reach the largest amplitudes: there the conicity goes on as at its end."""
     found = estimates(curve(error=DisplacementError(0.0, 0.0, 0.3), **usable(-13, 13)))
@@ -259,16 +185,6 @@ def test_a_stretch_widens_alike_at_every_amplitude_up_to_the_end_of_the_range() 
     for one in published:
         assert std(one) == pytest.approx(std(published[0]), rel=1e-3)
     assert std(published[0]) == pytest.approx(max(CONE / 0.7 - CONE, (CONE / (1 - 0.588) - CONE) / 1.96), rel=1e-3)
-
-
-def test_reported_is_the_largest_amplitude_that_is_not_open() -> None:
-    """A cubic t x^3 has the conicity 3/8 t a^2: with t = 4.5e4 1/m^2 it is 0.085 at 2.25 mm and 0.105 at 2.5 mm."""
-    found = estimates(curve(sensitivity=cubic(0.0, 4.5e4)[:, None]))
-    published = [a for a, one in zip(found.amplitude, found.conicity, strict=True) if one.value is not None]
-    assert max(published) == found.reported_amplitude == pytest.approx(2.25e-3)
-    assert value(found.at_reference) == pytest.approx(CONE, rel=1e-4)
-    assert code_of(found.conicity[AT_3].reason) is ReasonCode.CONICITY_OPEN
-    assert value(found.nonlinearity) == pytest.approx(0.0, abs=1e-7)
 
 
 def test_where_nothing_fits_all_that_the_blur_changes_once_more_is_unknown() -> None:
@@ -290,116 +206,3 @@ def test_where_nothing_fits_all_that_the_blur_changes_once_more_is_unknown() -> 
     stds = [std(estimate) for estimate in found]
     np.testing.assert_allclose(stds, np.hypot(again - here, np.max(moved, axis=0)), rtol=1e-5, atol=1e-9)
     assert max(stds) > 0.01
-
-
-def test_a_scale_whose_interval_holds_zero_leaves_the_conicity_open() -> None:
-    """Of a cone of 0.02, so that its width alone would not leave it open: stretched to nothing it has any conicity."""
-    cone = 0.2 * CONE
-    for scale in (0.4, 0.52, 1.5):
-        found = estimates(curve(line(2 * cone), error=DisplacementError(0.0, 0.0, scale)))
-        if scale < 0.5:
-            wanted = (cone / (1.0 - 1.959964 * scale) - cone) / 1.959964
-            assert std(found.conicity[0]) == pytest.approx(wanted, rel=1e-3)
-            continue
-        assert found.nonlinearity.value is None
-        for one in (*found.conicity, found.at_reference):
-            assert one.value is None
-            assert code_of(one.reason) is ReasonCode.CONICITY_OPEN
-            assert "the scale of y - d is not known" in str(one.reason)
-
-
-def test_the_curve_ends_at_the_edges_of_its_last_bins() -> None:
-    """Seventeen bins of 0.25 mm; where 3 % is taken back of the displacement, 2 mm lie between centre and edge."""
-    item = curve(cubic(), error=DisplacementError(0.0, 0.03, 0.0), **usable(-8, 8))
-    first, last = BINS // 2 - 8, BINS // 2 + 8
-    _, rows = nodes(item)
-    row, (r_low, slope_low, bend_low), (r_high, slope_high, bend_high) = rows[0], cubic()[first], cubic()[last]
-    row[2 * first] = r_low - 0.5 * slope_low + 0.25 * bend_low
-    row[2 * last + 2] = r_high + 0.5 * slope_high + 0.25 * bend_high
-    kept = slice(2 * first, 2 * last + 3)
-    low, high = EDGES[first : last + 1], EDGES[first + 1 : last + 2]
-    sharp = sharpen(low, high, row[kept], np.zeros(35), 0.0)
-    expected = equivalent_conicity(0.97 * sharp.displacement, sharp.curve(row[kept]), (2e-3,))
-    found = estimates(item)
-    assert found.reported_amplitude == pytest.approx(2e-3)
-    assert value(found.at_reference) == pytest.approx(expected[0], rel=1e-9)
-
-
-def usable(low: int, high: int) -> dict[str, object]:
-    """Return that bins from ``low`` to ``high`` beside the middle can be used."""
-    at = np.arange(BINS) - BINS // 2
-    return {"usable": (at >= low) & (at <= high)}
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "code"),
-    [(-2, 2, None), (-2, 1, ReasonCode.TOO_FEW_BINS), (-1, 3, ReasonCode.AMPLITUDE_NOT_COVERED)],
-)
-def test_a_curve_needs_five_bins_around_zero(low: int, high: int, code: ReasonCode | None) -> None:
-    found = estimates(curve(**usable(low, high)))
-    assert code_of(found.at_reference.reason) is code
-    if code is None:
-        assert value(found.at_reference) == pytest.approx(CONE, rel=1e-4)
-        assert found.reported_amplitude == pytest.approx(0.5e-3)
-    else:
-        assert found.reported_amplitude == 3e-3
-
-
-@pytest.mark.parametrize(("groups", "code"), [(4, None), (3, ReasonCode.TOO_FEW_BLOCKS)])
-def test_an_interval_needs_four_groups(groups: int, code: ReasonCode | None) -> None:
-    found = estimates(curve(line(2 * CONE), *(line(2 * CONE),) * groups))
-    for estimate in (found.at_reference, found.nonlinearity, *found.conicity):
-        assert code_of(estimate.reason) is code
-        assert estimate.count == 8.0
-    assert code_of(too_few_blocks(3)) is ReasonCode.TOO_FEW_BLOCKS
-    assert "3 blocks of data, 4" in str(too_few_blocks(3))
-
-
-def test_the_run_of_bins_ends_at_the_first_that_cannot_be_used_on_each_side() -> None:
-    every = np.ones(BINS, dtype=bool)
-    middle = BINS // 2
-    holed = every.copy()
-    holed[[middle - 9, middle + 14]] = False  # up to 2.125 mm to the left and 3.375 mm to the right
-    found = estimates(curve(usable=holed))
-    covered = [a for a, estimate in zip(found.amplitude, found.conicity, strict=True) if estimate.value is not None]
-    assert max(covered) == pytest.approx(2e-3)
-    assert found.reported_amplitude == pytest.approx(2e-3)
-    assert code_of(found.conicity[-1].reason) is ReasonCode.AMPLITUDE_NOT_COVERED
-    assert code_of(found.nonlinearity.reason) is ReasonCode.AMPLITUDE_NOT_COVERED
-    assert "amplitude 4 mm" in str(found.nonlinearity.reason)
-    holed = every.copy()
-    holed[middle] = False
-    assert code_of(estimates(curve(usable=holed)).at_reference.reason) is ReasonCode.TOO_FEW_BINS
-
-
-def test_a_bin_of_which_a_replicate_is_not_finite_cannot_be_used() -> None:
-    broken = line(2 * CONE)
-    broken[BINS // 2 + 9, 2] = np.nan
-    found = estimates(curve(line(2 * CONE), *(line(2 * CONE),) * 5, broken))
-    assert found.reported_amplitude == pytest.approx(2e-3)
-
-
-def test_the_reference_is_three_millimetres_or_the_largest_covered_below() -> None:
-    unknown = Estimate.unknown(not_covered(1e-3), 8.0)
-    assert "amplitude 1 mm" in str(unknown.reason)
-    amplitude = np.array([2e-3, 3e-3 + 1e-12, 4e-3])
-    some = estimates(curve()).conicity[:3]
-    assert at_reference_amplitude(amplitude, some, PARAMETERS) == (some[1], 3e-3 + 1e-12)
-    found = at_reference_amplitude(amplitude, (some[0], unknown, some[2]), PARAMETERS)
-    assert found == (some[0], 2e-3)
-    for beyond, reported in ((0.9e-9, 3e-3 + 0.9e-9), (1.1e-9, 2e-3)):  # rounding is less than a nanometre
-        assert at_reference_amplitude(np.array([2e-3, 3e-3 + beyond, 4e-3]), some, PARAMETERS)[1] == reported
-    either = (unknown, Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, "open"), 8.0), unknown)
-    assert at_reference_amplitude(amplitude, either, PARAMETERS) == (either[1], 3e-3)
-    none, at = at_reference_amplitude(amplitude, (unknown, unknown, some[2]), PARAMETERS)
-    assert (code_of(none.reason), at, none.count) == (ReasonCode.AMPLITUDE_NOT_COVERED, 3e-3, 8.0)
-
-
-def test_the_zero_crossing_moves_with_the_scale_and_is_not_in_band_limited_signals() -> None:
-    shape = line(2 * CONE, 0.5e-3)
-    found = estimates(curve(shape, band_limited=False, error=DisplacementError(0.0, 0.0, 0.02))).zero_crossing
-    assert value(found) == pytest.approx(0.5e-3)
-    assert std(found) == pytest.approx(0.02 * 0.5e-3, rel=1e-6)
-    assert code_of(estimates(curve(shape)).zero_crossing.reason) is ReasonCode.OFFSET_NOT_OBSERVABLE
-    never = estimates(curve(line(2 * CONE, 20e-3), band_limited=False)).zero_crossing
-    assert code_of(never.reason) is ReasonCode.NO_ZERO_CROSSING
