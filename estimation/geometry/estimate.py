@@ -7,13 +7,14 @@ carries. A number whose total standard deviation is not well below what is known
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
 from estimation.geometry.model_fit import mismatch, model_fit
-from estimation.geometry.shared_scale import solve_with_shared_scales
+from estimation.geometry.shared_scale import left_open, solve_with_shared_scales
 from estimation.geometry.uncertainty import DisplacementError, ParameterUncertainty, quotient_widening
 from estimation.tables import least_squares
 from estimation.tables.bin_table import BinParameters
@@ -52,7 +53,13 @@ class GeometryParameters:
     prior_angle: float = 0.15  # rad, std of A and D known beforehand
     informative: float = 0.5  # publish below this share of the prior std
     sensor_scale_std: float = 0.02  # relative, of yaw and frame sensors of a bogie against each other
+    mounting_std: float = math.radians(2.0)  # of the angle of the yaw sensor about the lateral axis
     curve: CurveParameters = field(default_factory=CurveParameters)
+
+    @property
+    def sensor_std(self) -> FloatArray:
+        """Stds (3,) of what all bins of a wheelset in a bogie share."""
+        return np.array([self.sensor_scale_std, self.sensor_scale_std, self.mounting_std])
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +70,7 @@ class _Replicates:
     yaw: FloatArray  # (1 + g, b, 4, 7)
     residual: FloatArray  # (b,) rms residual of the yaw equation as a rolling radius difference, m
     groups_in_bin: FloatArray  # (b,)
+    turned: FloatArray  # (b, 3) m, of R by one std of what is left open of the angle of the yaw sensor
 
 
 def estimate_geometry(table: BinTable, bins: BinParameters, parameters: GeometryParameters) -> WheelsetGeometry:
@@ -90,8 +98,9 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
     S = _combination(replicates.lateral[:, :, 0], unc.lateral(), screening, parameters.prior_radius)
     D = _angle_difference(replicates, screening, bins, parameters)
     A = _angle_sum(replicates, screening, bins, parameters)
-    of_scale = np.concatenate([replicates.yaw[:, :, 1], replicates.yaw[:, :, 1, :1]], axis=-1)
-    R = _combination(of_scale, np.append(unc.yaw(), unc.scale), screening, parameters.prior_radius)
+    turned = np.broadcast_to(replicates.turned[:, 0, None], (*replicates.yaw.shape[:2], 1))
+    of_sensors = np.concatenate([replicates.yaw[:, :, 1], replicates.yaw[:, :, 1, :1], turned], axis=-1)
+    R = _combination(of_sensors, np.append(unc.yaw(), [unc.scale, 1.0]), screening, parameters.prior_radius)
     curve = curve_estimates(_curve(table, replicates, screening, bins, unc), parameters.curve)
     geometry = WheelsetGeometry(
         bin_edges=table.edges,
@@ -111,7 +120,7 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
         status=curve.at_reference.status,
         reason=curve.at_reference.reason,
     )
-    fit = model_fit(table, bins, parameters.sensor_scale_std)
+    fit = model_fit(table, bins, parameters.sensor_std)
     stds = (unc.stiffness, unc.creep)
     reason = None if fit is None else mismatch(fit, *stds, in_bogie=bins.wheelbase is not None)
     return geometry if reason is None else geometry.mismatched(reason)
@@ -148,7 +157,7 @@ def _curve(
     return CurveReplicates(
         edges=table.edges,
         difference=shape[:, :, 0, :],
-        sensitivity=np.concatenate([of_parameters, unc.scale * shape[0, :, :1, :]], axis=1),
+        sensitivity=np.concatenate([of_parameters, unc.scale * shape[0, :, :1, :], replicates.turned[:, None]], axis=1),
         usable=~screening.too_few,
         error=screening.error,
         count=float(table.windows),
@@ -164,10 +173,12 @@ def _replicates(table: BinTable, bins: BinParameters, parameters: GeometryParame
     sums = leave_one_out(table.yaw, present)
     size = bins.yaw_regressors
     if bins.wheelbase is None:
-        yaw = _solve(sums, weight, len(YAW_TARGETS))
+        yaw, turned = _solve(sums, weight, len(YAW_TARGETS)), np.zeros((b, REGRESSORS - 1))
     else:
-        shared, std = SHARED_IN_BOGIE, parameters.sensor_scale_std / float(np.sqrt(PRIOR_SAMPLES))
-        yaw = solve_with_shared_scales(sums, weight, shared, size, len(YAW_TARGETS), std)
+        shape = SHARED_IN_BOGIE, size, len(YAW_TARGETS)
+        weighted = np.sqrt(PRIOR_SAMPLES)
+        yaw = solve_with_shared_scales(sums, weight, *shape, parameters.sensor_std / weighted)
+        turned = weighted * left_open(sums[0], weight[0], *shape, parameters.sensor_std / weighted)[..., -1]
     own = yaw.theta.reshape(len(weight), b, size, len(YAW_TARGETS))[:, :, size - REGRESSORS :]
     vehicle = bins.vehicle
     per_metre = vehicle.half_contact_distance * vehicle.longitudinal_creep_coefficient / vehicle.nominal_radius
@@ -176,6 +187,7 @@ def _replicates(table: BinTable, bins: BinParameters, parameters: GeometryParame
         own,
         np.sqrt(yaw.residual_variance[:b]) / per_metre,
         (table.weight > 0).sum(axis=0).astype(np.float64),
+        turned,
     )
 
 

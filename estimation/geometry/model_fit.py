@@ -15,6 +15,7 @@ import numpy as np
 
 from estimation.geometry.shared_scale import solve_with_shared_scales
 from estimation.tables.bin_table import BinParameters
+from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable
 from estimation.values.intervals import jackknife_std, leave_one_out
 from estimation.values.reasons import Reason, ReasonCode
@@ -40,7 +41,7 @@ class ModelFit:
     misfit: float  # rms of rL - rR that neither curve nor sensor noise explain, over the rms of the curve
 
 
-def model_fit(table: BinTable, bins: BinParameters, sensor_scale_std: float) -> ModelFit | None:
+def model_fit(table: BinTable, bins: BinParameters, sensor_std: FloatArray | float) -> ModelFit | None:
     """Return how well a table follows the yaw equation; None where there are too few samples.
 
     Parameters
@@ -49,8 +50,8 @@ def model_fit(table: BinTable, bins: BinParameters, sensor_scale_std: float) -> 
         Statistics made with ``bins``.
     bins
         Parameters of the table.
-    sensor_scale_std
-        Of the scale errors of a bogie's sensors, known beforehand.
+    sensor_std
+        (3,) or one for all: of the scale errors and the angle of a bogie's sensors, known beforehand.
     """
     p = bins.vehicle
     present = table.weight.sum(axis=1) > 0
@@ -59,7 +60,7 @@ def model_fit(table: BinTable, bins: BinParameters, sensor_scale_std: float) -> 
     if used.sum() < FEWEST_BINS or present.sum() < FEWEST_BINS:
         return None
     in_bogie = bins.wheelbase is not None
-    shared, prior = (SHARED_IN_BOGIE, sensor_scale_std) if in_bogie else (1, FREE)
+    shared, prior = (SHARED_IN_BOGIE, sensor_std) if in_bogie else (1, FREE)
     regressors = shared + REGRESSORS - 1
     solved = solve_with_shared_scales(sums[:, used], weight[:, used], shared, regressors, len(YAW_TARGETS), prior)
     theta = solved.theta.reshape(len(weight), int(used.sum()), regressors, len(YAW_TARGETS))

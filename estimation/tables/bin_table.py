@@ -31,7 +31,7 @@ from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, SHARED_IN
 from estimation.vehicle.sensor_noise import difference_noise
 from estimation.vehicle.vehicle_class import VehicleClass
 
-TABLE_VERSION = 4
+TABLE_VERSION = 5
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio
 
 

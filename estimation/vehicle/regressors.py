@@ -10,7 +10,8 @@ parameters, at S = 2 r0: regressed like the target, they give the derivative of 
 
 In a bogie k_psi is so large that A cannot be seen beside a scale error of the yaw sensor, k_psi e psi, or between the
 two frame sensors, k_psi e ym / wheelbase. There these two regressors take its place, with psi = (y' + r0 phi')/V of
-the lateral motion, whose noise is not that of z2.
+the lateral motion, whose noise is not that of z2. A third is what z2 has too much where the yaw sensor is turned about
+y and measures psi + b phi, by b: k_psi phi and the creep of phi'/V.
 
 Creep forces saturate: a force T of a wheel needs 1 + T/(3 mu N) times its linear creep (Vermeulen and Johnson 1964,
 first term). The derivative by 1/mu stands beside the others. The last target of z2 is c times the variance of R that
@@ -30,7 +31,7 @@ from estimation.vehicle.equations_of_motion import VehicleParameters
 LATERAL_TARGETS = ("z1", "lateral_creep", "spin_creep", "mass", "load", "lateral_stiffness", "lateral_damping")
 YAW_TARGETS = ("z2", "longitudinal_creep", "yaw_stiffness", "yaw_inertia", "spin_creep", "saturation", "noise")
 REGRESSORS = 4
-SHARED_IN_BOGIE = 2  # regressors of z2 that are the same in all bins: scale errors of the sensors
+SHARED_IN_BOGIE = 3  # regressors of z2 that are the same in all bins: two scale errors and an angle of the sensors
 SMALLEST_FACTOR = 1e-6  # N; in place of zero, with which the data say nothing of D
 
 
@@ -40,7 +41,7 @@ class Regression:
 
     lateral: FloatArray  # (n, 2) x1, x2
     lateral_targets: FloatArray  # (n, 7), see LATERAL_TARGETS
-    yaw: FloatArray  # (n, 2) (l W/2) psi, c; or in a bogie (n, 3) k_psi (y' + r0 phi')/V, k_psi ym / wheelbase, c
+    yaw: FloatArray  # (n, 2) (l W/2) psi, c; in a bogie (n, 4) the shared regressors, c
     yaw_targets: FloatArray  # (n, 7), see YAW_TARGETS
 
 
@@ -119,10 +120,21 @@ def regression(
     saturation = creep_moment * force / (1.5 * p.axle_load)
     first = [(l * p.load / 2) * ψ]
     if motion.frame_yaw is not None and motion.frame_displacement is not None:
-        first = [p.yaw_stiffness * (rolling_slip / V + ψ), (p.yaw_stiffness / wheelbase) * motion.frame_displacement]
+        first = [
+            p.yaw_stiffness * (rolling_slip / V + ψ),
+            (p.yaw_stiffness / wheelbase) * motion.frame_displacement,
+            _moment_of_roll(motion, p),
+        ]
     return Regression(
         np.column_stack([x1, x2]),
         np.column_stack([z1, (2 * f22 / V) * rolling_slip, spin, inertia, weight, spring, damper]),
         np.column_stack([*first, c]),
         np.column_stack([z2, creep - z2, yaw_spring, yaw_inertia, yaw_spin, saturation, c * difference_noise / V**3]),
     )
+
+
+def _moment_of_roll(motion: Motion, p: VehicleParameters) -> FloatArray:
+    """Return what z2 would be (n,), N m, if the roll were the yaw; the wheelset's inertia is small beside the rest."""
+    creep = 2 * (p.half_contact_distance**2 * p.longitudinal_creep_coefficient + p.spin_creep_coefficient)
+    of_rate = (creep / motion.speed + p.yaw_damping) * motion.roll_rate
+    return (p.yaw_stiffness + 2 * p.lateral_spin_creep_coefficient) * motion.roll + of_rate

@@ -29,7 +29,7 @@ def replicates(residual: float, of_sensors: float) -> _Replicates:
     yaw[0, :, 2, 0] = SLOPE * PARAMETERS.width
     yaw[0, :, 1, NOISE] = of_sensors**2
     lateral = np.zeros((1, BINS, 4, len(LATERAL_TARGETS)))
-    return _Replicates(lateral, yaw, np.full(BINS, residual), np.full(BINS, 16.0))
+    return _Replicates(lateral, yaw, np.full(BINS, residual), np.full(BINS, 16.0), np.zeros((BINS, 3)))
 
 
 def found(residual: float, of_sensors: float, expected: float = EXPECTED) -> tuple[float, bool]:
@@ -54,5 +54,5 @@ def test_noise_of_the_yaw_sensor_hides_it() -> None:
 
 def test_the_shipped_figures() -> None:
     assert (HIDDEN_SHARE, HIDDEN_JUMP_SHARE, PRIOR_SAMPLES) == (0.5, 0.5, 1000.0)
-    assert GeometryParameters().sensor_scale_std == 0.02
+    np.testing.assert_array_equal(GeometryParameters().sensor_std, [0.02, 0.02, np.radians(2.0)])
     assert (NOISE_DOUBT, ROLL_CUTOFF) == (0.5, 120.0)

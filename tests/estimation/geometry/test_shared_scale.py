@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from estimation.geometry.shared_scale import solve_with_shared_scales
+from estimation.geometry.shared_scale import left_open, solve_with_shared_scales
 from estimation.tables.least_squares import collect
 from estimation.values.arrays import FloatArray, IntArray
 
@@ -95,3 +95,29 @@ def test_a_bin_without_enough_samples_has_no_coefficients_and_adds_nothing() -> 
     expected = dense(thin, 0.02, [0, 1, 3])
     np.testing.assert_allclose(found.theta[0, :SHARED], expected[:SHARED], rtol=1e-7, atol=1e-12)
     np.testing.assert_allclose(found.theta[3, SHARED:], expected[-3:], rtol=1e-7, atol=1e-10)
+
+
+@pytest.mark.parametrize("prior_std", [1e-4, 0.02, np.array([1e-4, 0.02])])
+def test_what_is_left_open_is_the_covariance_of_all_samples_at_once(prior_std: FloatArray | float) -> None:
+    one = samples(5)
+    moments, weight = packed([one])
+    found = left_open(moments[0], weight[0], SHARED, REGRESSORS, TARGETS, prior_std)
+    alone, shared = design(one, list(range(BINS)), with_shared=False), one.features[:, :SHARED]
+    by_shared = np.linalg.lstsq(alone, shared, rcond=None)[0]  # (3 b, 2)
+    z = one.targets[:, 0]
+    rest = z - alone @ np.linalg.lstsq(alone, z, rcond=None)[0]
+    noise = rest @ rest / (len(z) - alone.shape[1])
+    left = shared - alone @ by_shared
+    known = np.diag(np.broadcast_to(1.0 / np.square(prior_std), (SHARED,)))
+    std = np.sqrt(np.diag(np.linalg.inv(left.T @ left / noise + known)))
+    np.testing.assert_allclose(found.reshape(-1, SHARED), -by_shared * std, rtol=1e-7)
+
+
+def test_what_the_data_say_nothing_of_is_left_as_open_as_it_was() -> None:
+    """A shared regressor that every bin can make out of its own."""
+    one = samples(6)
+    features = one.features.copy()
+    features[:, 1] = 3.0 * features[:, SHARED]
+    moments, weight = packed([Samples(features, one.targets, one.bin)])
+    found = left_open(moments[0], weight[0], SHARED, REGRESSORS, TARGETS, np.array([0.02, 0.03]))
+    np.testing.assert_allclose(found[:, :, 1], np.tile([-3.0 * 0.03, 0.0, 0.0], (BINS, 1)), rtol=1e-6, atol=1e-9)

@@ -1,0 +1,76 @@
+"""A yaw sensor that is turned about the lateral axis, on track that rolls: in a stiff bogie it looks like conicity."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import bogie_run
+import numpy as np
+from bogie_run import COACH, joined, of_bogie
+from smooth_wheelset import alignment, track
+
+from estimation.geometry.estimate import GeometryParameters, estimate_geometry
+from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import BinTable, WheelsetGeometry
+from estimation.values.windows import Window
+
+ANGLE = np.radians(2.0)
+WAVES = ((0.5e-3, 9.0), (0.7e-3, 14.0), (0.9e-3, 23.0))  # rad and m: 2 mm of cross level
+MIDDLE = slice(3, 9)  # of the amplitudes: 1.5 to 2.75 mm
+
+
+def turned(window: Window, angle: float, *, rolling: bool = True) -> Window:
+    """Return what a node measures that is turned by ``angle``, on track that rolls."""
+    roll = np.asarray(window.roll_acceleration)
+    if rolling:
+        for size, wavelength in WAVES:
+            wavenumber = 2.0 * np.pi / wavelength
+            roll = roll - size * (wavenumber * window.speed) ** 2 * np.sin(wavenumber * window.distance)
+    cos, sin = np.cos(angle), np.sin(angle)
+    yaw = np.asarray(window.yaw_acceleration)
+    return replace(window, roll_acceleration=cos * roll - sin * yaw, yaw_acceleration=cos * yaw + sin * roll)
+
+
+@cache
+def found(angle: float, *, rolling: bool = True, std: float | None = None) -> WheelsetGeometry:
+    assumed = bogie_run.parameters(of_bogie(COACH))
+    bins = bin_parameters(assumed)
+    tables = []
+    for window in joined(COACH, 1):
+        table = tabulate_window(turned(window, angle, rolling=rolling), alignment(track(1)), assumed)
+        assert isinstance(table, BinTable), table
+        tables.append(table)
+    usual = GeometryParameters()
+    known = replace(usual, mounting_std=usual.mounting_std if std is None else std)
+    return estimate_geometry(merge_all(tables, bins), bins, known)
+
+
+def conicity(geometry: WheelsetGeometry) -> FloatArray:
+    return np.array([np.nan if one.value is None else one.value for one in geometry.conicity])[MIDDLE]
+
+
+def std(geometry: WheelsetGeometry) -> FloatArray:
+    return np.array([one.std for one in geometry.conicity], dtype=np.float64)[MIDDLE]
+
+
+def shift(std: float | None) -> FloatArray:
+    return np.abs(conicity(found(ANGLE, std=std)) - conicity(found(0.0, std=std)))
+
+
+def test_the_angle_is_taken_out_where_the_track_rolls() -> None:
+    taken_out, as_it_is = shift(None), shift(1e-6)
+    assert as_it_is.min() > 0.009
+    assert (taken_out < 0.3 * as_it_is).all(), "two minutes outweigh most of what is known beforehand"
+    assert shift(0.1).max() < 0.001
+
+
+def test_what_is_not_known_of_the_angle_is_in_the_interval() -> None:
+    def of_angle(*, rolling: bool) -> FloatArray:
+        known, open_ = (std(found(0.0, rolling=rolling, std=value)) for value in (1e-6, None))
+        return np.sqrt(np.maximum(open_**2 - known**2, 0.0))
+
+    assert (of_angle(rolling=False) > 0.012).all()
+    assert (of_angle(rolling=True) < 0.6 * of_angle(rolling=False)).all()
+    assert (shift(None) < of_angle(rolling=True)).all()
