@@ -51,9 +51,23 @@ def field_error(reason: str, *location: str | int) -> PydanticCustomError:
     return PydanticCustomError("field_error", "{reason}", {"reason": reason, "location": location})
 
 
+def _printable(text: str) -> str:
+    if any(letter < " " and letter not in "\n\t" for letter in text):
+        raise field_error(f"{text!r} has a control character")
+    return text
+
+
 def _not_empty(text: str) -> str:
     if not text.strip():
         raise field_error("must not be empty")
+    return text
+
+
+def _one_short_line(text: str) -> str:
+    if len(text) > CODE_LENGTH:
+        raise field_error(f"has {len(text)} letters, at most {CODE_LENGTH}")
+    if "\n" in text or "\t" in text:
+        raise field_error(f"{text!r} has a control character")
     return text
 
 
@@ -63,7 +77,12 @@ def _increasing(values: list[float]) -> list[float]:
     return values
 
 
-Text = Annotated[str, AfterValidator(_not_empty)]
+CODE_LENGTH = 64
+"""Letters of a code or a serial number that a database column holds."""
+
+FreeText = Annotated[str, AfterValidator(_printable)]
+Text = Annotated[FreeText, AfterValidator(_not_empty)]
+Code = Annotated[Text, AfterValidator(_one_short_line)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 IncreasingNumbers = Annotated[list[NotNegative], AfterValidator(_increasing)]
@@ -149,6 +168,8 @@ def read_toml(path: Path, error_type: type[InputError] = InputError) -> InputFil
         return InputFile(path, tomllib.loads(text), key_lines(text), error_type)
     except tomllib.TOMLDecodeError as error:
         raise error_type(f"is no TOML file: {error}", file=path) from error
+    except RecursionError as error:
+        raise error_type("is nested too deep", file=path) from error
 
 
 def read_json(path: Path, error_type: type[InputError] = InputError) -> InputFile:
@@ -171,6 +192,8 @@ def read_json(path: Path, error_type: type[InputError] = InputError) -> InputFil
         values = json.loads(text)
     except json.JSONDecodeError as error:
         raise error_type(f"is no JSON: {error.msg}", file=path, line=error.lineno) from error
+    except RecursionError as error:
+        raise error_type("is nested too deep", file=path) from error
     if not isinstance(values, dict):
         raise error_type("must hold one object", file=path)
     return InputFile(path, values, error_type=error_type, container="an object")

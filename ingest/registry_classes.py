@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
@@ -114,33 +115,55 @@ def _misfit(vehicle: VehicleRecord, known: VehicleClass) -> tuple[str, str] | No
     return None
 
 
-def check_wheelsets(
-    file: InputFile, wheelsets: Sequence[WheelsetRecord], of_wheelset: Mapping[str, VehicleClass]
-) -> None:
-    """Refuse wheelsets whose radius is not one of the class of their vehicle.
+@dataclass(frozen=True, slots=True)
+class RunningWheelset:
+    """A wheelset, and the vehicle and class that it runs under once the file is loaded."""
+
+    wheelset: WheelsetRecord
+    vehicle: str
+    known: VehicleClass
+
+
+def check_wheelsets(file: InputFile, running: Sequence[RunningWheelset], entries: Mapping[str, Sequence[str]]) -> None:
+    """Refuse wheelsets whose radius is not one of the class of their vehicle, where the file brings them together.
 
     Parameters
     ----------
     file
         The registry file.
-    wheelsets
-        Of the file, in its order.
-    of_wheelset
-        Class of the vehicle that each runs on, by serial; a wheelset without one is not checked.
+    running
+        Wheelsets whose class is known.
+    entries
+        By array of the file, in its order: the serials of ``wheelsets``, those of ``mountings``, the codes of
+        ``vehicles`` and of ``vehicle_classes``.
 
     Raises
     ------
     InputError
         A nominal radius is too far from that of the class.
     """
-    for index, wheelset in enumerate(wheelsets):
-        known = of_wheelset.get(wheelset.serial)
-        if known is None:
+    for one in running:
+        radius, expected = one.wheelset.nominal_radius_m, one.known.parameters.nominal_radius
+        location = _brought_by(one, entries)
+        if location is None or abs(radius - expected) <= RADIUS_TOLERANCE * expected:
             continue
-        expected = known.parameters.nominal_radius
-        if abs(wheelset.nominal_radius_m - expected) > RADIUS_TOLERANCE * expected:
-            reason = (
-                f"{1e3 * wheelset.nominal_radius_m:g} mm differs by more than {100 * RADIUS_TOLERANCE:g} % "
-                f"from the {1e3 * expected:g} mm of class {known.code!r}"
-            )
-            raise file.error(reason, ("wheelsets", index, "nominal_radius_mm"))
+        reason = (
+            f"{1e3 * radius:g} mm differs by more than {100 * RADIUS_TOLERANCE:g} % "
+            f"from the {1e3 * expected:g} mm of class {one.known.code!r}"
+        )
+        of_file = location[0] == "wheelsets"
+        raise file.error(reason if of_file else f"wheelset {one.wheelset.serial!r} on file: {reason}", location)
+
+
+def _brought_by(one: RunningWheelset, entries: Mapping[str, Sequence[str]]) -> Location | None:
+    """Return the place in the file that brings a wheelset and a class together; None where none does."""
+    serial = one.wheelset.serial
+    for name, key, field in (
+        ("wheelsets", serial, ("nominal_radius_mm",)),
+        ("mountings", serial, ("wheelset",)),
+        ("vehicles", one.vehicle, ("vehicle_class",)),
+        (_FIELD, one.known.code, ()),
+    ):
+        if key in entries[name]:
+            return name, list(entries[name]).index(key), *field
+    return None

@@ -6,7 +6,8 @@ file again changes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -14,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from estimation.contact.profiles import MeasuredProfiles, Profile
-from estimation.errors import ConflictError, InputError, NotFoundError, ProfileError
+from estimation.errors import ConflictError, InputError, NotFoundError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
@@ -25,7 +26,7 @@ from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.registry import RegistryStore
 from ingest.input_file import InputFile, Location, read_json
 from ingest.profiles.wheel_profile import read_wheel_profile
-from ingest.registry_classes import check_classes, check_vehicles, check_wheelsets, read_classes
+from ingest.registry_classes import RunningWheelset, check_classes, check_vehicles, check_wheelsets, read_classes
 from ingest.registry_schema import AlignmentEntry, MeasurementEntry, RegistryObject, SectionEntry
 from ingest.track_file import (
     LAYOUT_COLUMNS,
@@ -110,9 +111,9 @@ def _check_classes(file: InputFile, contents: RegistryContents, registry: Regist
     """Refuse vehicles and wheelsets of the file that do not belong to their class, of the file or on file."""
     classes = {one.code: one for one in contents.classes}
     for code in _classes_of(contents) - set(classes):
-        known = registry.vehicle_class(code)
+        known = _on_file(registry, code)
         if known is not None:
-            classes[code] = known.vehicle_class
+            classes[code] = known
     check_vehicles(file, contents.vehicles, classes)
     changed = {vehicle.code for vehicle in contents.vehicles}
     on_file = {
@@ -120,9 +121,39 @@ def _check_classes(file: InputFile, contents: RegistryContents, registry: Regist
         for one in contents.classes
     }
     check_classes(file, contents.classes, on_file)
-    of_vehicle = {vehicle.code: classes.get(vehicle.vehicle_class) for vehicle in contents.vehicles}
-    found = {item.wheelset: of_vehicle.get(item.vehicle) for item in contents.mountings}
-    check_wheelsets(file, contents.wheelsets, {name: one for name, one in found.items() if one is not None})
+    entries = {
+        "wheelsets": [one.serial for one in contents.wheelsets],
+        "mountings": [one.wheelset for one in contents.mountings],
+        "vehicles": [one.code for one in contents.vehicles],
+        "vehicle_classes": [one.code for one in contents.classes],
+    }
+    check_wheelsets(file, _running(contents, registry, classes), entries)
+
+
+def _running(
+    contents: RegistryContents, registry: RegistryStore, classes: Mapping[str, VehicleClass]
+) -> list[RunningWheelset]:
+    """Return the wheelsets in service as the file leaves them, those of whose class nothing is known left out."""
+    wheelsets = {one.serial: one for one in registry.wheelsets()}
+    mounted = [one.mounting for one in wheelsets.values() if one.mounting is not None]
+    latest = {one.wheelset: one.vehicle for one in sorted([*mounted, *contents.mountings], key=lambda m: m.from_ns)}
+    wheelsets |= {one.serial: one for one in contents.wheelsets}
+    class_of = {one.code: one.vehicle_class for one in contents.vehicles}
+    for code in set(latest.values()) - set(class_of):
+        with suppress(NotFoundError):  # refused when the mounting is stored
+            class_of[code] = registry.vehicle(code).vehicle_class
+    known = {code: classes.get(code) or _on_file(registry, code) for code in set(class_of.values())}
+    found = []
+    for serial, vehicle in latest.items():
+        of_vehicle = known.get(class_of.get(vehicle, ""))
+        if serial in wheelsets and of_vehicle is not None:
+            found.append(RunningWheelset(wheelsets[serial], vehicle, of_vehicle))
+    return found
+
+
+def _on_file(registry: RegistryStore, code: str) -> VehicleClass | None:
+    found = registry.vehicle_class(code)
+    return None if found is None else found.vehicle_class
 
 
 def _add_alignment(unit_of_work: SqlUnitOfWork, alignment: TrackAlignment) -> None:
@@ -188,6 +219,8 @@ def _store(path: Path, what: str, records: Sequence[_T], add: Callable[[_T], _R]
     for index, record in enumerate(records):
         try:
             results.append(add(record))
+        except ParameterError as error:
+            raise InputError(error.reason, file=path, field=f"{what}[{index}].{error.field}") from error
         except (NotFoundError, ConflictError) as error:
             raise InputError(str(error), file=path, field=f"{what}[{index}]") from error
     return results

@@ -9,10 +9,13 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
-from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
+from ingest.input_file import Code, FreeText, InputTable, NotNegative, Positive, Text, field_error
 
 FORMAT = "treadwatch-registry-1"
 MAX_AXLES = 8
+FIRST_YEAR, LAST_YEAR = 1900, 2200  # ns since 1970 end in 2262
+MOST_KM = 1e8
+FARTHEST_M = 1000.0  # of an axle from the reference point
 PROFILES_STD_MM = 0.1  # of the lateral displacement that follows from measured profiles
 
 
@@ -25,16 +28,19 @@ def _nanoseconds(value: object) -> int:
     if moment is None or moment.tzinfo is None:
         raise field_error(f"{value!r} is not a time with its offset from UTC, as in 2024-01-08T05:30:00Z")
     since = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    if not FIRST_YEAR <= moment.year <= LAST_YEAR:
+        raise field_error(f"{value!r} is outside the years {FIRST_YEAR} to {LAST_YEAR}")
     return (since.days * 86_400_000_000 + since.seconds * 1_000_000 + since.microseconds) * 1000
 
 
+Kilometres = Annotated[float, Field(ge=0.0, le=MOST_KM)]
 MomentNs = Annotated[int, BeforeValidator(_nanoseconds)]
 
 
 class FleetEntry(InputTable):
     """An entry of ``fleets``."""
 
-    code: Text
+    code: Code
     name: Text
 
     def record(self) -> FleetRecord:
@@ -45,17 +51,19 @@ class FleetEntry(InputTable):
 class VehicleEntry(InputTable):
     """An entry of ``vehicles``."""
 
-    code: Text
-    fleet: Text
-    vehicle_class: Text
+    code: Code
+    fleet: Code
+    vehicle_class: Code
     axles: int = Field(ge=1, le=MAX_AXLES)
     max_speed_km_h: float = Field(ge=1.0, le=600.0)
-    axle_offsets_m: list[float]
+    axle_offsets_m: list[Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]]
 
     @model_validator(mode="after")
     def _check_offsets(self) -> Self:
         if len(self.axle_offsets_m) != self.axles:
             raise field_error(f"{len(self.axle_offsets_m)} offsets for {self.axles} axles", "axle_offsets_m")
+        if len(set(self.axle_offsets_m)) < self.axles:
+            raise field_error("two axles are at one place", "axle_offsets_m")
         return self
 
     def record(self) -> VehicleRecord:
@@ -73,8 +81,8 @@ class VehicleEntry(InputTable):
 class WheelsetEntry(InputTable):
     """An entry of ``wheelsets``."""
 
-    serial: Text
-    fleet: Text
+    serial: Code
+    fleet: Code
     wheel_profile: Text
     nominal_radius_mm: float = Field(ge=100.0, le=1000.0)
 
@@ -92,13 +100,13 @@ class WheelsetEntry(InputTable):
 class MountingEntry(InputTable):
     """An entry of ``mountings``."""
 
-    wheelset: Text
-    vehicle: Text
+    wheelset: Code
+    vehicle: Code
     axle: int = Field(ge=1, le=MAX_AXLES)
     from_ns: MomentNs = Field(alias="from")
     to_ns: MomentNs | None = Field(default=None, alias="to")
-    vehicle_odometer_km: NotNegative
-    wheelset_mileage_km: NotNegative
+    vehicle_odometer_km: Kilometres
+    wheelset_mileage_km: Kilometres
     reversed: bool = False
 
     @model_validator(mode="after")
@@ -124,10 +132,10 @@ class MountingEntry(InputTable):
 class ReprofilingEntry(InputTable):
     """An entry of ``reprofilings``."""
 
-    wheelset: Text
+    wheelset: Code
     at: MomentNs
-    mileage_km: NotNegative
-    note: str = ""
+    mileage_km: Kilometres
+    note: FreeText = ""
 
     def record(self) -> Reprofiling:
         """Return the reprofiling; time in ns since 1970, mileage in km."""
@@ -143,9 +151,9 @@ class ProfileEntry(InputTable):
 class MeasurementEntry(InputTable):
     """An entry of ``measured_profiles``."""
 
-    wheelset: Text
+    wheelset: Code
     at: MomentNs
-    mileage_km: NotNegative
+    mileage_km: Kilometres
     left: ProfileEntry
     right: ProfileEntry
     std_mm: Positive = PROFILES_STD_MM
@@ -174,7 +182,7 @@ class LayoutEntry(InputTable):
 class SectionEntry(InputTable):
     """An entry of ``track_sections``."""
 
-    code: Text
+    code: Code
     number: int = Field(ge=1, le=65534)
     name: Text
     rail_profile: Text
@@ -221,3 +229,26 @@ class RegistryObject(InputTable):
     reprofilings: list[ReprofilingEntry] = Field(default_factory=list)
     measured_profiles: list[MeasurementEntry] = Field(default_factory=list)
     track_sections: list[SectionEntry] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _check_keys(self) -> Self:
+        for name, key in _KEYS:
+            before: set[tuple[object, ...]] = set()
+            for index, entry in enumerate(getattr(self, name)):
+                found = tuple(getattr(entry, part) for part in key)
+                if found in before:
+                    raise field_error(f"{found[0]!r} is in an entry before", name, index)
+                before.add(found)
+        return self
+
+
+_KEYS = (  # of the entries of each array
+    ("fleets", ("code",)),
+    ("vehicles", ("code",)),
+    ("wheelsets", ("serial",)),
+    ("mountings", ("wheelset", "from_ns")),
+    ("reprofilings", ("wheelset", "at")),
+    ("measured_profiles", ("wheelset", "at")),
+    ("track_sections", ("code",)),
+    ("track_sections", ("number",)),
+)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from decimal import Decimal
 from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from estimation.errors import ParameterError
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
@@ -31,16 +31,27 @@ from estimation.vehicle.vehicle_class import (
     VehicleClass,
     default_relative_std,
 )
-from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
+from ingest.input_file import Code, InputTable, NotNegative, Text, field_error
 from ingest.vehicle_sensor_schema import SensorsTable
 
 WHEELS_OF_AN_AXLE = 2
+LEAST, LARGEST = 1e-12, 1e12
+"""Magnitudes in any unit: beyond them is no number of a vehicle, and squares and quotients overflow."""
+
+
+def _possible(value: float) -> float:
+    if value and not LEAST <= abs(value) <= LARGEST:
+        raise field_error(f"{value:g} is no number of a vehicle")
+    return value
+
+
+_Number = Annotated[float, AfterValidator(_possible)]
 
 
 class UncertainNumber(InputTable):
     """A number with its standard deviation in the same unit; None: that of its kind."""
 
-    value: float
+    value: _Number
     std: NotNegative | None = None
 
     @model_validator(mode="after")
@@ -58,7 +69,7 @@ class UncertainNumber(InputTable):
 
 
 class _PositiveNumber(UncertainNumber):
-    value: Positive
+    value: Annotated[_Number, Field(gt=0.0)]
 
 
 class _WheelLength(UncertainNumber):
@@ -66,12 +77,12 @@ class _WheelLength(UncertainNumber):
 
 
 class _NotNegativeNumber(UncertainNumber):
-    value: NotNegative
+    value: Annotated[_Number, Field(ge=0.0)]
 
 
 def _with_key(value: object) -> object:
-    """Return a plain number as the table that it abbreviates."""
-    return {"value": value} if isinstance(value, (int, float)) and not isinstance(value, bool) else value
+    """Return a plain number as the table that it abbreviates; what is neither is no number."""
+    return value if isinstance(value, (Mapping, UncertainNumber)) else {"value": value}
 
 
 AnyUncertain = Annotated[UncertainNumber, BeforeValidator(_with_key)]
@@ -118,9 +129,11 @@ class CreepTable(InputTable):
     rail_head_radius_mm: PositiveUncertain | None = None
     wheel_transverse_radius_mm: AnyUncertain | None = None  # by default a straight cone; hollow is negative
     wheel_rolling_radius_mm: PositiveUncertain | None = None  # by default the nominal radius
-    shear_modulus_pa: Positive | None = None
+    shear_modulus_pa: Annotated[float, Field(ge=1e10, le=1e12)] | None = None
     poisson_ratio: Annotated[float, Field(ge=0.0, lt=0.5)] | None = None
-    relative_std: NotNegative | None = None  # of all coefficients, beside what radii and load leave open
+    relative_std: Annotated[float, Field(ge=0.0, le=1.0)] | None = (
+        None  # of all coefficients, beside what radii and load leave open
+    )
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
@@ -156,7 +169,7 @@ class SecondaryTable(InputTable):
 class VehicleClassEntry(InputTable):
     """A vehicle class; an entry of ``vehicle_classes`` of a registry file."""
 
-    code: Text
+    code: Code
     name: Text
     source: Text  # where the numbers come from
     arrangement: Literal["single_wheelset", "bogie"]

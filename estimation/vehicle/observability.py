@@ -40,6 +40,7 @@ LATERAL_WAVE = 3e-3  # m, of which D is reported
 SEEN = 0.25  # std over value below which a quantity is seen
 QUIETEST = 1e-7  # m/s2, rad/s2 or rad/s per root hertz: no sensor is quieter
 ANGLE_SUM_STD = 0.1  # rad, of dL + dR beforehand: turns a wheelset like 0.1 % of a soft yaw spring
+CERTAIN = 1e-9  # relative std of what is known exactly
 _STEP = 1e-4  # of numerical derivatives, relative
 _LENGTHS = frozenset({"nominal_radius", "half_contact_distance", "wheelbase"})
 _FREQUENCIES = 400
@@ -295,7 +296,7 @@ def _bounds(sensitivity: _Sensitivity) -> dict[str, float]:
     J = np.stack(changes, axis=2)  # (f, 2, names)
     weighted = np.linalg.solve(sensitivity.noise + sensitivity.track, J * sensitivity.density[:, None, None])
     information = 2 * sensitivity.duration * np.einsum("fej,fek->jk", J.conj(), weighted).real
-    free = [n for n, std in enumerate(prior) if std > 0.0]
+    free = [n for n, std in enumerate(prior) if std > CERTAIN]
     names, prior = [names[n] for n in free], [prior[n] for n in free]
     information = information[np.ix_(free, free)]
 

@@ -7,6 +7,7 @@ mode is that of one coordinate with all others held, so that it depends on few p
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
@@ -16,6 +17,7 @@ from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.vehicle_class import BogieParameters, VehicleClass
 
 UNIT_FACTOR = 1000.0  # mm for m, N/mm for N/m, t for kg, kN for N
+UNIT_FACTORS = UNIT_FACTOR, UNIT_FACTOR**2  # kN/mm for N/m, MN for N
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +48,18 @@ def check_plausible(vehicle_class: VehicleClass) -> None:
     Raises
     ------
     ParameterError
-        Names the mode or quantity, its value and range, and as field the parameter whose correction by 1000 mends most.
+        Names the mode or quantity, its value and range, and as field the parameter whose correction by a unit mends
+        most.
     """
     failing = [item for item in plausible_ranges(vehicle_class) if not item.holds]
     if not failing:
         return
     field, factor = _suspect(vehicle_class, failing)
     named = next(item for item in failing if field in item.fields)
-    hint = (
-        ""
-        if factor is None
-        else f"; {field} is 1000 times too {'small' if factor > 1.0 else 'large'}: is its unit right?"
-    )
+    hint = ""
+    if factor is not None:
+        size = "small" if factor > 1.0 else "large"
+        hint = f"; {field} is {max(factor, 1.0 / factor):,.0f} times too {size}: is its unit right?"
     reason = (
         f"{named.name} would be {named.value:.3g} {named.unit}".rstrip()
         + f", railway vehicles have {named.lowest:g} to {named.highest:g}{hint}"
@@ -84,11 +86,12 @@ def plausible_ranges(vehicle_class: VehicleClass) -> tuple[PlausibleRange, ...]:
 
 
 def _suspect(vehicle_class: VehicleClass, failing: list[PlausibleRange]) -> tuple[str, float | None]:
-    """Return the field whose correction by 1000 leaves fewest quantities outside; None as factor where none helps."""
+    """Return the field whose correction by a factor leaves fewest quantities outside; None where none helps."""
     best = len(failing)
     suspect: tuple[str, float | None] = failing[0].fields[0], None
-    trials = [(field, factor) for item in failing for field in item.fields for factor in (UNIT_FACTOR, 1 / UNIT_FACTOR)]
-    for field, factor in trials:
+    parameters = [field for item in failing for field in item.fields]
+    for unit, field, inverse in itertools.product(UNIT_FACTORS, parameters, (False, True)):
+        factor = 1.0 / unit if inverse else unit
         left = sum(not item.holds for item in plausible_ranges(_scaled(vehicle_class, field, factor)))
         if left < best:
             best, suspect = left, (field, factor)

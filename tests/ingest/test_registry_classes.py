@@ -142,6 +142,37 @@ def test_a_radius_far_from_that_of_the_class_is_refused(
         assert refused(sqlite_storage, tmp_path, content).field == "wheelsets[0].nominal_radius_mm"
 
 
+def test_a_radius_is_held_against_the_class_whichever_of_both_is_on_file(
+    sqlite_storage: SqlStorage, tmp_path: Path
+) -> None:
+    whole = registry()
+    load(sqlite_storage, tmp_path, whole)
+    (wheelset,), (mounting,) = whole["wheelsets"], whole["mountings"]
+    wheel = COACH["wheelset"] | {"nominal_radius_mm": 330.0}
+    small = wheelset | {"serial": "W2", "nominal_radius_mm": 330.0}
+    form = {"format": "treadwatch-registry-1"}
+    load(sqlite_storage, tmp_path, form | {"wheelsets": [small]})  # not mounted
+    on_file = "wheelset 'W1' on file: 460 mm differs by more than 15 % from the 330 mm of class 'coach'"
+    for change, field, words in (
+        ({"wheelsets": [wheelset | {"nominal_radius_mm": 600.0}]}, "wheelsets[0].nominal_radius_mm", "600 mm differs"),
+        ({"mountings": [mounting | {"wheelset": "W2", "axle": 2}]}, "mountings[0].wheelset", "wheelset 'W2' on file"),
+        ({"vehicle_classes": [COACH | {"wheelset": wheel}]}, "vehicle_classes[0]", on_file),
+        (
+            {"vehicle_classes": [COACH | {"wheelset": wheel, "code": "metro"}]}
+            | {"vehicles": [whole["vehicles"][0] | {"vehicle_class": "metro"}]},
+            "vehicles[0].vehicle_class",
+            "wheelset 'W1' on file",
+        ),
+    ):
+        with pytest.raises(InputError) as found:
+            load(sqlite_storage, tmp_path, form | change)
+        assert found.value.field == field
+        assert words in found.value.reason
+    with sqlite_storage.read() as unit:
+        assert len(unit.registry.vehicle_classes()) == 1
+        assert unit.registry.wheelset("W1").nominal_radius_m == pytest.approx(1e-3 * RADIUS)
+
+
 def test_a_vehicle_whose_class_nobody_knows_is_stored_with_a_warning(
     sqlite_storage: SqlStorage, tmp_path: Path
 ) -> None:

@@ -99,6 +99,16 @@ BAD: list[tuple[Callable[[Content], object], str, str]] = [
     (lambda c: c["track_sections"][0].update(alignment=3), "track_sections[0].alignment", "object"),
     (lambda c: c.update(vehicles={}), "vehicles", "list"),
     (lambda c: c.update(vehicles=[1]), "vehicles[0]", "object"),
+    (lambda c: c["vehicles"].append(c["vehicles"][0]), "vehicles[1]", "is in an entry before"),
+    (lambda c: c["wheelsets"].append(c["wheelsets"][1]), "wheelsets[3]", "is in an entry before"),
+    (lambda c: c["mountings"].append({**c["mountings"][0], "axle": 2}), "mountings[3]", "is in an entry before"),
+    (lambda c: c["mountings"][0].update({"from": "9999-01-01T00:00:00Z"}), "mountings[0].from", "1900 to 2200"),
+    (lambda c: c["mountings"][0].update(axle=7), "mountings[0].axle", "has axles 1 to 3, not 7"),
+    (lambda c: c["mountings"][0].update(vehicle_odometer_km=1e9), "mountings[0].vehicle_odometer_km", "at most"),
+    (lambda c: c["vehicles"][0].update(axle_offsets_m=[2.0, 5.0, 2.0]), "vehicles[0].axle_offsets_m", "at one place"),
+    (lambda c: c["vehicles"][0].update(axle_offsets_m=[2.0, 1e300]), "vehicles[0].axle_offsets_m[1]", "at most"),
+    (lambda c: c["fleets"][0].update(name="a\0b"), "fleets[0].name", "control character"),
+    (lambda c: c["wheelsets"][0].update(serial=65 * "W"), "wheelsets[0].serial", "at most 64"),
 ]
 
 
@@ -117,7 +127,10 @@ def test_a_bad_field_is_named_and_nothing_is_stored(
         assert not unit.tracks.sections()
 
 
-@pytest.mark.parametrize(("content", "words"), [("{", "no JSON"), ("[]", "one object"), ("{}", "missing")])
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [("{", "JSON"), ("[]", "one object"), ("{}", "missing"), ("", "JSON"), (100_000 * "[", "nested too deep")],
+)
 def test_a_file_that_is_no_registry_is_refused(tmp_path: Path, content: str, words: str) -> None:
     path = tmp_path / "registry.json"
     path.write_text(content)

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from in_process_command import Run
 
 from estimation.errors import InputError, NotFoundError
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -131,6 +132,28 @@ def test_the_mode_that_a_wrong_unit_moves_is_named(tmp_path: Path) -> None:
         read_vehicle_class(path)
 
 
+@pytest.mark.parametrize(("stiffness", "factor"), [(7.768e3, "1,000"), (7.768, "1,000,000")])
+def test_the_factor_of_a_wrong_unit_is_given(tmp_path: Path, stiffness: float, factor: str) -> None:
+    path = edited(tmp_path, "coach", "lateral_stiffness_n_m = 7.768e6", f"lateral_stiffness_n_m = {stiffness}")
+    with pytest.raises(InputError, match=f"lateral_stiffness is {factor} times too small"):
+        read_vehicle_class(path)
+
+
+def test_what_is_known_exactly_can_be_checked(treadwatch: Run, tmp_path: Path) -> None:
+    path = edited(tmp_path, "coach", "value = 1813.0, std = 20.0", "value = 1813.0, std = 1e-300")
+    done = treadwatch("vehicle", "check", path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("content", ["", "\x00", "a = " + 100_000 * "["])
+def test_a_file_without_a_class_is_refused(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "vehicle.toml"
+    path.write_text(content)
+    with pytest.raises(InputError) as caught:
+        read_vehicle_class(path)
+    assert caught.value.file == str(path)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "field", "reason"),
     [
@@ -147,7 +170,15 @@ def test_the_mode_that_a_wrong_unit_moves_is_named(tmp_path: Path) -> None:
         ("[sensors.mass_lateral]", "[sensors.frame_lateral]", "sensors.frame_lateral", "unknown key"),
         ('from = "kalker"', 'from = "given"', "creep.longitudinal_n", "is missing"),
         ("wheelbase_m = 2.56", "", "bogie.wheelbase_m", "is missing"),
-        ("wheelbase_m = 2.56", 'wheelbase_m = "2.56"', "bogie.wheelbase_m", "is not"),
+        ("wheelbase_m = 2.56", 'wheelbase_m = "2.56"', "bogie.wheelbase_m", "'2.56' is not a number"),
+        ("wheelbase_m = 2.56", "wheelbase_m = 0", "bogie.wheelbase_m", "greater than 0"),
+        ("wheelbase_m = 2.56", "wheelbase_m = nan", "bogie.wheelbase_m", "not a finite number"),
+        ("frame_mass_kg = 2615.0", "frame_mass_kg = 1e300", "bogie.frame_mass_kg", "no number of a vehicle"),
+        ("frame_mass_kg = 2615.0", "frame_mass_kg = 1e-300", "bogie.frame_mass_kg", "no number of a vehicle"),
+        ("{ value = 300.0, std = 30.0 }", "1e9", "creep.rail_head_radius_mm", "outside Kalker's table"),
+        ('from = "kalker"', 'from = "kalker"\nrelative_std = 5.0', "creep.relative_std", "at most 1"),
+        ('code = "coach"', 'code = "a\\nb"', "code", "control character"),
+        ('code = "coach"', f'code = "{65 * "a"}"', "code", "at most 64"),
         (
             "frame_mass_kg = 2615.0",
             "frame_mass_kg = { value = 2615.0, std = -1.0 }",
