@@ -23,6 +23,7 @@ from estimation.track.gridded_pass import GriddedPass, Placed, all_passes, place
 from estimation.track.journeys import Journey, PositionParameters
 from estimation.track.panel.basis import Panel
 from estimation.track.panel.errors_in_variables import SlopeCorrection, common_slope, corrected, slope_correction
+from estimation.track.panel.instrumental_slope import with_instrument
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, init, update
 from estimation.track.panel.prior_alignment import PriorAlignment, add_prior, fleet_step
@@ -184,6 +185,8 @@ def with_slope(found: IterationResult, prior: PriorAlignment | None, most_weight
         return found
     state = found.state if prior is None else add_prior(found.state, prior, found.noise, most_weight)
     slope = found.slope or slope_correction(state, found.solution)
+    if prior is not None and prior.gauge_known and found.panel.gauge is None:  # a gauge is no noise
+        slope = with_instrument(slope, found.passes, found.solution, found.panel)
     if not np.isfinite(slope.std):
         return replace(found, slope=slope)
     return replace(found, solution=corrected(state, found.solution, slope.factor), slope=slope)

@@ -1,0 +1,151 @@
+"""By how much noise of R flattens the curves, from an instrument: R as the mean displacement of the place predicts it.
+
+Noise of R has no part in what other passes have measured. So each wheelset's R is predicted by a filter along the
+track, fitted to all its passes, from the mean lateral displacement of the place. Between the passes of a place the
+prediction z differs by wheelset, and with the curves h of the panel
+
+    factor = sum h(z) (y - h_E) / sum h(z) h(R)
+
+is what the curves must be multiplied with, whatever the noise of y and of R (instrumental variables, one common slope;
+h_E stands for the stiffness term). The share of y that the curves explain cannot separate these two noises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.filters.local_cubic import high_pass
+from estimation.track.gridded_pass import GriddedPass
+from estimation.track.panel.basis import Panel, curve_displacement, known_shift
+from estimation.track.panel.errors_in_variables import SlopeCorrection
+from estimation.track.panel.normal_equations import groups_of
+from estimation.track.panel.solution import PanelSolution
+from estimation.track.profile_life import ProfileLife
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.intervals import jackknife_std
+
+REACH = 20.0  # m, of the filter to both sides
+RIDGE = 1e-4  # of its coefficients, relative to the data
+LEAST_CORRELATION = 0.3  # of h(z) and h(R) between the passes of a place: below, the instrument is weak
+SYSTEMATIC_SHARE = 0.15  # of 1 / r2 - 1: std of the factor that blocks of data cannot show
+
+
+@dataclass(frozen=True, slots=True)
+class _Filtered:
+    """A pass through the grid's high-pass, at its grid points (m,)."""
+
+    source: GriddedPass
+    displacement: FloatArray  # (m,) y, m
+    difference: FloatArray  # (m,) R, m, as the section has it
+
+
+def with_instrument(
+    slope: SlopeCorrection, passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel
+) -> SlopeCorrection:
+    """Return the correction of the curves' slope, with what the instrument shows of it; as it was where that is weak.
+
+    Parameters
+    ----------
+    slope
+        From the share that the curves explain.
+    passes
+        As placed.
+    solution, panel
+        As solved, without a gauge that varies.
+    """
+    sums = _sums(passes, solution, panel)
+    along, own, of_instrument, of_curves = sums.sum(axis=0)
+    if not along > LEAST_CORRELATION * float(np.sqrt(of_instrument * of_curves)):
+        return slope
+    left = sums.sum(axis=0) - sums
+    factors = np.concatenate([[own / along], left[:, 1] / left[:, 0]])
+    excess = 1.0 / slope.explained - 1.0
+    std = float(np.hypot(jackknife_std(factors[:, None])[0], SYSTEMATIC_SHARE * excess))
+    if not std < slope.std:
+        return slope
+    known = np.array([std, slope.std]) ** -2
+    factor = float(known @ np.array([factors[0], slope.factor]) / known.sum())
+    return SlopeCorrection(factor, float(known.sum() ** -0.5), slope.explained)
+
+
+def _sums(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel) -> FloatArray:
+    """Return by group (g, 4) the sums of h(z) h(R), h(z) y, h(z)^2 and h(R)^2, each less its mean over the place."""
+    grid, groups = panel.grid, panel.parameters.groups
+    filtered = [_filtered(item, panel) for item in passes if not item.empty]
+    mean, known = _mean_displacement(filtered, panel)
+    predicted = _predictions(filtered, mean, known, panel)
+    terms: list[tuple[IntArray, FloatArray, float]] = []
+    total, count = np.zeros((3, grid.points)), np.zeros(grid.points)
+    for one in filtered:
+        curve = solution.curve_of(one.source.life)
+        if curve is None:
+            continue
+        used = one.source.inside & _at(known, one.source.points, panel)
+        values = _compared(one, curve, predicted[one.source.life], panel)[:, used]
+        at, weight = one.source.points[used], panel.known.weight_of(one.source.life)
+        total[:, at] += weight * values
+        count[at] += weight
+        terms.append((at, values, weight))
+    total /= np.where(count > 0.0, count, 1.0)
+    sums = np.zeros((groups, 4))
+    for at, values, weight in terms:
+        y, h, z = values - total[:, at]
+        np.add.at(sums, groups_of(at, panel), weight * np.stack([z * h, z * y, z * z, h * h], axis=1))
+    return sums
+
+
+def _filtered(item: GriddedPass, panel: Panel) -> _Filtered:
+    displacement = item.displacement - known_shift(item, panel)
+    y, R = high_pass(np.stack([displacement, item.difference]), panel.grid.kernel)
+    return _Filtered(item, y, item.side * R)
+
+
+def _mean_displacement(filtered: Sequence[_Filtered], panel: Panel) -> tuple[FloatArray, BoolArray]:
+    """Return the mean y (n,), m, over the passes, and where (n,) enough have passed within the reach of the filter."""
+    total, count = np.zeros(panel.grid.points), np.zeros(panel.grid.points)
+    for one in filtered:
+        total[one.source.used_points] += one.displacement[one.source.inside]
+        count[one.source.used_points] += 1.0
+    taps = 2 * int(REACH / panel.grid.step) + 1
+    enough = count >= panel.parameters.least_passes
+    return total / np.maximum(count, 1.0), np.convolve(enough, np.ones(taps), "same") > taps - 0.5
+
+
+def _predictions(
+    filtered: Sequence[_Filtered], mean: FloatArray, known: BoolArray, panel: Panel
+) -> dict[ProfileLife, FloatArray]:
+    """Return z (n,), m, of every wheelset: the mean displacement through the filter that fits its R best."""
+    reach = int(REACH / panel.grid.step)
+    shifted = np.lib.stride_tricks.sliding_window_view(np.pad(mean, reach), 2 * reach + 1)
+    normal: dict[ProfileLife, FloatArray] = {}
+    right: dict[ProfileLife, FloatArray] = {}
+    for one in filtered:
+        used = one.source.inside & _at(known, one.source.points, panel)
+        X, life = shifted[one.source.points[used]], one.source.life
+        normal[life] = normal.get(life, 0.0) + X.T @ X
+        right[life] = right.get(life, 0.0) + X.T @ one.difference[used]
+    size = {life: RIDGE * max(float(np.trace(N)) / len(N), 1e-30) for life, N in normal.items()}
+    return {
+        life: np.asarray(shifted @ np.linalg.solve(N + size[life] * np.eye(len(N)), right[life]))
+        for life, N in normal.items()
+    }
+
+
+def _compared(one: _Filtered, curve: FloatArray, predicted: FloatArray, panel: Panel) -> FloatArray:
+    """Return y, h(R) and h(z) (3, m) of a pass, m, high-passed and without the stiffness term."""
+    item, p = one.source, panel.parameters
+    stiffness_term = curve[-1] * item.stiffness_term
+    z = np.clip(item.side * _at(predicted, item.points, panel), -p.reach, p.reach)
+    h = np.stack(
+        [stiffness_term, curve_displacement(item, curve, panel), np.interp(z, p.knots, curve[: p.basis_count])]
+    )
+    of_stiffness, of_difference, of_prediction = item.side * high_pass(h, panel.grid.kernel)
+    return np.stack([one.displacement - of_stiffness, of_difference - of_stiffness, of_prediction])
+
+
+def _at(values: FloatArray | BoolArray, points: IntArray, panel: Panel) -> np.ndarray:
+    """Return ``values`` (n,) at grid points (m,), some of which are off the section."""
+    return values[np.clip(points, 0, panel.grid.points - 1)]
