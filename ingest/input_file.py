@@ -52,7 +52,7 @@ def field_error(reason: str, *location: str | int) -> PydanticCustomError:
 
 
 def _printable(text: str) -> str:
-    if any(letter < " " and letter not in "\n\t" for letter in text):
+    if any((letter < " " and letter not in "\n\t") or letter == "\x7f" for letter in text):
         raise field_error(f"{text!r} has a control character")
     return text
 

@@ -10,8 +10,8 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from estimation.errors import ExchangeError, ParameterError
-from ingest.input_file import InputFile, InputTable, Location, NotNegative, Text, field_error, read_toml
-from ingest.registry_schema import MAX_AXLES
+from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml
+from ingest.registry_schema import FIRST_YEAR, LAST_YEAR, MAX_AXLES, Kilometres
 from ingest.units import DERIVATIVES, Quantity, Unit, unit_of
 
 MOTIONS = ("time", "position", "speed")
@@ -38,6 +38,8 @@ def _one_character(text: str) -> str:
 def _with_zone(moment: datetime) -> datetime:
     if moment.tzinfo is None:
         raise field_error("needs its offset from UTC, as in 2026-01-05T06:00:00Z")
+    if not FIRST_YEAR <= moment.year <= LAST_YEAR:
+        raise field_error(f"{moment.isoformat()} is outside the years {FIRST_YEAR} to {LAST_YEAR}")
     return moment
 
 
@@ -136,7 +138,7 @@ class RunTable(InputTable):
     vehicle: Text
     section: Text
     start: Annotated[datetime, AfterValidator(_with_zone)]
-    odometer_km: NotNegative  # where the table begins
+    odometer_km: Kilometres  # where the table begins
     position_quality: float = Field(default=1.0, ge=0.0, le=1.0)
     position_of_axle: int | None = Field(default=None, ge=1, le=MAX_AXLES)  # by default the reference point's
     lateral_includes_gravity: bool

@@ -23,7 +23,7 @@ from ingest.catalogue import ACCELERATION, MOTION, POSITION, SYNC, VEHICLE_NODE,
 from ingest.codec import FrameCounts
 from ingest.derivative import derivative
 from ingest.exchange.description import SIGNALS, Column, ExchangeFile, unit
-from ingest.exchange.sampling import resampled, ticks_of, uniform_time
+from ingest.exchange.sampling import FEWEST, resampled, ticks_of, uniform_time
 from ingest.exchange.table import ExchangeTable
 from ingest.registry_schema import MAX_AXLES
 from ingest.units import DERIVATIVES, Quantity
@@ -33,9 +33,12 @@ COUNT = 2.0**-20
 FIRST_IDENTIFIER = 0x1000  # behind those of 11 bits
 _LARGEST = 1 << 62
 LARGEST: Mapping[str, float] = MappingProxyType(
-    {"lateral": 1e3, "yaw": 1e4, "roll": 1e4, "mass_lateral": 1e3, "speed": 150.0}
+    {"lateral": 1e3, "yaw": 1e4, "roll": 1e4, "mass_lateral": 1e3, "speed": 150.0, "position": 1e7}
 )
 """Magnitudes in SI that no vehicle has: beyond them a unit is wrong."""
+
+LONGEST_S = 5e9
+"""Seconds from ``start`` to the first row: 1970 may be the start."""
 
 RUN_SHARE, RUN_M = 0.05, 2.0
 """How far the change of position may be from the integral of the speed: share of the distance run, and m."""
@@ -85,6 +88,8 @@ def exchange_run(file: ExchangeFile, table: ExchangeTable, facts: RegistryFacts)
         Times are not uniform, a magnitude is impossible, the speed is negative, or the position does not go with it.
     """
     time = uniform_time(table, file.time.column, unit("time", file.time).factor, file.sampling.rate_hz)
+    if abs(time.start_s) > LONGEST_S:
+        raise table.error(f"{time.start_s:g} s from the start of the run: another unit?", 0, file.time.column)
     tick, at = ticks_of(time, file.run.start_ns, INTERVAL_NS)
     position, speed = _values(table, "position", file.position), _values(table, "speed", file.speed)
     _check_speed(table, file.position.column, file.speed.column, (position, speed), time.interval_s)
@@ -141,7 +146,11 @@ def _accelerations(
     Lateral ones are as the sensors of the vehicle's class have them: y'' + g phi of a node that rolls by phi, or y''.
     """
     sensors = [(axle.axle, name, getattr(axle, name)) for axle in file.axles for name in SIGNALS]
-    sampled = resampled(np.column_stack([_values(table, name, column) for _, name, column in sensors]), at)
+    signals = [_values(table, name, column) for _, name, column in sensors]
+    for values, (_, name, column) in zip(signals, sensors, strict=True):
+        if values.min() == values.max():
+            raise table.error(f"has one value only: no {name} was measured", 0, column.column)
+    sampled = resampled(np.column_stack(signals), at)
     found = {axle.axle: np.empty((len(at), len(SIGNALS))) for axle in file.axles}
     for values, (axle, name, column) in zip(sampled.T, sensors, strict=True):
         times = DERIVATIVES.get(unit(name, column).quantity, 0)
@@ -159,6 +168,8 @@ def _accelerations(
 def _angle(acceleration: FloatArray) -> FloatArray:
     """Return the angle (n,) of an angular acceleration, without its mean and its straight line; NaN where that is."""
     known = ~np.isnan(acceleration)
+    if known.sum() < FEWEST:
+        return np.full(len(acceleration), np.nan)
     angle = acceleration[known]
     t = np.arange(len(angle)) - (len(angle) - 1) / 2.0
     for _ in range(2):

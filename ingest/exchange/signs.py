@@ -1,4 +1,4 @@
-"""Signs of an exchange's signals against each other: an axis that points the other way is found and named.
+"""Signals of an exchange against each other: an axis that points the other way, or another unit, is found and named.
 
 Of an axle that rolls forward, three signals are bound to each other. With a yaw to the left it moves to the left:
 ``y' = V psi`` up to small creep. Further to the left its left wheel runs on a larger radius, and is higher: roll goes
@@ -28,6 +28,9 @@ from ingest.exchange.run import COUNT, INTERVAL_NS, ExchangeRun
 from ingest.input_file import InputFile, Location
 
 INTERVAL_S = INTERVAL_NS * 1e-9
+MOST_GAIN = 4.0
+"""Of the lateral velocity over V psi, or less than its inverse: creep leaves 0.6 to 1.6, g for m/s2 makes 10."""
+
 OTHER_WAY = {"left": "right", "right": "left"}
 _GOOD = WindowQuality(1.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, 1.0, sensor_fault=False)
 
@@ -53,6 +56,13 @@ class SignEvidence:
     roll_low: float
     roll_high: float
     mass: float  # acceleration of the mass, velocity of a bogie frame, with the lateral velocity of the axle
+    gain: float | None = None  # rms of the lateral velocity over that of V psi
+
+    @property
+    def other_unit(self) -> bool:
+        """Whether lateral and yaw go with each other, but not in magnitude: the unit of one of them is another."""
+        goes = self.lateral_yaw is not None and self.lateral_yaw >= -BACKWARDS
+        return goes and self.gain is not None and not 1.0 / MOST_GAIN <= self.gain <= MOST_GAIN
 
     @property
     def turned(self) -> Turned | None:
@@ -82,7 +92,11 @@ def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidenc
     integrated = integrate(_window(run, axle), np.ones(len(run.tick), np.bool_), SignalParameters())
     low, high = _roll_bounds(integrated)
     return SignEvidence(
-        lateral_yaw_correlation(integrated), low, high, _mass_correlation(integrated, in_bogie=in_bogie)
+        lateral_yaw_correlation(integrated),
+        low,
+        high,
+        _mass_correlation(integrated, in_bogie=in_bogie),
+        _lateral_yaw_gain(integrated),
     )
 
 
@@ -101,9 +115,15 @@ def check_signs(run: ExchangeRun, file: ExchangeFile, toml: InputFile, *, in_bog
     Raises
     ------
     ExchangeError
-        A signal has the wrong sign: on all axles its axis, on some of them its sensor; names what must be turned.
+        A signal has the wrong sign: on all axles its axis, on some of them its sensor; names what must be turned. Or
+        lateral and yaw of an axle differ in magnitude.
     """
     found = {axle: sign_evidence(run, axle, in_bogie=in_bogie) for axle in run.accelerations}
+    for at, axle in enumerate(file.axles):
+        evidence = found[axle.axle]
+        if evidence.other_unit:
+            reason = f"the lateral velocity is {evidence.gain:.3g} times what yaw and speed give (y' = V psi)"
+            raise toml.error(f"{reason}: is the unit of lateral or of yaw another?", ("axles", at, "lateral"))
     turned = {axle: evidence.turned for axle, evidence in found.items()}
     kinds = set(turned.values())
     if kinds == {None}:
@@ -165,6 +185,16 @@ def _contradiction(kind: Turned, items: Collection[SignEvidence]) -> str:
         f"{sentence} (correlation of lateral velocity with yaw {yaw:.2f}, of displacement with roll {roll:.2f},"
         f" of velocity with the mass {mass:.2f})"
     )
+
+
+def _lateral_yaw_gain(integrated: IntegratedWindow) -> float | None:
+    seconds = round(LOOK_S / INTERVAL_S)
+    lateral, yaw = 0.0, 0.0
+    for segment in integrated.segments:
+        a = high_pass_running_mean(segment.rates[0], seconds)
+        b = high_pass_running_mean(segment.speed * segment.displacements[1], seconds)
+        lateral, yaw = lateral + float(a @ a), yaw + float(b @ b)
+    return float(np.sqrt(lateral / yaw)) if yaw > 0.0 else None
 
 
 def _roll_bounds(integrated: IntegratedWindow) -> tuple[float, float]:

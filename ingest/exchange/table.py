@@ -85,6 +85,7 @@ def _read_csv(path: Path, layout: CsvTable, names: Sequence[str]) -> Mapping[str
     numbers = lines[layout.first - 1 :]
     if "" in numbers:
         raise ExchangeError("is empty", file=path, line=layout.first + numbers.index(""))
+    _check_widths(path, layout, numbers, len(header))
     if layout.decimal == ",":
         numbers = [line.replace(",", ".") for line in numbers]
     try:
@@ -92,6 +93,15 @@ def _read_csv(path: Path, layout: CsvTable, names: Sequence[str]) -> Mapping[str
     except ValueError as error:
         raise _first_bad_cell(path, layout, numbers, dict(zip(names, places, strict=True))) from error
     return {name: table[:, at].copy() for at, name in enumerate(names)}
+
+
+def _check_widths(path: Path, layout: CsvTable, numbers: Sequence[str], columns: int) -> None:
+    """Refuse lines of more or fewer columns than the header: values would be read as those of another column."""
+    for row, line in enumerate(numbers):
+        found = len(_cells(line, layout)) if '"' in line else line.count(layout.delimiter) + 1
+        if found != columns and not (found == columns + 1 and line.endswith(layout.delimiter)):
+            reason = f"has {found} columns, the header {columns}"
+            raise ExchangeError(reason, file=path, line=layout.first + row)
 
 
 def _cells(line: str, layout: CsvTable) -> list[str]:
