@@ -22,6 +22,8 @@ LOOK_S = 1.0  # over which positions are compared with the speed
 JUMP = 0.5  # m
 JUMP_SHARE = 0.05  # of the distance run
 BACKWARDS = -0.3  # correlation of the lateral velocity with speed times yaw, 1 of an axle that rolls forward
+UNRELATED = 0.25  # of sensors that are not on these axes: a turned one has up to 0.15, stiff bogies have 0.8
+SMOOTHED_S = 0.04  # vibration is faster
 ONE_WAY = 0.98  # share of the samples that must lead one way
 
 
@@ -173,10 +175,11 @@ def jumps_reason(jumps: Sequence[Jump]) -> Reason | None:
 
 
 def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
-    """Return that the axes contradict the direction of running; None where they do not.
+    """Return that the axes contradict the direction of running, or one another; None where they do not.
 
     An axle that rolls forward with a yaw to the left moves to the left: y' = V psi up to small creep. Backwards, or
-    with one of the two sensors the wrong way round, the sign is the other.
+    with one of the two sensors the wrong way round, the sign is the other. Where one of the two is on another axis, or
+    measures something else, they have nothing in common.
 
     Parameters
     ----------
@@ -184,8 +187,14 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
         Segments of a window.
     """
     correlation = lateral_yaw_correlation(integrated)
-    if correlation is None or correlation >= BACKWARDS:
+    if correlation is None or correlation >= UNRELATED:
         return None
+    if correlation >= BACKWARDS:
+        return Reason(
+            ReasonCode.SENSOR_TURNED,
+            f"lateral velocity and yaw of the wheelset have nothing in common (correlation {correlation:.2f}): a sensor"
+            " is turned, or channels are exchanged; check the mounting of the node",
+        )
     return Reason(
         ReasonCode.AXES_REVERSED,
         f"the axes point against the direction of running: lateral velocity and yaw have opposite signs"
@@ -194,7 +203,7 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
 
 
 def lateral_yaw_correlation(integrated: IntegratedWindow) -> float | None:
-    """Return the correlation of the lateral velocity with speed times yaw; None where nothing moves.
+    """Return the correlation of the lateral velocity with speed times yaw, vibration apart; None where nothing moves.
 
     Parameters
     ----------
@@ -202,10 +211,10 @@ def lateral_yaw_correlation(integrated: IntegratedWindow) -> float | None:
         Segments of a window.
     """
     products, lateral, yaw = 0.0, 0.0, 0.0
-    seconds = round(LOOK_S / integrated.window.sample_interval_s)
+    second, fast = (round(length / integrated.window.sample_interval_s) for length in (LOOK_S, SMOOTHED_S))
     for segment in integrated.segments:
-        a = high_pass_running_mean(segment.rates[0], seconds)
-        b = high_pass_running_mean(segment.speed * segment.displacements[1], seconds)
+        both = np.stack([segment.rates[0], segment.speed * segment.displacements[1]])
+        a, b = (high_pass_running_mean(row, second) for row in uniform_filter1d(both, max(fast, 1)))
         products, lateral, yaw = products + float(a @ b), lateral + float(a @ a), yaw + float(b @ b)
     if lateral * yaw <= 0.0:
         return None

@@ -17,6 +17,7 @@ from estimation.values.arrays import BoolArray, FloatArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackLayout
 from estimation.values.windows import Window
+from estimation.vehicle.equations_of_motion import GRAVITY
 
 GRID_STEP = 1.0  # m, to which a layout is refined before it is looked at
 
@@ -44,6 +45,38 @@ def straight(distance: FloatArray, layout: TrackLayout, limits: CurveLimits) -> 
     first = np.searchsorted(grid, at - limits.margin, side="left")
     last = np.searchsorted(grid, at + limits.margin, side="right")
     return np.asarray(on_layout & (near[last] == near[first]))
+
+
+MOST_AT_REST = 1.4  # m/s2, of a lateral accelerometer on straight track: its offset, and g times its angle
+
+
+def check_upright(window: Window, usable: BoolArray) -> Reason | None:
+    """Return that a lateral accelerometer is turned about the longitudinal axis; None where it is not.
+
+    It then measures a part of gravity at rest: of 8 degrees 1.4 m/s2. Vertical motion is in its signal too, and cannot
+    be taken out. Only sensors that measure constant accelerations show it.
+
+    Parameters
+    ----------
+    window
+        Measured accelerations.
+    usable
+        (n,) samples on straight track.
+    """
+    if not (window.measures_gravity and usable.any()):
+        return None
+    places = {"axle box": window.lateral_acceleration, "mass or frame": window.mass_lateral_acceleration}
+    means = {name: float(np.mean(values[usable])) for name, values in places.items()}
+    name = max(means, key=lambda place: abs(means[place]))
+    if abs(means[name]) <= MOST_AT_REST:
+        return None
+    angle = np.degrees(np.arcsin(min(abs(means[name]) / GRAVITY, 1.0)))
+    return Reason(
+        ReasonCode.SENSOR_TURNED,
+        f"the lateral accelerometer of the {name} measures {means[name]:+.1f} m/s2 on average, like one that is turned"
+        f" by {angle:.0f} degrees; at most {MOST_AT_REST:g} m/s2 may be its offset; check its mounting, and its offset"
+        " in the mapping of the bus",
+    )
 
 
 MEAN_S = 5.0  # over which the motion of the wheelset averages out
@@ -113,11 +146,12 @@ def straight_part(window: Window, layout: TrackLayout | None, parameters: Signal
     if layout is None:
         with np.errstate(invalid="ignore"):
             running = np.asarray(window.valid & (window.speed >= parameters.least_speed_m_s))
-        return detect_uncompensated_acceleration(window, running, parameters.max_cant_deficiency_change) or window
+        curve = detect_uncompensated_acceleration(window, running, parameters.max_cant_deficiency_change)
+        return check_upright(window, running) or curve or window
     left = window.valid & straight(window.distance, layout, parameters.curve_limits)
     if not left.any() and window.valid.any():
         return Reason(ReasonCode.IN_CURVES, "all of the window is in curves")
-    return replace(window, valid=left)
+    return check_upright(window, left) or replace(window, valid=left)
 
 
 def moving_samples(window: Window, parameters: SignalParameters) -> BoolArray:

@@ -25,7 +25,13 @@ from estimation.motion.cross_level import relative_displacement
 from estimation.motion.integration import IntegratedSegment, IntegratedWindow, bridged, integrate
 from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.track_lookup import alignment_at, gauge_shift
-from estimation.motion.usable_samples import Usable, detect_uncompensated_acceleration, moving_samples, usable_samples
+from estimation.motion.usable_samples import (
+    Usable,
+    check_upright,
+    detect_uncompensated_acceleration,
+    moving_samples,
+    usable_samples,
+)
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.motion import OF_FRAME, Motion
 from estimation.values.reasons import Reason, ReasonCode
@@ -91,11 +97,11 @@ def _unusable(
 ) -> Reason | None:
     if not usable.samples.any():
         return Reason(ReasonCode.NO_USABLE_SAMPLE, f"no sample can be used: {usable.causes}")
-    return (
-        detect_uncompensated_acceleration(window, usable.samples, parameters.max_cant_deficiency_change)
-        if layout is None
-        else None
-    )
+    curve = None
+    if layout is None:
+        most = parameters.max_cant_deficiency_change
+        curve = detect_uncompensated_acceleration(window, usable.samples, most)
+    return check_upright(window, usable.samples) or curve
 
 
 def _filtered(

@@ -40,6 +40,10 @@ class ReasonCode(StrEnum):
     BOTH_DIRECTIONS = "both_directions", "The vehicle runs both ways along the section within the window."
     POSITION_JUMP = "position_jump", "The position changes by another distance than the speed makes of it."
     AXES_REVERSED = "axes_reversed", "The sensor axes contradict the direction of running. Check the mounting record."
+    SENSOR_TURNED = (
+        "sensor_turned",
+        "A sensor is turned against the axes of the vehicle, or two are exchanged. Check its mounting and its offset.",
+    )
     NO_USABLE_SAMPLE = "no_usable_sample", "No sample is valid, on known track, fast enough and outside curves."
     CURVE_DETECTED = "curve_detected", "A curve is detected and no layout is stored. Register the section's layout."
     IN_CURVES = "in_curves", "All of the window is in curves."
