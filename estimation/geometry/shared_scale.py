@@ -17,6 +17,9 @@ from estimation.tables.least_squares import SMALLEST_EIGENVALUE, Solution, unpac
 from estimation.values.arrays import BoolArray, FloatArray
 
 
+SMALLEST = float(np.finfo(np.float64).tiny)  # variance, so that without any sample the shared coefficients are zero
+
+
 @dataclass(frozen=True, slots=True)
 class _Eliminated:
     """Normal equations of r replicates of b bins of which the own coefficients of the bins have been eliminated."""
@@ -35,7 +38,7 @@ class _Eliminated:
     def penalty(self, prior_std: FloatArray | float) -> FloatArray:
         """Return the matrices (r, q, q) by which what is known beforehand weighs."""
         known = np.diag(np.broadcast_to(1.0 / np.square(prior_std), self.left.shape[-1:]))
-        return np.asarray(self.variance[:, None, None] * known)
+        return np.asarray(np.maximum(self.variance, SMALLEST)[:, None, None] * known)
 
 
 def solve_with_shared_scales(

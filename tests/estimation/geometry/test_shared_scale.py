@@ -121,3 +121,10 @@ def test_what_the_data_say_nothing_of_is_left_as_open_as_it_was() -> None:
     moments, weight = packed([Samples(features, one.targets, one.bin)])
     found = left_open(moments[0], weight[0], SHARED, REGRESSORS, TARGETS, np.array([0.02, 0.03]))
     np.testing.assert_allclose(found[:, :, 1], np.tile([-3.0 * 0.03, 0.0, 0.0], (BINS, 1)), rtol=1e-6, atol=1e-9)
+
+
+def test_without_samples_nothing_is_known_but_what_was_known_beforehand() -> None:
+    moments, weight = packed([samples(7)])
+    found = solve_with_shared_scales(0.0 * moments, 0.0 * weight, SHARED, REGRESSORS, TARGETS, 0.02)
+    assert np.isnan(found.theta).all()
+    assert np.isnan(left_open(0.0 * moments[0], 0.0 * weight[0], SHARED, REGRESSORS, TARGETS, 0.02)).all()
