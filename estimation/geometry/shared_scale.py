@@ -16,7 +16,6 @@ import numpy as np
 from estimation.tables.least_squares import SMALLEST_EIGENVALUE, Solution, unpack
 from estimation.values.arrays import BoolArray, FloatArray
 
-
 SMALLEST = float(np.finfo(np.float64).tiny)  # variance, so that without any sample the shared coefficients are zero
 
 
