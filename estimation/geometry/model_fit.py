@@ -29,6 +29,7 @@ NOISE_DOUBT = 0.5  # of the variance that sensor noise makes: sensors may be as 
 LEAST_SAMPLES = 200.0  # of a bin
 FEWEST_BINS = 5
 FREE = 1e6  # std of what nothing is known of beforehand
+STRAIGHT = np.array([1.0, 1.0, 1e-6])  # of the prior stds: the spring error is that of sensors that are not turned
 _NOISE = YAW_TARGETS.index("noise")
 
 
@@ -62,10 +63,12 @@ def model_fit(table: BinTable, bins: BinParameters, sensor_std: FloatArray | flo
     in_bogie = bins.wheelbase is not None
     shared, prior = (SHARED_IN_BOGIE, sensor_std) if in_bogie else (1, FREE)
     regressors = shared + REGRESSORS - 1
-    solved = solve_with_shared_scales(sums[:, used], weight[:, used], shared, regressors, len(YAW_TARGETS), prior)
+    moments = sums[:, used], weight[:, used], shared, regressors, len(YAW_TARGETS)
+    solved = solve_with_shared_scales(*moments, prior)
     theta = solved.theta.reshape(len(weight), int(used.sum()), regressors, len(YAW_TARGETS))
     unit = 1.0 if in_bogie else 0.5 * p.half_contact_distance * p.load / p.yaw_stiffness
-    errors = unit * np.nanmedian(theta[:, :, 0, 0], axis=1)
+    of_spring = solve_with_shared_scales(*moments, prior * STRAIGHT).theta if in_bogie else solved.theta
+    errors = unit * np.nanmedian(of_spring.reshape(theta.shape)[:, :, 0, 0], axis=1)
     per_metre = p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius
     of_noise = (1.0 + NOISE_DOUBT) * theta[0, :, shared, _NOISE]
     unexplained = solved.residual_variance[: int(used.sum())] / per_metre**2 - of_noise

@@ -7,10 +7,12 @@ from functools import cache
 
 import bogie_run
 import numpy as np
+import pytest
 from bogie_run import COACH, joined, of_bogie
 from smooth_wheelset import alignment, track
 
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
+from estimation.geometry.model_fit import model_fit
 from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable, WheelsetGeometry
@@ -74,3 +76,17 @@ def test_what_is_not_known_of_the_angle_is_in_the_interval() -> None:
     assert (of_angle(rolling=False) > 0.012).all()
     assert (of_angle(rolling=True) < 0.6 * of_angle(rolling=False)).all()
     assert (shift(None) < of_angle(rolling=True)).all()
+
+
+def test_the_spring_error_is_that_of_sensors_that_are_not_turned() -> None:
+    """Whatever is known of the angle; the misfit is that with the angle taken out."""
+    assumed = bogie_run.parameters(of_bogie(COACH))
+    bins = bin_parameters(assumed)
+    track_of_run = alignment(track(1))
+    tables = [tabulate_window(turned(window, ANGLE), track_of_run, assumed) for window in joined(COACH, 1)]
+    merged = merge_all([table for table in tables if isinstance(table, BinTable)], bins)
+    fits = [model_fit(merged, bins, np.array([0.02, 0.02, std])) for std in (1e-6, 0.1)]
+    assert fits[0] is not None
+    assert fits[1] is not None
+    assert fits[0].spring_error == pytest.approx(fits[1].spring_error, abs=1e-6)
+    assert fits[1].misfit < fits[0].misfit or fits[0].misfit == 0.0
