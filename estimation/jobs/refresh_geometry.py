@@ -21,6 +21,7 @@ from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.replay import TabulatedWindow, replayed
+from estimation.jobs.steps.rolling_radius import radius_contradicted
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.parameters import WindowParameters
 from estimation.storage import UnitOfWork
@@ -272,6 +273,10 @@ def _record(
     of_class = ParameterUncertainty.of(assumed.on_file.vehicle_class)
     used = _Used(settings, assumed, of_class.on(tracks, windows[0].wheelset))
     half_life_km = settings.half_life_km if interval is None else None
+    geometry = _geometry(unit, entries, used, half_life_km)
+    if geometry.status is not Status.MODEL_MISMATCH:
+        contradicted = radius_contradicted(unit, windows, assumed.windows)
+        geometry = geometry if contradicted is None else geometry.mismatched(contradicted)
     return GeometryRecord(
         wheelset=windows[0].wheelset,
         baseline=baseline.number,
@@ -279,7 +284,7 @@ def _record(
         mileage_km=_mean_mileage(windows, half_life_km),
         from_ns=windows[0].start_ns,
         to_ns=windows[-1].start_ns + windows[-1].length_ns,
-        geometry=_geometry(unit, entries, used, half_life_km),
+        geometry=geometry,
         input_digest=_digest(entries, context, assumed),
         track_versions=versions,
         parameters=used.as_json(),

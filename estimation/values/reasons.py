@@ -114,6 +114,10 @@ class ReasonCode(StrEnum):
         "motion_unexplained",
         "The motion follows neither track nor wheels. Check the vehicle's class, the track and the sensors.",
     )
+    ROLLING_RADIUS_DIFFERS = (
+        "rolling_radius_differs",
+        "The wheelset rolls as on wheels of another radius. Check the nominal radius on file.",
+    )
     AMPLITUDE_NOT_COVERED = "amplitude_not_covered", "The wheelset has not moved as far as this amplitude."
     OFFSET_NOT_OBSERVABLE = "offset_not_observable", "Band-limited signals carry no constant offset."
     NO_ZERO_CROSSING = "no_zero_crossing", "rL - rR has no zero in the range covered."

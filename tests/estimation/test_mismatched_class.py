@@ -22,17 +22,20 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import EstimationSettings, JobSettings
+from estimation.jobs.steps.rolling_radius import radius_contradicted
+from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
 from estimation.storage import Storage
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobTrigger
 from estimation.values.track import TrackSectionRecord
+from estimation.values.windows import Hunting
 from fleet_db.storage import SqlStorage
 
 LOW_LIMIT = RuleBook().with_rules(ConicityLimitRule(minimum_windows=1, bands=(SpeedBand(0.02),)))
 SOON_NS = 200 * 10**9  # the windows end 80 s before
 
 
-def register(storage: SqlStorage, yaw_stiffness: float) -> None:
+def register(storage: SqlStorage, yaw_stiffness: float, radius: float = 0.45) -> None:
     """Register a soft bogie by a class of a certain yaw stiffness, and put the windows of both axles."""
     with storage.write() as unit:
         unit.registry.add_vehicle_class(of_bogie(yaw_stiffness), 1)
@@ -41,7 +44,7 @@ def register(storage: SqlStorage, yaw_stiffness: float) -> None:
         unit.tracks.add_alignment(surveyed())
         unit.registry.add_vehicle(VehicleRecord("V1", "F", "bogie", 2, 40.0, (1.0, 1.0 + WHEELBASE)))
         for axle in (1, 2):
-            unit.registry.add_wheelset(WheelsetRecord(f"W{axle}", "F", "P8", 0.45, None))
+            unit.registry.add_wheelset(WheelsetRecord(f"W{axle}", "F", "P8", radius, None))
             unit.registry.add_mounting(Mounting(f"W{axle}", "V1", axle, 0, None, 0.0, 0.0))
             for window in windows(SOFT, axle):
                 unit.windows.put(replace(window, track_section="S1"), 10.0, 1)
@@ -100,6 +103,33 @@ def test_a_class_twice_as_stiff_gives_no_number_and_no_alert(sqlite_storage: Sql
         assert len(found) > 100
         assert set(found) == {None}
     assert kinds_of_alerts(sqlite_storage) == set()
+
+
+def test_a_radius_on_file_of_another_wheel_gives_no_number_and_names_both(sqlite_storage: SqlStorage) -> None:
+    register(sqlite_storage, SOFT, radius=0.5)
+    run_jobs(sqlite_storage, "bins")
+    for serial in ("W1", "W2"):
+        geometry = served(sqlite_storage, f"/v1/wheelsets/{serial}/geometry")
+        assert (geometry["status"], geometry["reason_code"]) == ("model_mismatch", "rolling_radius_differs")
+        assert "on file are 500 mm" in geometry["reason"]
+        assert set(numbers(geometry)) == {None}
+    assert kinds_of_alerts(sqlite_storage) == set()
+
+
+@pytest.mark.parametrize("case", ["few", "hunting", "lost"])
+def test_windows_that_cannot_speak_of_the_radius_do_not_contradict_it(sqlite_storage: SqlStorage, case: str) -> None:
+    register(sqlite_storage, SOFT, radius=0.5)
+    swaying = Hunting(0.9, 1.5, 5e-3)
+    with sqlite_storage.read() as unit:
+        records = unit.windows.list("W1")
+        parameters = WindowParameters.of(of_bogie(SOFT), 0.5, SignalParameters(), Gates())
+        assert radius_contradicted(unit, records, parameters) is not None
+        of_case = {
+            "few": records[:1],
+            "hunting": [replace(one, quality=replace(one.quality, hunting=swaying)) for one in records],
+            "lost": [replace(one, start_ns=one.start_ns + 1) for one in records],
+        }
+        assert radius_contradicted(unit, of_case[case], parameters) is None
 
 
 @pytest.mark.parametrize("estimator", ["bins", "cubic"])

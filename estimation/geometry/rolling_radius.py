@@ -1,0 +1,132 @@
+"""The rolling radius of a wheelset from its motion, against the one on file.
+
+rL - rR follows from the data in proportion to the nominal radius, and says nothing of it. The motion at the rails does:
+the radius is the coefficient of the roll in what moves the wheelset sideways there (``motion/rolling_sums.py``). Sensor
+noise in a regressor pulls its coefficient towards zero; the sums that it makes are taken off first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.motion.rolling_sums import BANDS, UNKNOWNS, RollingSums
+from estimation.values.arrays import FloatArray
+from estimation.values.intervals import jackknife_std, normal_equivalent
+from estimation.values.reasons import Reason, ReasonCode
+
+EXPECTED = np.array([1.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of the unknowns; nothing is expected of the radius
+EXPECTED_STD = np.array([0.01, 10.0, 0.1, 0.1, 300.0, 0.05])  # gravity also stands for dL - dR, 100 times the roll
+ROUNDS = 4  # of weights that follow from what is left
+OUTLYING = 2.0  # times the median of what is left in the bands, over the noise: a band with more is left out
+SHORT_BANDS = 2  # those of the shortest wavelengths, in which vibration shows
+MODEL_STD = 9e-3  # m: right radii are found within 25 mm, curved contact geometry and stiff bogies included
+NOISE_DOUBT = 0.2  # of what taking off the noise changes
+NOISE_DOUBT_LEFT = 0.35  # the same, per noise that is left in all bands beyond that on file
+NOISE_DOUBT_VIBRATING = 0.75  # the same on axle boxes that vibrate
+FRICTION_SHARE = 0.3  # of the radius, per share by which the suspension moves the wheelset more than on dry rails
+FEWEST_PARTS = 8
+STDS = 2.5  # beyond which the radius on file is another: right ones are within 1.8, 40 mm too large beyond 3.0
+
+_RADIUS, _SUSPENSION = (UNKNOWNS.index(name) for name in ("radius", "suspension"))
+
+
+@dataclass(frozen=True, slots=True)
+class RollingRadius:
+    """Rolling radius from the motion of a wheelset."""
+
+    value: float  # m
+    std: float  # m
+
+
+def check_radius(parts: Sequence[RollingSums], on_file: float) -> Reason | None:
+    """Return that the motion contradicts the nominal radius on file; None where it does not or is silent.
+
+    Parameters
+    ----------
+    parts
+        Of windows of one wheelset.
+    on_file
+        Nominal radius, m, with which the sums were made.
+    """
+    found = rolling_radius(parts)
+    if found is None or abs(found.value - on_file) <= STDS * found.std:
+        return None
+    return Reason(
+        ReasonCode.ROLLING_RADIUS_DIFFERS,
+        f"the wheelset rolls as on wheels of {1e3 * found.value:.0f} mm radius (std {1e3 * found.std:.0f} mm),"
+        f" on file are {1e3 * on_file:.0f} mm; check the radius, and the height of the lateral sensor",
+    )
+
+
+def rolling_radius(parts: Sequence[RollingSums]) -> RollingRadius | None:
+    """Return the radius on which a wheelset rolls; None where the data do not determine it.
+
+    Parameters
+    ----------
+    parts
+        Of windows of one wheelset.
+    """
+    if len(parts) < FEWEST_PARTS:
+        return None
+    products = np.array([one.products for one in parts])
+    noise = np.array([one.noise for one in parts])
+    try:
+        return _solved(products, noise)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
+    """Return the radius from sums (parts, BANDS, TERMS, TERMS)."""
+    total, of_noise = products.sum(axis=0), noise.sum(axis=0)
+    with_noise = _solution(_weighted(np.ones(BANDS), total))
+    share = min(1.0, float(np.min(_left(total, of_noise, with_noise))))  # sensors may be better than on file
+    weights = np.ones(BANDS)
+    left = np.ones(BANDS)
+    for _ in range(ROUNDS):
+        left = _left(total, of_noise, _solution(_weighted(weights, total - share * of_noise)))
+        weights = (left <= OUTLYING * np.median(left)) / np.maximum(left, 1.0)
+    sums = np.einsum("b,pbij->pij", weights, products - share * noise)
+    whole = sums.sum(axis=0)
+    information = whole[1:, 1:] + np.diag(1.0 / EXPECTED_STD**2)
+    if np.linalg.eigvalsh(information)[0] <= 0.0:
+        return None
+    best = _solution(whole)
+    replicates = np.array([best, *(_solution(whole - one) for one in sums)])
+    corrected = best[_RADIUS] - _solution(_weighted(weights, total))[_RADIUS]
+    stds = [
+        float(normal_equivalent(jackknife_std(replicates), len(sums))[_RADIUS]),
+        math.sqrt(float(np.linalg.inv(information)[_RADIUS, _RADIUS])),
+        MODEL_STD,
+        _noise_doubt(left) * corrected,
+        FRICTION_SHARE * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),
+    ]
+    return RollingRadius(float(best[_RADIUS]), float(np.linalg.norm(stds)))
+
+
+def _noise_doubt(left: FloatArray) -> float:
+    """Return the share of the correction for noise that is in doubt, by what is left in the bands (BANDS,)."""
+    vibrating = bool((left[-SHORT_BANDS:] > OUTLYING * np.median(left)).any())
+    worse = max(float(left.min()) - 1.0, 0.0)
+    return (NOISE_DOUBT_VIBRATING if vibrating else NOISE_DOUBT) + NOISE_DOUBT_LEFT * worse
+
+
+def _weighted(weights: FloatArray, by_band: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("b,bij->ij", weights, by_band))
+
+
+def _solution(sums: FloatArray) -> FloatArray:
+    """Return the unknowns from sums of products (TERMS, TERMS) and what is expected of them."""
+    precision = 1.0 / EXPECTED_STD**2
+    return np.asarray(np.linalg.solve(sums[1:, 1:] + np.diag(precision), sums[1:, 0] + precision * EXPECTED))
+
+
+def _left(products: FloatArray, noise: FloatArray, unknowns: FloatArray) -> FloatArray:
+    """Return what is left of the equation in each band over what the noise leaves of it (BANDS,)."""
+    equation = np.concatenate([[-1.0], unknowns])
+    left, expected = (np.einsum("i,bij,j->b", equation, sums, equation) for sums in (products, noise))
+    return np.asarray(left / np.maximum(expected, np.finfo(np.float64).tiny))

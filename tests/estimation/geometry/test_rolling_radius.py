@@ -1,0 +1,153 @@
+"""The rolling radius from the motion of a wheelset: found whatever is on file, contradicted, silent."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bogie_run import COACH, SOFT, of_bogie, windows
+
+from estimation.geometry.rolling_radius import check_radius, rolling_radius
+from estimation.motion.parameters import SignalParameters
+from estimation.motion.rolling_sums import BANDS, TERMS, RollingSums, rolling_sums
+from estimation.values.arrays import FloatArray
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import ACCELERATIONS
+from estimation.vehicle.vehicle_class import SensorChannel, SensorLayout, VehicleClass
+
+TRUE = 0.45  # m, of ``bogie_run``
+
+
+def on_file(radius: float, stiffness: float = SOFT) -> VehicleClass:
+    known = of_bogie(stiffness)
+    return replace(known, parameters=replace(known.parameters, nominal_radius=radius))
+
+
+def measured(known: VehicleClass, stiffness: float = SOFT, axles: tuple[int, ...] = (1, 2)) -> list[RollingSums]:
+    """Return the sums of both wheelsets, which have one radius: four windows."""
+    return [
+        part for axle in axles for window in windows(stiffness, axle)
+        for part in rolling_sums(window, known, SignalParameters())
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("stiffness", [SOFT, COACH])
+@pytest.mark.parametrize("radius", [0.41, 0.45, 0.49])
+def test_the_radius_is_found_whatever_is_on_file(stiffness: float, radius: float) -> None:
+    parts = measured(on_file(radius, stiffness), stiffness)
+    found = rolling_radius(parts)
+    assert found is not None
+    assert found.value == pytest.approx(TRUE, abs=6e-3)
+    assert 9e-3 < found.std < 13e-3
+    reason = check_radius(parts, radius)
+    assert (reason is None) == (radius == TRUE)
+    if reason is not None:
+        assert reason.code is ReasonCode.ROLLING_RADIUS_DIFFERS
+        assert f"of {1e3 * found.value:.0f} mm radius" in reason.text
+        assert f"on file are {1e3 * radius:.0f} mm" in reason.text
+
+
+def test_the_noise_on_file_keeps_the_radius_from_being_too_small() -> None:
+    known, quiet = on_file(TRUE), SensorChannel(1e-5)
+    sensors = SensorLayout(lateral=quiet, yaw=quiet, roll=quiet, mass_lateral=quiet, measures_gravity=False)
+    right, none = (rolling_radius(measured(one)) for one in (known, replace(known, sensors=sensors)))
+    assert right is not None
+    assert none is not None
+    assert right.value - none.value > 5e-3
+    unknown = replace(known, sensors=SensorLayout(measures_gravity=False))
+    usual = rolling_radius(measured(unknown))
+    assert usual is not None
+    assert usual.value == pytest.approx(right.value, abs=1e-6), "as of MEMS sensors, which these are"
+
+
+def test_left_and_right_exchanged_and_short_gaps_change_nothing() -> None:
+    known, signals = on_file(TRUE), SignalParameters()
+    (window, *_) = windows(SOFT, 1)
+    plain = rolling_sums(window, known, signals)
+    mirrored = replace(window, **{name: -getattr(window, name) for name in ACCELERATIONS})
+    for one, other in zip(plain, rolling_sums(mirrored, known, signals), strict=True):
+        np.testing.assert_allclose(other.products, one.products, rtol=1e-9, atol=1e-9 * np.abs(one.products).max())
+    lost = window.valid.copy()
+    lost[3000:3003] = False
+    assert len(rolling_sums(replace(window, valid=lost), known, signals)) == len(plain)
+    lost[3000:3500] = False
+    with_gap = rolling_sums(replace(window, valid=lost), known, signals)
+    assert sum(one.noise[0, 0, 0] for one in with_gap) < sum(one.noise[0, 0, 0] for one in plain)
+    assert rolling_sums(replace(window, valid=np.zeros_like(lost)), known, signals) == ()
+
+
+SIZE = 300.0  # of the regressors
+
+
+def made(
+    parts: int = 16, noise: float = 0.0, worse: float = 1.0, vibration: float = 1.0, suspension: float = 1.0
+) -> list[RollingSums]:
+    """Return sums of drawn regressors that follow the equation but for an error of size 1.
+
+    On file the roll is measured with ``noise``, in truth with ``worse`` times that, in the last band with
+    ``vibration`` times that besides.
+    """
+    rng, n = np.random.default_rng(3), 400
+    truth = np.array([1.0, TRUE, 1.0, suspension, 0.0, 0.0])
+    found = []
+    for _ in range(parts):
+        products, of_noise = np.zeros((BANDS, TERMS, TERMS)), np.zeros((BANDS, TERMS, TERMS))
+        for band in range(BANDS):
+            x = SIZE * rng.standard_normal((n, TERMS - 1))
+            y = x @ truth + rng.standard_normal(n)
+            x[:, 1] += noise * worse * (vibration if band == BANDS - 1 else 1.0) * rng.standard_normal(n)
+            rows: FloatArray = np.column_stack([y, x])
+            products[band] = rows.T @ rows
+            of_noise[band, 0, 0], of_noise[band, 2, 2] = n, n * noise**2
+        found.append(RollingSums(products, of_noise))
+    return found
+
+
+def test_a_radius_is_contradicted_from_2_5_standard_deviations() -> None:
+    parts = made()
+    found = rolling_radius(parts)
+    assert found is not None
+    assert found.value == pytest.approx(TRUE, abs=1e-3)
+    assert found.std == pytest.approx(9e-3, rel=0.02)
+    for side in (-1.0, 1.0):
+        assert check_radius(parts, found.value + side * 2.45 * found.std) is None
+        assert isinstance(check_radius(parts, found.value + side * 2.55 * found.std), Reason)
+
+
+def test_too_little_data_say_nothing() -> None:
+    assert rolling_radius(made(8)) is not None
+    assert rolling_radius(made(7)) is None
+    assert check_radius(made(7), 0.3) is None
+    nothing = RollingSums(np.zeros((BANDS, TERMS, TERMS)), np.zeros((BANDS, TERMS, TERMS)))
+    assert check_radius([nothing] * 8, 0.3) is None
+
+
+def test_low_friction_widens_the_interval() -> None:
+    found = rolling_radius(made(suspension=1.2))
+    assert found is not None
+    assert found.std == pytest.approx(math.hypot(9e-3, 0.3 * 0.2 * TRUE), rel=0.03)
+    stiff = rolling_radius(made(suspension=0.8))
+    assert stiff is not None
+    assert stiff.std == pytest.approx(9e-3, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("worse", "vibration", "doubt"), [(1.0, 1.0, 0.2), (math.sqrt(2.0), 1.0, 0.2 + 0.35), (1.0, 3.0, 0.75)]
+)
+def test_a_share_of_what_noise_does_is_in_doubt(worse: float, vibration: float, doubt: float) -> None:
+    noise = 100.0
+    found = rolling_radius(made(noise=noise, worse=worse, vibration=vibration))
+    assert found is not None
+    seen = SIZE**2 + (worse * noise) ** 2
+    corrected = TRUE * SIZE**2 / (seen - noise**2) - TRUE * SIZE**2 / seen
+    assert found.value == pytest.approx(TRUE * SIZE**2 / (seen - noise**2), abs=4e-3)
+    assert found.std == pytest.approx(math.hypot(9e-3, doubt * corrected), rel=0.07)
+
+
+def test_noise_on_file_that_the_data_do_not_have_is_not_taken_off() -> None:
+    parts = made(noise=100.0, worse=0.1)
+    found = rolling_radius(parts)
+    assert found is not None
+    assert found.value == pytest.approx(TRUE, abs=4e-3)
