@@ -28,10 +28,12 @@ NOISE_DOUBT = 0.2  # of what taking off the noise changes
 NOISE_DOUBT_LEFT = 0.35  # the same, per noise that is left in all bands beyond that on file
 NOISE_DOUBT_VIBRATING = 0.75  # the same on axle boxes that vibrate
 FRICTION_SHARE = 0.3  # of the radius, per share by which the suspension moves the wheelset more than on dry rails
+SCALE_SHARE = 0.5  # of the radius, per scale of yaw against lateral sensor: more than sensors have is what is missing
+MOST_UNEXPLAINED = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
 FEWEST_PARTS = 8
 STDS = 2.5  # beyond which the radius on file is another: right ones are within 1.8, 40 mm too large beyond 3.0
 
-_RADIUS, _SUSPENSION = (UNKNOWNS.index(name) for name in ("radius", "suspension"))
+_SCALE, _RADIUS, _SUSPENSION = (UNKNOWNS.index(name) for name in ("scale", "radius", "suspension"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +98,8 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
     if np.linalg.eigvalsh(information)[0] <= 0.0:
         return None
     best = _solution(whole)
+    if _unexplained(whole, best) > MOST_UNEXPLAINED:
+        return None
     replicates = np.array([best, *(_solution(whole - one) for one in sums)])
     corrected = best[_RADIUS] - _solution(_weighted(weights, total))[_RADIUS]
     stds = [
@@ -104,6 +108,7 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
         MODEL_STD,
         _noise_doubt(left) * corrected,
         FRICTION_SHARE * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),
+        SCALE_SHARE * best[_RADIUS] * abs(best[_SCALE] - 1.0),
     ]
     return RollingRadius(float(best[_RADIUS]), float(np.linalg.norm(stds)))
 
@@ -113,6 +118,13 @@ def _noise_doubt(left: FloatArray) -> float:
     vibrating = bool((left[-SHORT_BANDS:] > OUTLYING * np.median(left)).any())
     worse = max(float(left.min()) - 1.0, 0.0)
     return (NOISE_DOUBT_VIBRATING if vibrating else NOISE_DOUBT) + NOISE_DOUBT_LEFT * worse
+
+
+def _unexplained(sums: FloatArray, unknowns: FloatArray) -> float:
+    """Return what is left of the equation over what the roll moves, both squared and without noise."""
+    equation = np.concatenate([[-1.0], unknowns])
+    of_roll = unknowns[_RADIUS] ** 2 * sums[1 + _RADIUS, 1 + _RADIUS]
+    return float(equation @ sums @ equation / max(of_roll, np.finfo(np.float64).tiny))
 
 
 def _weighted(weights: FloatArray, by_band: FloatArray) -> FloatArray:

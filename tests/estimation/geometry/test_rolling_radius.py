@@ -82,21 +82,27 @@ SIZE = 300.0  # of the regressors
 
 
 def made(
-    parts: int = 16, noise: float = 0.0, worse: float = 1.0, vibration: float = 1.0, suspension: float = 1.0
+    parts: int = 16,
+    noise: float = 0.0,
+    worse: float = 1.0,
+    vibration: float = 1.0,
+    suspension: float = 1.0,
+    scale: float = 1.0,
+    error: float = 1.0,
 ) -> list[RollingSums]:
-    """Return sums of drawn regressors that follow the equation but for an error of size 1.
+    """Return sums of drawn regressors that follow the equation but for an error, on file of size 1.
 
     On file the roll is measured with ``noise``, in truth with ``worse`` times that, in the last band with
     ``vibration`` times that besides.
     """
     rng, n = np.random.default_rng(3), 400
-    truth = np.array([1.0, TRUE, 1.0, suspension, 0.0, 0.0])
+    truth = np.array([scale, TRUE, 1.0, suspension, 0.0, 0.0])
     found = []
     for _ in range(parts):
         products, of_noise = np.zeros((BANDS, TERMS, TERMS)), np.zeros((BANDS, TERMS, TERMS))
         for band in range(BANDS):
             x = SIZE * rng.standard_normal((n, TERMS - 1))
-            y = x @ truth + rng.standard_normal(n)
+            y = x @ truth + error * rng.standard_normal(n)
             x[:, 1] += noise * worse * (vibration if band == BANDS - 1 else 1.0) * rng.standard_normal(n)
             rows: FloatArray = np.column_stack([y, x])
             products[band] = rows.T @ rows
@@ -131,6 +137,19 @@ def test_low_friction_widens_the_interval() -> None:
     stiff = rolling_radius(made(suspension=0.8))
     assert stiff is not None
     assert stiff.std == pytest.approx(9e-3, rel=0.02)
+
+
+def test_a_scale_that_sensors_do_not_have_widens_the_interval() -> None:
+    for scale in (0.9, 1.1):
+        found = rolling_radius(made(scale=scale))
+        assert found is not None
+        assert found.std == pytest.approx(math.hypot(9e-3, 0.5 * 0.1 * TRUE), rel=0.03)
+
+
+def test_motion_that_the_equation_does_not_explain_says_nothing() -> None:
+    of_roll = TRUE * SIZE
+    assert rolling_radius(made(error=math.sqrt(0.18) * of_roll)) is not None
+    assert rolling_radius(made(error=math.sqrt(0.22) * of_roll)) is None
 
 
 @pytest.mark.parametrize(
