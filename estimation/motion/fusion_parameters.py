@@ -10,6 +10,8 @@ class FusionParameters:
     """Where the two meet; wavelengths in m."""
 
     step: float = 0.25
+    oversampling: int = 5  # samples per step before short waves are taken out
+    shortest: float = 2.0  # half of it remains: a section's grid of 1 m holds no shorter wave
     crossover: float = 15.0  # longer wavelengths come from the lateral motion
     compared: tuple[float, float] = (8.0, 40.0)  # in which g is estimated
     margin: float = 45.0  # m at each end that is not compared

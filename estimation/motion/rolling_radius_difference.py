@@ -65,7 +65,7 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionP
     step = parameters.step
     run = np.arange(np.ceil(signals.run[0] / step), np.floor(signals.run[-1] / step) + 1) * step
     V, y, R, stiffness_term, rolling_yaw, creep_yaw = (
-        np.interp(run, signals.run, values)
+        _sampled(values, signals.run, run, parameters)
         for values in (
             signals.speed,
             signals.displacement,
@@ -78,7 +78,7 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionP
     if signals.frame_yaw is None:
         slow = _long_waves(R, np.asarray(rolling_yaw + creep_yaw), V, vehicle, parameters)
     else:
-        frame_yaw = np.interp(run, signals.run, signals.frame_yaw)
+        frame_yaw = _sampled(signals.frame_yaw, signals.run, run, parameters)
         slow = long_waves_in_bogie(R, BogieYaws(rolling_yaw, creep_yaw, frame_yaw), V, vehicle, parameters)
     weights = local_cubic_kernel(parameters.crossover, step)
     return FusedSignals(
@@ -87,6 +87,20 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionP
         difference=_joined(R, slow[0], weights),
         stiffness_term=_joined(stiffness_term, slow[1], weights),
     )
+
+
+def _sampled(values: FloatArray, at: FloatArray, run: FloatArray, parameters: FusionParameters) -> FloatArray:
+    """Return values (n,) at distances (n,) on the grid (m,), waves that the grid of a section cannot hold taken out.
+
+    An axle box vibrates at tens of hertz. Sampled as it is, its vibration would look like waves of some metres.
+    """
+    finer = parameters.oversampling
+    weights = local_cubic_kernel(parameters.shortest, parameters.step / finer)
+    reach, first = len(weights) // 2, finer * round(run[0] / parameters.step)
+    count = finer * (len(run) - 1) + 1
+    fine = np.arange(first - reach, first + count + reach) * (parameters.step / finer)
+    smooth = np.convolve(np.interp(fine, at, values), weights, mode="valid")
+    return np.asarray(smooth[::finer])
 
 
 def _long_waves(

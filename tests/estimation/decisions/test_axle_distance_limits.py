@@ -72,12 +72,12 @@ def test_nodes_that_see_no_common_track_are_silent() -> None:
 
 
 def test_nodes_that_measure_little_of_the_track_are_silent() -> None:
-    front, rear = nodes(noise=0.65)
-    found = axle_distance(rear, front, WHEELBASE)
-    assert found is not None
-    assert found.ahead == pytest.approx(-WHEELBASE, abs=0.15)
-    assert 0.35 < found.correlation < 0.5
-    assert check_axle_distance(rear, front, WHEELBASE) is None
+    for noise, silent in ((0.65, True), (0.5, True), (0.35, False)):
+        front, rear = nodes(noise=noise)
+        found = axle_distance(rear, front, WHEELBASE)
+        assert found is not None
+        assert found.ahead == pytest.approx(-WHEELBASE, abs=0.15)
+        assert (check_axle_distance(rear, front, WHEELBASE) is None) == silent
 
 
 def test_too_few_samples_and_short_runs_say_nothing() -> None:

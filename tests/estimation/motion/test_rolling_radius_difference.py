@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
+from scipy.signal import butter, sosfilt
 from smooth_wheelset import mems_windows, run
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
@@ -67,6 +68,26 @@ def test_short_waves_are_left_to_the_yaw_sensor() -> None:
     alone = _by_yaw_sensor(window, found.at)
     apart = _rms_between(found.difference - alone, step, 1.5, 7.0)
     assert apart < 0.05 * _rms_between(alone, step, 1.5, 7.0)
+
+
+def test_vibration_of_the_axle_box_does_not_look_like_waves_of_the_track() -> None:
+    (window,) = whole_runs(mems_windows(run(120, seed=1, cone=0.10, speed=20.0), seed=3))
+    rate = 1 / window.sample_interval_s
+    shake = sosfilt(butter(4, (20, 100), "bandpass", fs=rate, output="sos"), _white(window, 4))
+    shaken = replace(
+        window,
+        lateral_acceleration=window.lateral_acceleration + 5.0 / shake[0].std() * shake[0],
+        yaw_acceleration=window.yaw_acceleration + 2.5 / shake[1].std() * shake[1],
+    )
+    still, found = _pass(window), _pass(shaken)
+    grid = np.arange(np.ceil(still.at[0]), still.at[-1])
+    for name in ("displacement", "difference"):
+        one, other = (np.interp(grid, item.at, getattr(item, name)) for item in (found, still))
+        assert _rms_between(one - other, 1.0, 2.0, 20.0) < 0.015e-3, name
+
+
+def _white(window: Window, seed: int) -> FloatArray:
+    return np.random.default_rng(seed).standard_normal((2, len(window.valid)))
 
 
 def test_windows_that_follow_each_other_give_the_pass_of_one_long_window() -> None:

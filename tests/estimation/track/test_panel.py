@@ -89,7 +89,7 @@ def test_the_radius_difference_of_a_pass_is_the_true_one() -> None:
     true = np.interp(grid, m.distance, m.rolling_radius_left - m.rolling_radius_right)
     inner = slice(len(weights), -len(weights))
     error = high_pass(difference, weights) - high_pass(true, weights)
-    assert np.sqrt((error[inner] ** 2).mean()) < 0.01 * true.std()
+    assert np.sqrt((error[inner] ** 2).mean()) < 0.012 * true.std()  # waves of 2 m and less are taken out
 
 
 def test_alignment_and_conicity_come_out_of_unknown_track() -> None:
