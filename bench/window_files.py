@@ -113,8 +113,8 @@ def _parquet_formats() -> list[FileFormat]:
 
 
 def simulated_windows() -> list[Window]:
-    """Return the windows of the first vehicle's first campaign of the demo, cut by the product's receiver."""
-    plan = load_scenario("demo")
+    """Return the windows of the first vehicle's first campaign of demo_single, cut by the product's receiver."""
+    plan = load_scenario("demo_single")
     plan = replace(plan, vehicles=plan.vehicles[:1], sessions=replace(plan.sessions, campaigns=1))
     with tempfile.TemporaryDirectory() as folder:
         report = run_fleet(plan, Path(folder) / "recordings", workers=1)

@@ -9,8 +9,9 @@ import pytest
 from scenario_text import SMALL
 
 from estimation.errors import ScenarioError
+from estimation.vehicle.vehicle_class import Arrangement
 from ingest.simulator.fleet import prepare
-from ingest.simulator.scenario_file import read_scenario
+from ingest.simulator.scenario_file import load_scenario, read_scenario
 from ingest.vehicle_class_file import read_vehicle_class, shipped_path
 
 FOUR = SMALL.replace("[2.0, 4.5, 12.0]", "[2.0, 4.5, 20.0, 22.5]") + '\n[[vehicles.wheelsets]]\nserial = "D"\n'
@@ -43,6 +44,21 @@ def test_bogies_keep_their_middles_and_have_the_wheelbase_on_file(tmp_path: Path
 def test_single_wheelsets_stay_where_they_are(tmp_path: Path) -> None:
     content = registry(tmp_path, 'shipped = "paper"')
     assert content["vehicles"][0]["axle_offsets_m"] == [2.0, 4.5, 20.0, 22.5]
+
+
+def test_the_vehicles_of_the_demo_are_bogies_on_vibrating_axle_boxes_that_differ_from_their_class_within_its_stds() -> None:
+    demo = load_scenario("demo")
+    assert demo.class_on_file is not None
+    on_file = demo.class_on_file.vehicle_class
+    assert on_file.arrangement is Arrangement.BOGIE
+    for name in ("yaw_stiffness", "longitudinal_creep_coefficient", "lateral_creep_coefficient"):
+        off = getattr(demo.parameters, name) / getattr(on_file.parameters, name) - 1.0
+        assert 0.02 < abs(off) < on_file.std_of(name)
+    assert demo.sensors.errors.vibration is not None
+    assert min(demo.sensors.errors.vibration.of_channels[:3]) >= 1.0
+    assert not demo.section.surveyed
+    assert demo.position is not None
+    assert demo.position.offset >= 20.0
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def test_a_scenario_is_si_inside(tmp_path: Path) -> None:
     assert scenario.at_odometer_ns(scenario.odometer(1)) == scenario.start_ns(vehicle, 1)
 
 
-@pytest.mark.parametrize("name", ["demo", "live", "mems", "paper"])
+@pytest.mark.parametrize("name", ["demo", "demo_single", "live", "mems", "paper"])
 def test_built_in_scenarios_are_good(name: str) -> None:
     assert name in builtin_scenarios()
     assert load_scenario(name).name == name
@@ -113,5 +113,5 @@ def test_a_file_that_is_no_scenario_is_refused(tmp_path: Path, content: str, wor
 
 
 def test_an_unknown_name_lists_what_there_is() -> None:
-    with pytest.raises(ScenarioError, match=r"demo, gauge_1mm_unknown, .*live, .*mems, .*unknown_position"):
+    with pytest.raises(ScenarioError, match=r"demo, demo_single, gauge_1mm_unknown, .*live, .*mems, .*unknown_position"):
         load_scenario("no-such-scenario")
