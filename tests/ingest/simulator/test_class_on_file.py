@@ -46,7 +46,7 @@ def test_single_wheelsets_stay_where_they_are(tmp_path: Path) -> None:
     assert content["vehicles"][0]["axle_offsets_m"] == [2.0, 4.5, 20.0, 22.5]
 
 
-def test_the_vehicles_of_the_demo_are_bogies_on_vibrating_axle_boxes_that_differ_from_their_class_within_its_stds() -> None:
+def test_the_demo_has_vibrating_bogies_that_differ_from_their_class_within_its_stds() -> None:
     demo = load_scenario("demo")
     assert demo.class_on_file is not None
     on_file = demo.class_on_file.vehicle_class
