@@ -7,14 +7,13 @@ carries. A number whose total standard deviation is not well below what is known
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
 from estimation.geometry.model_fit import mismatch, model_fit
-from estimation.geometry.shared_scale import left_open, solve_with_shared_scales
+from estimation.geometry.shared_scale import solve_with_shared_scales
 from estimation.geometry.uncertainty import DisplacementError, ParameterUncertainty, quotient_widening
 from estimation.tables import least_squares
 from estimation.tables.bin_table import BinParameters
@@ -24,7 +23,6 @@ from estimation.values.intervals import jackknife_std, leave_one_out, normal_equ
 from estimation.vehicle.regressors import (
     LATERAL_TARGETS,
     REGRESSORS,
-    SHARED_IN_BOGIE,
     YAW_TARGETS,
     angle_difference_derivatives,
 )
@@ -33,7 +31,9 @@ FEWEST_GROUPS = 4
 
 FEWEST_BINS = 5
 
-PRIOR_SAMPLES = 1000.0  # outweighed by the sensors' known scales: errors of y - d last, and look like scales
+# Samples that say as much as one would of the scales of sensors and of their angle: errors of y - d last, and look
+# like scales; they do not look like roll.
+COUNTED_AS_ONE = (10_000.0, 10_000.0, 1_000.0)
 NOISE = YAW_TARGETS.index("noise")
 
 HIDDEN_JUMP_SHARE = 0.5  # of the error of y - d, by which contact jumps are off where it is hidden
@@ -52,14 +52,7 @@ class GeometryParameters:
     prior_radius: float = 2.0e-3  # m, std of S - 2 r0 and of R known beforehand
     prior_angle: float = 0.15  # rad, std of A and D known beforehand
     informative: float = 0.5  # publish below this share of the prior std
-    sensor_scale_std: float = 0.02  # relative, of yaw and frame sensors of a bogie against each other
-    mounting_std: float = math.radians(2.0)  # of the angle of the yaw sensor about the lateral axis
     curve: CurveParameters = field(default_factory=CurveParameters)
-
-    @property
-    def sensor_std(self) -> FloatArray:
-        """Stds (3,) of what all bins of a wheelset in a bogie share."""
-        return np.array([self.sensor_scale_std, self.sensor_scale_std, self.mounting_std])
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +63,7 @@ class _Replicates:
     yaw: FloatArray  # (1 + g, b, 4, 7)
     residual: FloatArray  # (b,) rms residual of the yaw equation as a rolling radius difference, m
     groups_in_bin: FloatArray  # (b,)
-    turned: FloatArray  # (b, 3) m, of R by one std of what is left open of the angle of the yaw sensor
+    by_scales: FloatArray  # (b, 3, q) R, its slope and curvature per std of what is left of the scales in a bogie
 
 
 def estimate_geometry(table: BinTable, bins: BinParameters, parameters: GeometryParameters) -> WheelsetGeometry:
@@ -98,9 +91,7 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
     S = _combination(replicates.lateral[:, :, 0], unc.lateral(), screening, parameters.prior_radius)
     D = _angle_difference(replicates, screening, bins, parameters)
     A = _angle_sum(replicates, screening, bins, parameters)
-    turned = np.broadcast_to(replicates.turned[:, 0, None], (*replicates.yaw.shape[:2], 1))
-    of_sensors = np.concatenate([replicates.yaw[:, :, 1], replicates.yaw[:, :, 1, :1], turned], axis=-1)
-    R = _combination(of_sensors, np.append(unc.yaw(), [unc.scale, 1.0]), screening, parameters.prior_radius)
+    R = _radius_difference(replicates, screening, unc, parameters.prior_radius)
     curve = curve_estimates(_curve(table, replicates, screening, bins, unc), parameters.curve)
     geometry = WheelsetGeometry(
         bin_edges=table.edges,
@@ -120,7 +111,7 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
         status=curve.at_reference.status,
         reason=curve.at_reference.reason,
     )
-    fit = model_fit(table, bins, parameters.sensor_std)
+    fit = model_fit(table, bins)
     stds = (unc.stiffness, unc.creep)
     reason = None if fit is None else mismatch(fit, *stds, in_bogie=bins.wheelbase is not None)
     return geometry if reason is None else geometry.mismatched(reason)
@@ -157,7 +148,9 @@ def _curve(
     return CurveReplicates(
         edges=table.edges,
         difference=shape[:, :, 0, :],
-        sensitivity=np.concatenate([of_parameters, unc.scale * shape[0, :, :1, :], replicates.turned[:, None]], axis=1),
+        sensitivity=np.concatenate(
+            [of_parameters, unc.scale * shape[0, :, :1, :], np.moveaxis(replicates.by_scales, 2, 1)], axis=1
+        ),
         usable=~screening.too_few,
         error=screening.error,
         count=float(table.windows),
@@ -173,12 +166,12 @@ def _replicates(table: BinTable, bins: BinParameters, parameters: GeometryParame
     sums = leave_one_out(table.yaw, present)
     size = bins.yaw_regressors
     if bins.wheelbase is None:
-        yaw, turned = _solve(sums, weight, len(YAW_TARGETS)), np.zeros((b, REGRESSORS - 1))
+        yaw = _solve(sums, weight, len(YAW_TARGETS))
+        by_scales = np.zeros((b, REGRESSORS - 1, 0))
     else:
-        shape = SHARED_IN_BOGIE, size, len(YAW_TARGETS)
-        weighted = np.sqrt(PRIOR_SAMPLES)
-        yaw = solve_with_shared_scales(sums, weight, *shape, parameters.sensor_std / weighted)
-        turned = weighted * left_open(sums[0], weight[0], *shape, parameters.sensor_std / weighted)[..., -1]
+        stds = parameters.uncertainty.of_bogie
+        shared = solve_with_shared_scales(sums, weight, size, len(YAW_TARGETS), stds, COUNTED_AS_ONE)
+        yaw, by_scales = shared.solution, shared.sensitivity
     own = yaw.theta.reshape(len(weight), b, size, len(YAW_TARGETS))[:, :, size - REGRESSORS :]
     vehicle = bins.vehicle
     per_metre = vehicle.half_contact_distance * vehicle.longitudinal_creep_coefficient / vehicle.nominal_radius
@@ -187,7 +180,7 @@ def _replicates(table: BinTable, bins: BinParameters, parameters: GeometryParame
         own,
         np.sqrt(yaw.residual_variance[:b]) / per_metre,
         (table.weight > 0).sum(axis=0).astype(np.float64),
-        turned,
+        by_scales,
     )
 
 
@@ -240,6 +233,17 @@ class _BinScreening:
 
 
 _STATUSES = (BinStatus.ESTIMATED, BinStatus.TOO_FEW, BinStatus.CONTACT_JUMP, BinStatus.UNOBSERVABLE)
+
+
+def _radius_difference(
+    replicates: _Replicates, screening: _BinScreening, unc: ParameterUncertainty, prior: float
+) -> BinValues:
+    """R over the bins; besides the parameters' stds enter those of the scales."""
+    value = replicates.yaw[:, :, 1]
+    by_scales = np.broadcast_to(replicates.by_scales[:, 0], (*value.shape[:2], replicates.by_scales.shape[-1]))
+    theta = np.concatenate([value, value[:, :, :1], by_scales], axis=-1)
+    relative = np.concatenate([unc.yaw(), [unc.scale], np.ones(by_scales.shape[-1])])
+    return _combination(theta, relative, screening, prior)
 
 
 def _angle_difference(

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.geometry.shared_scale import solve_with_shared_scales
+from estimation.geometry.uncertainty import MOUNTING_STD
 from estimation.tables.bin_table import BinParameters
-from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable
 from estimation.values.intervals import jackknife_std, leave_one_out
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.vehicle.regressors import REGRESSORS, SHARED_IN_BOGIE, YAW_TARGETS
+from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
 
 SENSOR_SCALE = 0.02  # std of the spring error by the scales of the sensors
 SHARE_IN_BOGIE = 0.5  # of an error of stiffness or creep that shows as spring error; the curve takes up the rest
@@ -29,7 +29,7 @@ NOISE_DOUBT = 0.5  # of the variance that sensor noise makes: sensors may be as 
 LEAST_SAMPLES = 200.0  # of a bin
 FEWEST_BINS = 5
 FREE = 1e6  # std of what nothing is known of beforehand
-STRAIGHT = np.array([1.0, 1.0, 1e-6])  # of the prior stds: the spring error is that of sensors that are not turned
+STRAIGHT = 1e-8  # rad, std of the angle for the spring error: it is that of sensors that are not turned
 _NOISE = YAW_TARGETS.index("noise")
 
 
@@ -42,7 +42,7 @@ class ModelFit:
     misfit: float  # rms of rL - rR that neither curve nor sensor noise explain, over the rms of the curve
 
 
-def model_fit(table: BinTable, bins: BinParameters, sensor_std: FloatArray | float) -> ModelFit | None:
+def model_fit(table: BinTable, bins: BinParameters, angle_std: float = MOUNTING_STD) -> ModelFit | None:
     """Return how well a table follows the yaw equation; None where there are too few samples.
 
     Parameters
@@ -51,8 +51,8 @@ def model_fit(table: BinTable, bins: BinParameters, sensor_std: FloatArray | flo
         Statistics made with ``bins``.
     bins
         Parameters of the table.
-    sensor_std
-        (3,) or one for all: of the scale errors and the angle of a bogie's sensors, known beforehand.
+    angle_std
+        Of the yaw sensor about the lateral axis, rad, known beforehand.
     """
     p = bins.vehicle
     present = table.weight.sum(axis=1) > 0
@@ -61,13 +61,14 @@ def model_fit(table: BinTable, bins: BinParameters, sensor_std: FloatArray | flo
     if used.sum() < FEWEST_BINS or present.sum() < FEWEST_BINS:
         return None
     in_bogie = bins.wheelbase is not None
-    shared, prior = (SHARED_IN_BOGIE, sensor_std) if in_bogie else (1, FREE)
+    priors = (SENSOR_SCALE, SENSOR_SCALE, angle_std) if in_bogie else (FREE,)
+    shared = len(priors)
     regressors = shared + REGRESSORS - 1
-    moments = sums[:, used], weight[:, used], shared, regressors, len(YAW_TARGETS)
-    solved = solve_with_shared_scales(*moments, prior)
+    moments = sums[:, used], weight[:, used], regressors, len(YAW_TARGETS)
+    solved = solve_with_shared_scales(*moments, priors).solution
     theta = solved.theta.reshape(len(weight), int(used.sum()), regressors, len(YAW_TARGETS))
     unit = 1.0 if in_bogie else 0.5 * p.half_contact_distance * p.load / p.yaw_stiffness
-    of_spring = solve_with_shared_scales(*moments, prior * STRAIGHT).theta if in_bogie else solved.theta
+    of_spring = solve_with_shared_scales(*moments, (*priors[:2], STRAIGHT)).solution.theta if in_bogie else solved.theta
     errors = unit * np.nanmedian(of_spring.reshape(theta.shape)[:, :, 0, 0], axis=1)
     per_metre = p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius
     of_noise = (1.0 + NOISE_DOUBT) * theta[0, :, shared, _NOISE]

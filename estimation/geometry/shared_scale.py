@@ -9,6 +9,7 @@ each; so the sums of the bins are all that is needed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,38 +17,25 @@ import numpy as np
 from estimation.tables.least_squares import SMALLEST_EIGENVALUE, Solution, unpack
 from estimation.values.arrays import BoolArray, FloatArray
 
-SMALLEST = float(np.finfo(np.float64).tiny)  # variance, so that without any sample the shared coefficients are zero
+SMALLEST = 1e-200  # variance, so that without any sample the shared coefficients are zero
 
 
 @dataclass(frozen=True, slots=True)
-class _Eliminated:
-    """Normal equations of r replicates of b bins of which the own coefficients of the bins have been eliminated."""
+class SharedSolution:
+    """What :func:`solve_with_shared_scales` returns."""
 
-    gram: FloatArray  # (r, b, p, p)
-    cross: FloatArray  # (r, b, p, t)
-    square: FloatArray  # (r, b)
-    inverse: FloatArray  # (r, b, p - q, p - q) of what belongs to the bins
-    solvable: BoolArray  # (r, b)
-    alone: FloatArray  # (r, b, p - q, t) coefficients of the bins if the shared ones were zero
-    of_shared: FloatArray  # (r, b, p - q, q) by how much each shared one lowers them
-    left: FloatArray  # (r, q, q) of the shared coefficients
-    right: FloatArray  # (r, q, t)
-    variance: FloatArray  # (r,) of the residuals without the shared coefficients
-
-    def penalty(self, prior_std: FloatArray | float) -> FloatArray:
-        """Return the matrices (r, q, q) by which what is known beforehand weighs."""
-        known = np.diag(np.broadcast_to(1.0 / np.square(prior_std), self.left.shape[-1:]))
-        return np.asarray(np.maximum(self.variance, SMALLEST)[:, None, None] * known)
+    solution: Solution  # of r b cells; the shared coefficients stand in each
+    sensitivity: FloatArray  # (b, p - q, q): own coefficients of replicate 0 per std of what is left of the shared ones
 
 
 def solve_with_shared_scales(
     packed: FloatArray,
     weight: FloatArray,
-    shared: int,
     regressors: int,
     targets: int,
-    prior_std: FloatArray | float,
-) -> Solution:
+    prior_stds: Sequence[float],
+    counted_as_one: Sequence[float] | None = None,
+) -> SharedSolution:
     """Return the least-squares solution of every bin with the first coefficients common to all bins of a replicate.
 
     Parameters
@@ -56,84 +44,48 @@ def solve_with_shared_scales(
         (r, b, packed_size) moments of r replicates of b bins.
     weight
         (r, b) sums of weights.
-    shared
-        Number q of regressors, the first ones, whose coefficients are shared.
     regressors
         Number p of all regressors.
     targets
         Number t of targets.
-    prior_std
-        (q,) or one for all: of the shared coefficients, which are zero beforehand.
-
-    Returns
-    -------
-    Solution of r b cells; the shared coefficients stand in each.
+    prior_stds
+        (q,) of the coefficients that are shared, which are those of the first regressors and zero beforehand.
+    counted_as_one
+        (q,) samples that say as much of a shared coefficient as one with an error of its own would; by default one.
     """
     r, b = weight.shape
-    p, t, q = regressors, targets, shared
-    found = _eliminated(packed, weight, q, p, t)
-    common = np.linalg.solve(found.left + found.penalty(prior_std), found.right)[:, None]
-    own = found.alone - found.of_shared @ common
-    theta = np.concatenate([np.broadcast_to(common, (r, b, q, t)), own], axis=2)
-    theta = np.where(found.solvable[:, :, None, None], theta, np.nan)
-    residual = found.square - 2.0 * np.einsum("rbi,rbi->rb", theta[..., 0], found.cross[..., 0])
-    residual += np.einsum("rbi,rbij,rbj->rb", theta[..., 0], found.gram, theta[..., 0])
-    whole = np.zeros_like(found.gram)
-    whole[:, :, q:, q:] = found.inverse
-    cells = r * b
-    return Solution(
-        theta.reshape(cells, p, t),
-        (np.maximum(residual, 0.0) / np.maximum(weight - p, 1.0)).reshape(cells),
-        whole.reshape(cells, p, p),
-    )
-
-
-def left_open(
-    packed: FloatArray,
-    weight: FloatArray,
-    shared: int,
-    regressors: int,
-    targets: int,
-    prior_std: FloatArray | float,
-) -> FloatArray:
-    """Return by how much the bins' own coefficients change with each shared one by the std that is left of it.
-
-    Where the data say nothing of a shared coefficient, that is its std known beforehand.
-
-    Parameters
-    ----------
-    packed
-        (b, packed_size) moments of b bins.
-    weight
-        (b,) sums of weights.
-    shared, regressors, targets, prior_std
-        As :func:`solve_with_shared_scales` takes them.
-
-    Returns
-    -------
-    (b, p - q, q); NaN where a bin has no solution.
-    """
-    found = _eliminated(packed[None], weight[None], shared, regressors, targets)
-    penalty = found.penalty(prior_std)[0]
-    share = np.diag(np.linalg.inv(found.left[0] + penalty)) * np.diag(penalty)
-    std = np.sqrt(share) * prior_std
-    return np.where(found.solvable[0, :, None, None], -found.of_shared[0] * std, np.nan)
-
-
-def _eliminated(packed: FloatArray, weight: FloatArray, q: int, p: int, t: int) -> _Eliminated:
-    r, b = weight.shape
+    p, t, q = regressors, targets, len(prior_stds)
     gram, cross, square = (part.reshape(r, b, *part.shape[1:]) for part in unpack(packed.reshape(r * b, -1), p, t))
     inverse, solvable = _inverse(gram[:, :, q:, q:])
     alone = inverse @ cross[:, :, q:, :]
     of_shared = inverse @ gram[:, :, q:, :q]
     coupling = gram[:, :, :q, q:]
-    counted = solvable[:, :, None, None]
-    left = np.where(counted, gram[:, :, :q, :q] - coupling @ of_shared, 0.0).sum(axis=1)
-    right = np.where(counted, cross[:, :, :q, :] - coupling @ alone, 0.0).sum(axis=1)
+    known_bins = solvable[:, :, None, None]
+    left = np.where(known_bins, gram[:, :, :q, :q] - coupling @ of_shared, 0.0).sum(axis=1)
+    right = np.where(known_bins, cross[:, :, :q, :] - coupling @ alone, 0.0).sum(axis=1)
     unshared = np.maximum(square - np.einsum("rbi,rbi->rb", alone[..., 0], cross[:, :, q:, 0]), 0.0)
     freedom = np.maximum(np.where(solvable, weight - (p - q), 0.0).sum(axis=1), 1.0)
-    variance = np.where(solvable, unshared, 0.0).sum(axis=1) / freedom
-    return _Eliminated(gram, cross, square, inverse, solvable, alone, of_shared, left, right, variance)
+    variance = np.maximum(np.where(solvable, unshared, 0.0).sum(axis=1) / freedom, SMALLEST)
+    counted = np.ones(q) if counted_as_one is None else np.asarray(counted_as_one)
+    known = variance[:, None, None] * np.diag(counted / np.square(prior_stds))
+    common = np.linalg.solve(left + known, right)[:, None]
+    own = alone - of_shared @ common
+    theta = np.concatenate([np.broadcast_to(common, (r, b, q, t)), own], axis=2)
+    theta = np.where(known_bins, theta, np.nan)
+    residual = square - 2.0 * np.einsum("rbi,rbi->rb", theta[..., 0], cross[..., 0])
+    residual += np.einsum("rbi,rbij,rbj->rb", theta[..., 0], gram, theta[..., 0])
+    whole = np.zeros_like(gram)
+    whole[:, :, q:, q:] = inverse
+    cells = r * b
+    solution = Solution(
+        theta.reshape(cells, p, t),
+        (np.maximum(residual, 0.0) / np.maximum(weight - p, 1.0)).reshape(cells),
+        whole.reshape(cells, p, p),
+    )
+    size = np.sqrt(variance[0] * counted)
+    unknown = size[:, None] * np.linalg.inv(left[0] + known[0]) * size
+    moved = np.where(known_bins[0], -of_shared[0] @ np.linalg.cholesky(unknown), np.nan)
+    return SharedSolution(solution, np.asarray(moved))
 
 
 def _inverse(gram: FloatArray) -> tuple[FloatArray, BoolArray]:

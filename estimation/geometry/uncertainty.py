@@ -33,6 +33,10 @@ SCALE_PER_GAUGE_SQUARE = 0.015e6  # 1/m2, of y - d per variance of the gauge: fa
 SCALE_PER_MEAN_GAUGE = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm, by contact tables
 
 
+LEAST_SCALE_STD = 0.002  # relative, of any sensor: its digits and its drift
+
+MOUNTING_STD = math.radians(2.0)  # of the angle of a yaw sensor about the lateral axis
+
 CONTACT_ROLL_STD = 0.02  # rad/m, of the roll of the contact per displacement, from wheel to wheel
 
 
@@ -69,6 +73,7 @@ class ParameterUncertainty:
     jump_mean_std: float = 0.0  # m, of where they are on average: a gauge that is not on file
     expected_noise: float = 0.0  # m, std of the error of y - d by its sensors and the alignment
     scale: float = 0.0  # of rL - rR as a whole: by nominal radius, half contact distance and the yaw sensor
+    of_bogie: tuple[float, float, float] = (0.02, 0.02, MOUNTING_STD)  # yaw sensor against the frame's, those, angle
 
     @classmethod
     def of(cls, vehicle_class: VehicleClass) -> Self:
@@ -92,6 +97,7 @@ class ParameterUncertainty:
                 vehicle_class.std_of("half_contact_distance"),
                 vehicle_class.sensors.yaw.scale_std,
             ),
+            of_bogie=_sensors_of_bogie(vehicle_class),
         )
 
     def on(self, tracks: Iterable[TrackAlignment], wheelset: str | None = None) -> ParameterUncertainty:
@@ -126,6 +132,13 @@ class ParameterUncertainty:
         """(6,) relative stds in the order of YAW_TARGETS after z2; that of saturation is of 1/mu."""
         creep, stiffness = (self.creep, self.stiffness) if self.ratio is None else (0.0, self.ratio)
         return np.array([creep, stiffness, self.mass, self.creep, self.inverse_friction, 0.0])
+
+
+def _sensors_of_bogie(vehicle_class: VehicleClass) -> tuple[float, float, float]:
+    """Return the stds of the yaw sensor's scale against the frame's, of the frame sensors' difference, of the angle."""
+    of_yaw, of_frame = vehicle_class.sensors.yaw.scale_std, vehicle_class.sensors.mass_lateral.scale_std
+    least = LEAST_SCALE_STD
+    return math.hypot(least, of_yaw, of_frame), math.hypot(least, math.sqrt(2.0) * of_frame), MOUNTING_STD
 
 
 def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings | None:

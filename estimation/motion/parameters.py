@@ -7,6 +7,7 @@ from typing import Self
 
 from estimation.errors import ParameterError
 from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.sensor_noise import usable_cutoff
 from estimation.vehicle.vehicle_class import VehicleClass
 
 
@@ -82,7 +83,7 @@ class WindowParameters:
     def of(
         cls, vehicle_class: VehicleClass, nominal_radius: float | None, signals: SignalParameters, gates: Gates
     ) -> Self:
-        """Return the parameters of a wheelset.
+        """Return the parameters of a wheelset; the cut-off wavelength is one at which its sensors see more than noise.
 
         Parameters
         ----------
@@ -96,7 +97,8 @@ class WindowParameters:
         if nominal_radius is not None:
             own = replace(vehicle_class.parameters, nominal_radius=nominal_radius)
             vehicle_class = replace(vehicle_class, parameters=own)
-        return cls(vehicle_class, signals, gates)
+        cutoff = usable_cutoff(vehicle_class, signals.cutoff_wavelength)
+        return cls(vehicle_class, replace(signals, cutoff_wavelength=cutoff), gates)
 
     @property
     def vehicle(self) -> VehicleParameters:

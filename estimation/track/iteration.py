@@ -31,6 +31,7 @@ from estimation.track.panel.solution import PanelSolution, residual_of_passes, r
 from estimation.track.panel.stiffness_ratio import Ratio, ratio_values, refine_ratios, with_ratio_std
 from estimation.track.passes import Pass
 from estimation.track.positions import compose, correlate_positions, refine, register
+from estimation.track.survey_positions import positions_on_survey
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import Correction
 
@@ -43,6 +44,7 @@ class IterationParameters:
 
     rounds: int = 24  # of positions and panel at most
     position_tolerance: float = 0.1  # m: positions that move less have converged
+    survey_tolerance: float = 0.3  # m, on average, from positions by the regression of R on a survey
     ratio_tolerance: float = 0.01
     gauge_tolerance: float = 0.3e-3  # m, rms: a gauge that changes less has converged
     pass_std: float = 0.15e-3  # m of y - d - h(R) of a pass, before it is known
@@ -72,6 +74,7 @@ class IterationResult:
     gauge_convergence: tuple[Convergence, ...] = ()
     slope: SlopeCorrection | None = None  # of the curves, where the gauge search or ``with_slope`` has found it
     first_noise: float | None = None  # m, ``noise`` of the panel without the gauge
+    placed_on_survey: bool = False  # positions are by the regression of R on a survey
 
     @property
     def noise_without_gauge(self) -> float:
@@ -122,6 +125,7 @@ class _Setting:
     prior: PriorAlignment | None
     anchored: bool
     parameters: IterationParameters
+    placed_on_survey: bool = False  # positions are known, and stay
 
 
 def iterate(
@@ -150,7 +154,8 @@ def iterate(
     setting = _Setting(grouped, prior, anchored, parameters)
     reference = prior.alignment if prior is not None and anchored else None
     corrections = correlate_positions(grouped, panel.grid, positions, reference)
-    first = _rounds(setting, panel, corrections, {})
+    first = _first_rounds(setting, panel, corrections)
+    setting = replace(setting, placed_on_survey=first.placed_on_survey)
     if prior is not None and prior.gauge_known and not prior.gauge.any():
         return first
     if not (first.state.count >= FEWEST_PASSES).any():
@@ -167,6 +172,26 @@ def iterate(
         if number >= parameters.wheel_rounds and _at_rest(found, parameters):
             break
     return replace(_finished(setting, found), first_noise=first.noise)
+
+
+def _first_rounds(setting: _Setting, panel: Panel, corrections: Mapping[Journey, Correction]) -> IterationResult:
+    """Return where the rounds without a gauge end; on a survey at positions by the regression of R.
+
+    A gauge that varies is noise in that regression, and not in the panel. There the panel's positions are kept, unless
+    the noise of R has moved them all.
+    """
+    prior = setting.prior
+    if prior is None or not setting.anchored or not prior.surveyed:
+        return _rounds(setting, panel, corrections, {})
+    on_survey = positions_on_survey(place(setting.grouped, corrections, {}, panel.grid), prior, panel.grid)
+    if on_survey is None:
+        return _rounds(setting, panel, corrections, {})
+    if prior.gauge_known and prior.gauge.any():
+        found = _rounds(setting, panel, corrections, {})
+        if _mean_move(setting.grouped, found.corrections, on_survey) < setting.parameters.survey_tolerance:
+            return found
+    fixed = replace(setting, placed_on_survey=True)
+    return replace(_rounds(fixed, panel, on_survey, {}), placed_on_survey=True)
 
 
 def with_slope(found: IterationResult, prior: PriorAlignment | None, most_weight: float) -> IterationResult:
@@ -229,6 +254,8 @@ def _state_with_prior(state: PanelState, setting: _Setting, noise: float) -> Pan
 def _refined_corrections(
     setting: _Setting, placed: Placed, ratios: Mapping[str, Ratio], state: PanelState, solution: PanelSolution
 ) -> dict[Journey, Correction]:
+    if setting.placed_on_survey:
+        return {journey: one.correction for journey, one in placed.items()}
     adjusted = with_ratios(placed, ratio_values(ratios), state.panel.grid)
     better = refine(adjusted, solution, state.panel, anchored=setting.anchored)
     if not setting.anchored or setting.prior is None:
@@ -352,6 +379,15 @@ def _rms_change(before: FloatArray | None, after: FloatArray | None) -> float:
     assert before is not None
     assert after is not None
     return float(np.sqrt(np.mean((after - before) ** 2)))
+
+
+def _mean_move(grouped: Grouped, before: Mapping[Journey, Correction], after: Mapping[Journey, Correction]) -> float:
+    """Return by how much the fleet as a whole is moved, m."""
+    moves = []
+    for journey, members in grouped.items():
+        middle = np.array([0.5 * (item.at[0] + item.at[-1]) for item in members])
+        moves.append(float(np.mean(after[journey].at(middle) - before[journey].at(middle))))
+    return abs(float(np.mean(moves)))
 
 
 def _largest_move(grouped: Grouped, before: Mapping[Journey, Correction], after: Mapping[Journey, Correction]) -> float:

@@ -32,6 +32,32 @@ def difference_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> f
     return per_yaw**2 * variance
 
 
+def usable_cutoff(vehicle_class: VehicleClass, longest: float) -> float:
+    """Return the longest cut-off wavelength, m, at which the noise of the sensors leaves something of rL - rR.
+
+    A stiff yaw spring turns the slow noise of the yaw sensor into rolling radius difference. Where that is large,
+    longer waves hold noise alone. Shorter ones than ``SHORTEST_CUTOFF`` would not hold the displacement of a wheelset.
+
+    Parameters
+    ----------
+    vehicle_class
+        Yaw spring, creep coefficient and sensors.
+    longest
+        m, where there is no such noise.
+    """
+    cutoff = longest
+    while cutoff - CUTOFF_STEP >= SHORTEST_CUTOFF and _usual_noise(vehicle_class, cutoff) > MOST_DIFFERENCE_NOISE:
+        cutoff -= CUTOFF_STEP
+    return cutoff
+
+
+def _usual_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> float:
+    return math.sqrt(difference_noise(vehicle_class, cutoff_wavelength) / USUAL_SPEED**3)
+
+
+MOST_DIFFERENCE_NOISE = 0.3e-3  # m, std of rL - rR at the usual speed
+CUTOFF_STEP = 5.0  # m
+SHORTEST_CUTOFF = 30.0  # m
 USUAL_SPEED = 20.0  # m/s
 USUAL_CUTOFF = 40.0  # m
 

@@ -11,7 +11,7 @@ from estimation.track.panel.normal_equations import PanelState, groups_of
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import FloatArray
-from estimation.values.track import TrackAlignment
+from estimation.values.track import AlignmentSource, TrackAlignment
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +24,7 @@ class PriorAlignment:
     gauge: FloatArray
     gauge_std: FloatArray
     gauge_known: bool
+    surveyed: bool = False  # and not what passes have found
 
     @property
     def has_alignment(self) -> bool:
@@ -60,6 +61,7 @@ def prior_on_grid(evidence: TrackAlignment, grid: SectionGrid, cutoff_wavelength
         np.interp(s, evidence.s, evidence.gauge_deviation),
         np.interp(s, evidence.s, evidence.gauge_deviation_std),
         evidence.gauge_known,
+        surveyed=evidence.source == AlignmentSource.RECORDED,
     )
 
 

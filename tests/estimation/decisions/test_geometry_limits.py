@@ -282,7 +282,7 @@ def noise_of(
     yaw = np.zeros((1, BINS, 4, 7))
     yaw[0, :, 2, 0] = slope * PARAMETERS.width
     yaw[0, :, 1, YAW_TARGETS.index("noise")] = of_sensors
-    found = _Replicates(np.zeros((1, BINS, 4, 7)), yaw, residual, every(6.0), np.zeros((BINS, 3)))
+    found = _Replicates(np.zeros((1, BINS, 4, 7)), yaw, residual, every(6.0), np.zeros((BINS, 3, 0)))
     return _displacement_noise(found, out, PARAMETERS, expected)
 
 

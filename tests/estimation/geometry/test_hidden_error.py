@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from estimation.geometry.estimate import (
+    COUNTED_AS_ONE,
     HIDDEN_JUMP_SHARE,
     HIDDEN_SHARE,
     NOISE,
-    PRIOR_SAMPLES,
-    GeometryParameters,
     _displacement_noise,
     _Replicates,
 )
 from estimation.geometry.model_fit import NOISE_DOUBT
+from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.motion.integration import ROLL_CUTOFF
 from estimation.tables.bin_table import BinParameters
 from estimation.vehicle.regressors import LATERAL_TARGETS, YAW_TARGETS
@@ -29,7 +29,7 @@ def replicates(residual: float, of_sensors: float) -> _Replicates:
     yaw[0, :, 2, 0] = SLOPE * PARAMETERS.width
     yaw[0, :, 1, NOISE] = of_sensors**2
     lateral = np.zeros((1, BINS, 4, len(LATERAL_TARGETS)))
-    return _Replicates(lateral, yaw, np.full(BINS, residual), np.full(BINS, 16.0), np.zeros((BINS, 3)))
+    return _Replicates(lateral, yaw, np.full(BINS, residual), np.full(BINS, 16.0), np.zeros((BINS, 3, 0)))
 
 
 def found(residual: float, of_sensors: float, expected: float = EXPECTED) -> tuple[float, bool]:
@@ -53,6 +53,6 @@ def test_noise_of_the_yaw_sensor_hides_it() -> None:
 
 
 def test_the_shipped_figures() -> None:
-    assert (HIDDEN_SHARE, HIDDEN_JUMP_SHARE, PRIOR_SAMPLES) == (0.5, 0.5, 1000.0)
-    np.testing.assert_array_equal(GeometryParameters().sensor_std, [0.02, 0.02, np.radians(2.0)])
+    assert (HIDDEN_SHARE, HIDDEN_JUMP_SHARE, COUNTED_AS_ONE) == (0.5, 0.5, (10_000.0, 10_000.0, 1_000.0))
+    assert ParameterUncertainty().of_bogie == (0.02, 0.02, np.radians(2.0))
     assert (NOISE_DOUBT, ROLL_CUTOFF) == (0.5, 120.0)

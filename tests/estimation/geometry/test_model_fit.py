@@ -37,7 +37,7 @@ def table_of(found: list[Window], vehicle_class: VehicleClass) -> BinTable:
 
 def fit_of(found: list[Window], vehicle_class: VehicleClass) -> ModelFit:
     parameters = bin_parameters(bogie_run.parameters(vehicle_class))
-    fit = model_fit(table_of(found, vehicle_class), parameters, 0.02)
+    fit = model_fit(table_of(found, vehicle_class), parameters)
     assert fit is not None
     return fit
 
@@ -145,10 +145,10 @@ def only(bins: int, samples: float, groups: int = 16) -> BinTable:
 
 def test_five_bins_of_two_hundred_samples_and_five_groups_are_needed() -> None:
     bins = bin_parameters(bogie_run.parameters(of_bogie(SOFT)))
-    assert model_fit(only(5, 201.0), bins, 0.02) is not None
-    assert model_fit(only(5, 199.0), bins, 0.02) is None
-    assert model_fit(only(4, 201.0), bins, 0.02) is None
-    assert model_fit(only(5, 201.0, groups=4), bins, 0.02) is None
+    assert model_fit(only(5, 201.0), bins) is not None
+    assert model_fit(only(5, 199.0), bins) is None
+    assert model_fit(only(4, 201.0), bins) is None
+    assert model_fit(only(5, 201.0, groups=4), bins) is None
 
 
 def test_the_noise_of_the_sensors_is_no_misfit() -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from estimation.geometry.shared_scale import left_open, solve_with_shared_scales
+from estimation.geometry.shared_scale import solve_with_shared_scales
 from estimation.tables.least_squares import collect
 from estimation.values.arrays import FloatArray, IntArray
 
@@ -65,7 +65,7 @@ def packed(several: list[Samples]) -> tuple[FloatArray, FloatArray]:
 @pytest.mark.parametrize("prior_std", [1e-4, 0.02, 1e6])
 def test_it_is_the_least_squares_of_all_samples_at_once(prior_std: float) -> None:
     both = [samples(1), samples(2)]
-    found = solve_with_shared_scales(*packed(both), SHARED, REGRESSORS, TARGETS, prior_std)
+    found = solve_with_shared_scales(*packed(both), REGRESSORS, TARGETS, (prior_std,) * SHARED).solution
     theta = found.theta.reshape(2, BINS, REGRESSORS, TARGETS)
     for one, ours in zip(both, theta, strict=True):
         expected = dense(one, prior_std, list(range(BINS)))
@@ -78,7 +78,7 @@ def test_it_is_the_least_squares_of_all_samples_at_once(prior_std: float) -> Non
 def test_residuals_are_those_of_the_samples() -> None:
     one = samples(3)
     weight = packed([one])[1][0]
-    found = solve_with_shared_scales(*packed([one]), SHARED, REGRESSORS, TARGETS, 0.02)
+    found = solve_with_shared_scales(*packed([one]), REGRESSORS, TARGETS, (0.02,) * SHARED).solution
     for b in range(BINS):
         inside = one.bin == b
         left = one.targets[inside, 0] - one.features[inside] @ found.theta[b, :, 0]
@@ -90,41 +90,39 @@ def test_a_bin_without_enough_samples_has_no_coefficients_and_adds_nothing() -> 
     few = np.flatnonzero(one.bin == 2)[:2]
     keep = np.sort(np.concatenate([np.flatnonzero(one.bin != 2), few]))
     thin = Samples(one.features[keep], one.targets[keep], one.bin[keep])
-    found = solve_with_shared_scales(*packed([thin]), SHARED, REGRESSORS, TARGETS, 0.02)
+    found = solve_with_shared_scales(*packed([thin]), REGRESSORS, TARGETS, (0.02,) * SHARED).solution
     assert np.isnan(found.theta[2]).all()
     expected = dense(thin, 0.02, [0, 1, 3])
     np.testing.assert_allclose(found.theta[0, :SHARED], expected[:SHARED], rtol=1e-7, atol=1e-12)
     np.testing.assert_allclose(found.theta[3, SHARED:], expected[-3:], rtol=1e-7, atol=1e-10)
 
 
-@pytest.mark.parametrize("prior_std", [1e-4, 0.02, np.array([1e-4, 0.02])])
-def test_what_is_left_open_is_the_covariance_of_all_samples_at_once(prior_std: FloatArray | float) -> None:
-    one = samples(5)
-    moments, weight = packed([one])
-    found = left_open(moments[0], weight[0], SHARED, REGRESSORS, TARGETS, prior_std)
-    alone, shared = design(one, list(range(BINS)), with_shared=False), one.features[:, :SHARED]
-    by_shared = np.linalg.lstsq(alone, shared, rcond=None)[0]  # (3 b, 2)
-    z = one.targets[:, 0]
-    rest = z - alone @ np.linalg.lstsq(alone, z, rcond=None)[0]
-    noise = rest @ rest / (len(z) - alone.shape[1])
-    left = shared - alone @ by_shared
-    known = np.diag(np.broadcast_to(1.0 / np.square(prior_std), (SHARED,)))
-    std = np.sqrt(np.diag(np.linalg.inv(left.T @ left / noise + known)))
-    np.testing.assert_allclose(found.reshape(-1, SHARED), -by_shared * std, rtol=1e-7)
+def test_what_the_data_leave_of_the_shared_ones_moves_the_others_as_a_solution_with_these_held_does() -> None:
+    one, stds, counted = samples(5), (0.02, 0.01), 50.0
+    found = solve_with_shared_scales(*packed([one]), REGRESSORS, TARGETS, stds, (counted,) * SHARED)
+    alone = design(one, list(range(BINS)), with_shared=False)
+    of_shared = np.linalg.lstsq(alone, one.features[:, :SHARED], rcond=None)[0]
+    rest = one.features[:, :SHARED] - alone @ of_shared
+    z = one.targets[:, 0] - alone @ np.linalg.lstsq(alone, one.targets[:, 0], rcond=None)[0]
+    noise = counted * z @ z / (len(z) - alone.shape[1])
+    unknown = noise * np.linalg.inv(rest.T @ rest + noise * np.diag(np.array(stds) ** -2.0))
+    for b in range(BINS):
+        own, ours = of_shared[3 * b : 3 * (b + 1)], found.sensitivity[b]
+        np.testing.assert_allclose(ours @ ours.T, own @ unknown @ own.T, rtol=1e-6, atol=1e-12)
 
 
-def test_what_the_data_say_nothing_of_is_left_as_open_as_it_was() -> None:
-    """A shared regressor that every bin can make out of its own."""
+def test_samples_that_say_little_leave_the_shared_ones_near_zero() -> None:
     one = samples(6)
-    features = one.features.copy()
-    features[:, 1] = 3.0 * features[:, SHARED]
-    moments, weight = packed([Samples(features, one.targets, one.bin)])
-    found = left_open(moments[0], weight[0], SHARED, REGRESSORS, TARGETS, np.array([0.02, 0.03]))
-    np.testing.assert_allclose(found[:, :, 1], np.tile([-3.0 * 0.03, 0.0, 0.0], (BINS, 1)), rtol=1e-6, atol=1e-9)
+    moments, stds = packed([one]), (0.02,) * SHARED
+    near, far = (
+        solve_with_shared_scales(*moments, REGRESSORS, TARGETS, stds, (counted,) * SHARED).solution.theta[0, 0, 0]
+        for counted in (1e9, 1.0)
+    )
+    assert abs(near) < 1e-3 * abs(far)
 
 
 def test_without_samples_nothing_is_known_but_what_was_known_beforehand() -> None:
     moments, weight = packed([samples(7)])
-    found = solve_with_shared_scales(0.0 * moments, 0.0 * weight, SHARED, REGRESSORS, TARGETS, 0.02)
-    assert np.isnan(found.theta).all()
-    assert np.isnan(left_open(0.0 * moments[0], 0.0 * weight[0], SHARED, REGRESSORS, TARGETS, 0.02)).all()
+    found = solve_with_shared_scales(0.0 * moments, 0.0 * weight, REGRESSORS, TARGETS, (0.02,) * SHARED)
+    assert np.isnan(found.solution.theta).all()
+    assert np.isnan(found.sensitivity).all()

@@ -13,6 +13,7 @@ from smooth_wheelset import alignment, track
 
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import model_fit
+from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable, WheelsetGeometry
@@ -44,9 +45,10 @@ def found(angle: float, *, rolling: bool = True, std: float | None = None) -> Wh
         table = tabulate_window(turned(window, angle, rolling=rolling), alignment(track(1)), assumed)
         assert isinstance(table, BinTable), table
         tables.append(table)
-    usual = GeometryParameters()
-    known = replace(usual, mounting_std=usual.mounting_std if std is None else std)
-    return estimate_geometry(merge_all(tables, bins), bins, known)
+    usual = ParameterUncertainty()
+    *scales, angle_std = usual.of_bogie
+    known = replace(usual, of_bogie=(*scales, angle_std if std is None else std))
+    return estimate_geometry(merge_all(tables, bins), bins, GeometryParameters(uncertainty=known))
 
 
 def conicity(geometry: WheelsetGeometry) -> FloatArray:
@@ -85,7 +87,7 @@ def test_the_spring_error_is_that_of_sensors_that_are_not_turned() -> None:
     track_of_run = alignment(track(1))
     tables = [tabulate_window(turned(window, ANGLE), track_of_run, assumed) for window in joined(COACH, 1)]
     merged = merge_all([table for table in tables if isinstance(table, BinTable)], bins)
-    fits = [model_fit(merged, bins, np.array([0.02, 0.02, std])) for std in (1e-6, 0.1)]
+    fits = [model_fit(merged, bins, std) for std in (1e-6, 0.1)]
     assert fits[0] is not None
     assert fits[1] is not None
     assert fits[0].spring_error == pytest.approx(fits[1].spring_error, abs=1e-6)

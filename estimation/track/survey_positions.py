@@ -1,0 +1,219 @@
+"""Positions of journeys on a surveyed section, from the regression of R on y - d.
+
+On a survey the displacement y - d of a pass is known, but for where the pass was. With g the curve of a wheelset,
+
+    R(s) = g(y(s) - d(s + a + b (s - middle))) + noise
+
+holds at the true offset a and scale error b of its journey. The noise of the sensors is nearly all in R, which is the
+dependent variable here. The other way round, with R as the regressor, its noise flattens the curves; what they then
+lack of y has the shape of the track's answer, and moves all journeys by up to a metre where primary springs are stiff.
+
+The curves, offsets and scale errors of a vehicle are solved for together (Gauss-Newton), from short waves alone: they
+know the place best, and the noise of R is in the long ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.track.gridded_pass import GriddedPass, Placed, PlacedJourney
+from estimation.track.journeys import Journey
+from estimation.track.panel.prior_alignment import PriorAlignment
+from estimation.track.positions import compose
+from estimation.track.profile_life import ProfileLife
+from estimation.track.section_grid import SectionGrid
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.track import Correction
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyPositionParameters:
+    """How positions on a survey are searched."""
+
+    cutoff_wavelength: float = 15.0  # m, of what is compared
+    knots: FloatArray = field(
+        default_factory=lambda: np.asarray(np.arange(-12, 13) * 0.5e-3, dtype=np.float64)
+    )  # m of y - d, of the curves
+    rounds: int = 12
+    tolerance: float = 0.02  # m: offsets that move less are found
+    largest_step: float = 2.0  # m a round
+    scale_std: float = 3e-3  # of an odometer, known beforehand
+    ridge: float = 1e-6  # of the curves' mean square: knots that no sample reaches
+    least_points: int = 400  # of a journey; fewer say nothing of its place
+
+
+def positions_on_survey(
+    placed: Placed, survey: PriorAlignment, grid: SectionGrid, parameters: SurveyPositionParameters | None = None
+) -> dict[Journey, Correction] | None:
+    """Return corrections of the positions of all journeys on a survey; None where they are not found.
+
+    Parameters
+    ----------
+    placed
+        Passes at first corrections, within a few metres.
+    survey
+        Alignment on the grid, high-passed as the passes are.
+    grid
+        Of the section.
+    parameters
+        Of the search.
+    """
+    p = parameters or SurveyPositionParameters()
+    found: dict[Journey, Correction] = {}
+    for vehicle in sorted({journey[0] for journey in placed}):
+        members = {journey: one for journey, one in placed.items() if journey[0] == vehicle}
+        moved = _Vehicle.of(members, survey, grid, p).moves()
+        if moved is None:
+            return None
+        middle = 0.5 * grid.length
+        for (journey, one), (offset, scale) in zip(members.items(), moved, strict=True):
+            found[journey] = compose(one.correction, Correction(float(offset), float(scale), middle))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _PassOnSurvey:
+    """What of a pass is compared: (m,) each."""
+
+    journey: int
+    life: int
+    at: FloatArray  # m, along the section
+    displacement: FloatArray  # y, m, high-passed
+    difference: FloatArray  # R with the sign of the section, m, short waves
+    used: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Vehicle:
+    """Passes of one vehicle, and the survey that they are on."""
+
+    passes: Sequence[_PassOnSurvey]
+    journeys: int
+    lives: int
+    survey: PriorAlignment
+    grid: SectionGrid
+    kernel: FloatArray
+    parameters: SurveyPositionParameters
+
+    @classmethod
+    def of(
+        cls,
+        members: Mapping[Journey, PlacedJourney],
+        survey: PriorAlignment,
+        grid: SectionGrid,
+        parameters: SurveyPositionParameters,
+    ) -> _Vehicle:
+        """Return the passes of a vehicle as they are compared."""
+        kernel = local_cubic_kernel(parameters.cutoff_wavelength, grid.step)
+        lives: dict[ProfileLife, int] = {}
+        covered = np.isfinite(survey.std)
+        passes = [
+            _on_survey(item, number, lives.setdefault(item.life, len(lives)), covered, grid, kernel)
+            for number, one in enumerate(members.values())
+            for item in one.passes
+            if not item.empty
+        ]
+        return cls(passes, len(members), len(lives), survey, grid, kernel, parameters)
+
+    def moves(self) -> FloatArray | None:
+        """Return by how much each journey is to be moved (j, 2): offset, m, and scale; None where that is not found."""
+        p = self.parameters
+        counts = np.zeros(self.journeys)
+        for one in self.passes:
+            counts[one.journey] += float(one.used.sum())
+        known = counts >= p.least_points
+        moves = np.zeros((self.journeys, 2))
+        for _ in range(p.rounds):
+            steps = np.where(known[:, None], self._steps(moves), 0.0)
+            if not np.isfinite(steps).all():
+                return None
+            largest = float(np.max(np.abs(steps[:, 0]), initial=0.0))
+            moves = moves + steps * min(1.0, p.largest_step / max(largest, p.largest_step))
+            if largest < p.tolerance:
+                return moves
+        return None
+
+    def _steps(self, moves: FloatArray) -> FloatArray:
+        """Return by how much better moves differ (j, 2): one Gauss-Newton step, with curves free."""
+        p = self.parameters
+        k, curves = len(p.knots), len(p.knots) * self.lives
+        moved = [_displaced(one, moves[one.journey], self.survey, self.grid) for one in self.passes]
+        columns = [
+            high_pass(_hats(x, p.knots), self.kernel)[:, one.used]
+            for one, (x, _) in zip(self.passes, moved, strict=True)
+        ]
+        slopes, weights = self._curves(columns)
+        unknowns = curves + 2 * self.journeys
+        normal, right = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
+        for one, own, (x, slope_of_survey) in zip(self.passes, columns, moved, strict=True):
+            by_offset = -slopes[one.life][_cells(x, p.knots)] * slope_of_survey
+            by_move = np.stack([by_offset, by_offset * (one.at - 0.5 * self.grid.length)])
+            design = np.concatenate([own, high_pass(by_move, self.kernel)[:, one.used]])
+            index = np.append(np.arange(k) + k * one.life, curves + 2 * one.journey + np.arange(2))
+            normal[np.ix_(index, index)] += weights[one.life] * (design @ design.T)
+            right[index] += weights[one.life] * (design @ one.difference[one.used])
+        extra = np.full(unknowns, p.ridge * float(np.trace(normal[:curves, :curves])) / curves + 1e-30)
+        extra[curves:] = np.tile([1e-12, 1.0 / p.scale_std**2], self.journeys)
+        return np.asarray(np.linalg.solve(normal + np.diag(extra), right)[curves:].reshape(self.journeys, 2))
+
+    def _curves(self, columns: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Return the slopes of the curves where the journeys are now (w, k - 1), and the weights of their samples (w,).
+
+        A weight is one over the variance of what the curve leaves.
+        """
+        p = self.parameters
+        slopes, weights = np.zeros((self.lives, len(p.knots) - 1)), np.ones(self.lives)
+        for life in range(self.lives):
+            own = [pair for pair in zip(self.passes, columns, strict=True) if pair[0].life == life]
+            targets = [one.difference[one.used] for one, _ in own]
+            normal = np.sum([part @ part.T for _, part in own], axis=0)
+            right = np.sum([part @ target for (_, part), target in zip(own, targets, strict=True)], axis=0)
+            square = float(sum(target @ target for target in targets))
+            ridge = p.ridge * float(np.trace(normal)) / len(p.knots) + 1e-30
+            curve = np.linalg.solve(normal + ridge * np.eye(len(p.knots)), right)
+            left = max(square - float(curve @ right), 1e-6 * square)
+            slopes[life] = np.diff(curve) / np.diff(p.knots)
+            weights[life] = sum(len(target) for target in targets) / max(left, 1e-30)
+        return slopes, weights
+
+
+def _displaced(
+    one: _PassOnSurvey, move: FloatArray, survey: PriorAlignment, grid: SectionGrid
+) -> tuple[FloatArray, FloatArray]:
+    """Return y - d (m,) of a pass that has been moved, and the slope of d there (m,)."""
+    at = one.at + move[0] + move[1] * (one.at - 0.5 * grid.length)
+    slope = np.gradient(survey.alignment, grid.step)
+    return one.displacement - np.interp(at, grid.s, survey.alignment), np.interp(at, grid.s, slope)
+
+
+def _on_survey(
+    item: GriddedPass, journey: int, life: int, covered: BoolArray, grid: SectionGrid, kernel: FloatArray
+) -> _PassOnSurvey:
+    on = item.inside.copy()
+    on[item.inside] &= covered[item.used_points]
+    return _PassOnSurvey(
+        journey=journey,
+        life=life,
+        at=np.asarray(item.points * grid.step, dtype=np.float64),
+        displacement=high_pass(item.displacement, grid.kernel),
+        difference=high_pass(item.side * item.difference, kernel),
+        used=valid_support(on, kernel),
+    )
+
+
+def _cells(x: FloatArray, knots: FloatArray) -> IntArray:
+    """Return the number of the knot below x (n,); what is beyond the knots is in their first or last cell."""
+    return np.asarray(np.clip(np.searchsorted(knots, x) - 1, 0, len(knots) - 2))
+
+
+def _hats(x: FloatArray, knots: FloatArray) -> FloatArray:
+    """Return the values (k, n) of the hat functions of the knots (k,) at x (n,); outside the knots as at their ends."""
+    index = _cells(x, knots)
+    share = np.clip((x - knots[index]) / (knots[index + 1] - knots[index]), 0.0, 1.0)
+    values, at = np.zeros((len(knots), len(x))), np.arange(len(x))
+    values[index, at], values[index + 1, at] = 1.0 - share, share
+    return values
