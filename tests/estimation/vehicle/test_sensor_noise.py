@@ -9,7 +9,7 @@ import pytest
 from paper_class import PAPER_CLASS
 
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.sensor_noise import difference_noise
+from estimation.vehicle.sensor_noise import difference_noise, usable_cutoff
 from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, SensorChannel, VehicleClass
 
 DT, CUTOFF, SAMPLES = 4e-3, 40.0, 2**18
@@ -67,3 +67,15 @@ def test_both_sensors_of_a_frame_add_their_noise() -> None:
     ours = difference_noise(of_class(bogie=BOGIE), CUTOFF) / 20.0**3
     assert ours == pytest.approx(simulated, rel=0.15)
     assert ours > 1.05 * difference_noise(of_class(), CUTOFF) / 20.0**3
+
+
+def test_the_cut_off_is_shorter_where_the_noise_of_the_yaw_sensor_drowns_long_waves() -> None:
+    plain = of_class()
+
+    def with_noise(millimetres: float) -> VehicleClass:
+        per_density = np.sqrt(difference_noise(plain, CUTOFF) / 20.0**3) / YAW
+        yaw = SensorChannel(noise_density=1e-3 * millimetres / per_density)
+        return replace(plain, sensors=replace(plain.sensors, yaw=yaw))
+
+    assert [usable_cutoff(with_noise(size), CUTOFF) for size in (0.29, 0.31, 3.0)] == [40.0, 35.0, 30.0]
+    assert usable_cutoff(with_noise(3.0), 25.0) == 25.0

@@ -1,0 +1,95 @@
+"""Passes on a survey are put where they were, whatever the noise of R, and whatever the errors of the survey."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from smooth_wheelset import track
+from test_panel import PANEL, fleet_passes
+
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.track.gridded_pass import Placed, place
+from estimation.track.journeys import Journey, PositionParameters, journeys
+from estimation.track.panel.prior_alignment import PriorAlignment
+from estimation.track.passes import Pass
+from estimation.track.survey_positions import SurveyPositionParameters, positions_on_survey
+from estimation.values.track import Correction
+
+OFFSETS = {"17 m/s": 1.9, "23 m/s": -1.4}  # m
+SCALES = {"17 m/s": 4e-4, "23 m/s": -3e-4}
+MIDDLE = 0.5 * PANEL.grid.length
+GRID = PANEL.grid
+
+
+def survey(std: float = 0.0, seed: int = 3) -> PriorAlignment:
+    truth, zero = track(1), np.zeros(GRID.points)
+    d = np.interp(GRID.s, truth.s, truth.alignment) + std * np.random.default_rng(seed).standard_normal(GRID.points)
+    d = high_pass(d, local_cubic_kernel(PANEL.parameters.cutoff_wavelength, GRID.step))
+    covered = np.where((truth.s[0] <= GRID.s) & (truth.s[-1] >= GRID.s), 0.1e-3, np.inf)
+    return PriorAlignment(d, covered, zero, zero, zero, gauge_known=True, surveyed=True)
+
+
+def moved(noise: float, *, shortest: float = 0.0, seed: int = 5) -> list[Pass]:
+    """Return the passes at wrong positions, with noise (m) in R; those of one vehicle cut to a length, m."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for item in fleet_passes():
+        at = item.at - OFFSETS[item.vehicle] - SCALES[item.vehicle] * (item.at - MIDDLE)
+        difference = item.difference + noise * rng.standard_normal(len(at))
+        kept = slice(None) if not shortest or item.vehicle == "17 m/s" else slice(0, int(np.searchsorted(at, shortest)))
+        found.append(
+            replace(
+                item,
+                at=at[kept],
+                displacement=item.displacement[kept],
+                difference=difference[kept],
+                stiffness_term=None,
+            )
+        )
+    return found
+
+
+def placed(passes: list[Pass]) -> Placed:
+    grouped = journeys(passes, PositionParameters())
+    return place(grouped, {journey: Correction(middle=MIDDLE) for journey in grouped}, {}, GRID)
+
+
+def left_over(corrections: dict[Journey, Correction]) -> np.ndarray:
+    """Return what remains of the errors at 600 m and 1,500 m."""
+    true = np.array([600.0, 1500.0])
+    rows = []
+    for (vehicle, _), correction in corrections.items():
+        measured = true - OFFSETS[vehicle] - SCALES[vehicle] * (true - MIDDLE)
+        rows.append(correction.at(measured) - true)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1e-3])
+@pytest.mark.parametrize("survey_std", [0.0, 0.3e-3])
+def test_journeys_are_where_they_were(noise: float, survey_std: float) -> None:
+    found = positions_on_survey(placed(moved(noise)), survey(survey_std), GRID)
+    assert found is not None
+    assert len(found) == len(OFFSETS)
+    assert np.abs(left_over(found)).max() < 0.12
+
+
+def test_a_journey_too_short_to_say_anything_keeps_its_place() -> None:
+    on_grid = placed(moved(0.0, shortest=350.0))
+    found = positions_on_survey(on_grid, survey(), GRID)
+    assert found is not None
+    short = next(journey for journey in found if journey[0] == "23 m/s")
+    assert found[short] == on_grid[short].correction
+    assert np.abs(left_over(found)[0]).max() < 0.1
+
+
+def test_what_does_not_come_to_rest_is_not_found() -> None:
+    once = SurveyPositionParameters(rounds=1)
+    assert positions_on_survey(placed(moved(0.0)), survey(), GRID, once) is None
+
+
+def test_the_shipped_figures() -> None:
+    p = SurveyPositionParameters()
+    assert (p.cutoff_wavelength, p.tolerance, p.largest_step, p.scale_std) == (15.0, 0.02, 2.0, 3e-3)
+    assert (p.rounds, p.least_points, p.ridge) == (12, 400, 1e-6)
