@@ -11,6 +11,7 @@ from test_panel import PANEL, fleet_passes
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.gridded_pass import Placed, place
+from estimation.track.iteration import IterationParameters
 from estimation.track.journeys import Journey, PositionParameters, journeys
 from estimation.track.panel.prior_alignment import PriorAlignment
 from estimation.track.passes import Pass
@@ -93,3 +94,4 @@ def test_the_shipped_figures() -> None:
     p = SurveyPositionParameters()
     assert (p.cutoff_wavelength, p.tolerance, p.largest_step, p.scale_std) == (15.0, 0.02, 2.0, 3e-3)
     assert (p.rounds, p.least_points, p.ridge) == (12, 400, 1e-6)
+    assert IterationParameters().survey_tolerance == 0.3
