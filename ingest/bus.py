@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import os
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -30,10 +32,14 @@ from ingest.frames import (
 )
 from ingest.logs import write_blf
 
-INTERFACES = ("virtual", "udp_multicast", "socketcan")
+VIRTUAL = "virtual"
+INTERFACES = (VIRTUAL, "udp_multicast", "socketcan")
 
 BUFFERED_FRAMES = 2_000_000
 """Frames that may wait to be taken; what comes after is dropped and counted."""
+
+RECEIVE_BYTES = 1 << 22
+"""Of the socket: seconds of frames wait there while this process is held up. The kernel may grant less."""
 
 PATIENCE_S = 0.2
 IDENTIFIER_BITS = 0x1FFF_FFFF
@@ -61,9 +67,13 @@ def open_bus(interface: str, channel: str, **options: Any) -> can.BusABC:  # noq
     if interface not in INTERFACES:
         raise ParameterError(f"is {interface!r}; known are {', '.join(INTERFACES)}", field="interface")
     try:
-        return can.Bus(channel=channel, interface=interface, **options)
+        bus = can.Bus(channel=channel, interface=interface, **options)
     except (can.CanError, OSError, ValueError, NotImplementedError) as error:
         raise ParameterError(f"{interface} bus {channel!r} cannot be opened: {error}", field="channel") from error
+    if interface != VIRTUAL:
+        with socket.socket(fileno=os.dup(bus.fileno())) as end:
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
+    return bus
 
 
 class BusListener(can.Listener):

@@ -20,6 +20,7 @@ import numpy as np
 
 from estimation.errors import CatalogueError
 
+NO_SCALE = "a scale of 0: every value would be the offset"
 VEHICLE_NODE = 16
 
 ACCELERATION = "ACCELERATION"
@@ -196,6 +197,8 @@ def _signal_plan(signal: Any, name: str, path: Path) -> SignalPlan:  # noqa: ANN
     if signal.length > 32:  # noqa: PLR2004 - raw values stay exact in float64 and int64
         raise CatalogueError("a signal has at most 32 bits", file=path, field=name)
     scale, offset = float(signal.scale), float(signal.offset)
+    if not scale:
+        raise CatalogueError(NO_SCALE, file=path, field=name)
     lowest = -(1 << (signal.length - 1)) if signal.is_signed else 0
     highest = lowest + (1 << signal.length) - 1
     attribute = signal.dbc.attributes.get("InvalidRawValue") if signal.dbc else None

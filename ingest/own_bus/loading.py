@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from estimation.errors import InputError, ParameterError
-from ingest.catalogue import MessagePlan, SignalPlan, parse_dbc
+from ingest.catalogue import NO_SCALE, MessagePlan, SignalPlan, parse_dbc
 from ingest.frames import DATA_BYTES, EXTENDED_FLAG
 from ingest.input_file import InputFile, Location
 from ingest.own_bus.bus import (
@@ -276,6 +276,8 @@ def _plan(signal: Any) -> SignalPlan:  # noqa: ANN401 - cantools is untyped
         raise ParameterError(f"{signal.length} bits, at most {EXACT_BITS} are read", field=signal.name)
     if signal.is_float and signal.length not in FLOAT_BITS:
         raise ParameterError("a float has 32 or 64 bits", field=signal.name)
+    if not signal.scale:
+        raise ParameterError(NO_SCALE, field=signal.name)
     lowest = -(1 << (signal.length - 1)) if signal.is_signed or signal.is_float else 0
     highest = lowest + (1 << signal.length) - 1
     minimum, maximum = lowest, highest

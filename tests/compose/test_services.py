@@ -85,7 +85,7 @@ class Deployment:
                 yield process
             finally:
                 process.terminate()
-                process.wait(30)
+                process.wait(PATIENCE_S)
 
     def logs(self) -> str:
         """Return the end of every log."""
@@ -168,7 +168,7 @@ def _second_scheduler(deployment: Deployment) -> subprocess.CompletedProcess[str
         cwd=deployment.directory,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
 
@@ -182,7 +182,7 @@ def test_nothing_starts_on_a_database_that_is_not_migrated(deployment: Deploymen
             cwd=deployment.directory,
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=PATIENCE_S,
             check=False,
         )
         assert refused.returncode == 2

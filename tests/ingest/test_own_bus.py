@@ -352,6 +352,11 @@ def test_mappings_that_do_not_fit_are_refused(
 
 DBC_CHANGES: Mapping[str, tuple[str, str, str]] = {
     "too many bits": ("ay : 0|20@1- (0.5,0)", "ay : 0|60@1- (0.5,0)", "60 bits, at most 53 are read"),
+    "no scale": (
+        "(0.001,0) [-32.767|32.767]",
+        "(0,0) [-32.767|32.767]",
+        "a scale of 0: every value would be the offset",
+    ),
     "no limits": ("[-32.767|32.767]", "[5|5]", "the limits do not fit the number of bits"),
     "a small range": ("(0.001,0) [-32.767|32.767]", "(0.000001,0) [-0.03|0.03]", "+-2 is needed: a wrong unit?"),
 }
