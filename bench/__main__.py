@@ -21,7 +21,7 @@ from bench.results_page import markdown_table, write_page
 
 NAMES = ("contact", "estimation", "recursion", "decoding", "simulator", "trend")
 WITH_OPTIONS = ("section", "world", "vehicles", "mutants", "house")
-LONG = ("signals", "curves", "window_files")  # of many minutes, run where they are named
+LONG = ("signals", "curves", "mounting", "window_files")  # of many minutes, run where they are named
 TITLES = {
     "contact": "Contact geometry against EN 15302",
     "estimation": "Accuracy on known track",
@@ -31,6 +31,7 @@ TITLES = {
     "trend": "Coverage of trend and forecast",
     "signals": "Motion signals, by course and cutoff wavelength",
     "curves": "Cost of curves that are not on file",
+    "mounting": "Sensors that are turned",
     "window_files": "Formats of window files",
 }
 COLUMNS = ("what", "measured", "reach", "met")
