@@ -15,7 +15,7 @@ import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
-from estimation.vehicle.sensor_noise import displacement_noise
+from estimation.vehicle.sensor_noise import USUAL_CUTOFF, displacement_noise
 from estimation.vehicle.vehicle_class import VehicleClass
 
 UNKNOWN_FACTOR = 0.4  # relative std of a factor from which on nothing is known of the quotient
@@ -149,9 +149,15 @@ def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings 
 
 
 def _alignment_std(track: TrackAlignment) -> float:
-    """Return the median std, m, of an alignment where it is known."""
+    """Return the median std, m, of an alignment where it is known, at the usual cut-off of the motion.
+
+    That of a fleet is of all waves up to its own cut-off, and nearly all of it of the longest, for accelerations are
+    integrated twice: its variance grows as the cube of the cut-off.
+    """
     known = np.isfinite(track.alignment_std)
-    return float(np.median(track.alignment_std[known])) if known.any() else 0.0
+    std = float(np.median(track.alignment_std[known])) if known.any() else 0.0
+    share = USUAL_CUTOFF / track.cutoff_wavelength if track.source == AlignmentSource.FLEET else 1.0
+    return float(std * min(share, 1.0) ** 1.5)
 
 
 def _scale_std(track: TrackAlignment, wheelset: str | None) -> float:

@@ -156,3 +156,19 @@ def test_the_roll_of_the_contact_is_known_to_two_hundredths_per_metre(*, gravity
     sensors = replace(PAPER_CLASS.sensors, measures_gravity=gravity, lateral=SensorChannel(scale_std=0.004))
     found = ParameterUncertainty.of(replace(PAPER_CLASS, sensors=sensors))
     assert found.displacement == pytest.approx(np.hypot(0.004, of_roll))
+
+
+@pytest.mark.parametrize(
+    ("source", "cutoff", "share"),
+    [
+        (AlignmentSource.RECORDED, np.inf, 1.0),
+        (AlignmentSource.FLEET, 30.0, 1.0),
+        (AlignmentSource.FLEET, 120.0, 3.0**-1.5),
+    ],
+)
+def test_of_the_error_of_an_alignment_counts_what_the_motion_keeps(
+    source: AlignmentSource, cutoff: float, share: float
+) -> None:
+    """Of a survey all of it; of a fleet's, whose longest waves are known worst, a fifth."""
+    known = track(alignment_std=np.full(len(S), 0.5e-3), cutoff_wavelength=cutoff, source=source)
+    assert UNCERTAIN.on([known]).expected_noise == pytest.approx(0.5e-3 * share, rel=1e-9)
