@@ -26,6 +26,7 @@ from estimation.track.panel.solution import (
     between_pass_std_ratio,
     too_few_passes,
 )
+from estimation.track.panel.stiffness_ratio import error_of_difference
 from estimation.track.passes import Pass
 from estimation.track.profile_life import ProfileLife
 from estimation.track.residuals import residuals
@@ -35,6 +36,7 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import Correction, TrackAlignment
 
+MOST_DIFFERENCE_ERROR = 0.08  # of rL - rR, by the stiffness ratio: beyond, its stiffness term is as assumed
 MOST_SLOPE_STD = 0.4  # of the curves of all wheelsets together: beyond, nothing is known of them
 
 
@@ -210,13 +212,23 @@ def _state_of(
     if known is not None and known.has_alignment:
         status, reason = Status.ESTIMATED, None
     elif status is Status.ESTIMATED:
-        unknown = _not_converged_reason(accepted.iterated, p) or _slope_open(accepted.iterated)
+        iterated = accepted.iterated
+        unknown = _stiffness_open(iterated) or _not_converged_reason(iterated, p) or _slope_open(iterated)
         if unknown is not None:
             return Status.UNESTIMATED, unknown
     if status is Status.ESTIMATED and len(accepted.outliers) == len(grouped):
         first = next(iter(accepted.outliers.values()))
         return Status.UNESTIMATED, Reason(ReasonCode.NO_JOURNEY_AGREES, f"no journey agrees with another: {first}")
     return status, reason
+
+
+def _stiffness_open(iterated: IterationResult) -> Reason | None:
+    """Return how little the passes determine the stiffness ratio, where most of R depends on it; else None."""
+    error = error_of_difference(iterated.ratios, iterated.passes)
+    if iterated.solution.report.curves_fixed or error <= MOST_DIFFERENCE_ERROR:
+        return None
+    text = f"the passes leave the stiffness ratio open: {100 * error:.0f} % of rL - rR depend on what is assumed"
+    return Reason(ReasonCode.STIFFNESS_OPEN, text)
 
 
 def _slope_open(iterated: IterationResult) -> Reason | None:

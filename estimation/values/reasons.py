@@ -70,6 +70,10 @@ class ReasonCode(StrEnum):
     TOO_FEW_PASSES = "too_few_passes", "No place of the section has enough passes yet."
     SINGLE_WHEELSET = "single_wheelset", "One wheelset alone cannot separate the track from its own geometry."
     PASSES_ALIKE = "passes_alike", "The passes differ too little to separate track and wheelsets."
+    STIFFNESS_OPEN = (
+        "stiffness_open",
+        "In so stiff a bogie the passes cannot separate track and wheelsets. Survey the section.",
+    )
     JOURNEY_INDETERMINATE = "journey_indeterminate", "The journey is too short, or too few others passed there."
     JOURNEY_DISAGREES = "journey_disagrees", "The journey agrees with no other."
     OFFSET_TOO_LARGE = (

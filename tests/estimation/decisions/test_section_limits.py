@@ -11,6 +11,7 @@ from test_agreement_limits import smooth
 
 from estimation.track.alignment_std import merged_alignment
 from estimation.track.convergence import Convergence, Iterated
+from estimation.track.gridded_pass import PlacedJourney, grid_pass
 from estimation.track.iteration import IterationResult
 from estimation.track.journeys import Journey, journeys
 from estimation.track.panel.basis import KnownBeforehand, Panel, PanelParameters
@@ -19,6 +20,7 @@ from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import init
 from estimation.track.panel.prior_alignment import prior_on_grid
 from estimation.track.panel.solution import PanelReport, result
+from estimation.track.panel.stiffness_ratio import Ratio
 from estimation.track.passes import Pass
 from estimation.track.profile_life import ProfileLife
 from estimation.track.section import (
@@ -34,7 +36,7 @@ from estimation.track.section_parameters import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.track import AlignmentSource, TrackAlignment
+from estimation.values.track import AlignmentSource, Correction, TrackAlignment
 
 LENGTH = 600
 P = SectionParameters(panel=PanelParameters(length=float(LENGTH), groups=4, block=75.0))
@@ -197,6 +199,24 @@ def test_curves_whose_slope_is_open_by_two_fifths_make_no_alignment(std: float, 
     assert (status, code_of(found)) == (Status.UNESTIMATED if reason else Status.ESTIMATED, reason)
     known = prior_on_grid(prior(), PANEL.grid, P.panel.cutoff_wavelength)
     assert _state_of(accepted, grouped, known, P) == (Status.ESTIMATED, None)
+
+
+@pytest.mark.parametrize(("std", "refused"), [(0.099, False), (0.101, True)])
+def test_a_stiffness_term_that_is_most_of_the_difference_and_not_known_makes_no_alignment(
+    std: float,
+    refused: bool,  # noqa: FBT001 - parametrised
+) -> None:
+    """The stiffness term is 0.8 of R here, and 0.08 of R may be unknown."""
+    good = PanelReport(Status.ESTIMATED, None, curves_fixed=False)
+    item = a_pass(0)
+    item = replace(item, stiffness_term=0.8 * item.difference)
+    placed = {("V", 0): PlacedJourney(Correction(), (grid_pass(item, PANEL.grid),))}
+    found = replace(iterated(report=good), placed=placed, ratios={item.vehicle: Ratio(1.0, std)})
+    grouped: dict[Journey, Sequence[Pass]] = {("V", 0): [item]}
+    reason = _state_of(_Accepted(found, {}, {}), grouped, None, P)[1]
+    assert (code_of(reason) is ReasonCode.STIFFNESS_OPEN) == refused
+    fixed = replace(found, solution=replace(found.solution, report=replace(good, curves_fixed=True)))
+    assert code_of(_state_of(_Accepted(fixed, {}, {}), grouped, None, P)[1]) is not ReasonCode.STIFFNESS_OPEN
 
 
 def test_a_slope_of_which_nothing_is_known_stays_a_finite_number(three: SectionEstimate) -> None:
