@@ -22,6 +22,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
 
 SENSOR_SCALE = 0.02  # std of the spring error by the scales of the sensors
+SENSORS_IN_BOGIE = 0.06  # the same in a bogie: scales, angles and clocks of three sensors, and creep near saturation
 SHARE_IN_BOGIE = 0.5  # of an error of stiffness or creep that shows as spring error; the curve takes up the rest
 STDS = 2.2  # of the spring error, beyond which the class is another
 MOST_MISFIT = 0.65  # right classes on measured wheels and on gauge that varies unknown have up to 0.6
@@ -92,9 +93,9 @@ def mismatch(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie:
     in_bogie
         Whether the yaw spring is tied to the frame of a bogie.
     """
-    share = SHARE_IN_BOGIE if in_bogie else 1.0
+    share, of_sensors = (SHARE_IN_BOGIE, SENSORS_IN_BOGIE) if in_bogie else (1.0, SENSOR_SCALE)
     of_class = share * math.hypot(stiffness_std, creep_std)
-    most = STDS * float(np.linalg.norm([fit.spring_error_std, SENSOR_SCALE, of_class]))
+    most = STDS * float(np.linalg.norm([fit.spring_error_std, of_sensors, of_class]))
     if abs(fit.spring_error) > most:
         text = (
             f"a moment of {fit.spring_error:+.0%} of the yaw spring's is not in the equations of the vehicle's class,"
