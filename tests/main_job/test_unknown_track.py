@@ -11,6 +11,7 @@ import pytest
 from tiny_fleet import Deployment, deployment, true_conicity
 
 from estimation.values.quantities import Status
+from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.track import AlignmentSource
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.fleet import FleetReport, run_fleet
@@ -108,7 +109,10 @@ def test_conicity_comes_out_without_a_survey_and_journeys_are_put_where_they_ran
         known = dict(zip(np.round(1e3 * record.geometry.amplitude, 6), record.geometry.conicity, strict=True))
         for amplitude in (1.5, 2.0, 2.5):  # mm, at which the truth is on file
             value = known[amplitude].value
-            assert value is not None
+            if value is None:  # next to a contact jump, whose place an unknown gauge leaves open
+                assert amplitude < 2.0
+                assert code_of(known[amplitude].reason) is ReasonCode.CONICITY_OPEN
+                continue
             errors.append(value - true_conicity(report.truth, serial, record.mileage_km, amplitude))
     assert np.abs(errors).max() < 0.03
     assert np.median(np.abs(errors)) < 0.01
