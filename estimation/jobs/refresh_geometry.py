@@ -19,6 +19,7 @@ from estimation.geometry.estimate import estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.contradicted_windows import contradiction
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.replay import TabulatedWindow, replayed
 from estimation.jobs.steps.rolling_radius import radius_contradicted
@@ -32,6 +33,7 @@ from estimation.values.identity import IdentityChange
 from estimation.values.json_value import JsonValue
 from estimation.values.motion import Motion
 from estimation.values.quantities import Status
+from estimation.values.reasons import Reason
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.windows import WindowRecord
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -158,7 +160,8 @@ def _intervals(
     for interval, part in parts.items():
         assumed = _most_frequent(part, classes)
         used = _of_class(part, assumed, classes)
-        if interval not in stored or stored[interval].input_digest != _digest(used, context, assumed):
+        against = contradiction(unit, [entry[0] for entry in used])
+        if interval not in stored or stored[interval].input_digest != _digest(used, context, assumed, against):
             records.append(_record(unit, baseline, interval, used, context, assumed))
     return records + [_emptied(record, context) for interval, record in stored.items() if interval not in parts]
 
@@ -240,8 +243,11 @@ def _tables(unit: UnitOfWork, entries: Sequence[_Entry]) -> list[tuple[float, Bi
     ]
 
 
-def _digest(entries: Sequence[_Entry], context: JobContext, assumed: Assumed | None) -> str:
+def _digest(
+    entries: Sequence[_Entry], context: JobContext, assumed: Assumed | None, against: Reason | None = None
+) -> str:
     of_class = "" if assumed is None else f" {assumed.digest}"
+    of_class += "" if against is None else f" {against.code}"
     text = hashlib.sha256(f"{context.code_version} {context.settings.estimation.estimator}{of_class}\n".encode())
     for window, key, version in entries:
         text.update(f"{window.start_ns} {window.content_digest} {key} {version} {window.mileage_km!r}\n".encode())
@@ -274,8 +280,9 @@ def _record(
     used = _Used(settings, assumed, of_class.on(tracks, windows[0].wheelset))
     half_life_km = settings.half_life_km if interval is None else None
     geometry = _geometry(unit, entries, used, half_life_km)
+    against = contradiction(unit, windows)
     if geometry.status is not Status.MODEL_MISMATCH:
-        contradicted = radius_contradicted(unit, windows, assumed.windows)
+        contradicted = against or radius_contradicted(unit, windows, assumed.windows)
         geometry = geometry if contradicted is None else geometry.mismatched(contradicted)
     return GeometryRecord(
         wheelset=windows[0].wheelset,
@@ -285,7 +292,7 @@ def _record(
         from_ns=windows[0].start_ns,
         to_ns=windows[-1].start_ns + windows[-1].length_ns,
         geometry=geometry,
-        input_digest=_digest(entries, context, assumed),
+        input_digest=_digest(entries, context, assumed, against),
         track_versions=versions,
         parameters=used.as_json(),
         code_version=context.code_version,

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from paper_class import PAPER_CLASS
 
 from estimation.geometry.shared_scale import solve_with_shared_scales
+from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables.least_squares import collect
 from estimation.values.arrays import FloatArray, IntArray
+from estimation.vehicle.vehicle_class import SensorChannel
 
 SHARED, REGRESSORS, TARGETS, BINS = 2, 5, 3, 4
 
@@ -126,3 +129,14 @@ def test_without_samples_nothing_is_known_but_what_was_known_beforehand() -> Non
     found = solve_with_shared_scales(0.0 * moments, 0.0 * weight, REGRESSORS, TARGETS, (0.02,) * SHARED)
     assert np.isnan(found.solution.theta).all()
     assert np.isnan(found.sensitivity).all()
+
+
+def test_scales_have_the_stds_on_file_and_at_least_a_fifth_of_a_percent() -> None:
+    def of_sensors(yaw: float, frame: float) -> tuple[float, float, float]:
+        sensors = replace(
+            PAPER_CLASS.sensors, yaw=SensorChannel(scale_std=yaw), mass_lateral=SensorChannel(scale_std=frame)
+        )
+        return ParameterUncertainty.of(replace(PAPER_CLASS, sensors=sensors)).of_bogie
+
+    assert of_sensors(0.0, 0.0)[:2] == pytest.approx((0.002, 0.002))
+    assert of_sensors(0.03, 0.04)[:2] == pytest.approx((np.hypot(0.05, 0.002), np.hypot(0.04 * 2**0.5, 0.002)))
