@@ -177,19 +177,19 @@ def iterate(
 def _first_rounds(setting: _Setting, panel: Panel, corrections: Mapping[Journey, Correction]) -> IterationResult:
     """Return where the rounds without a gauge end; on a survey at positions by the regression of R.
 
-    A gauge that varies is noise in that regression, and not in the panel. There the panel's positions are kept, unless
-    the noise of R has moved them all.
+    That search begins where the panel ends, which is within a metre or two. A gauge that varies is noise in that
+    regression, and not in the panel. There the panel's positions are kept, unless the noise of R has moved them all.
     """
     prior = setting.prior
+    found = _rounds(setting, panel, corrections, {})
     if prior is None or not setting.anchored or not prior.surveyed:
-        return _rounds(setting, panel, corrections, {})
-    on_survey = positions_on_survey(place(setting.grouped, corrections, {}, panel.grid), prior, panel.grid)
+        return found
+    on_survey = positions_on_survey(found.placed, prior, panel.grid)
     if on_survey is None:
-        return _rounds(setting, panel, corrections, {})
-    if prior.gauge_known and prior.gauge.any():
-        found = _rounds(setting, panel, corrections, {})
-        if _mean_move(setting.grouped, found.corrections, on_survey) < setting.parameters.survey_tolerance:
-            return found
+        return found
+    varies = prior.gauge_known and bool(prior.gauge.any())
+    if varies and _mean_move(setting.grouped, found.corrections, on_survey) < setting.parameters.survey_tolerance:
+        return found
     fixed = replace(setting, placed_on_survey=True)
     return replace(_rounds(fixed, panel, on_survey, {}), placed_on_survey=True)
 

@@ -41,9 +41,11 @@ class SurveyPositionParameters:
     rounds: int = 12
     tolerance: float = 0.02  # m: offsets that move less are found
     largest_step: float = 2.0  # m a round
+    farthest: float = 3.0  # m from where a journey was, on its way: beyond is another wave of the track
     scale_std: float = 3e-3  # of an odometer, known beforehand
     ridge: float = 1e-6  # of the curves' mean square: knots that no sample reaches
     least_points: int = 400  # of a journey; fewer say nothing of its place
+    most_apart: float = 2.0  # rms of y - d over that of y: a survey in another unit is no survey to be placed on
 
 
 def positions_on_survey(
@@ -66,7 +68,8 @@ def positions_on_survey(
     found: dict[Journey, Correction] = {}
     for vehicle in sorted({journey[0] for journey in placed}):
         members = {journey: one for journey, one in placed.items() if journey[0] == vehicle}
-        moved = _Vehicle.of(members, survey, grid, p).moves()
+        on_survey = _Vehicle.of(members, survey, grid, p)
+        moved = on_survey.moves() if on_survey.of_one_size() else None
         if moved is None:
             return None
         middle = 0.5 * grid.length
@@ -119,6 +122,15 @@ class _Vehicle:
         ]
         return cls(passes, len(members), len(lives), survey, grid, kernel, parameters)
 
+    def of_one_size(self) -> bool:
+        """Whether the survey is not far larger than what the passes have measured."""
+        apart, own = 0.0, 0.0
+        for one in self.passes:
+            y = one.displacement[one.used]
+            rest, _ = _displaced(one, np.zeros(2), self.survey, self.grid)
+            apart, own = apart + float(rest[one.used] @ rest[one.used]), own + float(y @ y)
+        return apart <= self.parameters.most_apart**2 * own
+
     def moves(self) -> FloatArray | None:
         """Return by how much each journey is to be moved (j, 2): offset, m, and scale; None where that is not found."""
         p = self.parameters
@@ -134,8 +146,14 @@ class _Vehicle:
             largest = float(np.max(np.abs(steps[:, 0]), initial=0.0))
             moves = moves + steps * min(1.0, p.largest_step / max(largest, p.largest_step))
             if largest < p.tolerance:
-                return moves
+                return moves if self._farthest(moves) <= p.farthest else None
         return None
+
+    def _farthest(self, moves: FloatArray) -> float:
+        """Return by how much any pass is moved at most in its middle, m."""
+        middles = [float(np.mean(one.at)) - 0.5 * self.grid.length for one in self.passes]
+        found = [moves[one.journey] @ [1.0, middle] for one, middle in zip(self.passes, middles, strict=True)]
+        return float(np.max(np.abs(found), initial=0.0))
 
     def _steps(self, moves: FloatArray) -> FloatArray:
         """Return by how much better moves differ (j, 2): one Gauss-Newton step, with curves free."""

@@ -85,13 +85,27 @@ def test_a_journey_too_short_to_say_anything_keeps_its_place() -> None:
     assert np.abs(left_over(found)[0]).max() < 0.1
 
 
+def test_a_journey_is_not_moved_to_another_wave_of_the_track() -> None:
+    near = SurveyPositionParameters(farthest=1.0)
+    assert positions_on_survey(placed(moved(0.0)), survey(), GRID, near) is None
+    assert SurveyPositionParameters().farthest == 3.0
+
+
 def test_what_does_not_come_to_rest_is_not_found() -> None:
     once = SurveyPositionParameters(rounds=1)
     assert positions_on_survey(placed(moved(0.0)), survey(), GRID, once) is None
+
+
+@pytest.mark.parametrize(("factor", "found"), [(1.0, True), (2.5, True), (10.0, False), (1000.0, False)])
+def test_journeys_are_not_placed_on_a_survey_in_another_unit(factor: float, *, found: bool) -> None:
+    right = survey()
+    wrong = replace(right, alignment=factor * right.alignment)
+    assert (positions_on_survey(placed(moved(0.0)), wrong, GRID) is not None) == found
 
 
 def test_the_shipped_figures() -> None:
     p = SurveyPositionParameters()
     assert (p.cutoff_wavelength, p.tolerance, p.largest_step, p.scale_std) == (15.0, 0.02, 2.0, 3e-3)
     assert (p.rounds, p.least_points, p.ridge) == (12, 400, 1e-6)
+    assert p.most_apart == 2.0
     assert IterationParameters().survey_tolerance == 0.3
