@@ -139,6 +139,8 @@ class _Vehicle:
             counts[one.journey] += float(one.used.sum())
         known = counts >= p.least_points
         moves = np.zeros((self.journeys, 2))
+        if not known.any():
+            return moves
         for _ in range(p.rounds):
             steps = np.where(known[:, None], self._steps(moves), 0.0)
             if not np.isfinite(steps).all():

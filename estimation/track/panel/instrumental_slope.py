@@ -56,11 +56,15 @@ def with_instrument(
     solution, panel
         As solved, without a gauge that varies.
     """
+    if not slope.explained > 0.0:
+        return slope  # the curves explain nothing, and nothing is known of their slope
     sums = _sums(passes, solution, panel)
     along, own, of_instrument, of_curves = sums.sum(axis=0)
     if not along > LEAST_CORRELATION * float(np.sqrt(of_instrument * of_curves)):
         return slope
     left = sums.sum(axis=0) - sums
+    if not (left[:, 0] > 0.0).all():
+        return slope
     factors = np.concatenate([[own / along], left[:, 1] / left[:, 0]])
     excess = 1.0 / slope.explained - 1.0
     std = float(np.hypot(jackknife_std(factors[:, None])[0], SYSTEMATIC_SHARE * excess))

@@ -50,3 +50,9 @@ def test_a_weak_instrument_is_not_used() -> None:
     assert with_instrument(slope, passes, solution, PANEL) is slope
     passes, solution, slope = _solved(_noisy("difference", 0.5e-3))
     assert with_instrument(slope, passes, solution, PANEL) is not slope
+
+
+def test_where_the_curves_explain_nothing_the_correction_stays_unknown() -> None:
+    passes, solution, _ = _solved(fleet_passes())
+    nothing = SlopeCorrection(1.0, float("inf"), 0.0)
+    assert with_instrument(nothing, passes, solution, PANEL) is nothing

@@ -96,6 +96,17 @@ def test_what_does_not_come_to_rest_is_not_found() -> None:
     assert positions_on_survey(placed(moved(0.0)), survey(), GRID, once) is None
 
 
+@pytest.mark.parametrize("length", [0.0, 20.0, 200.0])
+def test_passes_too_short_for_the_filters_keep_their_places(length: float) -> None:
+    short = [
+        replace(item, at=item.at[:k], displacement=item.displacement[:k], difference=item.difference[:k])
+        for item in moved(0.0)
+        for k in [int(np.searchsorted(item.at - item.at[0], length)) + 2]
+    ]
+    on_grid = placed(short)
+    assert positions_on_survey(on_grid, survey(), GRID) == {j: one.correction for j, one in on_grid.items()}
+
+
 @pytest.mark.parametrize(("factor", "found"), [(1.0, True), (2.5, True), (10.0, False), (1000.0, False)])
 def test_journeys_are_not_placed_on_a_survey_in_another_unit(factor: float, *, found: bool) -> None:
     right = survey()
