@@ -62,7 +62,7 @@ initial_wear_mm = {wear}
 initial_mileage_km = 100000.0
 wear_mm_per_100000_km = 0.05
 """
-WEAR = {"U-A": (0.1, 0.9), "U-B": (1.4, 0.4)}
+WEAR = {"U-A": (0.1, 1.0), "U-B": (1.4, 0.3)}
 SERIALS = [f"{code}{axle}" for code in WEAR for axle in (1, 2)]
 
 
