@@ -51,7 +51,9 @@ class SurveyPositionParameters:
 def positions_on_survey(
     placed: Placed, survey: PriorAlignment, grid: SectionGrid, parameters: SurveyPositionParameters | None = None
 ) -> dict[Journey, Correction] | None:
-    """Return corrections of the positions of all journeys on a survey; None where they are not found.
+    """Return corrections of the positions of all journeys on a survey; None where none is found.
+
+    The journeys of a vehicle whose places are not found keep them.
 
     Parameters
     ----------
@@ -65,17 +67,19 @@ def positions_on_survey(
         Of the search.
     """
     p = parameters or SurveyPositionParameters()
-    found: dict[Journey, Correction] = {}
+    found = {journey: one.correction for journey, one in placed.items()}
+    vehicles = 0
     for vehicle in sorted({journey[0] for journey in placed}):
         members = {journey: one for journey, one in placed.items() if journey[0] == vehicle}
         on_survey = _Vehicle.of(members, survey, grid, p)
         moved = on_survey.moves() if on_survey.of_one_size() else None
         if moved is None:
-            return None
+            continue  # it keeps its places
+        vehicles += 1
         middle = 0.5 * grid.length
         for (journey, one), (offset, scale) in zip(members.items(), moved, strict=True):
             found[journey] = compose(one.correction, Correction(float(offset), float(scale), middle))
-    return found
+    return found if vehicles else None
 
 
 @dataclass(frozen=True, slots=True)
