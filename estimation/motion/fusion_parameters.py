@@ -11,7 +11,8 @@ class FusionParameters:
 
     step: float = 0.25
     oversampling: int = 5  # samples per step before short waves are taken out
-    shortest: float = 2.0  # half of it remains: a section's grid of 1 m holds no shorter wave
+    shortest: tuple[float, float] = (0.5, 2.0)  # half of it remains: of quiet axle boxes, of those that vibrate
+    vibrating: float = 0.08e-3  # rad of (y' + r0 phi')/V in waves shorter than 2 m; quiet axle boxes have half of it
     crossover: float = 15.0  # longer wavelengths come from the lateral motion
     compared: tuple[float, float] = (8.0, 40.0)  # in which g is estimated
     margin: float = 45.0  # m at each end that is not compared

@@ -64,8 +64,9 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionP
     """
     step = parameters.step
     run = np.arange(np.ceil(signals.run[0] / step), np.floor(signals.run[-1] / step) + 1) * step
+    shortest = _shortest(signals, run, parameters)
     V, y, R, stiffness_term, rolling_yaw, creep_yaw = (
-        _sampled(values, signals.run, run, parameters)
+        _sampled(values, signals.run, run, shortest, parameters)
         for values in (
             signals.speed,
             signals.displacement,
@@ -78,7 +79,7 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionP
     if signals.frame_yaw is None:
         slow = _long_waves(R, np.asarray(rolling_yaw + creep_yaw), V, vehicle, parameters)
     else:
-        frame_yaw = _sampled(signals.frame_yaw, signals.run, run, parameters)
+        frame_yaw = _sampled(signals.frame_yaw, signals.run, run, shortest, parameters)
         slow = long_waves_in_bogie(R, BogieYaws(rolling_yaw, creep_yaw, frame_yaw), V, vehicle, parameters)
     weights = local_cubic_kernel(parameters.crossover, step)
     return FusedSignals(
@@ -89,13 +90,24 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionP
     )
 
 
-def _sampled(values: FloatArray, at: FloatArray, run: FloatArray, parameters: FusionParameters) -> FloatArray:
-    """Return values (n,) at distances (n,) on the grid (m,), waves that the grid of a section cannot hold taken out.
+def _shortest(signals: MotionSignals, run: FloatArray, parameters: FusionParameters) -> float:
+    """Return the shortest wavelength, m, that is left in the signals of a pass.
 
-    An axle box vibrates at tens of hertz. Sampled as it is, its vibration would look like waves of some metres.
+    An axle box vibrates at tens of hertz. Sampled as it is, its vibration would look like waves of some metres. Where
+    it does not vibrate the short waves of R are those of contact jumps, which the curves need.
     """
+    quiet, vibrating = parameters.shortest
+    smooth = _sampled(signals.rolling_yaw, signals.run, run, vibrating, parameters)
+    rest = np.interp(run, signals.run, signals.rolling_yaw) - smooth
+    return vibrating if float(np.std(rest)) > parameters.vibrating else quiet
+
+
+def _sampled(
+    values: FloatArray, at: FloatArray, run: FloatArray, shortest: float, parameters: FusionParameters
+) -> FloatArray:
+    """Return values (n,) at distances (n,) on the grid (m,), waves shorter than ``shortest`` (m) taken out."""
     finer = parameters.oversampling
-    weights = local_cubic_kernel(parameters.shortest, parameters.step / finer)
+    weights = local_cubic_kernel(shortest, parameters.step / finer)
     reach, first = len(weights) // 2, finer * round(run[0] / parameters.step)
     count = finer * (len(run) - 1) + 1
     fine = np.arange(first - reach, first + count + reach) * (parameters.step / finer)

@@ -11,8 +11,10 @@ from scipy.signal import butter, sosfilt
 from smooth_wheelset import mems_windows, run
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.motion.fusion_parameters import FusionParameters
 from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
+from estimation.motion.rolling_radius_difference import MotionSignals, _sampled, _shortest
 from estimation.track.passes import Pass, passes
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window
@@ -84,6 +86,21 @@ def test_vibration_of_the_axle_box_does_not_look_like_waves_of_the_track() -> No
     for name in ("displacement", "difference"):
         one, other = (np.interp(grid, item.at, getattr(item, name)) for item in (found, still))
         assert _rms_between(one - other, 1.0, 2.0, 20.0) < 0.015e-3, name
+
+
+def test_short_waves_stay_where_the_axle_box_does_not_vibrate() -> None:
+    """They are those of contact jumps; the limit is between what quiet and what vibrating axle boxes have."""
+    at = np.arange(0.0, 300.0, 0.08)
+    jumps = 0.2e-3 * np.sign(np.sin(2 * np.pi * at / 12.0))
+
+    def of_rolling_yaw(size: float) -> FloatArray:
+        zero, shaken = np.zeros(len(at)), size * np.sqrt(2.0) * np.sin(2 * np.pi * at / 1.2)
+        signals = MotionSignals(at, zero + 20.0, zero, jumps, zero, shaken, zero)
+        run = np.arange(8.0, 292.0, 0.25)
+        return _sampled(jumps, at, run, _shortest(signals, run, FusionParameters()), FusionParameters())
+
+    quiet, vibrating = of_rolling_yaw(0.07e-3), of_rolling_yaw(0.1e-3)
+    assert np.abs(np.diff(quiet)).max() > 1.5 * np.abs(np.diff(vibrating)).max()
 
 
 def _white(window: Window, seed: int) -> FloatArray:
