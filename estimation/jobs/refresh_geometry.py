@@ -19,7 +19,7 @@ from estimation.geometry.estimate import estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.contradicted_windows import contradiction
+from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, contradiction
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.replay import TabulatedWindow, replayed
 from estimation.jobs.steps.rolling_radius import radius_contradicted
@@ -123,6 +123,7 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     records: list[GeometryRecord] = []
     newest: tuple[Baseline, list[_Entry]] | None = None
     change = identity_change(unit, serial)
+    refused = unit.windows.refused(serial, CONTRADICTIONS)
     classes = ClassLookup(unit, settings)
     turned = [mounting for mounting in unit.registry.mountings(serial) if mounting.reversed]
     for baseline in baselines(unit.registry.wheelset(serial)):
@@ -131,7 +132,7 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
             [_mounted(entry, turned) for entry in index if entry[1] == classes.table_key(entry[0].vehicle, serial)],
             change,
         )
-        records += _intervals(unit, serial, baseline, entries, context, classes)
+        records += _intervals(unit, serial, baseline, entries, context, classes, refused)
         if entries:
             newest = baseline, entries
     current = unit.geometries.current(serial)
@@ -140,7 +141,9 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     elif newest is not None:
         near = _remembered(_since(newest[1], change), settings.half_life_km)
         assumed = _assumed(near[-1], classes)
-        records.append(_record(unit, newest[0], None, _of_class(near, assumed, classes), context, assumed))
+        used = _of_class(near, assumed, classes)
+        against = contradiction(refused, [entry[0] for entry in used])
+        records.append(_record(unit, newest[0], None, used, context, assumed, against))
     return records
 
 
@@ -151,6 +154,7 @@ def _intervals(
     entries: Sequence[_Entry],
     context: JobContext,
     classes: ClassLookup,
+    refused: Sequence[WindowRecord],
 ) -> list[GeometryRecord]:
     """Return the geometries per mileage interval of one baseline that are not stored like that."""
     settings = context.settings.estimation
@@ -160,9 +164,9 @@ def _intervals(
     for interval, part in parts.items():
         assumed = _most_frequent(part, classes)
         used = _of_class(part, assumed, classes)
-        against = contradiction(unit, [entry[0] for entry in used])
+        against = contradiction(refused, [entry[0] for entry in used])
         if interval not in stored or stored[interval].input_digest != _digest(used, context, assumed, against):
-            records.append(_record(unit, baseline, interval, used, context, assumed))
+            records.append(_record(unit, baseline, interval, used, context, assumed, against))
     return records + [_emptied(record, context) for interval, record in stored.items() if interval not in parts]
 
 
@@ -270,6 +274,7 @@ def _record(
     entries: Sequence[_Entry],
     context: JobContext,
     assumed: Assumed,
+    against: Reason | None,
 ) -> GeometryRecord:
     settings = context.settings.estimation
     windows = [entry[0] for entry in entries]
@@ -280,7 +285,6 @@ def _record(
     used = _Used(settings, assumed, of_class.on(tracks, windows[0].wheelset))
     half_life_km = settings.half_life_km if interval is None else None
     geometry = _geometry(unit, entries, used, half_life_km)
-    against = contradiction(unit, windows)
     if geometry.status is not Status.MODEL_MISMATCH:
         contradicted = against or radius_contradicted(unit, windows, assumed.windows)
         geometry = geometry if contradicted is None else geometry.mismatched(contradicted)

@@ -199,12 +199,10 @@ class WindowStore:
             statement = statement.where(WINDOWS.c.start_ns < to_ns)
         return self._records(statement.order_by(WINDOWS.c.start_ns))
 
-    def refused(self, wheelset: str, codes: Sequence[ReasonCode], from_ns: int, to_ns: int) -> Sequence[WindowRecord]:
-        """Return the windows of a wheelset in ``[from_ns, to_ns)`` that were refused for some reasons, oldest first."""
+    def refused(self, wheelset: str, codes: Sequence[ReasonCode]) -> Sequence[WindowRecord]:
+        """Return the windows of a wheelset that were refused for some reasons, oldest first."""
         statement = select(WINDOWS).where(
             WINDOWS.c.wheelset == wheelset,
-            WINDOWS.c.start_ns >= from_ns,
-            WINDOWS.c.start_ns < to_ns,
             WINDOWS.c.state == WindowState.REFUSED.value,
             WINDOWS.c.reason_code.in_([code.value for code in codes]),
         )

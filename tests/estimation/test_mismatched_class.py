@@ -25,10 +25,11 @@ from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.jobs.steps.rolling_radius import radius_contradicted
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
 from estimation.storage import Storage
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobTrigger
 from estimation.values.track import TrackSectionRecord
-from estimation.values.windows import Hunting
+from estimation.values.windows import Hunting, WindowState
 from fleet_db.storage import SqlStorage
 
 LOW_LIMIT = RuleBook().with_rules(ConicityLimitRule(minimum_windows=1, bands=(SpeedBand(0.02),)))
@@ -145,3 +146,21 @@ def test_of_the_right_class_the_same_windows_exceed_the_limit(sqlite_storage: Sq
         assert sum(one is not None for one in numbers(geometry)) > 50
         assert geometry["equivalent_conicity_at_3_mm_1"]["value"] == pytest.approx(true, abs=0.01)
     assert kinds_of_alerts(sqlite_storage) == {("W1", "conicity_limit"), ("W2", "conicity_limit")}
+
+
+def test_where_most_windows_contradict_the_registry_what_is_left_is_held_back_too(sqlite_storage: SqlStorage) -> None:
+    """What was published before they were refused is taken back."""
+    register(sqlite_storage, SOFT)
+    run_jobs(sqlite_storage, "bins")
+    assert served(sqlite_storage, "/v1/wheelsets/W1/geometry")["status"] == "estimated"
+    reason = Reason(ReasonCode.AXLE_DISTANCE, "the axles are elsewhere")
+    with sqlite_storage.write() as unit:
+        for hour in (1, 2):
+            for window in windows(SOFT, 1):
+                later = replace(window, track_section="S1", start_ns=window.start_ns + hour * 3600 * 10**9)
+                unit.windows.put(later, 10.0, 1)
+                unit.windows.mark("W1", later.start_ns, WindowState.REFUSED, reason)
+    run_jobs(sqlite_storage, "bins")
+    geometry = served(sqlite_storage, "/v1/wheelsets/W1/geometry")
+    assert (geometry["status"], geometry["reason_code"]) == ("model_mismatch", "axle_distance")
+    assert set(numbers(geometry)) == {None}

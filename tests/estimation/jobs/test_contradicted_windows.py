@@ -36,7 +36,8 @@ def put(storage: SqlStorage, refused: list[int], left: list[int], code: ReasonCo
 
 def found(storage: SqlStorage, left: list[int]) -> Reason | None:
     with storage.read() as unit:
-        return contradiction(unit, [one for one in unit.windows.list("W1") if one.start_ns // HOUR in left])
+        refused = unit.windows.refused("W1", CONTRADICTIONS)
+        return contradiction(refused, [one for one in unit.windows.list("W1") if one.start_ns // HOUR in left])
 
 
 @pytest.mark.parametrize("code", CONTRADICTIONS)

@@ -11,7 +11,7 @@ from test_panel import PANEL, fleet_passes
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.gridded_pass import Placed, place
-from estimation.track.iteration import IterationParameters
+from estimation.track.iteration import IterationParameters, iterate
 from estimation.track.journeys import Journey, PositionParameters, journeys
 from estimation.track.panel.prior_alignment import PriorAlignment
 from estimation.track.passes import Pass
@@ -94,6 +94,14 @@ def test_a_journey_is_not_moved_to_another_wave_of_the_track() -> None:
 def test_what_does_not_come_to_rest_is_not_found() -> None:
     once = SurveyPositionParameters(rounds=1)
     assert positions_on_survey(placed(moved(0.0)), survey(), GRID, once) is None
+
+
+def test_the_rounds_on_a_survey_end_at_these_positions() -> None:
+    """Not at the panel's, which are moved by the noise of R."""
+    grouped = journeys(moved(0.1e-3), PositionParameters())
+    found = iterate(grouped, survey(), PANEL, PositionParameters(), IterationParameters())
+    assert found.placed_on_survey
+    assert np.abs(left_over(found.corrections)).max() < 0.12
 
 
 @pytest.mark.parametrize("length", [0.0, 20.0, 200.0])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from paper_class import PAPER_CLASS
 
+from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.sensor_noise import difference_noise, usable_cutoff
 from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, SensorChannel, VehicleClass
@@ -79,3 +80,5 @@ def test_the_cut_off_is_shorter_where_the_noise_of_the_yaw_sensor_drowns_long_wa
 
     assert [usable_cutoff(with_noise(size), CUTOFF) for size in (0.29, 0.31, 3.0)] == [40.0, 35.0, 30.0]
     assert usable_cutoff(with_noise(3.0), 25.0) == 25.0
+    of_wheelset = WindowParameters.of(with_noise(0.31), None, SignalParameters(), Gates())
+    assert of_wheelset.signals.cutoff_wavelength == 35.0
