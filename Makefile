@@ -6,7 +6,7 @@ ARGS ?=
 # what one process has compiled serves the others: the tests start many
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test check lint bench bench-estimation bench-world bench-vehicles mutants house clean
+.PHONY: demo test check lint bench bench-estimation bench-world bench-vehicles mutants chaos house clean
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	@echo "building the virtual environment in $(VENV) (about a minute)"
@@ -47,6 +47,9 @@ bench: $(VENV)/.dev
 
 mutants: $(VENV)/.dev
 	$(BIN)/python -m bench mutants $(ARGS)
+
+chaos: $(VENV)/.dev
+	$(BIN)/python -m bench chaos $(ARGS)
 
 house: $(VENV)/.dev
 	$(BIN)/python -m bench house $(ARGS)

@@ -19,6 +19,7 @@ from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.idempotency import IdempotencyStore
 from fleet_db.stores.jobs import JobRunStore
 from fleet_db.stores.registry import RegistryStore
+from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.suspension import SuspensionStore
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.trends import TrendStore
@@ -39,6 +40,7 @@ class SqlUnitOfWork:
     shipped: Shipped = no_class
     changes: Changes = field(init=False)
     chunks: ChunkStore = field(init=False)
+    stale_spans: StaleSpanStore = field(init=False)
     registry: RegistryStore = field(init=False)
     tracks: TrackStore = field(init=False)
     windows: WindowStore = field(init=False)
@@ -54,6 +56,7 @@ class SqlUnitOfWork:
         connection = self.connection
         self.changes = Changes(connection)
         self.chunks = ChunkStore(connection)
+        self.stale_spans = StaleSpanStore(connection)
         self.registry = RegistryStore(connection, self.changes, self.shipped)
         self.tracks = TrackStore(connection)
         self.windows = WindowStore(connection, self.changes, self.files)

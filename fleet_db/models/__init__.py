@@ -10,6 +10,7 @@ from fleet_db.models.idempotency import IdempotencyRow
 from fleet_db.models.jobs import JobRunRow
 from fleet_db.models.measured_profiles import MeasuredProfilesRow
 from fleet_db.models.mountings import MountingRow
+from fleet_db.models.stale_spans import StaleSpanRow
 from fleet_db.models.suspension import SuspensionFindingRow
 from fleet_db.models.tracks import (
     TrackAlignmentRow,
@@ -37,6 +38,7 @@ __all__ = [
     "MeasuredProfilesRow",
     "MountingRow",
     "ReprofilingRow",
+    "StaleSpanRow",
     "SuspensionFindingRow",
     "TrackAlignmentRow",
     "TrackLayoutRow",

@@ -1,0 +1,55 @@
+"""Spans of a vehicle's clock whose windows are no longer what recordings, registry and catalogue give."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, delete, insert, select
+
+from fleet_db.models import StaleSpanRow
+from fleet_db.rows import table_of
+
+SPANS = table_of(StaleSpanRow)
+
+EARLIEST_NS, LATEST_NS = -(1 << 62), 1 << 62
+"""Ends of a span that is open."""
+
+
+@dataclass(frozen=True, slots=True)
+class StaleSpan:
+    """Windows of a vehicle that overlap ``[from_ns, to_ns)`` are to be assembled again, and why."""
+
+    id: int
+    vehicle: str
+    from_ns: int
+    to_ns: int
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class StaleSpanStore:
+    """Stale spans, in one transaction."""
+
+    connection: Connection
+
+    def add(self, vehicle: str, from_ns: int | None, to_ns: int | None, cause: str) -> None:
+        """Let the windows of a vehicle in ``[from_ns, to_ns)`` be assembled again; None is an open end.
+
+        Called in the transaction that changes what they are made from; the vehicle need not be registered.
+        """
+        begin = EARLIEST_NS if from_ns is None else from_ns
+        end = LATEST_NS if to_ns is None else to_ns
+        if end > begin:
+            self.connection.execute(insert(SPANS).values(vehicle=vehicle, from_ns=begin, to_ns=end, cause=cause))
+
+    def all(self, vehicle: str | None = None) -> Sequence[StaleSpan]:
+        """Return the stale spans, of one vehicle or of all, by vehicle and begin."""
+        statement = select(SPANS).order_by(SPANS.c.vehicle, SPANS.c.from_ns, SPANS.c.id)
+        if vehicle is not None:
+            statement = statement.where(SPANS.c.vehicle == vehicle)
+        return [StaleSpan(**row._mapping) for row in self.connection.execute(statement)]  # noqa: SLF001 - public accessor of SQLAlchemy
+
+    def remove(self, spans: Sequence[StaleSpan]) -> None:
+        """Remove spans whose windows have been assembled again, in the transaction that stores those."""
+        self.connection.execute(delete(SPANS).where(SPANS.c.id.in_([span.id for span in spans])))
