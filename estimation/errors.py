@@ -14,6 +14,7 @@ mistake of ours or bad input from the outside world, and carries its facts as fi
     │   └── ParameterError         a parameter outside its range
     ├── NotFoundError              no such fleet, vehicle, wheelset, section, alert, job
     ├── ConflictError              the thing is not in the state that the request assumes
+    ├── PassingFaultError          the machine cannot do it now: no space, mount, permission, memory, extra
     ├── StoppedError               a job ended between two batches because the process is stopping
     └── StorageError               the database or the window files
         ├── DamagedError           something that was stored is missing or damaged; the rest is whole
@@ -111,6 +112,26 @@ class ConflictError(TreadwatchError):
         self.kind = kind
         self.key = key
         super().__init__(reason)
+
+
+class PassingFaultError(TreadwatchError):
+    """The machine cannot do it now, and nothing is wrong with the input.
+
+    No space, no mount, no permission, no memory or process to be had, a missing extra: the same again succeeds once
+    the fault is mended.
+
+    Parameters
+    ----------
+    reason
+        What could not be done, in one sentence, without the place.
+    file
+        The file it was to be done with, if any.
+    """
+
+    def __init__(self, reason: str, *, file: Path | str | None = None) -> None:
+        self.reason = reason
+        self.file = str(file) if file is not None else None
+        super().__init__(reason if self.file is None else f"{self.file}: {reason}")
 
 
 class StoppedError(TreadwatchError):
