@@ -10,7 +10,7 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine
 
 from fleet_db.changes import Changes
-from fleet_db.locks import file_scheduler_lock, postgresql_scheduler_lock, single_writer
+from fleet_db.locks import file_scheduler_lock, postgresql_scheduler_lock, serialise_vehicle, single_writer
 from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, sqlite_file, translate_errors
 from fleet_db.stores.alerts import AlertStore
 from fleet_db.stores.bin_tables import BinTableStore
@@ -67,6 +67,13 @@ class SqlUnitOfWork:
         self.alerts = AlertStore(connection, self.writing, self.changes)
         self.jobs = JobRunStore(connection)
         self.idempotency = IdempotencyStore(connection)
+
+    def assemble_alone(self, vehicle: str) -> None:
+        """Let nobody else store windows or receipts of a vehicle until this transaction has ended.
+
+        To be called first in the transaction; what is read after it is what the one before has left.
+        """
+        serialise_vehicle(self.connection, vehicle)
 
 
 @dataclass(frozen=True, slots=True)

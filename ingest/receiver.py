@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from estimation.errors import ConflictError, LogFileError, NotFoundError, StorageError, TreadwatchError
+from estimation.errors import ConflictError, LogFileError, NotFoundError, TreadwatchError
 from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
@@ -30,8 +30,9 @@ from ingest.own_bus.choice import BusChoice
 from ingest.recordings import Recording, Recordings
 
 SECOND_NS = 1_000_000_000
-MAX_ATTEMPTS = 20
 READ_AHEAD = 3
+ATTEMPTS_BESIDE_OTHERS = 3
+"""How often a recording is assembled while others are stored, before the others have to wait for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,22 +231,24 @@ class Receiver:
 
     def _decode(self, record: ChunkRecord, recording: Recording) -> tuple[ChunkRecord, int]:
         """Assemble the windows that a stored recording touches; return its new receipt and how many changed."""
-        for _ in range(MAX_ATTEMPTS):
-            try:
+        try:
+            for _ in range(ATTEMPTS_BESIDE_OTHERS):
                 with self._storage.read() as unit:
                     assembly = self._assembler.assemble(unit, record, recording)
-            except NotFoundError as error:
                 with self._storage.write() as unit:
-                    unit.chunks.update(replace(record, reason=Reason(ReasonCode.VEHICLE_UNKNOWN, str(error))))
-                raise
+                    unit.assemble_alone(record.vehicle)
+                    again = self._assembler.sources(unit, record, recording)
+                    if {source.digest for source in again} == assembly.sources:
+                        return assembly.receipts[0], self._commit(unit, assembly)
+                # another recording of the vehicle was committed meanwhile
             with self._storage.write() as unit:
-                again = self._assembler.sources(unit, record, recording)
-                if {source.digest for source in again} == assembly.sources:
-                    return assembly.receipts[0], self._commit(unit, assembly)
-            # another recording of the vehicle was committed meanwhile
-        raise StorageError(
-            f"recording {record.digest}: its neighbours changed {MAX_ATTEMPTS} times while it was decoded"
-        )
+                unit.assemble_alone(record.vehicle)
+                assembly = self._assembler.assemble(unit, record, recording)
+                return assembly.receipts[0], self._commit(unit, assembly)
+        except NotFoundError as error:
+            with self._storage.write() as unit:
+                unit.chunks.update(replace(record, reason=Reason(ReasonCode.VEHICLE_UNKNOWN, str(error))))
+            raise
 
     def _commit(self, unit: SqlUnitOfWork, assembly: Assembly) -> int:
         changed = 0
