@@ -33,6 +33,7 @@ class Subject(IntEnum):
     GEOMETRIES = 4
     TRACKS = 5
     MIGRATION = 6
+    KEEPING = 7
 
 
 def serialise(connection: Connection, subject: Subject) -> None:

@@ -53,6 +53,17 @@ def database_engine(url: str) -> Engine:
     raise ParameterError(f"names {parsed.drivername!r}; known are sqlite and postgresql", field="database_url")
 
 
+def read_only_engine(file: Path) -> Engine:
+    """Return an engine on an SQLite file that nobody writes to, such as that of a backup; it changes no byte of it.
+
+    Parameters
+    ----------
+    file
+        The database file, without a log beside it.
+    """
+    return sqlalchemy.create_engine(f"sqlite+pysqlite:///{file.resolve().as_uri()}?mode=ro&immutable=1&uri=true")
+
+
 def sqlite_file(engine: Engine) -> Path | None:
     """Return the database file of an SQLite engine, None on PostgreSQL."""
     return Path(str(engine.url.database)) if engine.dialect.name == "sqlite" else None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import typer
 
 db = typer.Typer(no_args_is_help=True, help="Upgrade or check the database.", rich_markup_mode=None)
@@ -17,7 +19,12 @@ def upgrade_database() -> None:
 
 
 @db.command("check")
-def check_database() -> None:
+def check_database(
+    *,
+    deep: Annotated[
+        bool, typer.Option("--deep", help="Read everything that is stored; compare rows, files and digests.")
+    ] = False,
+) -> None:
     """Check that the database answers and is at the migration that this version needs."""
     from api.settings import load_settings
     from fleet_db.revisions import check_head, head
@@ -29,3 +36,7 @@ def check_database() -> None:
     finally:
         engine.dispose()
     typer.echo(f"the database is at migration {head()}, as this version needs")
+    if deep:
+        from api.terminal.keeping import check_and_report
+
+        check_and_report()

@@ -1,0 +1,127 @@
+"""Backup, restore and deep check on the terminal: progress, a summary, and an exit code that a script can use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from api.factory import SystemClock, open_store
+from api.settings import load_settings
+from fleet_db.keeping.backup import back_up
+from fleet_db.keeping.deep_check import DeepCheck, check_deep
+from fleet_db.keeping.restore import restore
+
+LISTED = 50
+"""Findings that are printed; the rest is counted."""
+
+
+def back_up_and_report(folder: Path, *, windows: bool) -> None:
+    """Write a backup and print what it holds.
+
+    Parameters
+    ----------
+    folder
+        Of the backups.
+    windows
+        Whether with the samples of windows.
+
+    Raises
+    ------
+    ConflictError
+        Another backup, restore or purge is running.
+    StorageError
+        Database, data folder or backup folder cannot be used.
+    typer.Exit
+        Code 1: files that the database refers to are missing or damaged; they are listed.
+    """
+    with closing(open_store(load_settings())) as storage, _progress("backing up files") as progress:
+        manifest = back_up(storage, folder, SystemClock().now_ns(), windows=windows, progress=progress)
+    typer.echo(
+        f"backup {manifest.name}: {sum(manifest.rows.values()):,} rows, {manifest.raw_files:,} recordings, "
+        f"{manifest.window_files:,} windows, {manifest.file_bytes:,} bytes of files"
+    )
+    _list("not in the backup", manifest.missing)
+
+
+def restore_and_report(folder: Path, name: str | None) -> None:
+    """Restore a backup and print what is there now.
+
+    Parameters
+    ----------
+    folder
+        Of the backups.
+    name
+        Of the backup; None for the newest.
+
+    Raises
+    ------
+    InputError
+        There is no such backup, or it is damaged.
+    ConflictError
+        The database has content.
+    StorageError
+        Database or data folder cannot be used.
+    typer.Exit
+        Code 1: files are missing; they are listed.
+    """
+    settings = load_settings()
+    with _progress("restoring files") as progress:
+        restored = restore(settings.url, settings.data_dir, folder, name, progress=progress)
+    typer.echo(
+        f"restored backup {restored.manifest.name}: {sum(restored.rows.values()):,} rows, {restored.files:,} files"
+    )
+    if restored.stale_vehicles:
+        typer.echo(f"windows are made again by the next ingest or job: {', '.join(restored.stale_vehicles)}")
+    _list("could not be restored", restored.missing)
+
+
+def check_and_report() -> None:
+    """Compare everything that is stored and print what does not belong together.
+
+    Raises
+    ------
+    MigrationError
+        The database is at another migration.
+    StorageError
+        Database or data folder cannot be used.
+    typer.Exit
+        Code 1: something is damaged or lost.
+    """
+    with closing(open_store(load_settings())) as storage, _progress("reading files") as progress:
+        found = check_deep(storage, progress)
+    typer.echo(f"read {found.files:,} files and {found.rows:,} packed values: {_verdict(found)}")
+    lines = [f"{finding.kind}: {finding.subject}: {finding.detail}" for finding in found.findings]
+    for line in lines[:LISTED]:
+        typer.echo(line)
+    if len(lines) > LISTED:
+        typer.echo(f"and {len(lines) - LISTED:,} more")
+    if found.damaged:
+        raise typer.Exit(1)
+
+
+def _verdict(found: DeepCheck) -> str:
+    harmful = sum(not finding.harmless for finding in found.findings)
+    orphans = len(found.findings) - harmful
+    return f"{harmful:,} damaged or lost, {orphans:,} files that nothing refers to"
+
+
+def _list(what: str, lines: tuple[str, ...]) -> None:
+    for line in lines[:LISTED]:
+        typer.echo(f"{what}: {line}")
+    if len(lines) > LISTED:
+        typer.echo(f"{what}: {len(lines) - LISTED:,} more")
+    if lines:
+        raise typer.Exit(1)
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
+    columns = (SpinnerColumn(), TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("", total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)

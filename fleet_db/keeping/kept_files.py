@@ -1,0 +1,149 @@
+"""The files that the rows of a database refer to: raw recordings and samples of windows."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from sqlalchemy import Connection, select
+
+from estimation.errors import DamagedError, StorageError
+from fleet_db.atomic_files import sync_directory
+from fleet_db.keeping.manifest import sha256_of
+from fleet_db.models import ChunkRow, WindowRow
+from fleet_db.raw import RawStore
+from fleet_db.rows import table_of
+from fleet_db.telemetry import WindowFiles, unpack_window, window_digest
+
+CHUNKS, WINDOWS = table_of(ChunkRow), table_of(WindowRow)
+RAW, SAMPLES = "raw", "windows"
+
+
+@dataclass(frozen=True, slots=True)
+class KeptFile:
+    """A file that a row refers to.
+
+    Attributes
+    ----------
+    kind
+        ``raw`` or ``windows``: its directory in the data folder.
+    digest
+        That its content must have: of its bytes, or of the window in it.
+    size
+        In bytes.
+    path
+        Relative to the data folder.
+    owner
+        Whose it is, for messages.
+    """
+
+    kind: str
+    digest: str
+    size: int
+    path: Path
+    owner: str
+
+    def fault(self, folder: Path) -> str | None:
+        """Return what is wrong with this file in a data folder or backup; None where nothing is.
+
+        Raises
+        ------
+        StorageError
+            It cannot be read now; it may be whole.
+        """
+        place = folder / self.path
+        try:
+            found = place.stat().st_size
+            if found != self.size:
+                return f"has {found} bytes, not {self.size}"
+            return None if self._digest(place) == self.digest else "holds other content than its name says"
+        except FileNotFoundError:
+            return "is missing"
+        except DamagedError:
+            return "is damaged"
+        except OSError as error:
+            raise StorageError(f"{place}: cannot be read: {error.strerror}") from error
+
+    def _digest(self, place: Path) -> str:
+        if self.kind == RAW:
+            return sha256_of(place)
+        return window_digest(unpack_window(place.read_bytes(), where=str(place)))
+
+
+def kept_files(connection: Connection, *, windows: bool = True) -> Iterator[KeptFile]:
+    """Yield every file that the rows refer to, each once.
+
+    Parameters
+    ----------
+    connection
+        Of a transaction that sees one snapshot.
+    windows
+        Whether those of windows, too.
+    """
+    raw, samples = RawStore(Path(RAW)), WindowFiles(Path(SAMPLES))
+    chunks = select(CHUNKS.c.digest, CHUNKS.c.suffix, CHUNKS.c.size_bytes, CHUNKS.c.vehicle).order_by(CHUNKS.c.digest)
+    for row in connection.execute(chunks):
+        path = raw.path(row.digest, row.suffix)
+        yield KeptFile(RAW, row.digest, row.size_bytes, path, f"recording {row.digest[:12]} of vehicle {row.vehicle}")
+    if not windows:
+        return
+    columns = (WINDOWS.c.content_digest, WINDOWS.c.sample_bytes, WINDOWS.c.wheelset, WINDOWS.c.start_ns)
+    found = connection.execution_options(yield_per=2000).execute(select(*columns).order_by(WINDOWS.c.content_digest))
+    last = ""
+    for row in found:
+        if row.content_digest != last:
+            owner = f"window {row.wheelset}@{row.start_ns}"
+            yield KeptFile(SAMPLES, row.content_digest, row.sample_bytes, samples.path(row.content_digest), owner)
+        last = row.content_digest
+
+
+def copy_kept(file: KeptFile, source: Path, target: Path) -> str | None:
+    """Copy a file from one folder to another, durably, and look at what was copied; return what is wrong with it.
+
+    A file of this content that is there already stays as it is; one of the same name that is not is replaced.
+
+    Parameters
+    ----------
+    file
+        Which.
+    source, target
+        The folders: data folders or backups.
+
+    Raises
+    ------
+    StorageError
+        It cannot be read or written now.
+    """
+    place = target / file.path
+    if file.fault(target) is None:
+        return None
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".copying-", dir=place.parent) as folder:
+            copy = KeptFile(file.kind, file.digest, file.size, Path(place.name), file.owner)
+            part = Path(folder) / place.name
+            shutil.copyfile(source / file.path, part)
+            fault = copy.fault(Path(folder))
+            if fault is not None:
+                return fault
+            _synchronise(part)
+            part.replace(place)
+        sync_directory(place.parent)
+        sync_directory(place.parent.parent)
+    except FileNotFoundError:
+        return "is missing"
+    except OSError as error:
+        raise StorageError(f"{file.path}: cannot be copied: {error.strerror}") from error
+    return None
+
+
+def _synchronise(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,127 @@
+"""What a backup holds: one small file beside it, written last, so that a backup without it never counts."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+from estimation.errors import InputError
+from fleet_db.atomic_files import write_atomically
+
+FORMAT = "treadwatch-backup-1"
+PREFIX, SUFFIX = "backup-", ".json"
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """One backup in a backup folder; recordings and windows are shared with the others of the folder.
+
+    Attributes
+    ----------
+    name
+        The time of the backup, which is in the names of its files.
+    migration
+        Of the database.
+    database_sha256, database_bytes
+        Of its database file.
+    rows
+        By table.
+    raw_files, window_files, file_bytes
+        That the rows refer to and that the backup holds.
+    missing
+        Files that the rows refer to and that were not there, or damaged, relative to the data folder.
+    windows_kept
+        Whether window files are in the backup; if not, they are made again from the recordings.
+    """
+
+    name: str
+    migration: str
+    database_sha256: str
+    database_bytes: int
+    rows: Mapping[str, int]
+    raw_files: int
+    window_files: int
+    file_bytes: int
+    windows_kept: bool
+    missing: tuple[str, ...] = field(default_factory=tuple)
+
+    def database_file(self, folder: Path) -> Path:
+        """Return where the database of this backup is."""
+        return folder / f"database-{self.name}.sqlite3"
+
+
+def backup_name(now_ns: int) -> str:
+    """Return the name of a backup of this time, in the order of time.
+
+    Parameters
+    ----------
+    now_ns
+        Our time, ns UTC.
+    """
+    seconds, rest = divmod(now_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%dT%H%M%S}.{rest // 1_000_000:03d}Z"
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> Path:
+    """Write the manifest of a backup that is whole; return its file.
+
+    Parameters
+    ----------
+    folder
+        Of the backups.
+    manifest
+        Of this one.
+    """
+    path = folder / f"{PREFIX}{manifest.name}{SUFFIX}"
+    content = json.dumps({"format": FORMAT, **asdict(manifest)}, indent=1).encode()
+    write_atomically(path, content + b"\n", durable=True)
+    return path
+
+
+def read_manifest(folder: Path, name: str | None = None) -> Manifest:
+    """Return the manifest of a backup, of the newest where none is named.
+
+    Parameters
+    ----------
+    folder
+        Of the backups.
+    name
+        Of one of them.
+
+    Raises
+    ------
+    InputError
+        There is none, or it is damaged; names the file.
+    """
+    names = sorted(path.name.removeprefix(PREFIX).removesuffix(SUFFIX) for path in folder.glob(f"{PREFIX}*{SUFFIX}"))
+    if not names:
+        raise InputError("holds no finished backup", file=folder)
+    chosen = names[-1] if name is None else name
+    if chosen not in names:
+        raise InputError(f"holds no backup {chosen!r}; there are {', '.join(names)}", file=folder)
+    path = folder / f"{PREFIX}{chosen}{SUFFIX}"
+    try:
+        fields = json.loads(path.read_bytes())
+        found = fields.pop("format")
+        manifest = Manifest(**{**fields, "missing": tuple(fields["missing"])})
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise InputError("is no manifest of a backup", file=path) from error
+    if found != FORMAT:
+        raise InputError(f"has format {found!r}; this version reads {FORMAT!r}", file=path)
+    return manifest
+
+
+def sha256_of(path: Path) -> str:
+    """Return the sha256 of a file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    """
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,0 +1,221 @@
+"""A backup becomes an installation again: into an empty database and a data folder, verified."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from sqlalchemy import Connection, Engine, exists, inspect, select
+
+from estimation.errors import ConflictError, InputError, StorageError
+from fleet_db.atomic_files import sync_directory
+from fleet_db.keeping.copied_rows import copy_rows, row_counts
+from fleet_db.keeping.exclusive import keeping_alone
+from fleet_db.keeping.kept_files import SAMPLES, KeptFile, copy_kept, kept_files
+from fleet_db.keeping.manifest import Manifest, read_manifest, sha256_of
+from fleet_db.migrate import upgrade
+from fleet_db.models import Base, WindowRow
+from fleet_db.revisions import known_revisions
+from fleet_db.rows import table_of
+from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, sqlite_file, translate_errors
+from fleet_db.stores.stale_spans import StaleSpanStore
+
+WINDOWS = table_of(WindowRow)
+CONTENT = ("fleets", "vehicles", "wheelsets", "track_sections", "chunks")
+CAUSE = "restored without the files of its windows"
+
+
+@dataclass(frozen=True, slots=True)
+class Restored:
+    """What a restore did.
+
+    Attributes
+    ----------
+    manifest
+        Of the backup.
+    rows
+        By table, as they are now.
+    files
+        Number of files that are there.
+    missing
+        Files that the backup does not hold, or only damaged; each with whose it is.
+    stale_vehicles
+        Vehicles whose windows are made again from their recordings.
+    """
+
+    manifest: Manifest
+    rows: dict[str, int]
+    files: int
+    missing: tuple[str, ...]
+    stale_vehicles: tuple[str, ...]
+
+
+def restore(
+    url: str, data_dir: Path, folder: Path, name: str | None = None, *, progress: Callable[[int, int], None]
+) -> Restored:
+    """Restore a backup; files first, then all rows in one step, so that an interrupted restore can be repeated.
+
+    Parameters
+    ----------
+    url
+        Of the database: one without content, SQLite or PostgreSQL whatever the backup was made of.
+    data_dir
+        Data folder; files in it stay.
+    folder
+        Of the backups.
+    name
+        Of the backup; the newest where left out.
+    progress
+        Called with (done, total) files.
+
+    Raises
+    ------
+    InputError
+        There is no such backup, its database is damaged, or it is of a newer version.
+    ConflictError
+        The database has content, or another backup, restore or purge is running.
+    StorageError
+        The database or a file cannot be read or written.
+    """
+    manifest = read_manifest(folder, name)
+    _check(manifest, folder)
+    engine = database_engine(url)
+    try:
+        with keeping_alone(engine):
+            _check_without_content(engine)
+            return _restored(engine, url, data_dir, folder, manifest, progress)
+    finally:
+        engine.dispose()
+
+
+def _check(manifest: Manifest, folder: Path) -> None:
+    database = manifest.database_file(folder)
+    if not database.is_file():
+        raise InputError("the database of the backup is missing", file=database)
+    if sha256_of(database) != manifest.database_sha256:
+        raise InputError(
+            "the database of the backup is damaged: it has another sha256 than its manifest", file=database
+        )
+    if manifest.migration not in known_revisions():
+        reason = f"is of a newer version: migration {manifest.migration}, this version knows {known_revisions()[-1]}"
+        raise InputError(reason, file=database)
+
+
+def _check_without_content(engine: Engine) -> None:
+    file = sqlite_file(engine)
+    if file is not None and not file.exists():
+        return
+    with translate_errors(), engine.connect() as connection:
+        there = set(inspect(connection).get_table_names()) & set(CONTENT)
+        tables = [Base.metadata.tables[one] for one in sorted(there)]
+        full = [table.name for table in tables if connection.scalar(select(exists().select_from(table)))]
+    if full:
+        reason = f"the database has content ({', '.join(full)}); restore into an empty one"
+        raise ConflictError(reason, kind="database", key=full[0])
+
+
+def _restored(
+    engine: Engine, url: str, data_dir: Path, folder: Path, manifest: Manifest, progress: Callable[[int, int], None]
+) -> Restored:
+    data_dir.mkdir(parents=True, exist_ok=True)
+    with _at_this_version(manifest, folder, data_dir) as database:
+        reading = read_only_engine(database)
+        try:
+            with translate_errors(), reading.connect() as source:
+                files = list(kept_files(source, windows=manifest.windows_kept))
+                lost = [
+                    (file, fault) for file, fault in _copied(files, folder, data_dir, progress) if fault is not None
+                ]
+                stale = _stale(source, manifest, [file for file, _ in lost])
+                rows = _store_rows(engine, url, source, database, stale)
+        finally:
+            reading.dispose()
+    missing = tuple(f"{file.path} {fault} ({file.owner})" for file, fault in lost)
+    return Restored(manifest, rows, len(files) - len(lost), missing, stale)
+
+
+@contextmanager
+def _at_this_version(manifest: Manifest, folder: Path, data_dir: Path) -> Iterator[Path]:
+    """Yield a copy of the database of a backup, brought to the migration of this version."""
+    with tempfile.TemporaryDirectory(prefix=".restoring-", dir=data_dir) as name:
+        database = Path(name) / "database.sqlite3"
+        shutil.copyfile(manifest.database_file(folder), database)
+        upgrade(f"sqlite:///{database.resolve()}")
+        yield _without_log(database)
+
+
+def _without_log(database: Path) -> Path:
+    """Return the file after its write-ahead log went into it."""
+    with closing(sqlite3.connect(database)) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+    return database
+
+
+def _copied(
+    files: list[KeptFile], folder: Path, data_dir: Path, progress: Callable[[int, int], None]
+) -> Iterator[tuple[KeptFile, str | None]]:
+    for done, file in enumerate(files, start=1):
+        yield file, copy_kept(file, folder, data_dir)
+        progress(done, len(files))
+
+
+def _stale(source: Connection, manifest: Manifest, lost: list[KeptFile]) -> tuple[str, ...]:
+    """Return the vehicles whose window files are not all there."""
+    statement = select(WINDOWS.c.vehicle).distinct().order_by(WINDOWS.c.vehicle)
+    if manifest.windows_kept:
+        digests = [file.digest for file in lost if file.kind == SAMPLES]
+        statement = statement.where(WINDOWS.c.content_digest.in_(digests))
+    return tuple(source.scalars(statement))
+
+
+def _store_rows(engine: Engine, url: str, source: Connection, database: Path, stale: tuple[str, ...]) -> dict[str, int]:
+    """Put all rows into the database in one step; return their numbers by table."""
+    file = sqlite_file(engine)
+    if file is None:
+        upgrade(url)
+        with translate_errors(), engine.connect() as target, target.begin():
+            copy_rows(source, target)
+            return _finished(target, stale)
+    engine.dispose()
+    part = file.with_name(f".{file.name}.restoring")
+    try:
+        shutil.copyfile(database, part)
+        new = database_engine(f"sqlite:///{part.resolve()}")
+        try:
+            with translate_errors(), new.connect().execution_options(**IMMEDIATE) as target, target.begin():
+                rows = _finished(target, stale)
+        finally:
+            new.dispose()
+        _without_log(part)
+        _into_place(part, file)
+    except OSError as error:
+        raise StorageError(f"{file}: cannot be written: {error.strerror}") from error
+    finally:
+        part.unlink(missing_ok=True)
+    return rows
+
+
+def _into_place(part: Path, file: Path) -> None:
+    handle = os.open(part, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+    for leftover in ("-wal", "-shm"):
+        file.with_name(f"{file.name}{leftover}").unlink(missing_ok=True)
+    part.replace(file)
+    sync_directory(file.parent)
+
+
+def _finished(target: Connection, stale: tuple[str, ...]) -> dict[str, int]:
+    """Let windows without files be made again; return the numbers of rows."""
+    spans = StaleSpanStore(target)
+    for vehicle in stale:
+        spans.add(vehicle, None, None, CAUSE)
+    return row_counts(target)

@@ -1,0 +1,272 @@
+"""A backup holds everything, is verified, and becomes the same installation again, on either database."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import sqlalchemy
+import stored_values as make
+from in_process_command import Run
+
+from estimation.errors import ConflictError, InputError
+from estimation.values.alerts import AlertEventKind
+from estimation.values.runs import JobTrigger
+from estimation.values.windows import WindowState
+from fleet_db.keeping.backup import back_up
+from fleet_db.keeping.deep_check import check_deep
+from fleet_db.keeping.exclusive import keeping_alone
+from fleet_db.keeping.manifest import read_manifest
+from fleet_db.keeping.restore import restore
+from fleet_db.migrate import upgrade
+from fleet_db.models import Base
+from fleet_db.raw import RawStore
+from fleet_db.receipts import ChunkState
+from fleet_db.session import database_engine
+from fleet_db.storage import SqlStorage
+
+RECORDING = b"frames of V-1" * 1000
+
+
+def quietly(_done: int, _total: int) -> None:
+    """Show no progress."""
+
+
+def fill(storage: SqlStorage) -> None:
+    """Store one of everything: a recording, windows with tables, a geometry, a trend, alerts, an alignment."""
+    digest = RawStore(storage.data_dir / "raw").put_bytes(RECORDING, ".blf")
+    with storage.write() as unit:
+        record = replace(make.CHUNK, digest=digest, size_bytes=len(RECORDING), state=ChunkState.DECODED,
+                         first_ns=make.START, last_ns=make.START + 1, counts={"frames": 3})  # fmt: skip
+        unit.chunks.put(record)
+        for index in range(3):
+            window = make.window(index)
+            unit.windows.put(window, 100.0 + index, make.START)
+            stored = unit.windows.get("WS-1", window.start_ns)
+            assert stored is not None
+            unit.tables.put("WS-1", window.start_ns, make.bin_table(index), None, stored.content_digest)
+            unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED)
+        unit.tracks.add_alignment(make.alignment(3))
+        unit.tracks.add_layout(make.layout(1))
+        unit.registry.add_measured_profiles(make.measured_profiles(make.START))
+        unit.geometries.put(make.geometry_record())
+        unit.jobs.start("refresh_geometry", JobTrigger.CLI, 5)
+        member = unit.alerts.save(make.ALERT, [AlertEventKind.RAISED], 5)
+        fleet = replace(make.ALERT, wheelset=None, kind="fleet_conicity_limit")
+        raised = unit.alerts.save(fleet, [AlertEventKind.RAISED], 6)
+        unit.alerts.save(replace(member, fleet_alert_id=raised.alert_id), [AlertEventKind.UPDATED], 7)
+
+
+def contents(storage: SqlStorage) -> dict[str, list[tuple[object, ...]]]:
+    """Return every row of every table."""
+    with storage.engine.connect() as connection:
+        return {
+            table.name: list(map(tuple, connection.execute(sqlalchemy.select(table).order_by(*table.primary_key))))
+            for table in Base.metadata.sorted_tables
+        }
+
+
+@pytest.fixture
+def full(fleet: SqlStorage) -> SqlStorage:
+    """Return a storage with one of everything."""
+    fill(fleet)
+    return fleet
+
+
+@pytest.fixture
+def embedded(sqlite_storage: SqlStorage) -> SqlStorage:
+    """Return a storage on SQLite with one of everything."""
+    make.populate(sqlite_storage)
+    fill(sqlite_storage)
+    return sqlite_storage
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def target_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Return the URL of a database without a table, once on each."""
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'restored' / 'treadwatch.sqlite'}"
+    url: str = request.getfixturevalue("empty_postgres_url")
+    return url
+
+
+@pytest.fixture
+def file_url(tmp_path: Path) -> str:
+    """Return the URL of an SQLite file that is not there."""
+    return f"sqlite:///{tmp_path / 'restored' / 'treadwatch.sqlite'}"
+
+
+@pytest.fixture
+def opened(target_url: str, tmp_path: Path) -> Iterator[SqlStorage]:
+    """Yield the storage that a restore fills; nothing is connected before it is used."""
+    with closing(SqlStorage(database_engine(target_url), tmp_path / "restored")) as storage:
+        yield storage
+
+
+def test_a_backup_becomes_the_same_installation(
+    full: SqlStorage, target_url: str, opened: SqlStorage, tmp_path: Path
+) -> None:
+    manifest = back_up(full, tmp_path / "backups", make.START, progress=quietly)
+    assert (manifest.raw_files, manifest.window_files, manifest.missing) == (1, 3, ())
+    assert {name: count for name, count in manifest.rows.items() if count} == {
+        name: len(rows) for name, rows in contents(full).items() if rows
+    }
+    restored = restore(target_url, tmp_path / "restored", tmp_path / "backups", progress=quietly)
+    assert (restored.files, restored.missing, restored.stale_vehicles) == (4, (), ())
+    assert contents(opened) == contents(full)
+    assert check_deep(opened, quietly).findings == ()
+    with opened.write() as unit:  # numbers go on where they were
+        assert unit.jobs.start("refresh_geometry", JobTrigger.CLI, 6).run_id == 2
+        assert make.same(unit.windows.load("WS-1", make.START), make.window())
+
+
+def test_a_second_backup_copies_what_is_new(embedded: SqlStorage, tmp_path: Path) -> None:
+    first = back_up(embedded, tmp_path / "b", make.START, progress=quietly)
+    raw = next((tmp_path / "b" / "raw").rglob("*.blf"))
+    before = raw.stat().st_ino
+    with embedded.write() as unit:
+        unit.windows.put(make.window(7), 107.0, make.START)
+    second = back_up(embedded, tmp_path / "b", make.START + 10**9, progress=quietly)
+    assert raw.stat().st_ino == before
+    assert (first.window_files, second.window_files) == (3, 4)
+    assert read_manifest(tmp_path / "b") == second
+    assert read_manifest(tmp_path / "b", first.name) == first
+
+
+def test_without_windows_they_are_made_again(
+    embedded: SqlStorage, target_url: str, opened: SqlStorage, tmp_path: Path
+) -> None:
+    back_up(embedded, tmp_path / "b", make.START, windows=False, progress=quietly)
+    assert not (tmp_path / "b" / "windows").exists()
+    restored = restore(target_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+    assert restored.stale_vehicles == ("V-1",)
+    with opened.read() as unit:
+        assert [span.vehicle for span in unit.stale_spans.all()] == ["V-1"]
+
+
+def test_a_damaged_file_is_named_and_the_rest_restored(
+    embedded: SqlStorage, target_url: str, opened: SqlStorage, tmp_path: Path
+) -> None:
+    back_up(embedded, tmp_path / "b", make.START, progress=quietly)
+    raw = next((tmp_path / "b" / "raw").rglob("*.blf"))
+    raw.write_bytes(RECORDING[:-1] + b"?")
+    min((tmp_path / "b" / "windows").rglob("*.window")).unlink()
+    restored = restore(target_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+    assert restored.files == 2
+    assert [line.split(" (")[0].split(" ", 1)[1] for line in sorted(restored.missing)] == [
+        "holds other content than its name says",
+        "is missing",
+    ]
+    assert restored.stale_vehicles == ("V-1",)
+    assert {finding.kind for finding in check_deep(opened, quietly).findings} == {"recording", "window file"}
+
+
+def test_a_damaged_database_is_refused(embedded: SqlStorage, file_url: str, tmp_path: Path) -> None:
+    manifest = back_up(embedded, tmp_path / "b", make.START, progress=quietly)
+    file = manifest.database_file(tmp_path / "b")
+    content = bytearray(file.read_bytes())
+    content[5000] ^= 1
+    file.write_bytes(content)
+    with pytest.raises(InputError, match="another sha256"):
+        restore(file_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+    file.unlink()
+    with pytest.raises(InputError, match="is missing"):
+        restore(file_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+
+
+def test_a_database_with_content_is_refused(full: SqlStorage, tmp_path: Path) -> None:
+    back_up(full, tmp_path / "b", make.START, progress=quietly)
+    url = full.engine.url.render_as_string(hide_password=False)
+    before = contents(full)
+    with pytest.raises(ConflictError, match=r"has content \(chunks, fleets"):
+        restore(url, full.data_dir, tmp_path / "b", progress=quietly)
+    assert contents(full) == before
+
+
+def test_an_interrupted_restore_is_repeated(
+    embedded: SqlStorage, target_url: str, opened: SqlStorage, tmp_path: Path
+) -> None:
+    class PowerCutError(Exception):
+        """The process ends here."""
+
+    def cut(done: int, _total: int) -> None:
+        if done == 2:
+            raise PowerCutError
+
+    back_up(embedded, tmp_path / "b", make.START, progress=quietly)
+    with pytest.raises(PowerCutError):
+        restore(target_url, tmp_path / "restored", tmp_path / "b", progress=cut)
+    restore(target_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+    assert contents(opened) == contents(embedded)
+
+
+def test_an_interrupted_backup_does_not_count(embedded: SqlStorage, tmp_path: Path) -> None:
+    def cut(_done: int, _total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        back_up(embedded, tmp_path / "b", make.START, progress=cut)
+    with pytest.raises(InputError, match="holds no finished backup"):
+        read_manifest(tmp_path / "b")
+
+
+def test_a_backup_of_an_older_version_is_brought_to_this_one(
+    embedded: SqlStorage, target_url: str, opened: SqlStorage, tmp_path: Path
+) -> None:
+    """The database of the backup is one of the first migration, as an older version would have written it."""
+    import hashlib  # noqa: PLC0415 - of this test alone
+
+    from alembic import command  # noqa: PLC0415 - of this test alone
+
+    from fleet_db.keeping.manifest import write_manifest  # noqa: PLC0415 - of this test alone
+    from fleet_db.migrate import _config  # noqa: PLC0415 - an upgrade to an older migration
+
+    manifest = back_up(embedded, tmp_path / "b", make.START, progress=quietly)
+    file = manifest.database_file(tmp_path / "b")
+    file.unlink()
+    engine = database_engine(f"sqlite:///{file}")
+    with engine.begin() as connection:
+        config = _config()
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0001")
+        connection.exec_driver_sql("INSERT INTO fleets VALUES ('F-9', 'the ninth')")
+    engine.dispose()
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    write_manifest(tmp_path / "b", replace(manifest, migration="0001", database_sha256=digest))
+    restore(target_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+    with opened.read() as unit:
+        assert [fleet.code for fleet in unit.registry.fleets()] == ["F-9"]
+    write_manifest(tmp_path / "b", replace(manifest, migration="9999", database_sha256=digest))
+    shutil.rmtree(tmp_path / "restored")
+    with pytest.raises(InputError, match="of a newer version"):
+        restore(target_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+
+
+def test_one_at_a_time(full: SqlStorage, tmp_path: Path) -> None:
+    with keeping_alone(full.engine), pytest.raises(ConflictError, match="is running"):
+        back_up(full, tmp_path / "b", make.START, progress=quietly)
+    back_up(full, tmp_path / "b", make.START, progress=quietly)
+
+
+def test_by_command(treadwatch: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TREADWATCH_DATA_DIR", str(tmp_path / "data"))
+    url = f"sqlite:///{tmp_path / 'data' / 'treadwatch.sqlite'}"
+    upgrade(url)
+    with closing(SqlStorage(database_engine(url), tmp_path / "data")) as storage:
+        make.populate(storage)
+        fill(storage)
+    assert treadwatch("backup", "b").returncode == 0
+    shutil.rmtree(tmp_path / "data")
+    done = treadwatch("restore", "b")
+    assert (done.returncode, "4 files" in done.stdout) == (0, True)
+    checked = treadwatch("db", "check", "--deep")
+    assert (checked.returncode, "0 damaged or lost" in checked.stdout) == (0, True)
+    next((tmp_path / "data" / "raw").rglob("*.blf")).unlink()
+    checked = treadwatch("db", "check", "--deep")
+    assert (checked.returncode, "of vehicle V-1: raw/" in checked.stdout) == (1, True)
+    again = treadwatch("backup", "c")
+    assert (again.returncode, "not in the backup: raw/" in again.stdout) == (1, True)
