@@ -126,10 +126,13 @@ class PassingFaultError(TreadwatchError):
         What could not be done, in one sentence, without the place.
     file
         The file it was to be done with, if any.
+    code
+        What is waited for: one of ``estimation.values.quarantine.PASSING``.
     """
 
-    def __init__(self, reason: str, *, file: Path | str | None = None) -> None:
+    def __init__(self, reason: str, *, file: Path | str | None = None, code: str = "waits_for_storage") -> None:
         self.reason = reason
+        self.code = code
         self.file = str(file) if file is not None else None
         super().__init__(reason if self.file is None else f"{self.file}: {reason}")
 

@@ -12,6 +12,7 @@ from typing import Protocol
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, Condition
 from estimation.values.geometry import BinTable, GeometryRecord, TableKey
+from estimation.values.quarantine import Quarantined
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
@@ -166,6 +167,13 @@ class JobRuns(Protocol):
     def get(self, run_id: int) -> JobRun: ...
 
 
+class Quarantine(Protocol):
+    """What failed by itself and is kept apart."""
+
+    def held(self, stage: str | None = None) -> Sequence[Quarantined]: ...
+    def put(self, item: Quarantined) -> None: ...
+
+
 class UnitOfWork(Protocol):
     """One transaction over all stores that the jobs use; ``fleet_db`` has more for those that receive and serve."""
 
@@ -187,6 +195,8 @@ class UnitOfWork(Protocol):
     def alerts(self) -> Alerts: ...
     @property
     def jobs(self) -> JobRuns: ...
+    @property
+    def quarantine(self) -> Quarantine: ...
 
 
 class Storage(Protocol):

@@ -15,6 +15,7 @@ class ChunkState(StrEnum):
     STORED = "stored"  # its bytes are safe
     DECODED = "decoded"
     REJECTED = "rejected"
+    SET_ASIDE = "set_aside"  # by hand: its frames count for no window
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,3 +59,27 @@ class EstimatedAgain:
 
 
 NOTHING_AGAIN = EstimatedAgain()
+
+
+class RecordingAction(StrEnum):
+    """What is done to a recording by hand."""
+
+    RETRY = "retry"
+    SET_ASIDE = "set_aside"
+    RESTORE = "restore"
+    MOVE = "move"
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingChange:
+    """What was done to a recording by hand: when (our time), by whom and why, and how it stood before and after."""
+
+    digest: str
+    action: RecordingAction
+    recorded_ns: int
+    actor: str
+    why: str
+    vehicle_before: str
+    state_before: ChunkState
+    vehicle_after: str
+    state_after: ChunkState

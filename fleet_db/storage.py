@@ -18,6 +18,7 @@ from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.idempotency import IdempotencyStore
 from fleet_db.stores.jobs import JobRunStore
+from fleet_db.stores.quarantine import QuarantineStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.suspension import SuspensionStore
@@ -41,6 +42,7 @@ class SqlUnitOfWork:
     changes: Changes = field(init=False)
     chunks: ChunkStore = field(init=False)
     stale_spans: StaleSpanStore = field(init=False)
+    quarantine: QuarantineStore = field(init=False)
     registry: RegistryStore = field(init=False)
     tracks: TrackStore = field(init=False)
     windows: WindowStore = field(init=False)
@@ -57,6 +59,7 @@ class SqlUnitOfWork:
         self.changes = Changes(connection)
         self.chunks = ChunkStore(connection)
         self.stale_spans = StaleSpanStore(connection)
+        self.quarantine = QuarantineStore(connection)
         self.registry = RegistryStore(connection, self.changes, self.shipped)
         self.tracks = TrackStore(connection)
         self.windows = WindowStore(connection, self.changes, self.files)

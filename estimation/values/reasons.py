@@ -154,6 +154,19 @@ class ReasonCode(StrEnum):
     LOG_DAMAGED = "log_damaged", "The recording is truncated, damaged or no log. Send it again."
     VEHICLE_UNKNOWN = "vehicle_unknown", "The registry does not contain the vehicle. Register it; then decode again."
     WAITS_FOR_TIME = "waits_for_time", "The recording has no TIME frame and waits for the recording next to it."
+    SET_ASIDE = "set_aside", "The recording was set aside by hand. Restore it to count it again."
+    # passing faults, and failures of the program
+    WAITS_FOR_STORAGE = (
+        "waits_for_storage",
+        "The disk is full, not mounted or not permitted. Mend that; what waits is tried again by itself.",
+    )
+    WAITS_FOR_EXTRA = "waits_for_extra", "An extra is not installed. Install it; what waits is tried again by itself."
+    WAITS_FOR_MEMORY = "waits_for_memory", "The system had no memory left. What waits is tried again by itself."
+    CHANGED_MEANWHILE = "changed_meanwhile", "Something else changed it meanwhile. It is tried again by itself."
+    PROCESSING_FAILED = (
+        "processing_failed",
+        "The program failed at it. It is in quarantine and tried again at growing intervals; see the log.",
+    )
     # stored by earlier versions
     OTHER = "other", "A reason that an earlier version stored; see its sentence."
 

@@ -1,0 +1,107 @@
+"""What failed by itself and is kept apart, and when it is tried again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from estimation.values.reasons import ReasonCode
+
+SECOND_NS = 1_000_000_000
+FIRST_DELAY_S = 60.0
+PASSING_FACTOR, PASSING_LONGEST_S = 2.0, 3_600.0
+FAILED_FACTOR, FAILED_LONGEST_S = 4.0, 86_400.0
+
+
+class SubjectKind(StrEnum):
+    """What can fail alone."""
+
+    RECORDING = "recording"
+    WINDOW = "window"
+    WHEELSET = "wheelset"
+    SECTION = "section"
+    VEHICLE = "vehicle"
+    FLEET = "fleet"
+
+
+class QuarantineState(StrEnum):
+    """Whether the last attempt failed."""
+
+    HELD = "held"
+    RESOLVED = "resolved"
+
+
+PASSING = (ReasonCode.WAITS_FOR_STORAGE, ReasonCode.WAITS_FOR_EXTRA, ReasonCode.WAITS_FOR_MEMORY)
+"""Codes of faults that have nothing to do with the input."""
+
+AT_ONCE = (ReasonCode.WAITS_FOR_STORAGE, ReasonCode.WAITS_FOR_EXTRA, ReasonCode.CHANGED_MEANWHILE)
+"""Codes of which the first retry is the next run: it costs little, and the fault has often gone by then."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quarantined:
+    """One thing at which one stage of the work failed.
+
+    Attributes
+    ----------
+    kind, key, stage
+        What, and in which job (``ingest`` for recordings).
+    code, error
+        Why: a stable code and the first line of the error.
+    inputs
+        Digest or counter of what it was made from; with another one it is tried at once.
+    first_ns, last_ns, due_ns
+        First and last failure and begin of the next attempt, ns UTC of our clock.
+    attempts
+        Failures in a row.
+    state
+        Held, or resolved by a later success.
+    """
+
+    kind: SubjectKind
+    key: str
+    stage: str
+    code: ReasonCode
+    error: str
+    inputs: str
+    first_ns: int
+    last_ns: int
+    due_ns: int
+    attempts: int
+    state: QuarantineState = QuarantineState.HELD
+
+    def waits(self, inputs: str, now_ns: int) -> bool:
+        """Whether it is too early for another attempt; never once the clock is behind the last failure.
+
+        Parameters
+        ----------
+        inputs
+            What it would be made from now.
+        now_ns
+            Our time.
+        """
+        return self.state is QuarantineState.HELD and inputs == self.inputs and self.last_ns <= now_ns < self.due_ns
+
+
+def resolved(item: Quarantined) -> Quarantined:
+    """Return ``item`` after a success."""
+    return replace(item, state=QuarantineState.RESOLVED)
+
+
+def delay_s(code: ReasonCode, attempts: int) -> float:
+    """Return how long to wait after so many failures, s: longer each time, up to an hour or a day.
+
+    Parameters
+    ----------
+    code
+        Why it failed.
+    attempts
+        Failures in a row, this one included.
+    """
+    if code in AT_ONCE:
+        attempts -= 1
+    if attempts < 1:
+        return 0.0
+    passing = code in PASSING or code is ReasonCode.CHANGED_MEANWHILE
+    factor, longest = (PASSING_FACTOR, PASSING_LONGEST_S) if passing else (FAILED_FACTOR, FAILED_LONGEST_S)
+    return min(FIRST_DELAY_S * factor ** min(attempts - 1, 20), longest)

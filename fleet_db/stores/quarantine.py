@@ -1,0 +1,67 @@
+"""What failed by itself and is kept apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from sqlalchemy import Connection, Row, select, update
+
+from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
+from estimation.values.reasons import ReasonCode
+from fleet_db.models import QuarantineRow
+from fleet_db.rows import table_of, upsert
+
+ITEMS = table_of(QuarantineRow)
+
+
+@dataclass(frozen=True, slots=True)
+class QuarantineStore:
+    """Implements ``estimation.storage.Quarantine``."""
+
+    connection: Connection
+
+    def get(self, kind: SubjectKind, key: str, stage: str) -> Quarantined | None:
+        """Return what is kept of one thing, held or resolved."""
+        statement = select(ITEMS).where(ITEMS.c.kind == kind.value, ITEMS.c.key == key, ITEMS.c.stage == stage)
+        row = self.connection.execute(statement).first()
+        return None if row is None else _item(row)
+
+    def held(self, stage: str | None = None) -> Sequence[Quarantined]:
+        """Return what is held, of one stage or of all, by last failure."""
+        statement = select(ITEMS).where(ITEMS.c.state == QuarantineState.HELD.value)
+        if stage is not None:
+            statement = statement.where(ITEMS.c.stage == stage)
+        return self._items(statement)
+
+    def all(self, limit: int) -> Sequence[Quarantined]:
+        """Return what is or was held, at most ``limit``, by last failure."""
+        return self._items(select(ITEMS).limit(limit))
+
+    def put(self, item: Quarantined) -> None:
+        """Keep a failure, or its end."""
+        plain = {"kind": item.kind.value, "code": item.code.value, "state": item.state.value}
+        upsert(self.connection, ITEMS, asdict(item) | plain)
+
+    def retry(self, kind: SubjectKind | None = None, key: str | None = None) -> Sequence[Quarantined]:
+        """Let what is held be tried at the next run: all, one kind, or one thing; return what that is."""
+        chosen = [ITEMS.c.state == QuarantineState.HELD.value]
+        chosen += [] if kind is None else [ITEMS.c.kind == kind.value]
+        chosen += [] if key is None else [ITEMS.c.key == key]
+        found = self._items(select(ITEMS).where(*chosen))
+        self.connection.execute(update(ITEMS).where(*chosen).values(due_ns=ITEMS.c.last_ns))
+        return found
+
+    def _items(self, statement: Any) -> Sequence[Quarantined]:  # noqa: ANN401 - a select of any shape
+        ordered = statement.order_by(ITEMS.c.last_ns, ITEMS.c.kind, ITEMS.c.key, ITEMS.c.stage)
+        return [_item(row) for row in self.connection.execute(ordered)]
+
+
+def _item(row: Row[Any]) -> Quarantined:
+    enumerations = {
+        "kind": SubjectKind(row.kind),
+        "code": ReasonCode(row.code),
+        "state": QuarantineState(row.state),
+    }
+    return Quarantined(**{**row._mapping, **enumerations})  # noqa: SLF001 - SQLAlchemy's public accessor
