@@ -10,6 +10,7 @@ from fleet_db.models.idempotency import IdempotencyRow
 from fleet_db.models.jobs import JobRunRow
 from fleet_db.models.measured_profiles import MeasuredProfilesRow
 from fleet_db.models.mountings import MountingRow
+from fleet_db.models.purges import PurgeRow
 from fleet_db.models.quarantine import QuarantineRow, RawMarkRow, RecordingChangeRow
 from fleet_db.models.stale_spans import StaleSpanRow
 from fleet_db.models.suspension import SuspensionFindingRow
@@ -38,6 +39,7 @@ __all__ = [
     "JobRunRow",
     "MeasuredProfilesRow",
     "MountingRow",
+    "PurgeRow",
     "QuarantineRow",
     "RawMarkRow",
     "RecordingChangeRow",

@@ -1,0 +1,174 @@
+"""Deleting what has been kept long enough, in bounded batches, each with its record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Column, ColumnElement, Connection, and_, delete, exists, func, insert, select
+
+from estimation.values.runs import JobOutcome
+from fleet_db.keeping.exclusive import keeping_alone
+from fleet_db.keeping.orphans import LEAST_AGE_S, orphans
+from fleet_db.keeping.retention import DAY_NS, Kept, Retention
+from fleet_db.models import GeometryRow, IdempotencyRow, JobRunRow, PurgeRow, TrackReportRow, TrendRow
+from fleet_db.rows import table_of
+from fleet_db.storage import SqlStorage
+
+RUNS, KEYS, PURGES = table_of(JobRunRow), table_of(IdempotencyRow), table_of(PurgeRow)
+GEOMETRIES, TRENDS, REPORTS = table_of(GeometryRow), table_of(TrendRow), table_of(TrackReportRow)
+BATCH = 1000
+"""Rows a transaction: others wait for a fraction of a second."""
+
+Checkpoint = Callable[[], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Purged:
+    """What a purge deleted of one kind: rows or files, and their bytes where they are files."""
+
+    kind: Kept
+    items: int
+    item_bytes: int = 0
+
+
+def purge(storage: SqlStorage, retention: Retention, now_ns: int, checkpoint: Checkpoint) -> list[Purged]:
+    """Delete what has been kept long enough; return how much of each kind.
+
+    Every batch is a transaction of its own with its record, so that a purge which ends early has done a part.
+
+    Parameters
+    ----------
+    storage
+        Database and data folder.
+    retention
+        Days by kind.
+    now_ns
+        Our time, ns UTC.
+    checkpoint
+        Called between batches; it may raise to end the purge.
+
+    Raises
+    ------
+    ConflictError
+        A backup, restore or other purge is running.
+    StorageError
+        The database or a directory cannot be used.
+    """
+    with keeping_alone(storage.engine):
+        found = []
+        for kind in Kept:
+            before_ns = retention.before_ns(kind, now_ns)
+            if before_ns is not None:
+                found.append(_purge_kind(storage, kind, before_ns, now_ns, checkpoint))
+        return found
+
+
+def _purge_kind(storage: SqlStorage, kind: Kept, before_ns: int, now_ns: int, checkpoint: Checkpoint) -> Purged:
+    if kind is Kept.ORPHANED_FILES:
+        return _purge_orphans(storage, before_ns, now_ns)
+    items = 0
+    for expired in _expired(kind, before_ns):
+        while True:
+            checkpoint()
+            with storage.write() as unit:
+                count = _delete(unit.connection, expired)
+                if count:
+                    record_purge(unit.connection, Purged(kind, count), before_ns, now_ns)
+            items += count
+            if count < BATCH:
+                break
+    return Purged(kind, items)
+
+
+def record_purge(connection: Connection, purged: Purged, before_ns: int, now_ns: int) -> None:
+    """Store what was deleted, in the transaction that deletes it.
+
+    Parameters
+    ----------
+    connection
+        Of that transaction.
+    purged
+        What.
+    before_ns
+        Everything of its kind that is older is gone.
+    now_ns
+        Our time, ns UTC.
+    """
+    values = {"kind": purged.kind.value, "items": purged.items, "item_bytes": purged.item_bytes}
+    connection.execute(insert(PURGES).values(**values, before_ns=before_ns, purged_ns=now_ns))
+
+
+def purged_before(connection: Connection, kind: Kept) -> int | None:
+    """Return the time before which a kind has been deleted; None where nothing has.
+
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    kind
+        Of what was kept.
+    """
+    found: int | None = connection.scalar(select(func.max(PURGES.c.before_ns)).where(PURGES.c.kind == kind.value))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Expired:
+    """Rows of a table to delete: its key, and which of them."""
+
+    key: Column[Any]
+    where: ColumnElement[bool]
+
+
+def _delete(connection: Connection, expired: _Expired) -> int:
+    """Delete one batch; return how many rows it was."""
+    keys = list(connection.scalars(select(expired.key).where(expired.where).limit(BATCH)))
+    if keys:
+        connection.execute(delete(expired.key.table).where(expired.key.in_(keys)))
+    return len(keys)
+
+
+def _expired(kind: Kept, before_ns: int) -> Sequence[_Expired]:
+    """Return the expired rows of a kind, by table."""
+    if kind is Kept.IDEMPOTENCY_KEYS:
+        return [_Expired(KEYS.c.key, KEYS.c.recorded_ns < before_ns)]
+    if kind in {Kept.JOB_RUNS, Kept.FAILED_JOB_RUNS}:
+        later = RUNS.alias("later")
+        same = (later.c.job == RUNS.c.job, later.c.outcome == RUNS.c.outcome)
+        good = RUNS.c.outcome == JobOutcome.SUCCEEDED.value
+        ended = and_(good if kind is Kept.JOB_RUNS else ~good, RUNS.c.finished_ns < before_ns)
+        return [_Expired(RUNS.c.run_id, and_(ended, exists().where(*same, later.c.run_id > RUNS.c.run_id)))]
+    if kind is Kept.TRACK_REPORTS:
+        return [_replaced(REPORTS.c.report_id, ("section", "version"), before_ns)]
+    return [
+        _replaced(GEOMETRIES.c.geometry_id, ("wheelset", "baseline", "baseline_interval"), before_ns),
+        _replaced(TRENDS.c.trend_id, ("wheelset", "baseline", "quantity"), before_ns),
+    ]
+
+
+def _replaced(number: Column[Any], key: Sequence[str], before_ns: int) -> _Expired:
+    """Return the rows that a later one of the same key had replaced before a time."""
+    table = number.table
+    later = table.alias("later")
+    same = [later.c[name].is_not_distinct_from(table.c[name]) for name in key]
+    return _Expired(number, exists().where(*same, later.c[number.name] > number, later.c.recorded_ns < before_ns))
+
+
+def _purge_orphans(storage: SqlStorage, before_ns: int, now_ns: int) -> Purged:
+    """Delete files of ``windows`` that no row refers to; those of ``raw`` may be recordings of a newer database."""
+    age_s = max((now_ns - before_ns) / DAY_NS * 86_400.0, LEAST_AGE_S)
+    items = size = 0
+    for path in orphans(storage, age_s):
+        if path.parts[0] == "raw" and not path.name.startswith("."):
+            continue
+        file = storage.data_dir / path
+        size += file.stat().st_size
+        file.unlink(missing_ok=True)
+        items += 1
+    purged = Purged(Kept.ORPHANED_FILES, items, size)
+    if items:
+        with storage.write() as unit:
+            record_purge(unit.connection, purged, before_ns, now_ns)
+    return purged

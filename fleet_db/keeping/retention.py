@@ -1,0 +1,66 @@
+"""How long what is kept: by kind, in days of our time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from estimation.errors import ParameterError
+
+DAY_NS = 86_400_000_000_000
+
+
+class Kept(StrEnum):
+    """Kinds of what a purge deletes; what is needed for the present state is never among it."""
+
+    JOB_RUNS = "job_runs"  # that succeeded; the newest of each job and outcome stays
+    FAILED_JOB_RUNS = "failed_job_runs"  # the newest of each job and outcome stays
+    IDEMPOTENCY_KEYS = "idempotency_keys"
+    SUPERSEDED_ESTIMATES = "superseded_estimates"  # geometries and trends that newer ones have replaced
+    TRACK_REPORTS = "track_reports"  # that newer ones of the same section and version have replaced
+    ORPHANED_FILES = "orphaned_files"  # of replaced windows, and what a killed process left
+
+
+@dataclass(frozen=True, slots=True)
+class Retention:
+    """Days that each kind is kept; None for ever.
+
+    Parameters
+    ----------
+    job_runs, failed_job_runs
+        After their end.
+    idempotency_keys
+        After the answer.
+    superseded_estimates
+        After the estimate that replaced it: so far back ``as_of`` answers.
+    track_reports
+        After the report that replaced it.
+    orphaned_files
+        After their last change.
+    """
+
+    job_runs: float | None = 14.0
+    failed_job_runs: float | None = 180.0
+    idempotency_keys: float | None = 7.0
+    superseded_estimates: float | None = 730.0
+    track_reports: float | None = 730.0
+    orphaned_files: float | None = 1.0
+
+    def __post_init__(self) -> None:
+        for kind in Kept:
+            days = getattr(self, kind.value)
+            if days is not None and not 0.0 < days < float("inf"):
+                raise ParameterError("must be a number of days above 0", field=kind.value)
+
+    def before_ns(self, kind: Kept, now_ns: int) -> int | None:
+        """Return the time before which this kind is deleted; None where it is kept for ever.
+
+        Parameters
+        ----------
+        kind
+            Of what is kept.
+        now_ns
+            Our time, ns UTC.
+        """
+        days: float | None = getattr(self, kind.value)
+        return None if days is None else now_ns - round(days * DAY_NS)

@@ -1,0 +1,141 @@
+"""A purge deletes what has been kept long enough, and nothing that the present state or a kept `as_of` needs."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import pytest
+import sqlalchemy
+import stored_values as make
+
+from estimation.errors import ConflictError, ParameterError
+from estimation.values.runs import JobOutcome, JobTrigger
+from fleet_db.keeping import purge as purge_module
+from fleet_db.keeping.exclusive import keeping_alone
+from fleet_db.keeping.orphans import LEAST_AGE_S, orphans
+from fleet_db.keeping.purge import Purged, purge, purged_before
+from fleet_db.keeping.retention import DAY_NS, Kept, Retention
+from fleet_db.models import PurgeRow
+from fleet_db.raw import RawStore
+from fleet_db.storage import SqlStorage
+
+NOW = 2_000 * DAY_NS
+NOTHING = dict.fromkeys((kind.value for kind in Kept), None)
+
+
+def purged(storage: SqlStorage, **days: float) -> dict[str, int]:
+    """Return how many items of each kind a purge deletes that keeps only some kinds not for ever."""
+    done = purge(storage, Retention(**(NOTHING | days)), NOW, lambda: None)
+    return {one.kind.value: one.items for one in done}
+
+
+def test_runs_go_but_the_newest_of_each_outcome(fleet: SqlStorage) -> None:
+    outcomes = [JobOutcome.SUCCEEDED, JobOutcome.FAILED, JobOutcome.SUCCEEDED, JobOutcome.FAILED, JobOutcome.SUCCEEDED]
+    with fleet.write() as unit:
+        for day, outcome in enumerate(outcomes):
+            run = unit.jobs.start("refresh_trends", JobTrigger.SCHEDULE, day * DAY_NS)
+            unit.jobs.finish(run.run_id, outcome, {}, day * DAY_NS + 1)
+        unit.jobs.start("refresh_trends", JobTrigger.SCHEDULE, 0)  # it runs still
+    assert purged(fleet, job_runs=2000.5) == {"job_runs": 0}
+    assert purged(fleet, job_runs=1998.5) == {"job_runs": 1}
+    assert purged(fleet, job_runs=10.0, failed_job_runs=10.0) == {"job_runs": 1, "failed_job_runs": 1}
+    with fleet.read() as unit:
+        left = [unit.jobs.get(number).outcome for number in (4, 5, 6)]
+    assert left == [JobOutcome.FAILED, JobOutcome.SUCCEEDED, JobOutcome.RUNNING]
+
+
+def test_estimates_that_were_replaced_go_and_as_of_stays_true(fleet: SqlStorage) -> None:
+    times = [1, 100, 1500, 1990]
+    with fleet.write() as unit:
+        for seed, day in enumerate(times):
+            unit.geometries.put(make.geometry_record(seed, day * DAY_NS))
+            unit.geometries.put(make.geometry_record(seed + 50, day * DAY_NS, interval=3))
+    asked = [1270 * DAY_NS, 1600 * DAY_NS, NOW]
+    with fleet.read() as unit:
+        before = [
+            (unit.geometries.current("WS-1", at), tuple(unit.geometries.intervals("WS-1", 0, at))) for at in asked
+        ]
+    assert purged(fleet, superseded_estimates=730.0) == {"superseded_estimates": 2}  # both of the first day
+    with fleet.read() as unit:
+        after = [(unit.geometries.current("WS-1", at), tuple(unit.geometries.intervals("WS-1", 0, at))) for at in asked]
+        assert make.same(tuple(after), tuple(before))
+        assert unit.geometries.current("WS-1", 50 * DAY_NS) is None
+        assert purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES) == NOW - 730 * DAY_NS
+        assert purged_before(unit.connection, Kept.JOB_RUNS) is None
+    assert purged(fleet, superseded_estimates=730.0) == {"superseded_estimates": 0}
+
+
+def test_trends_that_were_replaced_go(fleet: SqlStorage) -> None:
+    from estimation.values.trend import TrendRecord  # noqa: PLC0415 - of this test alone
+
+    with fleet.write() as unit:
+        for seed, day in enumerate((1, 2, 1999)):
+            unit.trends.put(TrendRecord("WS-1", 0, make.trend(seed), f"{seed:064x}", "1", day * DAY_NS))
+    assert purged(fleet, superseded_estimates=100.0) == {"superseded_estimates": 1}
+    with fleet.read() as unit:
+        assert unit.trends.latest("WS-1", NOW - 100 * DAY_NS) is not None
+
+
+def test_a_purge_works_in_batches_with_a_record_of_each(fleet: SqlStorage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(purge_module, "BATCH", 3)
+    with fleet.write() as unit:
+        for number in range(7):
+            unit.idempotency.put(f"key-{number}", "d" * 64, 200, "{}", number)
+    stops = iter([None, None, KeyboardInterrupt])
+
+    def checkpoint() -> None:
+        if (stop := next(stops)) is not None:
+            raise stop
+
+    with pytest.raises(KeyboardInterrupt):
+        purge(fleet, Retention(**(NOTHING | {"idempotency_keys": 7.0})), NOW, checkpoint)
+    assert purged(fleet, idempotency_keys=7.0) == {"idempotency_keys": 1}
+    with fleet.read() as unit:
+        rows = unit.connection.execute(sqlalchemy.select(PurgeRow.items).order_by(PurgeRow.purge_id)).scalars().all()
+    assert rows == [3, 3, 1]
+
+
+def test_files_of_replaced_windows_go(fleet: SqlStorage) -> None:
+    with fleet.write() as unit:
+        unit.windows.put(make.window(0), 100.0, 1)
+        unit.windows.put(make.window(0, seed=5), 100.0, 2)
+    lost = RawStore(fleet.data_dir / "raw").put_bytes(b"of a newer database", ".blf")
+    left = fleet.data_dir / "windows" / "ab" / ".writing-x"
+    left.parent.mkdir(exist_ok=True)
+    left.write_bytes(b"killed")
+    (fleet.data_dir / "raw" / ".incoming-y").write_bytes(b"killed")
+    assert orphans(fleet) == []  # all of them are young
+    for path in fleet.data_dir.rglob("*"):
+        os.utime(path, (1e9, 1e9))
+    assert len(orphans(fleet)) == 4
+    assert purged(fleet, orphaned_files=1.0) == {"orphaned_files": 3}
+    assert [path.name for path in orphans(fleet)] == [f"{lost}.blf"]  # a recording is never an orphan to delete
+    with fleet.read() as unit:
+        assert make.same(unit.windows.load("WS-1", make.START), make.window(0, seed=5))
+
+
+def test_young_files_stay_whatever_is_set() -> None:
+    assert LEAST_AGE_S == 3600.0
+
+
+def test_nothing_while_a_backup_runs(fleet: SqlStorage) -> None:
+    with keeping_alone(fleet.engine), pytest.raises(ConflictError):
+        purge(fleet, Retention(), NOW, lambda: None)
+
+
+@pytest.mark.parametrize("days", [0.0, -1.0, float("nan"), float("inf")])
+def test_days_above_zero(days: float) -> None:
+    with pytest.raises(ParameterError) as caught:
+        Retention(track_reports=days)
+    assert caught.value.field == "track_reports"
+
+
+def test_what_is_kept_by_default() -> None:
+    """These decide what can still be looked at: a change of one is a decision."""
+    assert Retention() == Retention(14.0, 180.0, 7.0, 730.0, 730.0, 1.0)
+    assert replace(Retention(), job_runs=None).before_ns(Kept.JOB_RUNS, NOW) is None
+
+
+def test_what_was_purged_is_counted(fleet: SqlStorage) -> None:
+    assert Purged(Kept.JOB_RUNS, 0) in purge(fleet, Retention(), NOW, lambda: None)
