@@ -41,7 +41,7 @@ COMMANDS = (
     Command("vehicle", "api.commands.vehicle", "vehicle", "List, show and check vehicle classes."),
     Command("compare", "api.commands.compare", "compare", "Compare estimators on a simulated section."),
     Command("reproduce", "api.commands.reproduce", "reproduce", "Reproduce the published figures."),
-    Command("db", "api.commands.db", "db", "Upgrade or check the database."),
+    Command("db", "api.commands.db", "db", "Upgrade, check or purge the database."),
     Command("backup", "api.commands.backup", "backup", "Back up database and files while everything runs."),
     Command("restore", "api.commands.backup", "restore", "Restore a backup into an empty database."),
     Command("openapi", "api.commands.openapi", "openapi", "Print or write the OpenAPI document."),

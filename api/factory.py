@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from api.retention_file import load_retention
 from api.rules_file import load_rules
 from api.settings import PREFIX, Settings
 from estimation.alerts.rules.book import RuleBook
@@ -16,6 +17,7 @@ from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
+from fleet_db.keeping.retention import Retention
 from fleet_db.raw import RawStore
 from fleet_db.revisions import check_head
 from fleet_db.session import database_engine
@@ -105,6 +107,17 @@ def estimation_settings(settings: Settings) -> EstimationSettings:
         return EstimationSettings(estimator=settings.estimator)
     except ParameterError as error:
         raise ParameterError(error.reason, field=f"{PREFIX}ESTIMATOR") from None
+
+
+def retention_of(settings: Settings) -> Retention:
+    """Return how long this deployment keeps what.
+
+    Raises
+    ------
+    InputError
+        The retention file is wrong; names the file and the field.
+    """
+    return Retention() if settings.retention_file is None else load_retention(settings.retention_file)
 
 
 def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:

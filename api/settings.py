@@ -26,6 +26,8 @@ class Settings(BaseSettings):
         ``sqlite:///...`` or ``postgresql://...``; left out, a SQLite file in ``data_dir``.
     rules_file
         TOML file of alert rules; left out, the rules shipped with the package.
+    retention_file
+        TOML file of how long what is kept; left out, the shipped numbers of days.
     host, port
         Where the REST API listens.
     log_level, log_format
@@ -51,6 +53,7 @@ class Settings(BaseSettings):
     data_dir: Path = Path("treadwatch-data")
     database_url: str | None = Field(default=None, repr=False)  # it may carry a password
     rules_file: Path | None = None
+    retention_file: Path | None = None
     host: str = "127.0.0.1"
     port: int = Field(default=8000, ge=0, le=65535)
     log_level: Literal["debug", "info", "warning", "error"] = "info"
@@ -61,7 +64,7 @@ class Settings(BaseSettings):
     catalogues: str | None = None
     shutdown_timeout_s: int = Field(default=10, ge=1, le=600)
 
-    @field_validator("database_url", "rules_file", "jobs_every_s", "catalogues", mode="before")
+    @field_validator("database_url", "rules_file", "retention_file", "jobs_every_s", "catalogues", mode="before")
     @classmethod
     def _empty_is_left_out(cls, value: object) -> object:
         """Read ``TREADWATCH_RULES_FILE=`` (as compose files leave it) as not set."""

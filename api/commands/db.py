@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-db = typer.Typer(no_args_is_help=True, help="Upgrade or check the database.", rich_markup_mode=None)
+db = typer.Typer(no_args_is_help=True, help="Upgrade, check or purge the database.", rich_markup_mode=None)
 
 
 @db.command("upgrade")
@@ -40,3 +40,11 @@ def check_database(
         from api.terminal.keeping import check_and_report
 
         check_and_report()
+
+
+@db.command("purge")
+def purge_database() -> None:
+    """Delete what has been kept long enough (TREADWATCH_RETENTION_FILE), in small batches, while services run."""
+    from api.terminal.keeping import purge_and_report
+
+    purge_and_report()

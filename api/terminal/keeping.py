@@ -1,4 +1,4 @@
-"""Backup, restore and deep check on the terminal: progress, a summary, and an exit code that a script can use."""
+"""Backup, restore, deep check and purge on the terminal: progress, a summary, an exit code for scripts."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from api.factory import SystemClock, open_store
+from api.factory import SystemClock, open_store, retention_of
 from api.settings import load_settings
 from fleet_db.keeping.backup import back_up
 from fleet_db.keeping.deep_check import DeepCheck, check_deep
+from fleet_db.keeping.purge import purge
 from fleet_db.keeping.restore import restore
 
 LISTED = 50
@@ -102,6 +103,26 @@ def check_and_report() -> None:
         typer.echo(f"and {len(lines) - LISTED:,} more")
     if found.damaged:
         raise typer.Exit(1)
+
+
+def purge_and_report() -> None:
+    """Delete what has been kept long enough and print how much of each kind.
+
+    Raises
+    ------
+    InputError
+        The retention file is wrong.
+    ConflictError
+        A backup, restore or other purge is running.
+    StorageError
+        Database or data folder cannot be used.
+    """
+    settings = load_settings()
+    with closing(open_store(settings)) as storage:
+        done = purge(storage, retention_of(settings), SystemClock().now_ns(), lambda: None)
+    for one in done:
+        size = f", {one.item_bytes:,} bytes" if one.item_bytes else ""
+        typer.echo(f"{one.kind.value.replace('_', ' ')}: {one.items:,} deleted{size}")
 
 
 def _verdict(found: DeepCheck) -> str:

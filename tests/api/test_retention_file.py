@@ -1,0 +1,49 @@
+"""How long what is kept, from a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from in_process_command import Run
+
+from api.retention_file import load_retention
+from estimation.errors import InputError
+from fleet_db.keeping.retention import Kept, Retention
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "retention.toml"
+    path.write_text(text)
+    return path
+
+
+def test_what_is_not_written_keeps_its_default(tmp_path: Path) -> None:
+    found = load_retention(written(tmp_path, '[days]\njob_runs = 3\nsuperseded_estimates = "for ever"\n'))
+    assert found == Retention(job_runs=3.0, superseded_estimates=None)
+    everything = "\n".join(f"{kind.value} = {number + 1}" for number, kind in enumerate(Kept))
+    assert load_retention(written(tmp_path, f"[days]\n{everything}\n")) == Retention(1, 2, 3, 4, 5, 6)
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        ("[days]\njob_runs = 0\n", "days.job_runs"),
+        ('[days]\njob_runs = "always"\n', "days.job_runs"),
+        ("[days]\nwindows = 3\n", "days.windows"),
+        ("job_runs = 3\n", "days"),
+        ("[days]\njob_runs = inf\n", "days.job_runs"),
+    ],
+)
+def test_what_cannot_be_used_is_named(tmp_path: Path, text: str, field: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_retention(written(tmp_path, text))
+    assert (caught.value.field or "").startswith(field)
+
+
+def test_by_command(treadwatch: Run, tmp_path: Path) -> None:
+    assert treadwatch("db", "upgrade", data_dir="data").returncode == 0
+    done = treadwatch("db", "purge", retention_file=str(written(tmp_path, '[days]\ntrack_reports = "for ever"\n')))
+    assert (done.returncode, done.stdout.count("0 deleted")) == (0, len(Kept) - 1)
+    refused = treadwatch("db", "purge", retention_file=str(written(tmp_path, "[days]\njob_runs = -1\n")))
+    assert (refused.returncode, "days.job_runs" in refused.stderr) == (2, True)
