@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from estimation.errors import ConflictError, DamagedError, PassingFaultError, TreadwatchError
+from estimation.errors import ConflictError, DamagedError, PassingFaultError, StorageError, TreadwatchError
 from estimation.values.quarantine import SECOND_NS, Quarantined, QuarantineState, SubjectKind, delay_s
 from estimation.values.reasons import ReasonCode
 
@@ -50,11 +50,11 @@ def code_of_error(error: Exception) -> ReasonCode:
         return ReasonCode(error.code)
     if isinstance(error, MemoryError):
         return ReasonCode.WAITS_FOR_MEMORY
-    if isinstance(error, OSError):
+    if isinstance(error, DamagedError):
+        return ReasonCode.FILE_DAMAGED
+    if isinstance(error, OSError | StorageError):
         return ReasonCode.WAITS_FOR_STORAGE
-    if isinstance(error, ConflictError):
-        return ReasonCode.CHANGED_MEANWHILE
-    return ReasonCode.FILE_DAMAGED if isinstance(error, DamagedError) else ReasonCode.PROCESSING_FAILED
+    return ReasonCode.CONFLICT if isinstance(error, ConflictError) else ReasonCode.PROCESSING_FAILED
 
 
 def first_line(error: Exception) -> str:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from estimation.errors import InputError, ParameterError
 from fleet_db.atomic_files import sync_directory, write_atomically
+from fleet_db.passing import passing_faults
+
+PIECE_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +37,18 @@ class RawStore:
         return self.directory / digest[:2] / f"{digest}{suffix}"
 
     def put_bytes(self, data: bytes, suffix: str) -> str:
-        """Store ``data`` durably; return its digest. The same bytes again change nothing."""
+        """Store ``data`` durably; return its digest. The same bytes again change nothing.
+
+        Raises
+        ------
+        PassingFaultError
+            They cannot be stored now: no space, no permission.
+        """
         digest = hashlib.sha256(data).hexdigest()
         path = self.path(digest, suffix)
-        if not _whole(path, len(data)):
-            write_atomically(path, data, durable=True)
+        with passing_faults(path):
+            if not _whole(path, len(data)):
+                write_atomically(path, data, durable=True)
         return digest
 
     def put_file(self, source: Path) -> str:
@@ -48,25 +58,25 @@ class RawStore:
         ------
         InputError
             The file cannot be read; names it.
+        PassingFaultError
+            It cannot be stored now: no space, no permission.
         """
-        self.directory.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=".incoming-", dir=self.directory)
-        copy = Path(name)
-        try:
-            with os.fdopen(handle, "w+b") as target:
-                try:
-                    with source.open("rb") as stream:
-                        shutil.copyfileobj(stream, target, 1 << 20)
-                except OSError as error:
-                    raise InputError(f"cannot be read ({error.strerror})", file=source) from error
-                target.flush()
-                os.fsync(target.fileno())
-                target.seek(0)
-                digest = hashlib.file_digest(target, "sha256").hexdigest()
-                size = target.seek(0, os.SEEK_END)
-            self._move(copy, self.path(digest, source.suffix.lower()), size)
-        finally:
-            copy.unlink(missing_ok=True)
+        with passing_faults(self.directory):
+            self.directory.mkdir(parents=True, exist_ok=True)
+            handle, name = tempfile.mkstemp(prefix=".incoming-", dir=self.directory)
+            copy = Path(name)
+            try:
+                with os.fdopen(handle, "w+b") as target:
+                    for piece in _pieces(source):
+                        target.write(piece)
+                    target.flush()
+                    os.fsync(target.fileno())
+                    target.seek(0)
+                    digest = hashlib.file_digest(target, "sha256").hexdigest()
+                    size = target.seek(0, os.SEEK_END)
+                self._move(copy, self.path(digest, source.suffix.lower()), size)
+            finally:
+                copy.unlink(missing_ok=True)
         return digest
 
     def _move(self, copy: Path, path: Path, size: int) -> None:
@@ -76,6 +86,15 @@ class RawStore:
         copy.replace(path)
         sync_directory(path.parent)
         sync_directory(self.directory)
+
+
+def _pieces(source: Path) -> Iterator[bytes]:
+    try:
+        with source.open("rb") as stream:
+            while piece := stream.read(PIECE_BYTES):
+                yield piece
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", file=source) from error
 
 
 def _whole(path: Path, size: int) -> bool:

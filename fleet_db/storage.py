@@ -19,6 +19,7 @@ from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.idempotency import IdempotencyStore
 from fleet_db.stores.jobs import JobRunStore
 from fleet_db.stores.quarantine import QuarantineStore
+from fleet_db.stores.raw_marks import RawMarkStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.suspension import SuspensionStore
@@ -43,6 +44,7 @@ class SqlUnitOfWork:
     chunks: ChunkStore = field(init=False)
     stale_spans: StaleSpanStore = field(init=False)
     quarantine: QuarantineStore = field(init=False)
+    raw_marks: RawMarkStore = field(init=False)
     registry: RegistryStore = field(init=False)
     tracks: TrackStore = field(init=False)
     windows: WindowStore = field(init=False)
@@ -60,6 +62,7 @@ class SqlUnitOfWork:
         self.chunks = ChunkStore(connection)
         self.stale_spans = StaleSpanStore(connection)
         self.quarantine = QuarantineStore(connection)
+        self.raw_marks = RawMarkStore(connection)
         self.registry = RegistryStore(connection, self.changes, self.shipped)
         self.tracks = TrackStore(connection)
         self.windows = WindowStore(connection, self.changes, self.files)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from estimation.values.windows import ACCELERATIONS, NOT_HUNTING, Hunting, Windo
 from fleet_db.atomic_files import write_atomically
 from fleet_db.fields import from_json, to_json
 from fleet_db.packing import Array, pack, unpack
+from fleet_db.passing import passing_fault, passing_faults
 
 KIND = "window"
 VERSION = 1
@@ -48,10 +50,18 @@ class WindowFiles:
             return False
 
     def save(self, window: Window, digest: str) -> int:
-        """Write the file of ``window``, whose content digest is ``digest``; return its size in bytes."""
+        """Write the file of ``window``, whose content digest is ``digest``; return its size in bytes.
+
+        Raises
+        ------
+        PassingFaultError
+            It cannot be written now: no space, no permission.
+        """
         blob = pack_window(window)
-        if not self.has(digest, len(blob)):
-            write_atomically(self.path(digest), blob, durable=False)
+        path = self.path(digest)
+        with passing_faults(path):
+            if not self.has(digest, len(blob)):
+                write_atomically(path, blob, durable=False)
         return len(blob)
 
     def load(self, digest: str) -> Window:
@@ -61,8 +71,10 @@ class WindowFiles:
         ------
         DamagedError
             The file is missing, damaged, or holds other content than its name says; names the file.
+        PassingFaultError
+            The file cannot be read now, and the directory can.
         StorageError
-            The directory is not there, or the file cannot be read now.
+            The directory is not there or cannot be used.
         """
         path = self.path(digest)
         try:
@@ -72,7 +84,9 @@ class WindowFiles:
                 raise StorageError(f"{self.directory}: the directory of the windows is not there") from error
             raise DamagedError(f"{path}: the samples of a window are missing") from error
         except OSError as error:
-            raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
+            if not os.access(self.directory, os.R_OK | os.X_OK):  # no window can be read now
+                raise StorageError(f"{self.directory}: cannot be used: {error.strerror}") from error
+            raise passing_fault(error, path) from error
         window = unpack_window(blob, where=str(path))
         if window_digest(window) != digest:
             raise DamagedError(f"{path}: holds other content than its name says")

@@ -18,6 +18,7 @@ from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
 from fleet_db.raw import RawStore
+from fleet_db.raw_mark import check_raw_store, stored_mark
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import Assembler, Assembly
@@ -25,6 +26,7 @@ from ingest.catalogue import Catalogue
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.bundle import write_bundle
 from ingest.exchange.intake import checked_exchange
+from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
 from ingest.own_bus.choice import BusChoice
 from ingest.recordings import Recording, Recordings
@@ -51,7 +53,7 @@ class ReceivedFile:
     path: Path
     vehicle: str
     digest: str
-    recording: Recording | LogFileError
+    recording: Recording | Exception
 
 
 class Receiver:
@@ -82,10 +84,15 @@ class Receiver:
         self._buses = catalogue if isinstance(catalogue, BusChoice) else BusChoice(catalogue, {})
         self._clock = clock
         self._recordings = Recordings(raw, self._bus_of)
+        self._held = HeldRecordings(storage, clock)
+        self._mark: str | None = None
         self._assembler = Assembler(self._recordings, round(window_length_s * SECOND_NS))
 
     def receive_file(self, path: Path, vehicle: str) -> ChunkReceipt:
         """Take in one recording of a vehicle.
+
+        Where decoding fails for a passing fault or by a failure of the program the recording is stored all the same,
+        with its reason, and tried again by :meth:`decode_stored`.
 
         Raises
         ------
@@ -96,6 +103,8 @@ class Receiver:
             The registry does not know the vehicle. The recording is kept, and decoded once it does.
         ConflictError
             The same recording was received from another vehicle.
+        PassingFaultError
+            Its bytes cannot be stored now: nothing is.
         """
         return self.accept(self._store_and_read(path, vehicle))
 
@@ -139,7 +148,7 @@ class Receiver:
                 path, received = coming.pop(0)
                 try:
                     yield path, self.accept(received.result())
-                except TreadwatchError as error:
+                except Exception as error:  # noqa: BLE001 - whatever fails at one file, the others go on
                     yield path, error
 
     def accept(self, received: ReceivedFile) -> ChunkReceipt:
@@ -147,31 +156,70 @@ class Receiver:
         record, known = self._receipt(received)
         if record.state is ChunkState.REJECTED:
             raise LogFileError(str(record.reason), file=received.path)
-        if record.state is ChunkState.DECODED:
+        if record.state is not ChunkState.STORED:
             return ChunkReceipt(record, known=True, windows_changed=0)
-        if isinstance(received.recording, LogFileError):
-            self._reject(record, received.recording)
-            raise LogFileError(received.recording.reason, file=received.path, line=received.recording.line)
-        self._recordings.keep(received.recording)
-        record, changed = self._decode(record, received.recording)
-        return ChunkReceipt(record, known=known, windows_changed=changed)
+        if not isinstance(received.recording, Exception):
+            self._recordings.keep(received.recording)
+        return self._decoded(record, received.recording, known=known, path=received.path)
 
-    def decode_stored(self) -> Iterator[ChunkReceipt | Exception]:
+    def decode_stored(self, digest: str | None = None) -> Iterator[ChunkReceipt | Exception]:
         """Decode every recording that is stored and not decoded yet: after a crash, or a new entry of the registry.
 
+        One that failed before is left out until it is due again.
+
         Yields the new receipt of each, or why it still cannot be decoded.
+
+        Parameters
+        ----------
+        digest
+            Of the only recording to decode, due or not.
         """
+        try:
+            self._check_raw()
+        except TreadwatchError as error:
+            yield error
+            return
         with self._storage.read() as unit:
             stored = unit.chunks.with_state(ChunkState.STORED, limit=1_000_000)
+        early = self._held.waiting() if digest is None else frozenset()
         for record in stored:
+            if record.digest in early or digest not in {None, record.digest}:
+                continue
             try:
-                decoded, changed = self._decode(record, self._recordings.load(record))
-                yield ChunkReceipt(decoded, known=False, windows_changed=changed)
-            except LogFileError as error:
-                self._reject(record, error)
+                yield self._decoded(record, self._loaded(record), known=False)
+            except Exception as error:  # noqa: BLE001 - whatever fails at one recording, the others go on
                 yield error
-            except TreadwatchError as error:
-                yield error
+
+    def _loaded(self, record: ChunkRecord) -> Recording | Exception:
+        try:
+            return self._recordings.load(record)
+        except Exception as error:  # noqa: BLE001 - it is kept with the recording
+            return error
+
+    def _decoded(
+        self, record: ChunkRecord, recording: Recording | Exception, *, known: bool, path: Path | None = None
+    ) -> ChunkReceipt:
+        """Decode a stored recording that was read, or keep why it could not be; raises as :meth:`receive_file`."""
+        changed = 0
+        try:
+            record, changed = self._decode(record, _read(recording))
+        except LogFileError as error:
+            self._reject(record, error)
+            raise LogFileError(error.reason, file=path or error.file, line=error.line) from error
+        except NotFoundError:
+            raise  # its receipt says so
+        except ConflictError as error:
+            self._held.hold(record, error)
+            raise
+        except Exception as error:  # noqa: BLE001 - the recording is stored, and stays so until it can be decoded
+            return ChunkReceipt(self._held.hold(record, error), known=known, windows_changed=0)
+        self._held.release(record.digest)
+        return ChunkReceipt(record, known=known, windows_changed=changed)
+
+    def _check_raw(self) -> None:
+        """Refuse a folder of raw recordings that is not that of the database; raises PassingFaultError."""
+        if self._mark is None or stored_mark(self._raw) != self._mark:
+            self._mark = check_raw_store(self._storage, self._raw, self._clock.now_ns())
 
     def _bus_of(self, vehicle: str) -> Catalogue:
         return self._buses.of_vehicle(self._class_of, vehicle)
@@ -185,13 +233,14 @@ class Receiver:
 
     def _store_and_read(self, path: Path, vehicle: str) -> ReceivedFile:
         suffix = _suffix_of(path)
+        self._check_raw()
         digest = self._raw.put_file(path)
+        recording: Recording | Exception
         try:
-            return ReceivedFile(
-                path, vehicle, digest, self._recordings.read(self._raw.path(digest, suffix), digest, vehicle)
-            )
-        except LogFileError as error:
-            return ReceivedFile(path, vehicle, digest, error)
+            recording = self._recordings.read(self._raw.path(digest, suffix), digest, vehicle)
+        except Exception as error:  # noqa: BLE001 - the bytes are stored: what it is about is decided with the receipt
+            recording = error
+        return ReceivedFile(path, vehicle, digest, recording)
 
     def _receipt(self, received: ReceivedFile) -> tuple[ChunkRecord, bool]:
         """Return the committed receipt, and whether it had been there before."""
@@ -251,6 +300,7 @@ class Receiver:
             raise
 
     def _commit(self, unit: SqlUnitOfWork, assembly: Assembly) -> int:
+        _check_undecided(unit, assembly.receipts)
         changed = 0
         for mounted in assembly.windows:
             mounting = mounted.mounting
@@ -266,6 +316,21 @@ class Receiver:
         for receipt in assembly.receipts:
             unit.chunks.update(receipt)
         return changed
+
+
+def _read(recording: Recording | Exception) -> Recording:
+    """Return what was read; raise what was raised at reading."""
+    if isinstance(recording, Exception):
+        raise recording
+    return recording
+
+
+def _check_undecided(unit: SqlUnitOfWork, receipts: Iterable[ChunkRecord]) -> None:
+    """Raise where a recording was moved, set aside or rejected while its windows were assembled."""
+    for receipt in receipts:
+        now = unit.chunks.get(receipt.digest)
+        if now is None or now.vehicle != receipt.vehicle or now.state in {ChunkState.REJECTED, ChunkState.SET_ASIDE}:
+            raise ConflictError(f"recording {receipt.digest[:12]} changed meanwhile", kind="chunk", key=receipt.digest)
 
 
 def _requeue_partner(unit: SqlUnitOfWork, window: Window) -> None:

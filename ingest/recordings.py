@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.errors import LogFileError, StorageError
+from estimation.errors import LogFileError, PassingFaultError, StorageError
+from fleet_db.passing import passing_faults
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
@@ -82,7 +83,11 @@ class Recordings:
         ------
         LogFileError
             The file is no log that can be read, or its SYNC comes at another rate than in the catalogue.
+        PassingFaultError
+            The file is not there, or cannot be read now.
         """
+        with passing_faults(path), path.open("rb"):
+            pass
         if path.suffix == EXCHANGE_SUFFIX:
             return _read_exchange(path, digest)
         catalogue = self.catalogue_of(vehicle)
@@ -97,7 +102,9 @@ class Recordings:
         Raises
         ------
         LogFileError
-            Its file is missing or no log that can be read.
+            Its file is no log that can be read.
+        PassingFaultError
+            Its file is missing, or cannot be read now.
         """
         kept = self._kept.get(record.digest)
         if kept is None or not (kept.rows or kept.catalogue is self.catalogue_of(record.vehicle)):
@@ -115,8 +122,8 @@ class Recordings:
         """
         try:
             return self.load(record)
-        except LogFileError as error:
-            raise StorageError(f"a raw recording is lost or damaged: {error}") from error
+        except (LogFileError, PassingFaultError) as error:
+            raise StorageError(f"raw recording {record.digest} is lost or damaged: {error}") from error
 
     def keep(self, recording: Recording) -> None:
         """Remember a recording that was just read."""

@@ -34,7 +34,7 @@ class QuarantineState(StrEnum):
 PASSING = (ReasonCode.WAITS_FOR_STORAGE, ReasonCode.WAITS_FOR_EXTRA, ReasonCode.WAITS_FOR_MEMORY)
 """Codes of faults that have nothing to do with the input."""
 
-AT_ONCE = (ReasonCode.WAITS_FOR_STORAGE, ReasonCode.WAITS_FOR_EXTRA, ReasonCode.CHANGED_MEANWHILE)
+AT_ONCE = (ReasonCode.WAITS_FOR_STORAGE, ReasonCode.WAITS_FOR_EXTRA, ReasonCode.CONFLICT)
 """Codes of which the first retry is the next run: it costs little, and the fault has often gone by then."""
 
 
@@ -102,6 +102,6 @@ def delay_s(code: ReasonCode, attempts: int) -> float:
         attempts -= 1
     if attempts < 1:
         return 0.0
-    passing = code in PASSING or code is ReasonCode.CHANGED_MEANWHILE
+    passing = code in PASSING or code is ReasonCode.CONFLICT
     factor, longest = (PASSING_FACTOR, PASSING_LONGEST_S) if passing else (FAILED_FACTOR, FAILED_LONGEST_S)
     return min(FIRST_DELAY_S * factor ** min(attempts - 1, 20), longest)

@@ -66,6 +66,12 @@ class ChunkStore:
         )
         return [_record(row) for row in self.connection.execute(statement)]
 
+    def ends(self, count: int) -> Sequence[ChunkRecord]:
+        """Return at most ``count`` of the oldest and of the newest receipts."""
+        oldest = select(CHUNKS).order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest).limit(count)
+        newest = select(CHUNKS).order_by(CHUNKS.c.recorded_ns.desc(), CHUNKS.c.digest).limit(count)
+        return [_record(row) for statement in (oldest, newest) for row in self.connection.execute(statement)]
+
     def with_state(self, state: ChunkState, limit: int = 100) -> Sequence[ChunkRecord]:
         """Return receipts in ``state``, oldest first."""
         statement = (
