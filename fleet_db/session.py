@@ -19,10 +19,20 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, SQLAlchemy
 from sqlalchemy.pool import ConnectionPoolEntry
 
 from estimation.errors import ConflictError, ParameterError, StorageError
+from fleet_db.reachability import guard_connecting
 
 BUSY_TIMEOUT_MS = 30_000
 BEGIN_OPTION = "sqlite_begin"
 IMMEDIATE = {BEGIN_OPTION: "BEGIN IMMEDIATE"}
+POOL_TIMEOUT_S = 10.0
+"""How long a thread waits for one of the connections of its process, in seconds."""
+CONNECTING = {
+    "connect_timeout": 5,  # s
+    "keepalives_idle": 10,  # s; these four notice a peer that went without a word
+    "keepalives_interval": 5,  # s
+    "keepalives_count": 3,
+    "tcp_user_timeout": 20_000,  # ms
+}
 POSTGRESQL = ("postgresql", "postgresql+psycopg")
 SQLITE = ("sqlite", "sqlite+pysqlite")
 
@@ -44,8 +54,8 @@ def database_engine(url: str) -> Engine:
     """
     try:
         parsed = sqlalchemy.make_url(url)
-    except ArgumentError as error:
-        raise ParameterError("is no database URL", field="database_url") from error
+    except (ArgumentError, ValueError):  # without its cause: that repeats parts of the URL
+        raise ParameterError("is no database URL", field="database_url") from None
     if parsed.drivername in SQLITE:
         return _sqlite_engine(parsed)
     if parsed.drivername in POSTGRESQL:
@@ -101,13 +111,18 @@ def _begin_sqlite(connection: Connection) -> None:
 
 
 def _postgresql_engine(url: URL) -> Engine:
-    return sqlalchemy.create_engine(
+    if "@" in (url.host or ""):  # the rest of a password, which messages about the host would repeat
+        raise ParameterError("has an @ in its password: write it as %40", field="database_url")
+    engine = sqlalchemy.create_engine(
         url.set(drivername="postgresql+psycopg"),
         pool_pre_ping=True,
         pool_size=10,
-        connect_args={"connect_timeout": 10},
+        pool_timeout=POOL_TIMEOUT_S,
+        connect_args=CONNECTING,
         json_serializer=to_json,
     )
+    guard_connecting(engine)
+    return engine
 
 
 @contextmanager

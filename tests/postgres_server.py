@@ -14,8 +14,9 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,40 @@ START_TIMEOUT_S = 60.0
 FAST = ("fsync=off", "synchronous_commit=off", "full_page_writes=off", "max_connections=100", "timezone=UTC")
 
 
+@dataclass
+class PostgresServer:
+    """A server that can be taken away and brought back, with the data as they were."""
+
+    url: str
+    command: Sequence[str]
+    log: Path
+    user: Mapping[str, Any]
+    process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start it and wait until it answers."""
+        with self.log.open("ab") as log:
+            self.process = subprocess.Popen(self.command, stdout=log, stderr=log, **self.user)
+        _wait(self.url, self.process, self.log)
+
+    def stop(self) -> None:
+        """Stop it at once, as in a crash."""
+        if self.process is not None:
+            self.process.send_signal(signal.SIGQUIT)
+            self.process.wait(30)
+            self.process = None
+
+
 @contextmanager
 def running_server() -> Iterator[str]:
     """Yield the URL of a server that only this process knows, and stop it at the end."""
+    with stoppable_server() as server:
+        yield server.url
+
+
+@contextmanager
+def stoppable_server() -> Iterator[PostgresServer]:
+    """Yield a running server that only this process knows; it ends with the block."""
     home = Path(tempfile.mkdtemp(prefix="treadwatch-postgres-"))  # short: the name of a socket is limited
     try:
         programs, user = _programs(home), _user(home)
@@ -36,14 +68,12 @@ def running_server() -> Iterator[str]:
         _initialise(programs, data, user)
         settings = [part for setting in FAST for part in ("-c", setting)]
         command = [str(programs / "postgres"), "-D", str(data), "-h", "", "-k", str(home), *settings]
-        with (home / "log").open("wb") as log, subprocess.Popen(command, stdout=log, stderr=log, **user) as server:
-            try:
-                url = f"postgresql://postgres@/postgres?host={home}"
-                _wait(url, server, home / "log")
-                yield url
-            finally:
-                server.send_signal(signal.SIGQUIT)  # at once: nobody needs the data any more
-                server.wait(30)
+        server = PostgresServer(f"postgresql://postgres@/postgres?host={home}", command, home / "log", user)
+        try:
+            server.start()
+            yield server
+        finally:
+            server.stop()
     finally:
         shutil.rmtree(home)
 

@@ -13,10 +13,15 @@ def serve(
     port: Annotated[int | None, typer.Option(help="Port to listen on; 0 takes a free one.")] = None,
 ) -> None:
     """Serve the REST API; its documentation is on /docs."""
+    import signal
+
     from api import logs
     from api.factory import create_server
     from api.settings import load_settings
 
     settings = load_settings(host=host, port=port)
     logs.configure(settings)
-    create_server(settings).run()
+    for number in (signal.SIGINT, signal.SIGTERM):  # the server hands its signal on when it has stopped
+        signal.signal(number, lambda _number, _frame: None)
+    with logs.in_background():
+        create_server(settings).run()

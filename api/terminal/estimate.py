@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from api import logs
 from api.factory import job_context, open_store, scheduled_jobs
 from api.settings import Settings, load_settings
 from estimation.errors import ParameterError
@@ -30,6 +31,7 @@ def run_jobs_once(name: str | None) -> bool:
         The database cannot be used.
     """
     settings = load_settings()
+    logs.configure(settings)
     jobs = _chosen(settings, name)
     console = Console(stderr=True)
     stopping = threading.Event()

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from api import logs
 from api.factory import SystemClock, open_store, raw_store
 from api.settings import load_settings
 from api.times import to_rfc3339
@@ -86,6 +87,7 @@ def ingest_and_report(
         Code 1: a recording was rejected.
     """
     settings = load_settings()
+    logs.configure(settings)
     console = Console(stderr=True)
     with closing(open_store(settings)) as storage:
         if registry is not None:
