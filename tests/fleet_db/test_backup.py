@@ -9,65 +9,24 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import sqlalchemy
 import stored_values as make
+from full_storage import RECORDING, contents, fill
 from in_process_command import Run
 
 from estimation.errors import ConflictError, InputError
-from estimation.values.alerts import AlertEventKind
 from estimation.values.runs import JobTrigger
-from estimation.values.windows import WindowState
 from fleet_db.keeping.backup import back_up
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.manifest import read_manifest
 from fleet_db.keeping.restore import restore
 from fleet_db.migrate import upgrade
-from fleet_db.models import Base
-from fleet_db.raw import RawStore
-from fleet_db.receipts import ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
-
-RECORDING = b"frames of V-1" * 1000
 
 
 def quietly(_done: int, _total: int) -> None:
     """Show no progress."""
-
-
-def fill(storage: SqlStorage) -> None:
-    """Store one of everything: a recording, windows with tables, a geometry, a trend, alerts, an alignment."""
-    digest = RawStore(storage.data_dir / "raw").put_bytes(RECORDING, ".blf")
-    with storage.write() as unit:
-        record = replace(make.CHUNK, digest=digest, size_bytes=len(RECORDING), state=ChunkState.DECODED,
-                         first_ns=make.START, last_ns=make.START + 1, counts={"frames": 3})  # fmt: skip
-        unit.chunks.put(record)
-        for index in range(3):
-            window = make.window(index)
-            unit.windows.put(window, 100.0 + index, make.START)
-            stored = unit.windows.get("WS-1", window.start_ns)
-            assert stored is not None
-            unit.tables.put("WS-1", window.start_ns, make.bin_table(index), None, stored.content_digest)
-            unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED)
-        unit.tracks.add_alignment(make.alignment(3))
-        unit.tracks.add_layout(make.layout(1))
-        unit.registry.add_measured_profiles(make.measured_profiles(make.START))
-        unit.geometries.put(make.geometry_record())
-        unit.jobs.start("refresh_geometry", JobTrigger.CLI, 5)
-        member = unit.alerts.save(make.ALERT, [AlertEventKind.RAISED], 5)
-        fleet = replace(make.ALERT, wheelset=None, kind="fleet_conicity_limit")
-        raised = unit.alerts.save(fleet, [AlertEventKind.RAISED], 6)
-        unit.alerts.save(replace(member, fleet_alert_id=raised.alert_id), [AlertEventKind.UPDATED], 7)
-
-
-def contents(storage: SqlStorage) -> dict[str, list[tuple[object, ...]]]:
-    """Return every row of every table."""
-    with storage.engine.connect() as connection:
-        return {
-            table.name: list(map(tuple, connection.execute(sqlalchemy.select(table).order_by(*table.primary_key))))
-            for table in Base.metadata.sorted_tables
-        }
 
 
 @pytest.fixture
