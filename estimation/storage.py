@@ -174,6 +174,12 @@ class Quarantine(Protocol):
     def put(self, item: Quarantined) -> None: ...
 
 
+class RecordedTimes(Protocol):
+    """Our clock on what is stored: results from the time when it was ahead count as recorded now."""
+
+    def correct(self, now_ns: int) -> int: ...
+
+
 class UnitOfWork(Protocol):
     """One transaction over all stores that the jobs use; ``fleet_db`` has more for those that receive and serve."""
 
@@ -197,6 +203,8 @@ class UnitOfWork(Protocol):
     def jobs(self) -> JobRuns: ...
     @property
     def quarantine(self) -> Quarantine: ...
+    @property
+    def recorded_times(self) -> RecordedTimes: ...
 
 
 class Storage(Protocol):

@@ -20,6 +20,7 @@ from fleet_db.stores.idempotency import IdempotencyStore
 from fleet_db.stores.jobs import JobRunStore
 from fleet_db.stores.quarantine import QuarantineStore
 from fleet_db.stores.raw_marks import RawMarkStore
+from fleet_db.stores.recorded_times import RecordedTimeStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.suspension import SuspensionStore
@@ -54,6 +55,7 @@ class SqlUnitOfWork:
     suspensions: SuspensionStore = field(init=False)
     alerts: AlertStore = field(init=False)
     jobs: JobRunStore = field(init=False)
+    recorded_times: RecordedTimeStore = field(init=False)
     idempotency: IdempotencyStore = field(init=False)
 
     def __post_init__(self) -> None:
@@ -72,6 +74,7 @@ class SqlUnitOfWork:
         self.suspensions = SuspensionStore(connection)
         self.alerts = AlertStore(connection, self.writing, self.changes)
         self.jobs = JobRunStore(connection)
+        self.recorded_times = RecordedTimeStore(connection)
         self.idempotency = IdempotencyStore(connection)
 
     def assemble_alone(self, vehicle: str) -> None:

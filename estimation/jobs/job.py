@@ -95,7 +95,11 @@ def run_job(
         and ``total`` of the last checkpoint.
     """
     with context.storage.write() as unit:
-        begun = unit.jobs.start(job.name, trigger, context.clock.now_ns())
+        now_ns = context.clock.now_ns()
+        begun = unit.jobs.start(job.name, trigger, now_ns)
+        corrected = unit.recorded_times.correct(now_ns)
+    if corrected:
+        _log.warning("our clock has gone back: %d results carried a later time and count as recorded now", corrected)
     if started is not None:
         started(begun)
     reached: list[tuple[int, int]] = []

@@ -32,6 +32,7 @@ class GeometryRow(Base):
         one_of("status", Status),
         CheckConstraint("baseline >= 0", name="baseline_counted"),
         Index(None, "wheelset", "baseline", "baseline_interval", "recorded_ns"),
+        Index(None, "recorded_ns"),
         {"sqlite_autoincrement": True},
     )
 

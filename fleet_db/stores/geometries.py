@@ -20,7 +20,7 @@ from fleet_db.session import to_json
 BINS = table_of(WheelsetBinRow)
 UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in COMBINATIONS}
 GEOMETRIES, TABLES = table_of(GeometryRow), table_of(WindowBinTableRow)
-NEWEST_FIRST = (GEOMETRIES.c.recorded_ns.desc(), GEOMETRIES.c.geometry_id.desc())
+NEWEST_FIRST = (GEOMETRIES.c.geometry_id.desc(),)  # in the order of commit; clocks go back
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +33,8 @@ class GeometryStore:
     def put(self, record: GeometryRecord) -> bool:
         """Append an estimate; False if the newest of its key has the same inputs, parameters and code version.
 
-        A current geometry also ends the staleness of its wheelset, whether it was appended or not. Records of
-        one key are in the order of their recorded time: a clock that went back does not put a new one before an old.
+        A current geometry also ends the staleness of its wheelset, whether it was appended or not. The newest is the
+        one appended last, whatever the clock says; its recorded time is not before that of the one it follows.
         """
         serialise(self.connection, Subject.GEOMETRIES)
         if record.interval is None:

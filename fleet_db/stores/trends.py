@@ -14,7 +14,7 @@ from fleet_db.packed_values import pack_trend, unpack_trend
 from fleet_db.rows import null_if_nan, reason_columns, table_of
 
 TRENDS = table_of(TrendRow)
-NEWEST_FIRST = (TRENDS.c.recorded_ns.desc(), TRENDS.c.trend_id.desc())
+NEWEST_FIRST = (TRENDS.c.trend_id.desc(),)  # in the order of commit; clocks go back
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,9 @@ from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 
+DAY = 86_400 * 10**9
+HOUR = 3600 * 10**9
+
 
 def put(storage: SqlStorage, *records: GeometryRecord) -> list[bool]:
     with storage.write() as unit:
@@ -79,6 +82,50 @@ def test_a_clock_that_went_back_does_not_hide_the_newest(fleet: SqlStorage) -> N
         found = unit.geometries.current("WS-1")
         assert found is not None
         assert (found.input_digest, found.recorded_ns) == (make.geometry_record(2).input_digest, 500)
+
+
+def recorded(fleet: SqlStorage) -> list[int]:
+    """Return the recorded times of the three results that are put first."""
+    with fleet.read() as unit:
+        found = [unit.geometries.current("WS-1"), *unit.geometries.intervals("WS-1"), unit.trends.latest("WS-1")]
+        return [one.recorded_ns for one in found if one is not None]
+
+
+def put_all(fleet: SqlStorage, day: int, recorded_ns: int) -> None:
+    put(fleet, make.geometry_record(day, recorded_ns), make.geometry_record(day, recorded_ns, interval=4))
+    with fleet.write() as unit:
+        unit.trends.put(make.trend_record(day, recorded_ns))
+
+
+@pytest.mark.parametrize("wrong_by", [1, HOUR, 400 * DAY])
+def test_results_of_a_clock_that_was_ahead_count_as_recorded_once_it_is_right(fleet: SqlStorage, wrong_by: int) -> None:
+    put_all(fleet, 1, 10 * DAY + wrong_by)
+    with fleet.write() as unit:
+        assert unit.recorded_times.correct(10 * DAY) == 3
+        assert unit.recorded_times.correct(10 * DAY) == 0
+    assert recorded(fleet) == [10 * DAY] * 3
+    put_all(fleet, 2, 10 * DAY + 5)
+    for as_of, expected in ((10 * DAY - 1, None), (10 * DAY, 1), (10 * DAY + 4, 1), (10 * DAY + 5, 2), (None, 2)):
+        with fleet.read() as unit:
+            geometry, trend = unit.geometries.current("WS-1", as_of), unit.trends.latest("WS-1", as_of)
+        digests = [None if one is None else one.input_digest for one in (geometry, trend)]
+        assert digests == [None if expected is None else make.geometry_record(expected).input_digest] * 2, as_of
+
+
+@pytest.mark.parametrize(("behind", "corrected"), [(DAY, 3), (DAY + 1, 0)])
+def test_a_clock_that_is_behind_the_vehicles_rewrites_no_history(
+    fleet: SqlStorage, behind: int, corrected: int
+) -> None:
+    """A server that boots in 1970 is the one that is wrong; a vehicle that is ahead of its receipt says nothing."""
+    decoded = replace(make.CHUNK, state=ChunkState.DECODED, first_ns=0, received_ns=10 * DAY)
+    measured = replace(decoded, last_ns=10 * DAY)
+    ahead = replace(decoded, digest="b" * 64, last_ns=11 * DAY + 1)
+    put_all(fleet, 1, 11 * DAY)
+    with fleet.write() as unit:
+        assert [unit.chunks.put(one) for one in (measured, ahead)] == [True, True]
+        assert unit.recorded_times.correct(10 * DAY - behind) == corrected
+    put_all(fleet, 2, 10 * DAY - behind)
+    assert recorded(fleet) == [10 * DAY - behind if corrected else 11 * DAY] * 3
 
 
 def test_a_geometry_that_names_only_the_newest_version_is_read_as_before(fleet: SqlStorage) -> None:

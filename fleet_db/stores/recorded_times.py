@@ -1,0 +1,48 @@
+"""Our own clock: results that were stored while it was ahead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, func, select, update
+
+from fleet_db.locks import Subject, serialise
+from fleet_db.models import ChunkRow, GeometryRow, TrendRow
+from fleet_db.receipts import ChunkState
+from fleet_db.rows import table_of
+
+CHUNKS = table_of(ChunkRow)
+RESULTS = (table_of(GeometryRow), table_of(TrendRow))
+DAY_NS = 86_400_000_000_000
+MOST_BEHIND_NS = DAY_NS
+"""How far our clock may be behind what vehicles have measured by theirs before it is the one that is wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTimeStore:
+    """Implements ``estimation.storage.RecordedTimes``."""
+
+    connection: Connection
+
+    def correct(self, now_ns: int) -> int:
+        """Let results that carry a later time than our clock shows count as recorded now; return how many.
+
+        A time that our clock has shown twice is then the second time; the order of results does not change. Nothing
+        is done where our clock is so far behind the vehicles' that it is the one that is wrong.
+
+        Parameters
+        ----------
+        now_ns
+            Our time.
+        """
+        newest = [self.connection.scalar(select(func.max(table.c.recorded_ns))) for table in RESULTS]
+        if all(found is None or found <= now_ns for found in newest):
+            return 0
+        measured = select(func.max(CHUNKS.c.last_ns)).where(
+            CHUNKS.c.state == ChunkState.DECODED.value, CHUNKS.c.last_ns <= CHUNKS.c.received_ns + DAY_NS
+        )
+        if now_ns < (self.connection.scalar(measured) or 0) - MOST_BEHIND_NS:
+            return 0
+        serialise(self.connection, Subject.GEOMETRIES)
+        statements = (update(table).where(table.c.recorded_ns > now_ns).values(recorded_ns=now_ns) for table in RESULTS)
+        return sum(self.connection.execute(statement).rowcount for statement in statements)
