@@ -34,6 +34,7 @@ COMMANDS = (
     Command("demo", "api.commands.demo", "demo", "Run the main job end to end on the embedded default."),
     Command("simulate", "api.commands.simulate", "simulate", "Simulate a fleet that sends CAN frames."),
     Command("ingest", "api.commands.ingest", "ingest", "Receive CAN frames from log files or a live bus."),
+    Command("reassemble", "api.commands.reassemble", "reassemble", "Make the windows of a vehicle again."),
     Command("estimate", "api.commands.estimate", "estimate", "Run the scheduled jobs once, now, in order."),
     Command("serve", "api.commands.serve", "serve", "Serve the REST API."),
     Command("schedule", "api.commands.schedule", "schedule", "Run the jobs on schedule; one per deployment."),

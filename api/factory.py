@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from api.retention_file import load_retention
@@ -17,11 +18,17 @@ from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
+from estimation.storage import Clock
 from fleet_db.keeping.retention import Retention
 from fleet_db.raw import RawStore
 from fleet_db.revisions import check_head
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
+from ingest.assemble_windows import assemble_windows
+from ingest.catalogue import default_catalogue
+from ingest.own_bus.choice import bus_choice
+from ingest.own_bus.loading import load_own_bus
+from ingest.receiver import Receiver
 from ingest.vehicle_class_file import class_of_package
 
 if TYPE_CHECKING:
@@ -122,9 +129,44 @@ def retention_of(settings: Settings) -> Retention:
 
 def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:
     """Return the jobs in the order in which one hands its results to the next, at the intervals of this deployment."""
+    jobs = (assemble_windows(_sql_storage, partial(_job_receiver, settings)), *ALL_JOBS)
     if settings.jobs_every_s is None:
-        return ALL_JOBS
-    return tuple(replace(job, every_s=settings.jobs_every_s) for job in ALL_JOBS)
+        return jobs
+    return tuple(replace(job, every_s=settings.jobs_every_s) for job in jobs)
+
+
+def receiver(settings: Settings, storage: SqlStorage, clock: Clock, catalogues: Sequence[Path] = ()) -> Receiver:
+    """Return what takes recordings in and makes their windows.
+
+    Parameters
+    ----------
+    settings
+        Of the deployment.
+    storage
+        Where receipts and windows go.
+    clock
+        Ours.
+    catalogues
+        Mapping files of buses of one's own; by default those of the settings.
+
+    Raises
+    ------
+    InputError
+        A mapping file cannot be used.
+    """
+    buses = [load_own_bus(path) for path in catalogues or settings.catalogue_files]
+    chosen = bus_choice(default_catalogue(), buses)
+    return Receiver(storage, raw_store(settings), chosen, clock, window_length_s=settings.window_length_s)
+
+
+def _sql_storage(context: JobContext) -> SqlStorage:
+    if not isinstance(context.storage, SqlStorage):
+        raise TypeError(f"windows are assembled in an SqlStorage, not in {type(context.storage).__name__}")
+    return context.storage
+
+
+def _job_receiver(settings: Settings, context: JobContext) -> Receiver:
+    return receiver(settings, _sql_storage(context), context.clock)
 
 
 def create_app(settings: Settings) -> FastAPI:

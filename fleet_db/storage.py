@@ -13,6 +13,7 @@ from fleet_db.changes import Changes
 from fleet_db.locks import file_scheduler_lock, postgresql_scheduler_lock, serialise_vehicle, single_writer
 from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, sqlite_file, translate_errors
 from fleet_db.stores.alerts import AlertStore
+from fleet_db.stores.assembled import AssembledWindowStore
 from fleet_db.stores.bin_tables import BinTableStore
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.geometries import GeometryStore
@@ -49,6 +50,7 @@ class SqlUnitOfWork:
     registry: RegistryStore = field(init=False)
     tracks: TrackStore = field(init=False)
     windows: WindowStore = field(init=False)
+    assembled: AssembledWindowStore = field(init=False)
     tables: BinTableStore = field(init=False)
     geometries: GeometryStore = field(init=False)
     trends: TrendStore = field(init=False)
@@ -68,6 +70,7 @@ class SqlUnitOfWork:
         self.registry = RegistryStore(connection, self.changes, self.shipped)
         self.tracks = TrackStore(connection)
         self.windows = WindowStore(connection, self.changes, self.files)
+        self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)
         self.geometries = GeometryStore(connection, self.changes)
         self.trends = TrendStore(connection)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
-from estimation.errors import ConflictError
+import numpy as np
+
+from estimation.errors import ConflictError, StorageError
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord
 from fleet_db.receipts import ChunkRecord, ChunkState
@@ -24,7 +27,6 @@ from ingest.align.windows import (
     WindowCounts,
     add_counts,
     vehicle_samples,
-    window_starts,
     windows_of,
 )
 from ingest.catalogue import Catalogue
@@ -41,6 +43,9 @@ from ingest.recordings import (
     decoded_beside,
     waiting_beside,
 )
+
+OWN_TIME = "own_time"
+"""Key among the counts of a receipt: 1 where the recording has a TIME frame of its own, else 0."""
 
 WAITING = Reason(ReasonCode.WAITS_FOR_TIME, "no TIME frame in it or beside it: it waits for the recording next to it")
 
@@ -65,35 +70,66 @@ def needed_range(first_ns: int, last_ns: int, length_ns: int) -> tuple[int, int,
 
 
 @dataclass(frozen=True, slots=True)
-class Assembly:
-    """Windows of a recording and everything that went into them."""
+class SpanAssembly:
+    """The windows of a vehicle that overlap a span of its clock, and everything that went into them.
 
-    sources: frozenset[str]  # digests
-    receipts: tuple[ChunkRecord, ...]  # that change with it: its own first, then those that had waited for it
+    Attributes
+    ----------
+    vehicle
+        Code.
+    from_ns, to_ns
+        Start of the first window of the span, end of its last.
+    sources
+        Digests of the recordings.
+    lookup
+        The registry.
+    windows
+        All that recordings and registry give in the span, but for those of ``kept``.
+    kept
+        Spans in which a recording cannot be read any more: what is stored of them stays.
+    counts
+        What was left out.
+    """
+
+    vehicle: str
+    from_ns: int
+    to_ns: int
+    sources: frozenset[str]
+    lookup: RegistryLookup
     windows: tuple[MountedWindow, ...]
+    kept: tuple[Span, ...]
+    counts: Mapping[str, int]
+
+    def keeps(self, start_ns: int, length_ns: int) -> bool:
+        """Whether what is stored of a window stays, because a recording of it cannot be read."""
+        return any(first < start_ns + length_ns and last >= start_ns for first, last in self.kept)
 
 
 @dataclass(frozen=True, slots=True)
 class Assembler:
-    """Assembles the windows that a recording touches from every recording that touches those windows."""
+    """Assembles the windows of a vehicle from every decoded recording that touches them."""
 
     recordings: Recordings
     length_ns: int
 
-    def sources(self, unit: SqlUnitOfWork, record: ChunkRecord, recording: Recording) -> Sequence[ChunkRecord]:
-        """Return the receipts of all recordings that the windows of this one depend on, its own first."""
-        beside = list(waiting_beside(unit, record.vehicle, recording))
-        span = recording.vehicle_ns
-        if span is None:
+    def placed(self, unit: SqlUnitOfWork, record: ChunkRecord, recording: Recording) -> tuple[ChunkRecord, ...]:
+        """Return the receipt of a stored recording with its place on the vehicle's clock, if it has one.
+
+        It comes first; those that had waited for its TIME frames follow.
+
+        Raises
+        ------
+        StorageError
+            A recording that is needed cannot be read any more.
+        """
+        waiting = list(waiting_beside(unit, record.vehicle, recording))
+        beside = list(waiting)
+        if recording.vehicle_ns is None:
             beside += decoded_beside(unit, record.vehicle, recording)
-            joined = [recording, *(self.recordings.load_neighbour(other) for other in beside)]
-            span = _span(recording, align_recordings(joined))
-        if span is None:
-            return [record]
-        _, _, from_ns, to_ns = needed_range(*span, self.length_ns)
-        overlapping = unit.chunks.overlapping(record.vehicle, from_ns, to_ns)
-        found = {other.digest: other for other in (*beside, *overlapping) if other.digest != record.digest}
-        return [record, *found.values()]
+        loaded = {other.digest: self.recordings.load_neighbour(other) for other in beside}
+        aligned = align_recordings([recording, *loaded.values()])
+        coming = [(record, recording), *((other, loaded[other.digest]) for other in waiting)]
+        return tuple(_receipt_after(*each, _span(each[1], aligned)) for each in coming)
 
     def check_no_logs(self, unit: SqlUnitOfWork, vehicle: str, span: Span) -> None:
         """Raise where logs are in the windows that an exchange of this span of the vehicle's clock touches.
@@ -106,48 +142,150 @@ class Assembler:
         _, _, from_ns, to_ns = needed_range(*span, self.length_ns)
         _check_one_kind(vehicle, EXCHANGE_SUFFIX, unit.chunks.overlapping(vehicle, from_ns, to_ns))
 
-    def assemble(self, unit: SqlUnitOfWork, record: ChunkRecord, recording: Recording) -> Assembly:
-        """Assemble the windows that a stored recording touches.
+    def check_one_kind(self, unit: SqlUnitOfWork, record: ChunkRecord) -> None:
+        """Raise where logs of a bus and exchanges would share a window with a recording that was just placed.
+
+        Raises
+        ------
+        ConflictError
+            They would.
+        """
+        if record.first_ns is not None and record.last_ns is not None:
+            _, _, from_ns, to_ns = needed_range(record.first_ns, record.last_ns, self.length_ns)
+            beside = unit.chunks.overlapping(record.vehicle, from_ns, to_ns)
+            _check_one_kind(record.vehicle, record.suffix, beside)
+
+    def touched(self, receipts: Iterable[ChunkRecord]) -> Span | None:
+        """Return the span of the vehicle's clock whose windows recordings can change; None where there is none."""
+        ends = [(r.first_ns, r.last_ns) for r in receipts if r.first_ns is not None and r.last_ns is not None]
+        if not ends:
+            return None
+        first, last, _, _ = needed_range(min(end[0] for end in ends), max(end[1] for end in ends), self.length_ns)
+        return first, last + 1
+
+    def sources(
+        self, unit: SqlUnitOfWork, vehicle: str, span: Span, coming: Sequence[ChunkRecord] = ()
+    ) -> list[ChunkRecord]:
+        """Return the receipts of all recordings that the windows of a vehicle in a span depend on.
+
+        Parameters
+        ----------
+        unit
+            An open transaction.
+        vehicle
+            Code.
+        span
+            ``[from, to)`` of its clock, at the edges of windows.
+        coming
+            Receipts of recordings that are about to be decoded, with their place.
+        """
+        decoded = unit.chunks.overlapping(vehicle, span[0] - CONTEXT_NS, span[1] + CONTEXT_NS)
+        found = {other.digest: other for other in (*decoded, *coming)}
+        for source in list(found.values()):
+            if not self._has_own_time(source):  # its place is known by those beside it
+                recording = self.recordings.load_neighbour(source)
+                found |= {other.digest: other for other in decoded_beside(unit, vehicle, recording)}
+        return [found[digest] for digest in sorted(found)]
+
+    def assemble(
+        self,
+        unit: SqlUnitOfWork,
+        vehicle: str,
+        span: Span,
+        coming: Sequence[ChunkRecord] = (),
+        *,
+        keep_unreadable: bool = False,
+    ) -> SpanAssembly:
+        """Assemble all windows of a vehicle that overlap a span of its clock.
+
+        Parameters
+        ----------
+        unit
+            An open transaction.
+        vehicle
+            Code.
+        span
+            ``[from, to)``, ns.
+        coming
+            Receipts of recordings that are about to be decoded, with their place.
+        keep_unreadable
+            Whether what is stored of a recording that cannot be read any more stays, and the others go on.
 
         Raises
         ------
         NotFoundError
             The registry does not know the vehicle.
-        ConflictError
-            Logs of its bus and exchanges would share a window.
         StorageError
             A recording that is needed cannot be read any more.
         """
-        vehicle = unit.registry.vehicle(record.vehicle)
-        sources = self.sources(unit, record, recording)
-        _check_one_kind(record.vehicle, record.suffix, sources)
-        loaded = {source.digest: self.recordings.load_neighbour(source) for source in sources[1:]}
-        loaded[record.digest] = recording
-        aligned = align_recordings(loaded.values())
-        coming = [(source, loaded[source.digest]) for source in sources if source.state is not ChunkState.DECODED]
-        spans = [_span(each, aligned) for _, each in coming]
-        receipts = [_receipt_after(*each, span) for each, span in zip(coming, spans, strict=True)]
-        known = [span for span in spans if span is not None]
-        if not known:
-            return Assembly(frozenset(loaded), tuple(receipts), ())
-        samples, counts = _samples(vehicle.code, recording.catalogue, merge_aligned(aligned))
-        windows, made = self._windows(unit, vehicle, samples, known)
-        receipts[0] = _with_counts(receipts[0], {**_nonzero(asdict(counts)), **asdict(made)})
-        return Assembly(frozenset(loaded), tuple(receipts), windows)
+        on_file = unit.registry.vehicle(vehicle)
+        first = span[0] // self.length_ns * self.length_ns
+        end = -(-span[1] // self.length_ns) * self.length_ns
+        sources = self.sources(unit, vehicle, (first, end), coming)
+        lookup = registry_lookup(unit, on_file, first, end)
+        loaded, kept = self._loaded(sources, keep_unreadable=keep_unreadable)
+        windows: list[MountedWindow] = []
+        counts: Counter[str] = Counter()
+        for of_kind in _by_kind(sources, loaded):
+            made, left_out = self._windows(of_kind, lookup, (first, end))
+            windows += made
+            counts.update(left_out)
+        spared = SpanAssembly(vehicle, first, end, frozenset(r.digest for r in sources), lookup, (), kept, counts)
+        return replace(spared, windows=tuple(w for w in windows if not spared.keeps(w.window.start_ns, self.length_ns)))
+
+    def _has_own_time(self, source: ChunkRecord) -> bool:
+        if OWN_TIME in source.counts:  # receipts of older versions do not have it
+            return bool(source.counts[OWN_TIME])
+        return self.recordings.load_neighbour(source).vehicle_ns is not None
+
+    def _loaded(
+        self, sources: Sequence[ChunkRecord], *, keep_unreadable: bool
+    ) -> tuple[dict[str, Recording], tuple[Span, ...]]:
+        """Return the recordings by digest, and the spans of those that cannot be read."""
+        loaded: dict[str, Recording] = {}
+        kept: list[Span] = []
+        for source in sources:
+            try:
+                loaded[source.digest] = self.recordings.load_neighbour(source)
+            except StorageError:
+                if not keep_unreadable or not self.recordings.raw.directory.is_dir():
+                    raise
+                if source.first_ns is not None and source.last_ns is not None:
+                    kept.append((source.first_ns - CONTEXT_NS, source.last_ns + CONTEXT_NS))
+        return loaded, tuple(kept)
 
     def _windows(
-        self, unit: SqlUnitOfWork, vehicle: VehicleRecord, samples: VehicleSamples, spans: Sequence[Span]
-    ) -> tuple[tuple[MountedWindow, ...], WindowCounts]:
-        first, last, _, _ = needed_range(min(s[0] for s in spans), max(s[1] for s in spans), self.length_ns)
-        starts = window_starts(first, last, self.length_ns)
-        windows, counts = [], WindowCounts()
-        lookup = _lookup(unit, vehicle, starts.start, starts.stop + self.length_ns)
-        for outcome in windows_of(samples, starts, self.length_ns, lookup):
+        self, recordings: Sequence[Recording], lookup: RegistryLookup, span: Span
+    ) -> tuple[list[MountedWindow], dict[str, int]]:
+        aligned = align_recordings(recordings)
+        samples, counts = _samples(lookup.vehicle.code, recordings[0].catalogue, merge_aligned(aligned))
+        windows, made = [], WindowCounts()
+        for outcome in windows_of(samples, _starts(samples, span, self.length_ns), self.length_ns, lookup):
             if isinstance(outcome, MountedWindow):
                 windows.append(outcome)
             else:
-                counts = add_counts(counts, outcome)
-        return tuple(windows), replace(counts, windows=len(windows))
+                made = add_counts(made, outcome)
+        made = replace(made, windows=len(windows))
+        return windows, {**_nonzero(asdict(counts)), **asdict(made)}
+
+
+def _by_kind(sources: Iterable[ChunkRecord], loaded: Mapping[str, Recording]) -> list[list[Recording]]:
+    """Return the recordings that could be read, logs and exchanges apart: they never share a window."""
+    logs: list[Recording] = []
+    exchanges: list[Recording] = []
+    for source in sources:
+        if source.digest in loaded:
+            (exchanges if source.suffix == EXCHANGE_SUFFIX else logs).append(loaded[source.digest])
+    return [found for found in (logs, exchanges) if found]
+
+
+def _starts(samples: VehicleSamples, span: Span, length_ns: int) -> list[int]:
+    """Return the starts of the windows of a span that any wheelset has samples in."""
+    found: set[int] = set()
+    for node in samples.nodes.values():
+        low, high = np.searchsorted(node.block.t_ns, span)
+        found.update((np.unique(node.block.t_ns[low:high] // length_ns) * length_ns).tolist())
+    return sorted(found)
 
 
 def _samples(
@@ -176,7 +314,18 @@ def _span(recording: Recording, aligned: Iterable[AlignedFrames]) -> Span | None
     return recording.vehicle_ns or next((span for span in beside if span is not None), None)
 
 
-def _lookup(unit: SqlUnitOfWork, vehicle: VehicleRecord, from_ns: int, to_ns: int) -> RegistryLookup:
+def registry_lookup(unit: SqlUnitOfWork, vehicle: VehicleRecord, from_ns: int, to_ns: int) -> RegistryLookup:
+    """Return what the registry contains of a vehicle over a span of its clock.
+
+    Parameters
+    ----------
+    unit
+        An open transaction.
+    vehicle
+        The vehicle.
+    from_ns, to_ns
+        The span, its end excluded.
+    """
     return RegistryLookup(
         vehicle,
         tuple(unit.registry.mountings_on(vehicle.code, from_ns, to_ns)),
@@ -193,16 +342,13 @@ def _receipt_after(record: ChunkRecord, recording: Recording, span: Span | None)
         **_nonzero(asdict(recording.alone.align_counts)),
         RECORDER_FIRST: first,
         RECORDER_LAST: last,
+        OWN_TIME: int(recording.vehicle_ns is not None),
     }
     record = replace(record, frames=recording.frames, counts=counts)
     if span is None and recording.frames:
         return replace(record, reason=WAITING)
     first_ns, last_ns = span or (None, None)
     return replace(record, state=ChunkState.DECODED, reason=None, first_ns=first_ns, last_ns=last_ns)
-
-
-def _with_counts(record: ChunkRecord, more: Mapping[str, int]) -> ChunkRecord:
-    return replace(record, counts={**record.counts, **more})
 
 
 def _nonzero(counts: Mapping[str, int]) -> dict[str, int]:

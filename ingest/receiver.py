@@ -16,12 +16,11 @@ from tempfile import TemporaryDirectory
 from estimation.errors import ConflictError, LogFileError, NotFoundError, TreadwatchError
 from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.windows import Window
 from fleet_db.raw import RawStore
 from fleet_db.raw_mark import check_raw_store, stored_mark
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from ingest.assembly import Assembler, Assembly
+from ingest.assembly import Assembler, SpanAssembly
 from ingest.catalogue import Catalogue
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.bundle import write_bundle
@@ -29,7 +28,9 @@ from ingest.exchange.intake import checked_exchange
 from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
 from ingest.own_bus.choice import BusChoice
+from ingest.reassembly import Reassembler
 from ingest.recordings import Recording, Recordings
+from ingest.span_commit import NO_CHANGES, commit, still_so
 
 SECOND_NS = 1_000_000_000
 READ_AHEAD = 3
@@ -54,6 +55,14 @@ class ReceivedFile:
     vehicle: str
     digest: str
     recording: Recording | Exception
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """What a recording makes: receipts, its own first, and the windows that it touches, where it has a place."""
+
+    receipts: tuple[ChunkRecord, ...]
+    assembly: SpanAssembly | None
 
 
 class Receiver:
@@ -87,6 +96,7 @@ class Receiver:
         self._held = HeldRecordings(storage, clock)
         self._mark: str | None = None
         self._assembler = Assembler(self._recordings, round(window_length_s * SECOND_NS))
+        self.reassembler = Reassembler(storage, self._assembler, clock)
 
     def receive_file(self, path: Path, vehicle: str) -> ChunkReceipt:
         """Take in one recording of a vehicle.
@@ -156,6 +166,8 @@ class Receiver:
         record, known = self._receipt(received)
         if record.state is ChunkState.REJECTED:
             raise LogFileError(str(record.reason), file=received.path)
+        if record.state is ChunkState.DECODED:
+            return ChunkReceipt(record, known=True, windows_changed=self._healed(record))
         if record.state is not ChunkState.STORED:
             return ChunkReceipt(record, known=True, windows_changed=0)
         if not isinstance(received.recording, Exception):
@@ -182,9 +194,11 @@ class Receiver:
         with self._storage.read() as unit:
             stored = unit.chunks.with_state(ChunkState.STORED, limit=1_000_000)
         early = self._held.waiting() if digest is None else frozenset()
+        yield from self.decode(r for r in stored if r.digest not in early and digest in {None, r.digest})
+
+    def decode(self, stored: Iterable[ChunkRecord]) -> Iterator[ChunkReceipt | Exception]:
+        """Decode recordings that are stored; yield as :meth:`decode_stored`."""
         for record in stored:
-            if record.digest in early or digest not in {None, record.digest}:
-                continue
             try:
                 yield self._decoded(record, self._loaded(record), known=False)
             except Exception as error:  # noqa: BLE001 - whatever fails at one recording, the others go on
@@ -220,6 +234,17 @@ class Receiver:
         """Refuse a folder of raw recordings that is not that of the database; raises PassingFaultError."""
         if self._mark is None or stored_mark(self._raw) != self._mark:
             self._mark = check_raw_store(self._storage, self._raw, self._clock.now_ns())
+
+    def _healed(self, record: ChunkRecord) -> int:
+        """Make the windows of a decoded recording again where a file of theirs is lost; return how many changed."""
+        if record.first_ns is None or record.last_ns is None:
+            return 0
+        from_ns, to_ns = record.first_ns - self._assembler.length_ns, record.last_ns + 1
+        with self._storage.read() as unit:
+            windows = unit.assembled.of_vehicle(record.vehicle, from_ns, to_ns)
+            if all(unit.assembled.intact(window, verify=False) for window in windows):
+                return 0
+        return self.reassembler.reassemble(record.vehicle, record.first_ns, to_ns).windows
 
     def _bus_of(self, vehicle: str) -> Catalogue:
         return self._buses.of_vehicle(self._class_of, vehicle)
@@ -283,39 +308,46 @@ class Receiver:
         try:
             for _ in range(ATTEMPTS_BESIDE_OTHERS):
                 with self._storage.read() as unit:
-                    assembly = self._assembler.assemble(unit, record, recording)
+                    made = self._assembled(unit, record, recording)
                 with self._storage.write() as unit:
                     unit.assemble_alone(record.vehicle)
-                    again = self._assembler.sources(unit, record, recording)
-                    if {source.digest for source in again} == assembly.sources:
-                        return assembly.receipts[0], self._commit(unit, assembly)
-                # another recording of the vehicle was committed meanwhile
+                    if self._still_so(unit, record, recording, made):
+                        return self._commit(unit, made)
+                # another recording of the vehicle, or the registry, was committed meanwhile
             with self._storage.write() as unit:
                 unit.assemble_alone(record.vehicle)
-                assembly = self._assembler.assemble(unit, record, recording)
-                return assembly.receipts[0], self._commit(unit, assembly)
+                return self._commit(unit, self._assembled(unit, record, recording))
         except NotFoundError as error:
             with self._storage.write() as unit:
                 unit.chunks.update(replace(record, reason=Reason(ReasonCode.VEHICLE_UNKNOWN, str(error))))
             raise
 
-    def _commit(self, unit: SqlUnitOfWork, assembly: Assembly) -> int:
-        _check_undecided(unit, assembly.receipts)
-        changed = 0
-        for mounted in assembly.windows:
-            mounting = mounted.mounting
-            run_km = mounted.window.odometer_m / 1000.0 - mounting.vehicle_odometer_km
-            mileage_km = mounting.wheelset_mileage_km + run_km
-            before = unit.windows.get(mounting.wheelset, mounted.window.start_ns)
-            if not unit.windows.put(mounted.window, mileage_km, self._clock.now_ns()):
-                continue
-            changed += 1
-            after = unit.windows.get(mounting.wheelset, mounted.window.start_ns)
-            if before is None or after is None or before.content_digest != after.content_digest:
-                _requeue_partner(unit, mounted.window)
-        for receipt in assembly.receipts:
+    def _still_so(self, unit: SqlUnitOfWork, record: ChunkRecord, recording: Recording, made: Decoded) -> bool:
+        """Whether everything that a recording was assembled with is as it was."""
+        if made.assembly is not None and not still_so(unit, self._assembler, made.assembly, made.receipts):
+            return False
+        return self._assembler.placed(unit, record, recording) == made.receipts
+
+    def _commit(self, unit: SqlUnitOfWork, made: Decoded) -> tuple[ChunkRecord, int]:
+        _check_undecided(unit, made.receipts)
+        changes, counts = NO_CHANGES, made.receipts[0].counts
+        if made.assembly is not None:
+            changes = commit(unit, made.assembly, self._clock.now_ns())
+            counts = {**counts, **made.assembly.counts}
+        decoded = replace(made.receipts[0], counts=counts)
+        for receipt in (decoded, *made.receipts[1:]):
             unit.chunks.update(receipt)
-        return changed
+        return decoded, changes.windows
+
+    def _assembled(self, unit: SqlUnitOfWork, record: ChunkRecord, recording: Recording) -> Decoded:
+        unit.registry.vehicle(record.vehicle)
+        receipts = self._assembler.placed(unit, record, recording)
+        self._assembler.check_one_kind(unit, receipts[0])
+        span = self._assembler.touched(receipts)
+        if span is None:
+            return Decoded(receipts, None)
+        coming = [receipt for receipt in receipts if receipt.state is ChunkState.DECODED]
+        return Decoded(receipts, self._assembler.assemble(unit, record.vehicle, span, coming))
 
 
 def _read(recording: Recording | Exception) -> Recording:
@@ -331,14 +363,6 @@ def _check_undecided(unit: SqlUnitOfWork, receipts: Iterable[ChunkRecord]) -> No
         now = unit.chunks.get(receipt.digest)
         if now is None or now.vehicle != receipt.vehicle or now.state in {ChunkState.REJECTED, ChunkState.SET_ASIDE}:
             raise ConflictError(f"recording {receipt.digest[:12]} changed meanwhile", kind="chunk", key=receipt.digest)
-
-
-def _requeue_partner(unit: SqlUnitOfWork, window: Window) -> None:
-    """Let the window of the other axle in the bogie wait again: it is estimated with the signals of both."""
-    on_file = unit.registry.vehicle_class(unit.registry.vehicle(window.vehicle).vehicle_class)
-    partner = None if on_file is None else on_file.vehicle_class.partner(window.axle)
-    if partner is not None:
-        unit.windows.requeue_axle(window.vehicle, partner, window.start_ns)
 
 
 def _suffix_of(path: Path) -> str:

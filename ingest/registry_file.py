@@ -92,7 +92,13 @@ def load_registry(path: Path, unit_of_work: SqlUnitOfWork, recorded_ns: int) -> 
     again = [registry.add_vehicle_class(one, recorded_ns) for one in contents.classes]
     again += _store(path, "vehicles", contents.vehicles, lambda one: registry.add_vehicle(one, recorded_ns))
     again += _store(path, "wheelsets", contents.wheelsets, lambda one: registry.add_wheelset(one, recorded_ns))
-    _store(path, "mountings", contents.mountings, registry.add_mounting)
+    before = registry.take_out(contents.mountings)
+    _store(
+        path,
+        "mountings",
+        contents.mountings,
+        lambda one: registry.add_mounting(one, before.get((one.wheelset, one.from_ns))),
+    )
     _store(path, "reprofilings", contents.reprofilings, registry.add_reprofiling)
     _store(path, "measured_profiles", contents.measured_profiles, registry.add_measured_profiles)
     _store(path, "track_sections", contents.sections, tracks.add_section)

@@ -87,6 +87,7 @@ def replay(settings: Settings, scenario: Scenario, report: FleetReport, console:
         _register(storage, contents, clock.now_ns())
         context = replace(job_context(settings, storage), clock=clock)
         receiver = _receiver(settings, storage, clock)
+        receiver.reassembler.work_off()  # the registry is new, and there is no recording yet
         campaigns = _by_campaign(report)
         bar = progress.add_task("", total=len(campaigns), what="")
         tally = _Tally()

@@ -15,25 +15,23 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from api import logs
-from api.factory import SystemClock, open_store, raw_store
+from api import factory, logs
+from api.factory import SystemClock, open_store
 from api.settings import load_settings
 from api.times import to_rfc3339
 from estimation.errors import InputError, TreadwatchError
 from estimation.jobs.scheduler import stop_on_signals
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus, record
-from ingest.catalogue import default_catalogue
 from ingest.logs import SUFFIXES
-from ingest.own_bus.choice import bus_choice
-from ingest.own_bus.loading import load_own_bus
 from ingest.receiver import ChunkReceipt, Receiver
 from ingest.registry_file import LoadedRegistry, load_registry
+from ingest.span_commit import SpanChanges
 
 SEPARATOR = "__"
 """Between the vehicle and the time in the name of a recording."""
 
-NOT_COUNTS = ("recorder_first_ns", "recorder_last_ns")
+NOT_COUNTS = ("recorder_first_ns", "recorder_last_ns", "own_time")
 
 REMEMBERED = 1000
 """Recordings of a live bus that the summary at the end covers."""
@@ -92,11 +90,9 @@ def ingest_and_report(
     with closing(open_store(settings)) as storage:
         if registry is not None:
             _load(registry, storage, console)
-        buses = bus_choice(default_catalogue(), [load_own_bus(path) for path in catalogues or settings.catalogue_files])
-        receiver = Receiver(
-            storage, raw_store(settings), buses, SystemClock(), window_length_s=settings.window_length_s
-        )
+        receiver = factory.receiver(settings, storage, SystemClock(), catalogues)
         outcomes = _unfinished(receiver, console)
+        work_off(receiver, console)
         if isinstance(source, LiveBus):
             outcomes += _live(receiver, source, str(vehicle), console)
         elif isinstance(source, Exchanges):
@@ -243,6 +239,37 @@ def _unfinished(receiver: Receiver, console: Console) -> list[Outcome]:
         else:
             console.print(f"stored earlier, not decoded: {outcome}", highlight=False, soft_wrap=True)
     return outcomes
+
+
+def work_off(receiver: Receiver, console: Console) -> None:
+    """Assemble the windows again that something has made stale; print what changed.
+
+    Parameters
+    ----------
+    receiver
+        Of the deployment.
+    console
+        Where it is printed.
+    """
+    try:
+        changes = receiver.reassembler.work_off()
+    except TreadwatchError as error:  # it stays stale; what comes now does not wait for it
+        console.print(f"not assembled again yet: {error}", highlight=False, soft_wrap=True)
+        return
+    if changes.windows:
+        console.print(f"assembled again: {changes_line(changes)}", highlight=False, soft_wrap=True)
+
+
+def changes_line(changes: SpanChanges) -> str:
+    """Return how many windows are new, changed, removed and healed.
+
+    Parameters
+    ----------
+    changes
+        Of spans that were assembled again.
+    """
+    counts = {"new": changes.new, "changed": changes.changed, "removed": changes.removed, "healed": changes.healed}
+    return "windows " + ", ".join(f"{name} {count:,}" for name, count in counts.items())
 
 
 def _live(receiver: Receiver, source: LiveBus, vehicle: str, console: Console) -> list[Outcome]:

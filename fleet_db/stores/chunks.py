@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, select, update
+from sqlalchemy import Connection, Row, exists, select, update
 
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
-from fleet_db.models import ChunkRow
+from fleet_db.models import ChunkRow, VehicleRow
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.rows import insert_new, reason_columns, stored_reason, table_of
 
-CHUNKS = table_of(ChunkRow)
+CHUNKS, VEHICLES = table_of(ChunkRow), table_of(VehicleRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +71,17 @@ class ChunkStore:
         oldest = select(CHUNKS).order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest).limit(count)
         newest = select(CHUNKS).order_by(CHUNKS.c.recorded_ns.desc(), CHUNKS.c.digest).limit(count)
         return [_record(row) for statement in (oldest, newest) for row in self.connection.execute(statement)]
+
+    def of_known_vehicles(self) -> Sequence[ChunkRecord]:
+        """Return the receipts of recordings that waited for their vehicle and whose vehicle there is, oldest first."""
+        statement = (
+            select(CHUNKS)
+            .where(CHUNKS.c.state == ChunkState.STORED.value)
+            .where(CHUNKS.c.reason_code == ReasonCode.VEHICLE_UNKNOWN.value)
+            .where(exists().where(VEHICLES.c.code == CHUNKS.c.vehicle))
+            .order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
+        )
+        return [_record(row) for row in self.connection.execute(statement)]
 
     def with_state(self, state: ChunkState, limit: int = 100) -> Sequence[ChunkRecord]:
         """Return receipts in ``state``, oldest first."""

@@ -76,8 +76,7 @@ class Again:
         ).one()
         sections = self._aligned_by(chosen)
         self._wait(chosen)
-        for section in sections:
-            self._restart(section)
+        self.sections(sections)
         return EstimatedAgain(names, int(windows), from_ns, tuple(sections))
 
     def geometries(self, codes: Sequence[str]) -> EstimatedAgain:
@@ -92,6 +91,17 @@ class Again:
         self._note(of_vehicles)
         from_ns = self.connection.scalar(select(func.min(WINDOWS.c.start_ns)).where(of_vehicles))
         return EstimatedAgain(tuple(codes), 0, from_ns, ())
+
+    def sections(self, codes: Sequence[str]) -> None:
+        """Start sections again, whose windows all wait then.
+
+        Parameters
+        ----------
+        codes
+            Of sections with an alignment.
+        """
+        for section in codes:
+            self._restart(section)
 
     def _aligned_by(self, chosen: ColumnElement[bool]) -> list[str]:
         """Return the sections with a version of the fleet's own that windows may have contributed to."""

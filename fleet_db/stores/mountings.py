@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, and_, or_, select
+from sqlalchemy import Connection, Row, and_, delete, or_, select
 
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.registry import Mounting
@@ -67,11 +67,34 @@ def mountings_of(connection: Connection, wheelset: str) -> Sequence[Mounting]:
     return [to_mounting(row) for row in connection.execute(statement)]
 
 
-def reversed_on_file(connection: Connection, record: Mounting) -> bool | None:
-    """Return which way round the mounting of the same wheelset and start is on file; None where there is none."""
+def mounting_on_file(connection: Connection, record: Mounting) -> Mounting | None:
+    """Return the mounting of the same wheelset and start; None where there is none."""
     key = and_(MOUNTINGS.c.wheelset == record.wheelset, MOUNTINGS.c.from_ns == record.from_ns)
-    found = connection.execute(select(MOUNTINGS.c.reversed).where(key)).first()
-    return None if found is None else bool(found.reversed)
+    found = connection.execute(select(MOUNTINGS).where(key)).first()
+    return None if found is None else to_mounting(found)
+
+
+def delete_mounting(connection: Connection, record: Mounting) -> None:
+    """Remove the mounting of the same wheelset and start."""
+    key = and_(MOUNTINGS.c.wheelset == record.wheelset, MOUNTINGS.c.from_ns == record.from_ns)
+    connection.execute(delete(MOUNTINGS).where(key))
+
+
+def changed_spans(before: Mounting | None, after: Mounting | None) -> list[tuple[str, int, int | None]]:
+    """Return ``(vehicle, from, to)`` of the time in which a mounting says something else than before.
+
+    Parameters
+    ----------
+    before, after
+        The mounting of one wheelset and start; None where there is none.
+    """
+    if before is not None and after is not None and replace(before, to_ns=after.to_ns) == after:
+        ends = [end for end in (before.to_ns, after.to_ns) if end is not None]
+        if not ends or before.to_ns == after.to_ns:
+            return []
+        return [(after.vehicle, min(ends), max(ends) if len(ends) == 2 else None)]  # noqa: PLR2004 - both end
+    known = [one for one in (before, after) if one is not None]
+    return [(one.vehicle, one.from_ns, one.to_ns) for one in known]
 
 
 def add_mounting(connection: Connection, record: Mounting, axles: int) -> bool:

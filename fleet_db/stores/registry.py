@@ -30,12 +30,15 @@ from fleet_db.stores.measured_profiles import measured_profiles_of, store_measur
 from fleet_db.stores.mountings import (
     MOUNTINGS,
     add_mounting,
+    changed_spans,
+    delete_mounting,
     mounting_at,
+    mounting_on_file,
     mountings_of,
     mountings_on,
-    reversed_on_file,
     to_mounting,
 )
+from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class
 
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
@@ -167,11 +170,15 @@ class RegistryStore:
         """
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
-        was = self.connection.scalar(select(VEHICLES.c.vehicle_class).where(VEHICLES.c.code == record.code))
+        found = self._vehicles(select(VEHICLES).where(VEHICLES.c.code == record.code))
         upsert(self.connection, VEHICLES, asdict(record) | {"axle_offsets_m": list(record.axle_offsets_m)})
-        if was is None or was == record.vehicle_class:
+        was = found[0] if found else None
+        if was is None or _assembled_with(was) != _assembled_with(record):
+            cause = f"vehicle {record.code} {'added' if was is None else 'changed'}"
+            StaleSpanStore(self.connection).add(record.code, None, None, cause)
+        if was is None or was.vehicle_class == record.vehicle_class:
             return NOTHING_AGAIN
-        before, after = self.vehicle_class(was), self.vehicle_class(record.vehicle_class)
+        before, after = self.vehicle_class(was.vehicle_class), self.vehicle_class(record.vehicle_class)
         return Again(self.connection, self.changes, recorded_ns).class_changed([record.code], before, after)
 
     def add_wheelset(self, record: WheelsetRecord, recorded_ns: int | None = None) -> EstimatedAgain:
@@ -201,10 +208,34 @@ class RegistryStore:
             return NOTHING_AGAIN
         return Again(self.connection, self.changes, recorded_ns).wheelset(record.serial)
 
-    def add_mounting(self, record: Mounting) -> None:
+    def add_mountings(self, records: Sequence[Mounting]) -> None:
+        """Add or change mountings together: wheelsets may change places with each other.
+
+        Raises
+        ------
+        NotFoundError, ParameterError, ConflictError
+            As :meth:`add_mounting`.
+        """
+        before = self.take_out(records)
+        for record in records:
+            self.add_mounting(record, before.get((record.wheelset, record.from_ns)))
+
+    def take_out(self, records: Sequence[Mounting]) -> dict[tuple[str, int], Mounting]:
+        """Remove the mountings that others of the same wheelset and start will replace; return them by those."""
+        serialise(self.connection, Subject.REGISTRY)
+        found = {}
+        for record in records:
+            was = mounting_on_file(self.connection, record)
+            if was is not None and was != record:
+                delete_mounting(self.connection, was)
+                found[record.wheelset, record.from_ns] = was
+        return found
+
+    def add_mounting(self, record: Mounting, before: Mounting | None = None) -> None:
         """Add a mounting, or change the one of the same wheelset and start (to end it, for one).
 
-        Where it is new, or its way round changes, windows that there are of it already wait to be estimated again.
+        The windows of its time are assembled again. Where its way round changes, those that there are wait. ``before``
+        is the one that was taken out for it (:meth:`take_out`).
 
         Raises
         ------
@@ -217,11 +248,17 @@ class RegistryStore:
         """
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
-        was_reversed = reversed_on_file(self.connection, record)
+        was = before or mounting_on_file(self.connection, record)
         if add_mounting(self.connection, record, self.vehicle(record.vehicle).axles):
-            self.changes.note(record.wheelset)
-            if was_reversed is not record.reversed:
-                self._estimate_again(record)
+            self._mounted_otherwise(was, record)
+
+    def _mounted_otherwise(self, was: Mounting | None, record: Mounting) -> None:
+        """Let follow what rests on a mounting that is new or was another."""
+        self.changes.note(record.wheelset)
+        for vehicle, from_ns, to_ns in changed_spans(was, record):
+            StaleSpanStore(self.connection).add(vehicle, from_ns, to_ns, f"mounting of wheelset {record.wheelset}")
+        if was is None or was.reversed is not record.reversed:
+            self._estimate_again(record)
 
     def add_reprofiling(self, record: Reprofiling) -> None:
         """Add a visit to the lathe, or change the one of the same wheelset and time.
@@ -287,6 +324,11 @@ class RegistryStore:
     def _known_wheelset(self, serial: str) -> None:
         if self.connection.scalar(select(WHEELSETS.c.serial).where(WHEELSETS.c.serial == serial)) is None:
             raise NotFoundError("wheelset", serial)
+
+
+def _assembled_with(record: VehicleRecord) -> tuple[object, ...]:
+    """Return what the windows of a vehicle are assembled with; its class decides its bus."""
+    return record.vehicle_class, record.axles, record.axle_offsets_m
 
 
 def _in_fleet(statement: Select[Any], column: Any, fleet: str | None) -> Select[Any]:  # noqa: ANN401 - any column

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, delete, insert, select
+from sqlalchemy import Connection, delete, insert, select, update
 
 from fleet_db.models import StaleSpanRow
 from fleet_db.rows import table_of
@@ -49,6 +49,15 @@ class StaleSpanStore:
         if vehicle is not None:
             statement = statement.where(SPANS.c.vehicle == vehicle)
         return [StaleSpan(**row._mapping) for row in self.connection.execute(statement)]  # noqa: SLF001 - public accessor of SQLAlchemy
+
+    def advance(self, spans: Sequence[StaleSpan], to_ns: int) -> None:
+        """Remove the part of spans before ``to_ns``, in the transaction that stores the windows of that part."""
+        for span in spans:
+            same = SPANS.c.id == span.id
+            if span.to_ns <= to_ns:
+                self.connection.execute(delete(SPANS).where(same))
+            elif span.from_ns < to_ns:
+                self.connection.execute(update(SPANS).where(same).values(from_ns=to_ns))
 
     def remove(self, spans: Sequence[StaleSpan]) -> None:
         """Remove spans whose windows have been assembled again, in the transaction that stores those."""

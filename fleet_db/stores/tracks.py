@@ -23,6 +23,7 @@ from estimation.values.track import (
 from estimation.values.windows import WindowPosition
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import (
+    ChunkRow,
     TrackAlignmentRow,
     TrackLayoutRow,
     TrackReportRow,
@@ -32,9 +33,11 @@ from fleet_db.models import (
     WindowRow,
 )
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
+from fleet_db.receipts import ChunkState
 from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, upsert
+from fleet_db.stores.stale_spans import StaleSpanStore
 
-LAYOUTS = table_of(TrackLayoutRow)
+CHUNKS, LAYOUTS = table_of(ChunkRow), table_of(TrackLayoutRow)
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
 REPORTS, POSITIONS, WINDOWS = table_of(TrackReportRow), table_of(WindowPositionRow), table_of(WindowRow)
 SAME_VERSION = and_(VERSIONS.c.section == ALIGNMENTS.c.section, VERSIONS.c.version == ALIGNMENTS.c.version)
@@ -83,7 +86,7 @@ class TrackStore:
         return found[0] if found else None
 
     def add_section(self, record: TrackSectionRecord) -> None:
-        """Add a section or change it.
+        """Add a section or change it; where its number is new, windows of vehicles that sent it are assembled again.
 
         Raises
         ------
@@ -98,7 +101,10 @@ class TrackStore:
                 kind="track section",
                 key=record.code,
             )
+        was = self.connection.scalar(select(SECTIONS.c.number).where(SECTIONS.c.code == record.code))
         upsert(self.connection, SECTIONS, asdict(record))
+        if was != record.number:
+            self._renumbered(record.code)
 
     def alignment(self, section: str, version: int | None = None) -> TrackAlignment | None:
         """Return one version of the alignment of a section, or the newest."""
@@ -231,6 +237,11 @@ class TrackStore:
         serialise(self.connection, Subject.TRACKS)
         self.section(layout.section)
         return store_layout(self.connection, layout)
+
+    def _renumbered(self, section: str) -> None:
+        vehicles = select(CHUNKS.c.vehicle).where(CHUNKS.c.state == ChunkState.DECODED.value).distinct()
+        for vehicle in sorted(self.connection.scalars(vehicles)):
+            StaleSpanStore(self.connection).add(vehicle, None, None, f"number of track section {section}")
 
     def _sections(self, statement: Select[Any]) -> Sequence[TrackSectionRecord]:
         return [TrackSectionRecord(*row) for row in self.connection.execute(statement)]

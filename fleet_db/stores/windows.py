@@ -78,7 +78,7 @@ class WindowStore:
         if found.content_digest == digest:
             if not self.files.has(digest, found.sample_bytes):
                 self.files.save(window, digest)
-                self._wait_again(window)
+                self.wait_again(window.wheelset, window.start_ns)
             return self._set_mileage(window, found.mileage_km, mileage_km)
         values = _values(window, mileage_km) | {
             "content_digest": digest,
@@ -148,6 +148,23 @@ class WindowStore:
             self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
             self._forget_position(record.wheelset, record.start_ns)
         return len(found)
+
+    def wait_again(self, wheelset: str, start_ns: int) -> None:
+        """Let a window whose file had been lost or damaged wait again, unless it is estimated already.
+
+        Where it was is looked for again, if that was done without its samples.
+        """
+        standing = self.connection.execute(
+            STANDING, key_of(WINDOWS, {"wheelset": wheelset, "start_ns": start_ns})
+        ).one()
+        same = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
+        if standing.state == WindowState.ESTIMATED.value:
+            damaged = POSITIONS.c.reason_code == ReasonCode.FILE_DAMAGED.value
+            self.connection.execute(delete(POSITIONS).where(*same, damaged))
+            return
+        self._forget_position(wheelset, start_ns)
+        if standing.state == WindowState.REFUSED.value:
+            self.mark(wheelset, start_ns, WindowState.PENDING)
 
     def requeue_section(self, track_section: str) -> int:
         """Set every window of a section to pending; return how many were not."""
@@ -234,13 +251,6 @@ class WindowStore:
         if row is None:
             raise NotFoundError("wheelset", wheelset)
         return row
-
-    def _wait_again(self, window: Window) -> None:
-        key = {"wheelset": window.wheelset, "start_ns": window.start_ns}
-        standing = self.connection.execute(STANDING, key_of(WINDOWS, key)).first()
-        self._forget_position(window.wheelset, window.start_ns)
-        if standing is not None and standing.state == WindowState.REFUSED.value:
-            self.mark(window.wheelset, window.start_ns, WindowState.PENDING)
 
     def _forget_position(self, wheelset: str, start_ns: int) -> None:
         same = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)

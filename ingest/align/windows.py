@@ -113,19 +113,6 @@ def vehicle_samples(
     return VehicleSamples(vehicle, catalogue.sample_interval_ns, nodes, motion, tuple(steps)), counts
 
 
-def window_starts(first_ns: int, last_ns: int, length_ns: int) -> range:
-    """Return the starts of all windows that overlap a span of the vehicle's clock.
-
-    Parameters
-    ----------
-    first_ns, last_ns
-        First and last instant, ns.
-    length_ns
-        Length of a window, ns.
-    """
-    return range(first_ns // length_ns * length_ns, last_ns + 1, length_ns)
-
-
 def windows_of(
     samples: VehicleSamples, starts: Iterable[int], length_ns: int, lookup: RegistryLookup
 ) -> Iterator[MountedWindow | WindowCounts]:

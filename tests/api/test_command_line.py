@@ -131,9 +131,9 @@ def test_estimate_runs_every_job_in_order_and_says_what_it_did(treadwatch: Run, 
     upgrade(f"sqlite:///{tmp_path / 'treadwatch.sqlite'}")
     done = treadwatch("estimate", data_dir=str(tmp_path))
     assert done.returncode == 0, done.stderr
-    places = [done.stdout.index(f" {name} ") for name in ("estimate_windows", "refresh_geometry", "evaluate_alerts")]
+    places = [done.stdout.index(f" {name} ") for name in ("assemble_windows", "estimate_windows", "evaluate_alerts")]
     assert places == sorted(places)
-    assert done.stdout.count("succeeded") == 5
+    assert done.stdout.count("succeeded") == 6
     assert "there are" in refused(treadwatch("estimate", "--job", "none", data_dir=str(tmp_path)))
 
 

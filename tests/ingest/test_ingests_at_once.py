@@ -14,13 +14,13 @@ import sqlalchemy
 from vehicle_bus import SECOND_NS, VEHICLE, Run, register
 
 from fleet_db.raw import RawStore
+from fleet_db.receipts import ChunkRecord
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from ingest.assembly import Assembly
 from ingest.catalogue import default_catalogue
 from ingest.frames import take
 from ingest.logs import write_blf
-from ingest.receiver import ATTEMPTS_BESIDE_OTHERS, ChunkReceipt, Receiver
+from ingest.receiver import ATTEMPTS_BESIDE_OTHERS, ChunkReceipt, Decoded, Receiver
 
 LENGTH_S = 10.0
 WAITING = "SELECT count(*) FROM pg_locks WHERE NOT granted"
@@ -42,8 +42,8 @@ class Held(Receiver):
         super().__init__(storage, raw, default_catalogue(), CountingClock(), window_length_s=LENGTH_S)
         self.stored, self.go_on = threading.Event(), threading.Event()
 
-    def _commit(self, unit: SqlUnitOfWork, assembly: Assembly) -> int:
-        changed = super()._commit(unit, assembly)
+    def _commit(self, unit: SqlUnitOfWork, made: Decoded) -> tuple[ChunkRecord, int]:
+        changed = super()._commit(unit, made)
         self.stored.set()
         assert self.go_on.wait(PATIENCE_S)
         return changed

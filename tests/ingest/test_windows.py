@@ -21,7 +21,6 @@ from ingest.align.windows import (
     WindowCounts,
     add_counts,
     vehicle_samples,
-    window_starts,
     windows_of,
 )
 from ingest.frames import merge, take
@@ -42,7 +41,7 @@ def windows(
     if drop is not None:
         batch = take(batch, ~np.isin(batch.arbitration_id, drop))
     samples, _ = vehicle_samples(VEHICLE, CATALOGUE, align_to_clock(CATALOGUE, merge([batch])).messages)
-    starts = window_starts(run.start_ns, int(run.ticks[-1]) * INTERVAL_NS, LENGTH_NS)
+    starts = range(run.start_ns // LENGTH_NS * LENGTH_NS, int(run.ticks[-1]) * INTERVAL_NS + 1, LENGTH_NS)
     found, counts = [], WindowCounts()
     for outcome in windows_of(samples, starts, LENGTH_NS, lookup):
         if isinstance(outcome, MountedWindow):

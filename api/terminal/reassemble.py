@@ -1,0 +1,51 @@
+"""Windows made again by hand, with a line that gives what changed."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from datetime import UTC, datetime
+
+from rich.console import Console
+
+from api import factory
+from api.factory import SystemClock, open_store
+from api.settings import load_settings
+from api.terminal.ingest import changes_line
+from estimation.errors import ParameterError
+from ingest.receiver import ChunkReceipt
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def reassemble_and_report(vehicle: str, begin: datetime | None, end: datetime | None) -> None:
+    """Make the windows of a vehicle in ``[begin, end)`` again and print what changed; None is an open end.
+
+    Raises
+    ------
+    NotFoundError
+        The registry does not know the vehicle.
+    ParameterError
+        The end is not after the begin.
+    StorageError
+        The raw recordings or the database cannot be reached.
+    """
+    if begin is not None and end is not None and end <= begin:
+        raise ParameterError("is not after --from", field="--to")
+    settings = load_settings()
+    console = Console(stderr=True)
+    with closing(open_store(settings)) as storage:
+        receiver = factory.receiver(settings, storage, SystemClock())
+        with storage.read() as unit:
+            waiting = [record for record in unit.chunks.of_known_vehicles() if record.vehicle == vehicle]
+        for outcome in receiver.decode(waiting):
+            if not isinstance(outcome, ChunkReceipt):
+                console.print(f"not decoded: {outcome}", highlight=False, soft_wrap=True)
+        changes = receiver.reassembler.reassemble(vehicle, _nanoseconds(begin), _nanoseconds(end))
+    Console().print(f"vehicle {vehicle}: {changes_line(changes)}", highlight=False, soft_wrap=True)
+
+
+def _nanoseconds(moment: datetime | None) -> int | None:
+    if moment is None:
+        return None
+    since = (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)) - EPOCH
+    return (since.days * 86_400_000_000 + since.seconds * 1_000_000 + since.microseconds) * 1000

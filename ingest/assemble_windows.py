@@ -1,0 +1,42 @@
+"""Job: windows of stale spans are assembled again, and recordings decoded whose vehicle the registry knows by now.
+
+It reads raw recordings, so it is defined here and joins the other jobs where all is joined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from estimation.jobs.job import Job, JobContext
+from fleet_db.storage import SqlStorage
+from ingest.receiver import ChunkReceipt, Receiver
+
+NAME = "assemble_windows"
+
+
+def assemble_windows(
+    storage_of: Callable[[JobContext], SqlStorage], receiver_of: Callable[[JobContext], Receiver]
+) -> Job:
+    """Return the job.
+
+    Parameters
+    ----------
+    storage_of, receiver_of
+        Storage and receiver of a deployment; the receiver is asked for only where there is something to do.
+    """
+
+    def run(context: JobContext) -> Mapping[str, int]:
+        counts = dict.fromkeys(("spans", "decoded", "new", "changed", "removed", "healed"), 0)
+        with storage_of(context).read() as unit:
+            counts["spans"] = len(unit.stale_spans.all())
+            waiting = unit.chunks.of_known_vehicles()
+        if not counts["spans"] and not waiting:
+            return counts
+        receiver = receiver_of(context)
+        failed = [outcome for outcome in receiver.decode(waiting) if not isinstance(outcome, ChunkReceipt)]
+        counts["decoded"] = len(waiting) - len(failed)
+        changes = receiver.reassembler.work_off(checkpoint=context.checkpoint)
+        counts |= {name: getattr(changes, name) for name in ("new", "changed", "removed", "healed")}
+        return counts
+
+    return Job(NAME, "Assemble windows again whose recordings, registry or files have changed", every_s=60.0, run=run)

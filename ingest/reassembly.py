@@ -1,0 +1,189 @@
+"""Reassembly: windows are made again where recordings, the registry, or their own files are no longer what they were.
+
+Whoever changes what windows are made from leaves a stale span in the same transaction. :class:`Reassembler` works them
+off: piece by piece, each piece committed with the part of the spans that it covers, so that a kill costs one piece.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from estimation.errors import NotFoundError, StoppedError, TreadwatchError
+from estimation.storage import Clock
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.stores.stale_spans import StaleSpan
+from ingest.align.clock import CONTEXT_NS
+from ingest.assembly import Assembler, SpanAssembly
+from ingest.recordings import Span
+from ingest.span_commit import NO_CHANGES, SpanChanges, commit, still_so
+
+MOST_FRAMES = 1_000_000
+"""Frames of the recordings of one piece, unless one recording has more."""
+
+MOST_RECORDINGS = 500
+"""Recordings of one piece."""
+
+ATTEMPTS_BESIDE_OTHERS = 3
+ASKED = "asked for"
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Reassembler:
+    """Makes the windows of stale spans again.
+
+    Parameters
+    ----------
+    storage
+        Receipts, stale spans and windows.
+    assembler
+        From recordings to windows.
+    clock
+        Ours.
+    """
+
+    storage: SqlStorage
+    assembler: Assembler
+    clock: Clock
+
+    def reassemble(self, vehicle: str, from_ns: int | None, to_ns: int | None) -> SpanChanges:
+        """Make the windows of a vehicle in ``[from_ns, to_ns)`` again, and all that is stale of it; None is open.
+
+        Raises
+        ------
+        NotFoundError
+            The registry does not know the vehicle.
+        StorageError
+            The raw recordings or the database cannot be reached; what is left stays stale.
+        """
+        with self.storage.write() as unit:
+            unit.registry.vehicle(vehicle)
+            unit.stale_spans.add(vehicle, from_ns, to_ns, ASKED)
+        return self.work_off(vehicle)
+
+    def work_off(self, vehicle: str | None = None, checkpoint: Callable[[int, int], None] | None = None) -> SpanChanges:
+        """Work off the stale spans of one vehicle or of all; one that fails does not keep the others waiting.
+
+        Parameters
+        ----------
+        vehicle
+            Code.
+        checkpoint
+            Called after each piece with the number of spans that are done and of all.
+
+        Raises
+        ------
+        TreadwatchError
+            The first failure, after all other vehicles are done; what is left stays stale.
+        """
+        with self.storage.read() as unit:
+            spans = unit.stale_spans.all(vehicle)
+        changes, done = NO_CHANGES, 0
+        failed: list[TreadwatchError] = []
+        for code in dict.fromkeys(span.vehicle for span in spans):
+            own = [span for span in spans if span.vehicle == code]
+            try:
+                for part in joined(own):
+                    changes += self._work_off(code, part, _report(checkpoint, done, len(spans)))
+                    done += len(part)
+            except StoppedError:
+                raise
+            except TreadwatchError as error:
+                _log.warning("windows of vehicle %s could not be assembled again: %s", code, error)
+                failed.append(error)
+        if failed:
+            raise failed[0]
+        return changes
+
+    def _work_off(self, vehicle: str, spans: Sequence[StaleSpan], report: Callable[[], None]) -> SpanChanges:
+        """Work off spans of a vehicle that touch each other."""
+        from_ns, to_ns = spans[0].from_ns, max(span.to_ns for span in spans)
+        changes = NO_CHANGES
+        while True:
+            with self.storage.read() as unit:
+                piece = self._next_piece(unit, vehicle, (from_ns, to_ns)) if _on_file(unit, vehicle) else None
+            if piece is None:
+                with self.storage.write() as unit:
+                    unit.stale_spans.remove(spans)
+                return changes
+            changes += self._assemble(vehicle, piece, spans)
+            from_ns = piece[1]
+            report()
+
+    def _assemble(self, vehicle: str, piece: Span, spans: Sequence[StaleSpan]) -> SpanChanges:
+        for _ in range(ATTEMPTS_BESIDE_OTHERS):
+            with self.storage.read() as unit:
+                assembly = self.assembler.assemble(unit, vehicle, piece, keep_unreadable=True)
+            with self.storage.write() as unit:
+                unit.assemble_alone(vehicle)
+                if still_so(unit, self.assembler, assembly):
+                    return self._commit(unit, assembly, spans)
+        with self.storage.write() as unit:
+            unit.assemble_alone(vehicle)
+            return self._commit(unit, self.assembler.assemble(unit, vehicle, piece, keep_unreadable=True), spans)
+
+    def _commit(self, unit: SqlUnitOfWork, assembly: SpanAssembly, spans: Sequence[StaleSpan]) -> SpanChanges:
+        unit.stale_spans.advance(spans, assembly.to_ns)
+        if assembly.kept:
+            _log.warning("vehicle %s: %d recordings cannot be read any more", assembly.vehicle, len(assembly.kept))
+        return commit(unit, assembly, self.clock.now_ns(), verify=True)
+
+    def _next_piece(self, unit: SqlUnitOfWork, vehicle: str, span: Span) -> Span | None:
+        """Return the first part of a span that holds recordings or windows, at the edges of windows."""
+        from_ns, to_ns = span
+        if from_ns >= to_ns:
+            return None
+        length = self.assembler.length_ns
+        extents = unit.assembled.extents(vehicle, from_ns - length, to_ns + length, MOST_RECORDINGS)
+        stored = unit.assembled.first_start(vehicle, from_ns - length, to_ns)
+        begins = [first - CONTEXT_NS for first, _, _ in extents[:1]] + ([] if stored is None else [stored])
+        if not begins:
+            return None
+        begin = max(from_ns, min(begins)) // length * length
+        end, frames = to_ns, 0
+        for place, (first, _, count) in enumerate(extents):
+            frames += count
+            if place and (frames > MOST_FRAMES or place == MOST_RECORDINGS - 1):
+                end = min(to_ns, max(begin + length, (first - CONTEXT_NS) // length * length))
+                break
+        return None if begin >= end else (begin, end)
+
+
+def joined(spans: Sequence[StaleSpan]) -> list[list[StaleSpan]]:
+    """Return stale spans of one vehicle in groups that touch each other, by their begin.
+
+    Parameters
+    ----------
+    spans
+        In any order.
+    """
+    groups: list[list[StaleSpan]] = []
+    end = 0
+    for span in sorted(spans, key=lambda one: (one.from_ns, one.id)):
+        if groups and span.from_ns <= end:
+            groups[-1].append(span)
+            end = max(end, span.to_ns)
+        else:
+            groups.append([span])
+            end = span.to_ns
+    return groups
+
+
+def _on_file(unit: SqlUnitOfWork, vehicle: str) -> bool:
+    """Whether the registry knows a vehicle; of one that it does not there is no window."""
+    try:
+        unit.registry.vehicle(vehicle)
+    except NotFoundError:
+        return False
+    return True
+
+
+def _report(checkpoint: Callable[[int, int], None] | None, done: int, total: int) -> Callable[[], None]:
+    def report() -> None:
+        if checkpoint is not None:
+            checkpoint(done, total)
+
+    return report
