@@ -42,6 +42,9 @@ class Settings(BaseSettings):
         the shipped bus.
     estimator
         Which estimator of ``estimation.estimators.catalogue`` turns windows into geometries.
+    spool_mb, spool_memory_mb
+        How many megabytes of a live bus may wait for their receipt on the disk, and in memory while the disk takes
+        nothing; of each vehicle.
     shutdown_timeout_s
         How long running requests and jobs may take to finish after SIGTERM, in seconds.
     """
@@ -62,6 +65,8 @@ class Settings(BaseSettings):
     jobs_every_s: float | None = Field(default=None, gt=0.0)
     estimator: str = "bins"
     catalogues: str | None = None
+    spool_mb: int = Field(default=1024, ge=1)
+    spool_memory_mb: int = Field(default=64, ge=1)
     shutdown_timeout_s: int = Field(default=10, ge=1, le=600)
 
     @field_validator("database_url", "rules_file", "retention_file", "jobs_every_s", "catalogues", mode="before")
@@ -94,6 +99,11 @@ class Settings(BaseSettings):
     def raw_dir(self) -> Path:
         """Where raw recordings are kept under their digests."""
         return self.data_dir / "raw"
+
+    @property
+    def spool_dir(self) -> Path:
+        """Where what was received from live buses waits for its receipt."""
+        return self.data_dir / "spool"
 
 
 def load_settings(**overrides: object) -> Settings:

@@ -30,6 +30,7 @@ from ingest.align.windows import (
     windows_of,
 )
 from ingest.catalogue import Catalogue
+from ingest.dropped_frames import count_dropped
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.own_bus.bus import OwnBus
 from ingest.own_bus.samples import own_samples
@@ -338,6 +339,7 @@ def _receipt_after(record: ChunkRecord, recording: Recording, span: Span | None)
     first, last = recording.recorder_ns
     counts = {
         "frames": 0,
+        **_nonzero({"frames_dropped": count_dropped(recording.batch)}),
         **_nonzero(asdict(recording.alone.frame_counts)),
         **_nonzero(asdict(recording.alone.align_counts)),
         RECORDER_FIRST: first,

@@ -163,7 +163,7 @@ class Receiver:
 
     def accept(self, received: ReceivedFile) -> ChunkReceipt:
         """Commit the receipt of a received file, then decode it; raises as :meth:`receive_file`."""
-        record, known = self._receipt(received)
+        record, known = self._receipt(received.path, received.vehicle, received.digest)
         if record.state is ChunkState.REJECTED:
             raise LogFileError(str(record.reason), file=received.path)
         if record.state is ChunkState.DECODED:
@@ -174,7 +174,44 @@ class Receiver:
             self._recordings.keep(received.recording)
         return self._decoded(record, received.recording, known=known, path=received.path)
 
-    def decode_stored(self, digest: str | None = None) -> Iterator[ChunkReceipt | Exception]:
+    def keep(self, content: bytes, suffix: str, vehicle: str, name: str) -> tuple[ChunkRecord, bool]:
+        """Store a recording and commit its receipt; nothing of it is decoded.
+
+        Parameters
+        ----------
+        content, suffix
+            Of the log.
+        vehicle
+            Whose it is.
+        name
+            Stands for it in messages.
+
+        Returns
+        -------
+        tuple[ChunkRecord, bool]
+            The receipt, and whether it had been there before.
+
+        Raises
+        ------
+        ConflictError
+            The same recording was received from another vehicle.
+        PassingFaultError
+            It cannot be stored now: nothing is.
+        """
+        self._check_raw()
+        return self._receipt(Path(name).with_suffix(suffix), vehicle, self._raw.put_bytes(content, suffix))
+
+    def decode_one(self, record: ChunkRecord) -> ChunkReceipt:
+        """Decode a recording that has its receipt; raises as :meth:`receive_file`."""
+        if record.state is ChunkState.REJECTED:
+            raise LogFileError(str(record.reason))
+        if record.state is not ChunkState.STORED:
+            return ChunkReceipt(record, known=True, windows_changed=0)
+        return self._decoded(record, self._loaded(record), known=False)
+
+    def decode_stored(
+        self, digest: str | None = None, vehicle: str | None = None
+    ) -> Iterator[ChunkReceipt | Exception]:
         """Decode every recording that is stored and not decoded yet: after a crash, or a new entry of the registry.
 
         One that failed before is left out until it is due again.
@@ -185,6 +222,8 @@ class Receiver:
         ----------
         digest
             Of the only recording to decode, due or not.
+        vehicle
+            The only one whose recordings are decoded.
         """
         try:
             self._check_raw()
@@ -194,13 +233,15 @@ class Receiver:
         with self._storage.read() as unit:
             stored = unit.chunks.with_state(ChunkState.STORED, limit=1_000_000)
         early = self._held.waiting() if digest is None else frozenset()
-        yield from self.decode(r for r in stored if r.digest not in early and digest in {None, r.digest})
+        yield from self.decode(
+            r for r in stored if r.digest not in early and digest in {None, r.digest} and vehicle in {None, r.vehicle}
+        )
 
     def decode(self, stored: Iterable[ChunkRecord]) -> Iterator[ChunkReceipt | Exception]:
         """Decode recordings that are stored; yield as :meth:`decode_stored`."""
         for record in stored:
             try:
-                yield self._decoded(record, self._loaded(record), known=False)
+                yield self.decode_one(record)
             except Exception as error:  # noqa: BLE001 - whatever fails at one recording, the others go on
                 yield error
 
@@ -267,15 +308,15 @@ class Receiver:
             recording = error
         return ReceivedFile(path, vehicle, digest, recording)
 
-    def _receipt(self, received: ReceivedFile) -> tuple[ChunkRecord, bool]:
+    def _receipt(self, path: Path, vehicle: str, digest: str) -> tuple[ChunkRecord, bool]:
         """Return the committed receipt, and whether it had been there before."""
-        suffix = _suffix_of(received.path)
+        suffix = _suffix_of(path)
         now_ns = self._clock.now_ns()
         record = ChunkRecord(
-            digest=received.digest,
-            vehicle=received.vehicle,
+            digest=digest,
+            vehicle=vehicle,
             suffix=suffix,
-            size_bytes=self._raw.path(received.digest, suffix).stat().st_size,
+            size_bytes=self._raw.path(digest, suffix).stat().st_size,
             state=ChunkState.STORED,
             reason=None,
             first_ns=None,
@@ -288,13 +329,13 @@ class Receiver:
         with self._storage.write() as unit:
             if unit.chunks.put(record):
                 return record, False
-            found = unit.chunks.get(received.digest)
+            found = unit.chunks.get(digest)
         assert found is not None
-        if found.vehicle != received.vehicle:
+        if found.vehicle != vehicle:
             raise ConflictError(
-                f"{received.path}: the same recording was received from vehicle {found.vehicle}",
+                f"{path}: the same recording was received from vehicle {found.vehicle}",
                 kind="chunk",
-                key=received.digest,
+                key=digest,
             )
         return found, True
 

@@ -35,25 +35,31 @@ def ingest(
         typer.Option(help="Mapping file of a bus of your own, beside its DBC file; by default TREADWATCH_CATALOGUES."),
     ] = None,
     chunk_seconds: Annotated[float, typer.Option(min=1.0, help="Length of a recording cut from a live bus.")] = 60.0,
+    health_port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Serve /healthz, /readyz and /metrics of a live bus here.")
+    ] = None,
+    health_host: Annotated[str, typer.Option(help="Address of the health port.")] = "127.0.0.1",
 ) -> None:
     """Receive CAN recordings of vehicles, from log files or a live bus, and cut them into windows.
 
     Every recording is stored unchanged before it is decoded. Receiving a recording twice changes nothing. Runs from a
-    simulation or of an instrumented vehicle come in as exchanges.
+    simulation or of an instrumented vehicle come in as exchanges. What a live bus sends is on the disk within a second.
     """
     sources = (interface is not None) + bool(files) + bool(exchange)
     if sources > 1 or (sources == 0 and registry is None):  # a registry may come alone
         raise ParameterError(
             "give recordings, or --exchange, or --interface with --channel and --vehicle", field="FILES"
         )
-    from api.terminal.ingest import Exchanges, LiveBus, ingest_and_report
+    from api.terminal.ingest import Exchanges, ingest_and_report
+    from api.terminal.live import HealthAddress, LiveBus, receive_and_report
 
     if exchange and vehicle is not None:
         raise ParameterError("an exchange names its vehicle itself", field="--vehicle")
     if interface is None:
-        source: list[Path] | Exchanges | LiveBus = Exchanges(tuple(exchange)) if exchange else files or []
-    elif channel is None or vehicle is None:
+        source = Exchanges(tuple(exchange)) if exchange else files or []
+        ingest_and_report(source, vehicle, registry, catalogue or ())
+        return
+    if channel is None or vehicle is None:
         raise ParameterError("a live bus needs --channel and --vehicle", field="--interface")
-    else:
-        source = LiveBus(interface, channel, chunk_seconds)
-    ingest_and_report(source, vehicle, registry, catalogue or ())
+    health = None if health_port is None else HealthAddress(health_host, health_port)
+    receive_and_report(LiveBus(interface, channel, vehicle, chunk_seconds), registry, catalogue or (), health)

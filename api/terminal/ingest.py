@@ -1,10 +1,8 @@
-"""Recordings from files or a live bus, received under a progress bar, with a summary by vehicle."""
+"""Recordings from files, received under a progress bar, with a summary by vehicle."""
 
 from __future__ import annotations
 
-import tempfile
-import threading
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -20,9 +18,7 @@ from api.factory import SystemClock, open_store
 from api.settings import load_settings
 from api.times import to_rfc3339
 from estimation.errors import InputError, TreadwatchError
-from estimation.jobs.scheduler import stop_on_signals
 from fleet_db.storage import SqlStorage
-from ingest.bus import open_bus, record
 from ingest.logs import SUFFIXES
 from ingest.receiver import ChunkReceipt, Receiver
 from ingest.registry_file import LoadedRegistry, load_registry
@@ -33,19 +29,7 @@ SEPARATOR = "__"
 
 NOT_COUNTS = ("recorder_first_ns", "recorder_last_ns", "own_time")
 
-REMEMBERED = 1000
-"""Recordings of a live bus that the summary at the end covers."""
-
 Outcome = tuple[Path, ChunkReceipt | Exception]
-
-
-@dataclass(frozen=True, slots=True)
-class LiveBus:
-    """A bus to listen to: interface and channel of python-can, and the length of a recording cut from it, s."""
-
-    interface: str
-    channel: str
-    chunk_seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,19 +40,19 @@ class Exchanges:
 
 
 def ingest_and_report(
-    source: Sequence[Path] | Exchanges | LiveBus,
+    source: Sequence[Path] | Exchanges,
     vehicle: str | None,
     registry: Path | None,
     catalogues: Sequence[Path] = (),
 ) -> None:
-    """Receive recordings or listen to a bus, and print a summary.
+    """Receive recordings, and print a summary.
 
     Parameters
     ----------
     source
-        Recordings and folders of them, exchanges, or the bus.
+        Recordings and folders of them, or exchanges.
     vehicle
-        Vehicle of all recordings; by default the part of each file name before ``__``. A live bus needs it.
+        Vehicle of all recordings; by default the part of each file name before ``__``.
     registry
         File of fleets, vehicles, wheelsets and sections to load first.
     catalogues
@@ -89,16 +73,32 @@ def ingest_and_report(
     console = Console(stderr=True)
     with closing(open_store(settings)) as storage:
         if registry is not None:
-            _load(registry, storage, console)
+            load_and_say(registry, storage, console)
         receiver = factory.receiver(settings, storage, SystemClock(), catalogues)
         outcomes = _unfinished(receiver, console)
         work_off(receiver, console)
-        if isinstance(source, LiveBus):
-            outcomes += _live(receiver, source, str(vehicle), console)
-        elif isinstance(source, Exchanges):
+        if isinstance(source, Exchanges):
             outcomes += [(path, _outcome(receiver.receive_exchange, path)) for path in source.descriptions]
         else:
             outcomes += receive_with_progress(receiver, recordings_of(source, vehicle), console)
+    print_outcomes(outcomes, console)
+
+
+def print_outcomes(outcomes: Sequence[Outcome], console: Console) -> None:
+    """Print a summary, and what was not decoded or rejected.
+
+    Parameters
+    ----------
+    outcomes
+        Recordings with their receipts, or why they have none.
+    console
+        Where what is not as it should be is printed.
+
+    Raises
+    ------
+    typer.Exit
+        Code 1: a recording was rejected.
+    """
     Console().print(summary(outcomes))
     for path, outcome in outcomes:
         if isinstance(outcome, ChunkReceipt) and outcome.record.reason:
@@ -223,7 +223,23 @@ def registry_lines(loaded: LoadedRegistry) -> list[str]:
     return lines
 
 
-def _load(registry: Path, storage: SqlStorage, console: Console) -> None:
+def load_and_say(registry: Path, storage: SqlStorage, console: Console) -> None:
+    """Load a registry file, and print what people must know of it.
+
+    Parameters
+    ----------
+    registry
+        The file.
+    storage
+        Where to.
+    console
+        Where it is printed.
+
+    Raises
+    ------
+    InputError
+        The file cannot be used.
+    """
     with storage.write() as unit:
         loaded = load_registry(registry, unit, SystemClock().now_ns())
     for line in registry_lines(loaded):
@@ -270,22 +286,6 @@ def changes_line(changes: SpanChanges) -> str:
     """
     counts = {"new": changes.new, "changed": changes.changed, "removed": changes.removed, "healed": changes.healed}
     return "windows " + ", ".join(f"{name} {count:,}" for name, count in counts.items())
-
-
-def _live(receiver: Receiver, source: LiveBus, vehicle: str, console: Console) -> list[Outcome]:
-    stop = threading.Event()
-    stop_on_signals(stop)
-    outcomes: deque[Outcome] = deque(maxlen=REMEMBERED)
-    with (
-        tempfile.TemporaryDirectory(prefix="treadwatch-live-") as folder,
-        open_bus(source.interface, source.channel) as bus,
-    ):
-        console.print(f"listening to {source.interface} {source.channel} for {vehicle}; stop with Ctrl-C")
-        for chunk in record(bus, Path(folder), vehicle, chunk_seconds=source.chunk_seconds, stop=stop):
-            outcomes.append((chunk.path, _outcome(receiver.receive_file, chunk.path, vehicle)))
-            chunk.path.unlink()
-            console.print(f"{chunk.path.name}: {chunk.frames:,} frames, {chunk.dropped:,} dropped", highlight=False)
-    return list(outcomes)
 
 
 def _outcome(receive: Callable[..., ChunkReceipt], path: Path, *more: str) -> ChunkReceipt | Exception:

@@ -40,7 +40,7 @@ def write_blf(path: Path, batch: FrameBatch) -> None:
     """
     unfinished = path.with_name(f".{path.stem}.{os.getpid()}.blf")
     try:
-        _write(unfinished, batch)
+        unfinished.write_bytes(blf_bytes(batch))
         unfinished.replace(path)
     except OSError as error:
         raise LogFileError(error.strerror or str(error), file=path) from error
@@ -48,7 +48,14 @@ def write_blf(path: Path, batch: FrameBatch) -> None:
         unfinished.unlink(missing_ok=True)
 
 
-def _write(path: Path, batch: FrameBatch) -> None:
+def blf_bytes(batch: FrameBatch) -> bytes:
+    """Return a batch as the bytes of a BLF file: the same batch, the same bytes.
+
+    Parameters
+    ----------
+    batch
+        Frames of one bus.
+    """
     start_ns = int(batch.t_ns.min()) // MILLISECOND * MILLISECOND if len(batch) else 0
     stop_ns = int(batch.t_ns.max()) if len(batch) else 0
     objects = _objects(batch, start_ns)
@@ -64,9 +71,7 @@ def _write(path: Path, batch: FrameBatch) -> None:
     header["objects"] = len(batch)
     header["start"] = _system_time(start_ns)
     header["stop"] = _system_time(stop_ns)
-    with path.open("wb") as file:
-        file.write(header.tobytes().ljust(blf.FILE_HEADER_SIZE, b"\0"))
-        file.writelines(containers)
+    return b"".join([header.tobytes().ljust(blf.FILE_HEADER_SIZE, b"\0"), *containers])
 
 
 def _objects(batch: FrameBatch, start_ns: int) -> memoryview:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-import threading
 import time
+import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,6 +13,7 @@ from pathlib import Path
 import cantools
 import numpy as np
 import pytest
+from live_listening import listening_to
 from test_ingest_command import run as command
 from test_receiver import CountingClock
 from vehicle_bus import INTERVAL_NS, OFFSETS_M, SECOND_NS, SECTION, START_NS, VEHICLE, Run, register
@@ -22,7 +23,7 @@ from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window
 from fleet_db.raw import RawStore
 from fleet_db.storage import SqlStorage
-from ingest.bus import open_bus, record, send
+from ingest.bus import open_bus, send
 from ingest.catalogue import default_catalogue
 from ingest.frames import EXTENDED_FLAG, FrameBatch, between, concatenate, from_owned_arrays, sort_by_time, take
 from ingest.logs import write_blf
@@ -209,19 +210,15 @@ def test_cuts_of_a_recording_change_nothing(registered: SqlStorage, tmp_path: Pa
 def test_a_live_bus_of_another_kind(registered: SqlStorage, tmp_path: Path, own_frames: FrameBatch) -> None:
     bus = load_own_bus(mapping(tmp_path))
     frames = between(own_frames, START_NS, START_NS + 3 * SECOND_NS)
-    stop = threading.Event()
-    with open_bus("virtual", "own-bus") as ours, open_bus("virtual", "own-bus", preserve_timestamps=True) as theirs:
-        chunks = []
-        listening = threading.Thread(
-            target=lambda: chunks.extend(record(ours, tmp_path, VEHICLE, chunk_seconds=60.0, stop=stop))
-        )
-        listening.start()
+    bus_name = uuid.uuid4().hex
+    with (
+        listening_to(lambda: open_bus("virtual", bus_name)) as listener,
+        open_bus("virtual", bus_name, preserve_timestamps=True) as theirs,
+    ):
         sent = send(theirs, frames, clock_s=_scaled_time())
-        while not ours.queue.empty():  # type: ignore[attr-defined]
-            time.sleep(0.02)
-        stop.set()
-        listening.join()
-    assert sum(chunk.frames for chunk in chunks) == sent == len(frames)
+        received = listener.gathered(sent)
+    assert sent == len(received) == len(frames)
+    write_blf(tmp_path / f"{VEHICLE}__live.blf", received)
     receiver = Receiver(
         registered,
         RawStore(tmp_path / "raw"),
@@ -229,8 +226,7 @@ def test_a_live_bus_of_another_kind(registered: SqlStorage, tmp_path: Path, own_
         CountingClock(),
         window_length_s=2.0,
     )
-    for chunk in chunks:
-        receiver.receive_file(chunk.path, VEHICLE)
+    receiver.receive_file(tmp_path / f"{VEHICLE}__live.blf", VEHICLE)
     whole = [window for window in windows(registered).values() if window.quality.coverage > 0.95]
     assert {window.axle for window in whole} <= {1, 2}
     assert whole

@@ -1,0 +1,128 @@
+"""Records of frames in a file: each has its length and checksum, so that every whole one is found whatever was cut off.
+
+A record is a head (mark, bytes of the body, CRC-32 of length and body) and a body: two counts of dropped frames, then
+frames of 21 bytes. All numbers are little endian.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from ingest.frames import DATA_BYTES
+
+MARK = b"TWf1"
+FRAME = np.dtype([("t_ns", "<i8"), ("arbitration_id", "<u4"), ("dlc", "u1"), ("data", "u1", (DATA_BYTES,))])
+FRAME_BYTES = FRAME.itemsize
+
+_HEAD = struct.Struct("<4sII")
+_COUNTS = struct.Struct("<QQ")
+_FRAME = struct.Struct("<qIB8s")
+_LONGEST_BODY = 1 << 21
+"""A longer one is no record: a damaged length must not hide what follows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Frames that were written together.
+
+    Attributes
+    ----------
+    frames
+        Whole frames, as :func:`pack_frame` packs them.
+    dropped
+        Frames that were dropped behind these.
+    dropped_total
+        All frames of this vehicle that were dropped up to here, by this process and those before it.
+    """
+
+    frames: bytes
+    dropped: int = 0
+    dropped_total: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What a file of records holds.
+
+    Attributes
+    ----------
+    records
+        The whole ones.
+    end
+        The byte behind the last of them.
+    skipped
+        Bytes before that which are damaged.
+    """
+
+    records: tuple[Record, ...]
+    end: int
+    skipped: int
+
+
+def pack_frame(t_ns: int, arbitration_id: int, dlc: int, data: bytes) -> bytes:
+    """Return the bytes of a frame.
+
+    Parameters
+    ----------
+    t_ns
+        Stamp of the recorder, ns.
+    arbitration_id
+        With SocketCAN's flags.
+    dlc
+        0 to 8.
+    data
+        Payload; filled up with zeros to 8 bytes.
+    """
+    return _FRAME.pack(t_ns, arbitration_id, dlc, data)
+
+
+def encode(record: Record) -> bytes:
+    """Return the bytes of a record."""
+    body = _COUNTS.pack(record.dropped, record.dropped_total) + record.frames
+    return _HEAD.pack(MARK, len(body), _checksum(body)) + body
+
+
+def decode(content: bytes) -> Contents:
+    """Return every whole record of a file, in order; what is torn or damaged is skipped.
+
+    Parameters
+    ----------
+    content
+        The bytes of the file.
+    """
+    records: list[Record] = []
+    at = end = skipped = 0
+    while (start := content.find(MARK, at)) >= 0:
+        record, following = _record(content, start)
+        if record is None:
+            at = start + 1
+            continue
+        skipped += start - end
+        records.append(record)
+        at = end = following
+    return Contents(tuple(records), end, skipped)
+
+
+def _record(content: bytes, at: int) -> tuple[Record | None, int]:
+    """Return the record at a byte and where it ends; None where there is no whole one."""
+    body_at = at + _HEAD.size
+    if body_at > len(content):
+        return None, at
+    _, length, checksum = _HEAD.unpack_from(content, at)
+    end = body_at + length
+    frames_length = length - _COUNTS.size
+    if end > len(content) or length > _LONGEST_BODY or frames_length < 0 or frames_length % FRAME_BYTES:
+        return None, at
+    body = content[body_at:end]
+    if _checksum(body) != checksum:
+        return None, at
+    dropped, total = _COUNTS.unpack_from(body)
+    return Record(body[_COUNTS.size :], dropped, total), end
+
+
+def _checksum(body: bytes) -> int:
+    return zlib.crc32(body, zlib.crc32(len(body).to_bytes(4, "little")))

@@ -1,0 +1,298 @@
+"""The spool of one vehicle: a bounded folder of pieces that grow at their end and are removed after their receipt.
+
+What is in the spool is removed for no other reason. When it is full, what comes is refused.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+import threading
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+from estimation.errors import ConflictError, StorageError
+from fleet_db.atomic_files import sync_directory
+from ingest.live.drop_count import DropCount, DropCountFile
+from ingest.live.records import Record, decode, encode
+
+PIECE_SUFFIX = ".frames"
+SET_ASIDE_SUFFIX = ".aside"
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A file of the spool that grows no more."""
+
+    path: Path
+    size_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class TakenOver:
+    """What an earlier process left."""
+
+    pieces: int
+    torn_bytes: int  # behind the last whole record: written when the process was killed
+    damaged_bytes: int  # elsewhere: the disk
+
+
+def spool_folder(parent: Path, vehicle: str) -> Path:
+    """Return the folder of a vehicle.
+
+    Parameters
+    ----------
+    parent
+        Folder of all spools.
+    vehicle
+        Code of the vehicle, of any characters.
+    """
+    name = quote(vehicle, safe=" ")
+    return parent / (f"%2E{name[1:]}" if name.startswith(".") else name)
+
+
+class Spool:
+    """The spool of one vehicle, held by this process alone.
+
+    One thread appends and closes pieces, another one takes the closed ones; both may ask for sizes.
+
+    Parameters
+    ----------
+    folder
+        Of this vehicle; see :func:`spool_folder`.
+    limit_bytes
+        How much all pieces together may hold.
+
+    Raises
+    ------
+    ConflictError
+        Another process holds it.
+    StorageError
+        The folder cannot be used.
+    """
+
+    def __init__(self, folder: Path, limit_bytes: int) -> None:
+        self._folder = folder
+        self._limit = limit_bytes
+        self._lock = threading.Lock()
+        self._waiting: deque[Piece] = deque()
+        self._aside_bytes = 0
+        self._pieces_aside = 0
+        self._open: _OpenPiece | None = None
+        self._next = 1
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._holder = _hold(folder)
+            self._drops = DropCountFile(folder / "dropped")
+        except OSError as error:
+            raise StorageError(f"the spool {folder} cannot be used: {error.strerror}") from error
+
+    @property
+    def limit_bytes(self) -> int:
+        """How much it may hold."""
+        return self._limit
+
+    @property
+    def size_bytes(self) -> int:
+        """How much it holds."""
+        with self._lock:
+            return self._size()
+
+    @property
+    def pieces_waiting(self) -> int:
+        """Closed pieces without a receipt."""
+        return len(self._waiting)
+
+    @property
+    def pieces_aside(self) -> int:
+        """Pieces that could not be stored whatever was tried; the next start tries again."""
+        return self._pieces_aside
+
+    @property
+    def drop_count(self) -> DropCount:
+        """Frames of this vehicle that were dropped, also by processes before this one."""
+        return self._drops.count
+
+    def take_over(self) -> TakenOver:
+        """Make what an earlier process left ready to be stored; call it once, first.
+
+        Raises
+        ------
+        OSError
+            The disk failed; may be called again.
+        """
+        torn = damaged = 0
+        found: list[Piece] = []
+        count = self._drops.count
+        paths = sorted(path for path in self._folder.iterdir() if path.suffix in (PIECE_SUFFIX, SET_ASIDE_SUFFIX))
+        for path in paths:
+            content = path.read_bytes()
+            contents = decode(content)
+            torn += len(content) - contents.end
+            damaged += contents.skipped
+            if contents.end == 0:
+                path.unlink()
+                continue
+            _cut(path, len(content), contents.end)
+            last = max(record.dropped_total for record in contents.records)
+            count = DropCount(max(count.total, last), max(count.recorded, last))
+            found.append(Piece(path.replace(path.with_suffix(PIECE_SUFFIX)), contents.end))
+        self._drops.write(count)
+        with self._lock:
+            self._waiting.extend(found)
+            self._next = max((int(path.stem) for path in paths if path.stem.isdigit()), default=0) + 1
+        return TakenOver(len(found), torn, damaged)
+
+    def append(self, record: Record) -> None:
+        """Put a record on the disk; it is there when this returns.
+
+        Raises
+        ------
+        StorageError
+            The spool is full.
+        OSError
+            The disk is full or failed. Nothing of the record counts.
+        """
+        content = encode(record)
+        with self._lock:
+            size = self._size()
+        if size + len(content) > self._limit:
+            raise StorageError(f"the spool is full: {size:,} of {self._limit:,} bytes")
+        if self._open is None:
+            self._open = _OpenPiece(self._folder / f"{self._next:012d}{PIECE_SUFFIX}")
+            self._next += 1
+        try:
+            self._open.append(content)
+        except OSError:
+            self._open.cut()
+            self.close_piece()  # after a failed fsync nobody knows what of the file is on the disk
+            raise
+
+    def count_dropped(self, count: DropCount) -> None:
+        """Put the number of dropped frames on the disk.
+
+        Raises
+        ------
+        OSError
+            The disk failed.
+        """
+        self._drops.write(count)
+
+    def close_piece(self) -> None:
+        """End the piece that grows; it waits for its receipt from now on."""
+        piece, self._open = self._open, None
+        if piece is None:
+            return
+        piece.close()
+        with self._lock:
+            if piece.size_bytes:
+                self._waiting.append(Piece(piece.path, piece.size_bytes))
+            else:
+                piece.path.unlink(missing_ok=True)
+
+    def oldest(self) -> Piece | None:
+        """Return the piece that has waited longest, None when none waits."""
+        with self._lock:
+            return self._waiting[0] if self._waiting else None
+
+    def remove(self, piece: Piece) -> None:
+        """Remove a piece that has its receipt.
+
+        Raises
+        ------
+        OSError
+            The disk failed; the piece still waits.
+        """
+        piece.path.unlink(missing_ok=True)
+        with self._lock:
+            self._waiting.remove(piece)
+
+    def set_aside(self, piece: Piece) -> None:
+        """Keep a piece that cannot be stored out of the way of the others, until the next start.
+
+        Raises
+        ------
+        OSError
+            The disk failed; the piece still waits.
+        """
+        piece.path.replace(piece.path.with_suffix(SET_ASIDE_SUFFIX))
+        with self._lock:
+            self._waiting.remove(piece)
+            self._aside_bytes += piece.size_bytes
+            self._pieces_aside += 1
+
+    def close(self) -> None:
+        """End the piece that grows, and let another process have the spool."""
+        self.close_piece()
+        self._drops.close()
+        os.close(self._holder)
+
+    def _size(self) -> int:
+        growing = self._open.size_bytes if self._open is not None else 0
+        return growing + self._aside_bytes + sum(piece.size_bytes for piece in self._waiting)
+
+
+class _OpenPiece:
+    """A piece that grows; ``size_bytes`` of it are on the disk."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.size_bytes = 0
+        self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+        sync_directory(path.parent)
+
+    def append(self, content: bytes) -> None:
+        written = 0
+        while written < len(content):
+            written += os.pwrite(self._handle, content[written:], self.size_bytes + written)
+        os.fsync(self._handle)
+        self.size_bytes += len(content)
+
+    def cut(self) -> None:
+        """Take back what was written of a record that failed; what stays of it is skipped by its checksum."""
+        try:
+            os.ftruncate(self._handle, self.size_bytes)
+            os.fsync(self._handle)
+        except OSError:
+            return
+
+    def close(self) -> None:
+        os.close(self._handle)
+
+
+def _cut(path: Path, size: int, end: int) -> None:
+    """Cut what a killed process has written of a record, so that the piece is the same whenever it is read."""
+    if end == size:
+        return
+    with path.open("r+b") as file:
+        file.truncate(end)
+        os.fsync(file.fileno())
+
+
+def _hold(folder: Path) -> int:
+    """Lock the folder for this process.
+
+    Raises
+    ------
+    ConflictError
+        Another process has it.
+    """
+    path = folder / "lock"
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        holder = os.pread(handle, 200, 0).decode(errors="replace").strip()
+        os.close(handle)
+        raise ConflictError(
+            f"another receiver of this vehicle is at work ({holder}); it holds {path}", kind="spool", key=str(folder)
+        ) from None
+    try:
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, f"{socket.gethostname()}, process {os.getpid()}\n".encode(), 0)
+    except OSError:
+        return handle  # the name is for people; a full disk does not keep the lock from us
+    return handle

@@ -1,0 +1,254 @@
+"""The thread that stores: pieces of the spool become recordings with a receipt, then they are decoded.
+
+A piece is removed when its receipt is committed, and for no other reason. Faults that pass (no database, no space, no
+mount) are waited out; a piece that cannot be stored for another reason is set aside, so that it harms itself only.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from estimation.errors import (
+    ConflictError,
+    LogFileError,
+    MigrationError,
+    PassingFaultError,
+    StorageError,
+    TreadwatchError,
+)
+from estimation.failures import first_line
+from estimation.values.reasons import ReasonCode
+from fleet_db.receipts import ChunkRecord, ChunkState
+from ingest.live.backoff import Backoff
+from ingest.live.pieces import RECORDING_SUFFIX, PieceRecording, read_piece
+from ingest.live.spool import Piece, Spool
+from ingest.live.status import LiveStatus, Reports
+from ingest.receiver import ChunkReceipt, Receiver
+
+PASSING = (StorageError, PassingFaultError, OSError, MemoryError)
+FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 15.0
+DECODE_FIRST_DELAY_S, DECODE_LONGEST_DELAY_S = 1.0, 300.0
+
+ATTEMPTS = 3
+"""With a piece that fails for a reason of its own."""
+
+LOOK_EVERY_S = 0.5
+CHECK_EVERY_S = 15.0
+"""The database is asked whether it answers when nothing was stored for so long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stores:
+    """Where pieces go.
+
+    Attributes
+    ----------
+    connect
+        Opens database and raw store; raises StorageError while they are away, another error where they never can be
+        used.
+    check
+        Raises where the database does not answer.
+    """
+
+    connect: Callable[[], Receiver]
+    check: Callable[[], None]
+
+
+class Storing:
+    """Stores pieces until asked to end, then those that can be stored in the time that is left.
+
+    Parameters
+    ----------
+    spool, vehicle
+        Where pieces wait, and of which vehicle they are.
+    stores
+        Where they go. An error of :attr:`Stores.connect` that does not pass is kept as ``refused``.
+    status, reports
+        Where it says what happens.
+    """
+
+    def __init__(
+        self,
+        spool: Spool,
+        vehicle: str,
+        stores: Stores,
+        status: LiveStatus,
+        reports: Reports,
+    ) -> None:
+        self._spool = spool
+        self._vehicle = vehicle
+        self._stores = stores
+        self._status = status
+        self._reports = reports
+        self._ending = threading.Event()
+        self._delays = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S)
+        self._decode_delays = Backoff(DECODE_FIRST_DELAY_S, DECODE_LONGEST_DELAY_S)
+        self._decode_at: float | None = 0.0  # what is stored and not decoded; at the start whatever there is
+        self._checked_at = 0.0
+        self._attempts = 0
+        self._delayed = False
+        self.refused: TreadwatchError | None = None
+
+    def end(self) -> None:
+        """Make :meth:`run` store what waits, and return at the first fault that passes."""
+        self._ending.set()
+
+    def run(self) -> None:
+        """Store."""
+        receiver = self._connected()
+        while receiver is not None:
+            piece = self._spool.oldest()
+            if piece is not None:
+                if not self._store(receiver, piece) and self._pause():
+                    return
+            elif self._ending.is_set():
+                return
+            else:
+                self._idle(receiver)
+
+    def _connected(self) -> Receiver | None:
+        """Return the receiver of files once the database is there; None when an end is requested, or it never can."""
+        while True:
+            try:
+                receiver = self._stores.connect()
+            except MigrationError as error:
+                self.refused = error
+                return None
+            except PASSING as error:
+                self._wait_out(error)
+                if self._pause():
+                    return None
+            except TreadwatchError as error:
+                self.refused = error
+                return None
+            else:
+                self._answered()
+                return receiver
+
+    def _store(self, receiver: Receiver, piece: Piece) -> bool:
+        """Store a piece and remove it; False when it waits for another attempt."""
+        try:
+            recording = read_piece(piece.path)
+            if recording is not None:
+                name = f"{self._vehicle}__{recording.first_ns}"
+                record, _ = receiver.keep(recording.content, RECORDING_SUFFIX, self._vehicle, name)
+            self._spool.remove(piece)
+        except PASSING as error:
+            self._wait_out(error)
+            return False
+        except Exception as error:  # noqa: BLE001 - one piece must not keep the others from their receipts
+            return self._failed(piece, error)
+        self._attempts = 0
+        self._answered()
+        if recording is not None:
+            self._stored(receiver, recording, record, name)
+        return True
+
+    def _stored(self, receiver: Receiver, recording: PieceRecording, record: ChunkRecord, name: str) -> None:
+        self._status.pieces_stored += 1
+        self._status.last_receipt_s = time.time()
+        self._reports.say(
+            f"{name}{RECORDING_SUFFIX}: {recording.frames:,} frames stored, {recording.dropped:,} dropped",
+            bad=recording.dropped > 0,
+        )
+        self._decode(receiver, record, f"{name}{RECORDING_SUFFIX}")
+
+    def _failed(self, piece: Piece, error: Exception) -> bool:
+        """Try a piece that has a fault of its own again, in the end set it aside; return whether that is done."""
+        self._attempts += 1
+        if self._attempts < ATTEMPTS and not isinstance(error, ConflictError):
+            return False
+        self._attempts = 0
+        try:
+            self._spool.set_aside(piece)
+        except OSError as fault:
+            self._wait_out(fault)
+            return False
+        self._reports.say(f"set aside {piece.path.name}, it cannot be stored: {first_line(error)}", bad=True)
+        return True
+
+    def _decode(self, receiver: Receiver, record: ChunkRecord, name: str) -> None:
+        """Decode what is stored; report what became of it."""
+        outcome: ChunkReceipt | Exception
+        try:
+            outcome = receiver.decode_one(record)
+        except Exception as error:  # noqa: BLE001 - one recording must not keep the others from being decoded
+            outcome = error
+        if self._report(name, outcome):
+            return
+        reason = outcome.record.reason if isinstance(outcome, ChunkReceipt) else first_line(outcome)
+        self._reports.say(f"stored, not decoded yet: {name}: {reason}", bad=True)
+
+    def _report(self, name: str, outcome: ChunkReceipt | Exception) -> bool:
+        """Report a recording that is decoded or rejected; False where another attempt follows."""
+        if isinstance(outcome, LogFileError):
+            self._status.pieces_rejected += 1
+            self._reports.say(f"rejected {name}: {outcome.reason}", bad=True)
+        elif isinstance(outcome, Exception) or _waits(outcome.record):
+            if self._decode_at is None:
+                self._decode_at = time.monotonic() + self._decode_delays.failed()
+            return False
+        else:
+            self._decode_delays.succeeded()
+        self._reports.received(name, outcome)
+        return True
+
+    def _idle(self, receiver: Receiver) -> None:
+        """Nothing waits: decode what is left, and look whether the database answers."""
+        now = time.monotonic()
+        if self._decode_at is not None and now >= self._decode_at:
+            self._decode_at = None
+            self._decode_left(receiver)
+        elif now - self._checked_at >= CHECK_EVERY_S:
+            try:
+                self._stores.check()
+            except Exception as error:  # noqa: BLE001 - whatever it is, it is reported and asked again
+                self._checked_at = now
+                self._status.database_fault = first_line(error)
+            else:
+                self._answered()
+        else:
+            self._ending.wait(LOOK_EVERY_S)
+
+    def _decode_left(self, receiver: Receiver) -> None:
+        """Decode what is stored and due; what fails again is not said again."""
+        try:
+            for outcome in receiver.decode_stored(vehicle=self._vehicle):
+                self._report(outcome.record.digest if isinstance(outcome, ChunkReceipt) else "a recording", outcome)
+                if self._ending.is_set():
+                    return
+        except Exception as error:  # noqa: BLE001 - it is tried again
+            self._report("", error)
+
+    def _answered(self) -> None:
+        if self._delayed:
+            self._reports.say("receipts are committed again")
+        self._delayed = False
+        self._status.database_fault = self._status.raw_fault = None
+        self._checked_at = time.monotonic()
+        self._delays.succeeded()
+
+    def _wait_out(self, error: Exception) -> None:
+        fault = first_line(error)
+        self._checked_at = time.monotonic()
+        if not self._delayed:
+            self._reports.say(f"pieces wait in the spool, they cannot be stored now: {fault}", bad=True)
+        self._delayed = True
+        if isinstance(error, StorageError):
+            self._status.database_fault = fault
+        else:
+            self._status.raw_fault = fault
+
+    def _pause(self) -> bool:
+        """Wait until the next attempt; return whether an end is requested."""
+        return self._ending.wait(self._delays.failed())
+
+
+def _waits(record: ChunkRecord) -> bool:
+    """Whether another attempt follows; one that waits for the recording beside it is decoded with that."""
+    if record.state is not ChunkState.STORED:
+        return False
+    return record.reason is None or record.reason.code is not ReasonCode.WAITS_FOR_TIME
