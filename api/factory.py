@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import socket
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -50,6 +52,11 @@ def code_version() -> str:
     Two estimates with the same code version came from the same mathematics, also between releases.
     """
     return f"numerics {NUMERICS_VERSION}"
+
+
+def process_name() -> str:
+    """Return what others read of this process where it holds something."""
+    return f"{socket.gethostname()}, process {os.getpid()}"
 
 
 def open_store(settings: Settings) -> SqlStorage:
@@ -183,7 +190,7 @@ def create_app(settings: Settings) -> FastAPI:
             storage=storage,
             clock=context.clock,
             jobs={job.name: job for job in scheduled_jobs(settings)},
-            runner=JobRunner(context, storage),
+            runner=JobRunner(context, storage, process_name()),
             check=partial(check_head, storage.engine),
             close=storage.close,
             one_reader=settings.url.startswith("sqlite"),

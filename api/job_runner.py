@@ -13,9 +13,20 @@ from fleet_db.storage import SqlStorage
 
 
 class JobRunner:
-    """Runs one job at a time, in a thread of its own; built by the factory, closed with the app."""
+    """Runs one job at a time, in a thread of its own; built by the factory, closed with the app.
 
-    def __init__(self, context: JobContext, storage: SqlStorage) -> None:
+    Parameters
+    ----------
+    context
+        What the jobs may touch.
+    storage
+        Its storage.
+    holder
+        Name of this process, as owner of the runs.
+    """
+
+    def __init__(self, context: JobContext, storage: SqlStorage, holder: str) -> None:
+        self._holder = holder
         self._stopping = threading.Event()
         self._storage = storage
         self._context = replace(context, stopping=self._stopping.is_set)
@@ -36,9 +47,13 @@ class JobRunner:
         with self._starting:
             self._refuse_second(job)
             begun: Future[JobRun] = Future()
-            self._running = self._executor.submit(run_job, job, self._context, JobTrigger.API, started=begun.set_result)
+            self._running = self._executor.submit(self._run, job, begun)
             wait([begun, self._running], return_when=FIRST_COMPLETED)
             return begun.result() if begun.done() else self._running.result()
+
+    def _run(self, job: Job, begun: Future[JobRun]) -> JobRun:
+        with self._storage.owned(JobTrigger.API, self._holder, self._context.clock.now_ns()) as owned:
+            return run_job(job, replace(self._context, storage=owned), JobTrigger.API, started=begun.set_result)
 
     def _refuse_second(self, job: Job) -> None:
         if self._running is not None and not self._running.done():

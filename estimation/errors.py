@@ -19,7 +19,8 @@ mistake of ours or bad input from the outside world, and carries its facts as fi
     └── StorageError               the database or the window files
         ├── DamagedError           something that was stored is missing or damaged; the rest is whole
         ├── MigrationError         the database is at another migration head
-        └── AlreadyRunningError    a second scheduler on the same database
+        ├── AlreadyRunningError    a second scheduler on the same database
+        └── ClaimLostError         this process no longer owns the jobs that it runs
 """
 
 from __future__ import annotations
@@ -170,3 +171,11 @@ class AlreadyRunningError(StorageError):
     def __init__(self, holder: str) -> None:
         self.holder = holder
         super().__init__(f"another scheduler is already running on this database ({holder})")
+
+
+class ClaimLostError(StorageError):
+    """The process no longer owns the jobs that it runs; nothing of the transaction was committed."""
+
+    def __init__(self, holder: str) -> None:
+        self.holder = holder
+        super().__init__(f"{holder} has lost its claim: its connection broke, and its runs were given up or taken over")

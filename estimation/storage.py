@@ -210,12 +210,22 @@ class UnitOfWork(Protocol):
 class Storage(Protocol):
     """Transactions: ``write`` commits on a clean exit and rolls back on an exception; ``read`` sees one snapshot.
 
-    ``scheduler_lock`` is held by the one scheduler of a deployment; a second gets ``AlreadyRunningError``.
+    ``owned`` makes this process the owner of the runs that it starts with the storage that is yielded: they are shown
+    as abandoned once it is gone. Of kind SCHEDULE there is one in a deployment; a second gets ``AlreadyRunningError``.
     """
 
     def write(self) -> AbstractContextManager[UnitOfWork]: ...
     def read(self) -> AbstractContextManager[UnitOfWork]: ...
-    def scheduler_lock(self, holder: str) -> AbstractContextManager[None]: ...
+    def owned(self, kind: JobTrigger, holder: str, now_ns: int) -> AbstractContextManager[OwnedStorage]: ...
+
+
+class OwnedStorage(Storage, Protocol):
+    """Storage of a process that owns the runs it starts; ``write`` raises ``ClaimLostError`` once it does not.
+
+    ``holds`` is whether the claim holds and the connection that it rests on is alive.
+    """
+
+    def holds(self) -> bool: ...
 
 
 class Clock(Protocol):

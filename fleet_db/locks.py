@@ -92,6 +92,26 @@ def single_writer(path: Path, timeout_s: float) -> Iterator[None]:
 
 
 @contextmanager
+def locked_file(path: Path, flags: int = os.O_RDWR | os.O_CREAT, *, shared: bool = False) -> Iterator[bool]:
+    """Try to lock a file, for as long as the context lasts or the process lives; yield whether it was free.
+
+    Parameters
+    ----------
+    path
+        Created where it does not exist, unless ``flags`` say otherwise.
+    flags
+        Of ``os.open``.
+    shared
+        Whether others may hold it shared at the same time.
+    """
+    handle = os.open(path, flags | os.O_CLOEXEC, 0o644)
+    try:
+        yield _locked(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
+    finally:
+        os.close(handle)
+
+
+@contextmanager
 def file_scheduler_lock(path: Path, holder: str) -> Iterator[None]:
     """Hold the lock file ``path``, with ``holder`` written inside; the system lets it go when the process dies.
 
@@ -100,21 +120,29 @@ def file_scheduler_lock(path: Path, holder: str) -> Iterator[None]:
     AlreadyRunningError
         Another process holds it; names the holder.
     """
-    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        if not _locked(handle):
-            raise AlreadyRunningError(os.pread(handle, 1024, 0).decode(errors="replace").strip() or "not yet named")
-        os.ftruncate(handle, 0)
-        os.pwrite(handle, holder.encode(), 0)
+    with locked_file(path) as locked:
+        if not locked:
+            raise AlreadyRunningError(path.read_text(errors="replace").strip() or "not yet named")
+        path.write_text(holder)  # the same file: its lock is on the inode
         yield
-        os.ftruncate(handle, 0)
-    finally:
-        os.close(handle)
+        path.write_text("")
 
 
 @contextmanager
-def postgresql_scheduler_lock(engine: Engine, holder: str) -> Iterator[None]:
-    """Hold a session-level advisory lock on a connection of its own, which carries ``holder`` as its name.
+def postgresql_session(engine: Engine, holder: str) -> Iterator[Connection]:
+    """Yield a connection of its own, which carries ``holder`` as its name; locks taken on it end with it."""
+    connection = engine.connect().execution_options(isolation_level="AUTOCOMMIT")
+    try:
+        name = holder.encode()[:NAME_LENGTH].decode(errors="ignore")
+        connection.execute(text("SELECT set_config('application_name', :name, false)"), {"name": name})
+        yield connection
+    finally:
+        connection.invalidate()  # the session ends with its locks, and its name never gets back into the pool
+        connection.close()
+
+
+def lock_scheduler(session: Connection) -> None:
+    """Take the lock of the one scheduler of this database, for as long as the session lasts.
 
     Raises
     ------
@@ -122,16 +150,8 @@ def postgresql_scheduler_lock(engine: Engine, holder: str) -> Iterator[None]:
         Another session holds it; names who.
     """
     names = {"namespace": NAMESPACE, "subject": int(Subject.SCHEDULER)}
-    connection = engine.connect().execution_options(isolation_level="AUTOCOMMIT")
-    try:
-        name = holder.encode()[:NAME_LENGTH].decode(errors="ignore")
-        connection.execute(text("SELECT set_config('application_name', :name, false)"), {"name": name})
-        if not connection.scalar(text("SELECT pg_try_advisory_lock(:namespace, :subject)"), names):
-            raise AlreadyRunningError(connection.scalar(text(HOLDER_SQL), names) or "just ended")
-        yield
-    finally:
-        connection.invalidate()  # the session ends with the lock, and its name never gets back into the pool
-        connection.close()
+    if not session.scalar(text("SELECT pg_try_advisory_lock(:namespace, :subject)"), names):
+        raise AlreadyRunningError(session.scalar(text(HOLDER_SQL), names) or "just ended")
 
 
 HOLDER_SQL = """
@@ -143,9 +163,9 @@ WHERE locks.locktype = 'advisory' AND locks.granted AND locks.objsubid = 2
 """
 
 
-def _locked(handle: int) -> bool:
+def _locked(handle: int, kind: int = fcntl.LOCK_EX) -> bool:
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(handle, kind | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     return True

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, field
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 
 from sqlalchemy import Connection, Engine
 
+from estimation.errors import StorageError
+from estimation.values.runs import JobTrigger
+from fleet_db import owners
 from fleet_db.changes import Changes
-from fleet_db.locks import file_scheduler_lock, postgresql_scheduler_lock, serialise_vehicle, single_writer
+from fleet_db.locks import file_scheduler_lock, lock_scheduler, postgresql_session, serialise_vehicle, single_writer
 from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, sqlite_file, translate_errors
 from fleet_db.stores.alerts import AlertStore
 from fleet_db.stores.assembled import AssembledWindowStore
@@ -42,6 +45,7 @@ class SqlUnitOfWork:
     files: WindowFiles
     writing: bool
     shipped: Shipped = no_class
+    owner: int | None = None  # token of the process that runs jobs
     changes: Changes = field(init=False)
     chunks: ChunkStore = field(init=False)
     stale_spans: StaleSpanStore = field(init=False)
@@ -76,8 +80,8 @@ class SqlUnitOfWork:
         self.trends = TrendStore(connection)
         self.suspensions = SuspensionStore(connection)
         self.alerts = AlertStore(connection, self.writing, self.changes)
-        self.jobs = JobRunStore(connection)
         self.recorded_times = RecordedTimeStore(connection)
+        self.jobs = JobRunStore(connection, self.owner)
         self.idempotency = IdempotencyStore(connection)
 
     def assemble_alone(self, vehicle: str) -> None:
@@ -123,7 +127,7 @@ class SqlStorage:
             self.engine.connect().execution_options(**IMMEDIATE) as connection,
             connection.begin(),
         ):
-            unit = SqlUnitOfWork(connection, self._files(), writing=True, shipped=self.shipped)
+            unit = SqlUnitOfWork(connection, self._files(), writing=True, shipped=self.shipped, owner=self.owner_token)
             yield unit
             unit.changes.flush()
 
@@ -139,18 +143,62 @@ class SqlStorage:
         with translate_errors(), self.engine.connect() as connection, _read_only(connection) as reading:
             yield SqlUnitOfWork(reading, self._files(), writing=False, shipped=self.shipped)
 
-    def scheduler_lock(self, holder: str) -> AbstractContextManager[None]:
-        """Hold the lock of the one scheduler of this database.
+    @contextmanager
+    def owned(self, kind: JobTrigger, holder: str, now_ns: int) -> Iterator[OwnedStorage]:
+        """Own the runs that are started with the storage that is yielded; nothing is committed once they are not.
+
+        Parameters
+        ----------
+        kind
+            SCHEDULE is the one scheduler of this database.
+        holder
+            Name of the process, such as host and number.
+        now_ns
+            Our time.
 
         Raises
         ------
         AlreadyRunningError
-            On entry: another process holds it; names the holder.
+            On entry: another process is the scheduler; names the holder.
+        ClaimLostError
+            In transactions of the storage: the claim was lost meanwhile.
+        StorageError
+            The database cannot be reached.
         """
         file = sqlite_file(self.engine)
-        if file is None:
-            return _translate_errors_of(postgresql_scheduler_lock(self.engine, holder))
-        return file_scheduler_lock(file.with_name(f"{file.name}.scheduler-lock"), holder)
+        claim = self._postgresql_claim(kind, holder, now_ns) if file is None else self._file_claim(kind, holder, now_ns)
+        with claim as token:
+            storage = OwnedStorage(self.engine, self.data_dir, self.shipped, token=token, holder=holder)
+            try:
+                yield storage
+            finally:
+                with suppress(StorageError), self.write() as unit:  # out of reach: whoever looks next removes it
+                    owners.remove(unit.connection, token)
+
+    @contextmanager
+    def _file_claim(self, kind: JobTrigger, holder: str, now_ns: int) -> Iterator[int]:
+        file = Path(str(self.engine.url.database))
+        only = file_scheduler_lock(file.with_name(f"{file.name}.scheduler-lock"), holder)
+        with only if kind is JobTrigger.SCHEDULE else nullcontext(), ExitStack() as held:
+            with self.write() as unit:
+                token = owners.add(unit.connection, kind, holder, now_ns)
+                held.enter_context(owners.file_owner_lock(owners.lock_file(self.engine, token)))
+            yield token
+
+    @contextmanager
+    def _postgresql_claim(self, kind: JobTrigger, holder: str, now_ns: int) -> Iterator[int]:
+        with translate_errors(), postgresql_session(self.engine, holder) as session:
+            if kind is JobTrigger.SCHEDULE:
+                lock_scheduler(session)
+            with self.write() as unit:
+                token = owners.add(unit.connection, kind, holder, now_ns)
+                owners.lock_owner(session, token)
+            yield token
+
+    @property
+    def owner_token(self) -> int | None:
+        """Token of the process that owns the runs that are started here, if any."""
+        return None
 
     def close(self) -> None:
         """Close every connection."""
@@ -164,6 +212,46 @@ class SqlStorage:
 
     def _files(self) -> WindowFiles:
         return WindowFiles(self.data_dir / "windows")
+
+
+@dataclass(frozen=True, slots=True)
+class OwnedStorage(SqlStorage):
+    """Storage of a process that runs jobs: commits nothing once that is no longer so. See :meth:`SqlStorage.owned`."""
+
+    _: KW_ONLY
+    token: int
+    holder: str
+
+    @contextmanager
+    def write(self) -> Iterator[SqlUnitOfWork]:
+        """Commit on a clean exit while the claim holds, roll back on an exception.
+
+        Raises
+        ------
+        ClaimLostError
+            The claim was lost; nothing was committed.
+        ConflictError, StorageError
+            As :meth:`SqlStorage.write`.
+        """
+        with SqlStorage.write(self) as unit:
+            yield unit
+            unit.changes.flush()
+            owners.check_claim(unit.connection, self.token, self.holder)
+
+    @property
+    def owner_token(self) -> int:
+        """Token of this process."""
+        return self.token
+
+    def holds(self) -> bool:
+        """Return whether the claim holds and the connection with its lock is alive."""
+        try:
+            with self.read() as unit:
+                return self.token in owners.living(unit.connection, [self.token]) and owners.has_claim(
+                    unit.connection, self.token
+                )
+        except StorageError:
+            return False
 
 
 @contextmanager
@@ -180,9 +268,3 @@ def _read_only(connection: Connection) -> Iterator[Connection]:
         finally:
             connection.exec_driver_sql("PRAGMA query_only = OFF")
             transaction.rollback()
-
-
-@contextmanager
-def _translate_errors_of(lock: AbstractContextManager[None]) -> Iterator[None]:
-    with translate_errors(), lock:
-        yield

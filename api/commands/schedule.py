@@ -5,13 +5,11 @@ from __future__ import annotations
 
 def schedule() -> None:
     """Run the jobs on schedule until asked to stop; refused where another scheduler is at work on the database."""
-    import os
-    import socket
     import threading
     from contextlib import closing
 
     from api import logs
-    from api.factory import job_context, open_store, scheduled_jobs
+    from api.factory import job_context, open_store, process_name, scheduled_jobs
     from api.settings import load_settings
     from estimation.jobs.scheduler import serve_jobs, stop_on_signals
 
@@ -21,5 +19,4 @@ def schedule() -> None:
     stop_on_signals(stopping)
     with closing(open_store(settings)) as storage:
         context = job_context(settings, storage)
-        holder = f"{socket.gethostname()}, process {os.getpid()}"
-        serve_jobs(context, scheduled_jobs(settings), stopping, holder=holder)
+        serve_jobs(context, scheduled_jobs(settings), stopping, holder=process_name())

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 
 from api import logs
-from api.factory import job_context, open_store, scheduled_jobs
+from api.factory import job_context, open_store, process_name, scheduled_jobs
 from api.settings import Settings, load_settings
 from estimation.errors import ParameterError
 from estimation.jobs.job import Job, JobContext, run_job
@@ -38,7 +38,8 @@ def run_jobs_once(name: str | None) -> bool:
     stop_on_signals(stopping)
     with closing(open_store(settings)) as storage:
         context = replace(job_context(settings, storage), stopping=stopping.is_set)
-        runs = run_in_order(jobs, context, console)
+        with storage.owned(JobTrigger.CLI, process_name(), context.clock.now_ns()) as owned:
+            runs = run_in_order(jobs, replace(context, storage=owned), console)
     Console().print(summary(runs))
     return all(run.outcome is JobOutcome.SUCCEEDED for run in runs)
 

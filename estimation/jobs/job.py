@@ -11,7 +11,7 @@ import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from estimation.errors import ConflictError, StoppedError, TreadwatchError
+from estimation.errors import ClaimLostError, ConflictError, StoppedError, TreadwatchError
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Clock, Storage
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
@@ -73,8 +73,8 @@ def run_job(
 ) -> JobRun:
     """Run a job once and record it: start, finish, outcome, counts and, where it failed, the message.
 
-    The record is written in transactions of its own, before and after the work, so that a killed run stays visible as
-    ``running`` until the next scheduler marks it ``abandoned``.
+    The record is written in transactions of its own, before and after the work, so that a killed run stays
+    visible; it is ``abandoned`` once its process is gone.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def run_job(
     try:
         with context.storage.write() as unit:
             unit.jobs.finish(begun.run_id, outcome, counts, context.clock.now_ns(), error)
-    except ConflictError as conflict:  # a scheduler that started meanwhile has given this run up
+    except (ConflictError, ClaimLostError) as conflict:  # a scheduler that started meanwhile has given this run up
         _log.warning("job %s: %s", job.name, conflict)
     with context.storage.read() as unit:
         return unit.jobs.get(begun.run_id)
@@ -129,7 +129,7 @@ def _remember(
 def _attempt(job: Job, context: JobContext) -> tuple[JobOutcome, Mapping[str, int], str | None]:
     try:
         return JobOutcome.SUCCEEDED, dict(job.run(context)), None
-    except StoppedError as error:
+    except (StoppedError, ClaimLostError) as error:
         return JobOutcome.ABANDONED, {}, str(error)
     except TreadwatchError as error:
         _log.warning("job %s failed: %s", job.name, error)

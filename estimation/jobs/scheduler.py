@@ -25,10 +25,18 @@ from apscheduler.executors.pool import ThreadPoolExecutor
 from apscheduler.jobstores.memory import MemoryJobStore
 from apscheduler.schedulers.background import BackgroundScheduler
 
+from estimation.errors import AlreadyRunningError, StorageError
 from estimation.jobs.job import Job, JobContext, run_job
+from estimation.storage import OwnedStorage
 from estimation.values.runs import JobTrigger
 
 _log = logging.getLogger(__name__)
+
+CHECK_S = 1.0
+"""How often the scheduler looks whether it still is the one of its database."""
+
+FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0
+"""Between attempts to reach a database that is away; each is twice the one before."""
 
 
 def serve_jobs(
@@ -57,22 +65,55 @@ def serve_jobs(
     Raises
     ------
     AlreadyRunningError
-        Another scheduler is at work on this database.
+        Another scheduler is at work on this database, at the start or after the database was away.
+    StorageError
+        The database cannot be reached at the start. Later the scheduler waits for it, with growing delay.
     """
-    with context.storage.scheduler_lock(holder):
-        with context.storage.write() as unit:
-            abandoned = unit.jobs.abandon_running(context.clock.now_ns())
-        if abandoned:
-            _log.warning("%d runs of a process that is gone were marked as abandoned", abandoned)
-        scheduler = build_scheduler(replace(context, stopping=stop_event.is_set), jobs, every_s or _default_interval)
-        scheduler.start()
-        _log.info("scheduler started with %s", ", ".join(job.name for job in jobs))
+    delay_s, begun = FIRST_DELAY_S, False
+    while not stop_event.is_set():
         try:
-            stop_event.wait()
-        finally:
-            stop_event.set()
-            scheduler.shutdown(wait=True)
-            _log.info("scheduler stopped")
+            with context.storage.owned(JobTrigger.SCHEDULE, holder, context.clock.now_ns()) as owned:
+                delay_s, begun = FIRST_DELAY_S, True
+                _serve_while_owned(replace(context, storage=owned), owned, jobs, stop_event, every_s)
+        except AlreadyRunningError as error:
+            if not (begun and holder.startswith(error.holder)):  # else the server still sees our own lost connection
+                raise
+        except StorageError as error:
+            if not begun:
+                raise
+            _log.warning("the scheduler waits for the database: %s", error)
+        if not stop_event.wait(delay_s):
+            _log.info("the scheduler tries to go on, after %g s", delay_s)
+        delay_s = min(2.0 * delay_s, LONGEST_DELAY_S)
+
+
+def _serve_while_owned(
+    context: JobContext,
+    owned: OwnedStorage,
+    jobs: Sequence[Job],
+    stop_event: Event,
+    every_s: Callable[[Job], float] | None,
+) -> None:
+    """Run the jobs until a stop is asked for or the claim is lost; then the running job ends at its next batch."""
+    with owned.write() as unit:
+        abandoned = unit.jobs.abandon_running(context.clock.now_ns())
+    if abandoned:
+        _log.warning("%d runs of a process that is gone were marked as abandoned", abandoned)
+    over = Event()
+    scheduler = build_scheduler(replace(context, stopping=over.is_set), jobs, every_s or _default_interval)
+    scheduler.start()
+    _log.info("scheduler started with %s", ", ".join(job.name for job in jobs))
+    try:
+        while not stop_event.wait(CHECK_S):
+            if not owned.holds():
+                _log.warning(
+                    "the scheduler has lost its lock: the database was away, or another scheduler has taken over"
+                )
+                break
+    finally:
+        over.set()
+        scheduler.shutdown(wait=True)
+        _log.info("scheduler stopped")
 
 
 def build_scheduler(context: JobContext, jobs: Sequence[Job], every_s: Callable[[Job], float]) -> BackgroundScheduler:

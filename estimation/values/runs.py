@@ -26,7 +26,7 @@ class JobOutcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class JobRun:
-    """One run of one job; ``finished_ns`` None while running. ``counts`` are what it did."""
+    """One run of one job; ``finished_ns`` None until its end is recorded. ``counts`` are what it did."""
 
     run_id: int
     job: str

@@ -7,11 +7,13 @@ from fleet_db.models.chunks import ChunkRow
 from fleet_db.models.fleets import FleetRow
 from fleet_db.models.geometries import GeometryRow
 from fleet_db.models.idempotency import IdempotencyRow
+from fleet_db.models.job_owners import JobOwnerRow
 from fleet_db.models.jobs import JobRunRow
 from fleet_db.models.measured_profiles import MeasuredProfilesRow
 from fleet_db.models.mountings import MountingRow
 from fleet_db.models.purges import PurgeRow
 from fleet_db.models.quarantine import QuarantineRow, RawMarkRow, RecordingChangeRow
+from fleet_db.models.settings import StoredSettingRow
 from fleet_db.models.stale_spans import StaleSpanRow
 from fleet_db.models.suspension import SuspensionFindingRow
 from fleet_db.models.tracks import (
@@ -36,6 +38,7 @@ __all__ = [
     "FleetRow",
     "GeometryRow",
     "IdempotencyRow",
+    "JobOwnerRow",
     "JobRunRow",
     "MeasuredProfilesRow",
     "MountingRow",
@@ -45,6 +48,7 @@ __all__ = [
     "RecordingChangeRow",
     "ReprofilingRow",
     "StaleSpanRow",
+    "StoredSettingRow",
     "SuspensionFindingRow",
     "TrackAlignmentRow",
     "TrackLayoutRow",

@@ -6,11 +6,11 @@ from sqlalchemy import CheckConstraint, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.runs import JobOutcome
-from fleet_db.models.base import Base, Json, Name, Nanoseconds, Serial, one_of
+from fleet_db.models.base import Base, Count, Json, Name, Nanoseconds, Serial, one_of
 
 
 class JobRunRow(Base):
-    """One run; ``finished_ns`` is null exactly while it runs."""
+    """One run; ``finished_ns`` is null until its end is recorded. ``owner`` is the token of its process."""
 
     __tablename__ = "job_runs"
     __table_args__ = (
@@ -28,3 +28,4 @@ class JobRunRow(Base):
     outcome: Mapped[str] = mapped_column(String(16))
     counts: Mapped[Json]
     error: Mapped[Name | None]
+    owner: Mapped[Count | None]

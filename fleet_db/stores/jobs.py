@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Row, insert, or_, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
+from fleet_db import owners
 from fleet_db.models import JobRunRow
 from fleet_db.rows import table_of
 
 RUNS = table_of(JobRunRow)
+GONE = "the process ended during the run"
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,9 +23,12 @@ class JobRunStore:
     """Implements ``estimation.storage.JobRuns``."""
 
     connection: Connection
+    owner: int | None = None  # token of the process that starts runs here
 
     def start(self, job: str, trigger: JobTrigger, started_ns: int) -> JobRun:
-        """Record that a run has begun."""
+        """Record that a run has begun; a process runs one job at a time, so that what it ran before has ended."""
+        if self.owner is not None:
+            self._abandon(started_ns, RUNS.c.owner == self.owner)
         statement = insert(RUNS).values(
             job=job,
             trigger=trigger.value,
@@ -32,6 +37,7 @@ class JobRunStore:
             outcome=JobOutcome.RUNNING.value,
             counts={},
             error=None,
+            owner=self.owner,
         )
         run_id = self.connection.execute(statement.returning(RUNS.c.run_id)).scalar_one()
         return JobRun(run_id, job, trigger, started_ns, None, JobOutcome.RUNNING, {})
@@ -60,18 +66,18 @@ class JobRunStore:
             )
 
     def abandon_running(self, finished_ns: int) -> int:
-        """Mark every run that never ended as abandoned; return how many."""
-        result = self.connection.execute(
-            update(RUNS)
-            .where(RUNS.c.outcome == JobOutcome.RUNNING.value)
-            .values(
-                outcome=JobOutcome.ABANDONED.value, finished_ns=finished_ns, error="the process ended during the run"
-            )
-        )
-        return result.rowcount
+        """Mark every run as abandoned whose process is gone; return how many. Forget those processes."""
+        alive = owners.remove_dead(self.connection)
+        return self._abandon(finished_ns, or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(alive)))
+
+    def _abandon(self, finished_ns: int, which: ColumnElement[bool]) -> int:
+        statement = update(RUNS).where(RUNS.c.outcome == JobOutcome.RUNNING.value, which)
+        return self.connection.execute(
+            statement.values(outcome=JobOutcome.ABANDONED.value, finished_ns=finished_ns, error=GONE)
+        ).rowcount
 
     def get(self, run_id: int) -> JobRun:
-        """Return one run.
+        """Return one run; abandoned where its process is gone.
 
         Raises
         ------
@@ -81,19 +87,26 @@ class JobRunStore:
         row = self.connection.execute(select(RUNS).where(RUNS.c.run_id == run_id)).first()
         if row is None:
             raise NotFoundError("job run", str(run_id))
-        return _run(row)
+        return self._runs([row])[0]
 
     def page(self, job: str | None, before_id: int | None, limit: int) -> Sequence[JobRun]:
-        """Return at most ``limit`` runs with a number below ``before_id``, newest first."""
+        """Return at most ``limit`` runs with a number below ``before_id``, newest first; as :meth:`get`."""
         statement = select(RUNS)
         if job is not None:
             statement = statement.where(RUNS.c.job == job)
         if before_id is not None:
             statement = statement.where(RUNS.c.run_id < before_id)
-        rows = self.connection.execute(statement.order_by(RUNS.c.run_id.desc()).limit(limit))
-        return [_run(row) for row in rows]
+        return self._runs(self.connection.execute(statement.order_by(RUNS.c.run_id.desc()).limit(limit)).all())
+
+    def _runs(self, rows: Sequence[Row[Any]]) -> list[JobRun]:
+        tokens = {row.owner for row in rows if row.owner is not None and row.outcome == JobOutcome.RUNNING.value}
+        return [_run(row, tokens - owners.living(self.connection, tokens)) for row in rows]
 
 
-def _run(row: Row[Any]) -> JobRun:
-    enumerations = {"trigger": JobTrigger(row.trigger), "outcome": JobOutcome(row.outcome)}
-    return JobRun(**{**row._mapping, **enumerations})  # noqa: SLF001 - SQLAlchemy's public accessor
+def _run(row: Row[Any], gone: Collection[int]) -> JobRun:
+    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
+    owner = fields.pop("owner")
+    run = JobRun(**{**fields, "trigger": JobTrigger(row.trigger), "outcome": JobOutcome(row.outcome)})
+    if run.outcome is JobOutcome.RUNNING and owner in gone:
+        return replace(run, outcome=JobOutcome.ABANDONED, error=GONE)
+    return run

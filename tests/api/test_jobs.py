@@ -96,7 +96,7 @@ def held_runner(storage: SqlStorage) -> Iterator[tuple[JobRunner, Job, threading
                 break
         return {"done": 1}
 
-    runner = JobRunner(JobContext(storage, SystemClock(), "test", JobSettings()), storage)
+    runner = JobRunner(JobContext(storage, SystemClock(), "test", JobSettings()), storage, "test")
     yield runner, Job("held", "Hold on", 60.0, work), release
     release.set()
     runner.close()
@@ -134,7 +134,7 @@ def test_readiness_is_a_problem_where_the_database_is_at_another_migration(sqlit
     def check() -> None:
         raise MigrationError("0000", "0001")
 
-    runner = JobRunner(JobContext(sqlite_storage, SystemClock(), "test", JobSettings()), sqlite_storage)
+    runner = JobRunner(JobContext(sqlite_storage, SystemClock(), "test", JobSettings()), sqlite_storage, "test")
     services = Services(sqlite_storage, SystemClock(), {}, runner, check, lambda: None, one_reader=True)
     assert build_app(services).state.services is services
     with pytest.raises(MigrationError, match="treadwatch db upgrade"):

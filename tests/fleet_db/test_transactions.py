@@ -17,6 +17,7 @@ import stored_values as make
 
 from estimation.errors import AlreadyRunningError, ConflictError, StorageError
 from estimation.values.registry import FleetRecord
+from estimation.values.runs import JobTrigger
 from fleet_db import locks
 from fleet_db.migrate import upgrade
 from fleet_db.session import database_engine
@@ -29,6 +30,7 @@ from pathlib import Path
 import stored_values as make
 from estimation.values.alerts import AlertEventKind
 from estimation.values.registry import FleetRecord
+from estimation.values.runs import JobTrigger
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 storage = SqlStorage(database_engine(sys.argv[1]), Path(sys.argv[2]))
@@ -48,7 +50,7 @@ for number in range(25):
         unit.registry.add_fleet(FleetRecord(f"{sys.argv[3]}-{number}", "x"))
 """
 LOCK_AND_HANG = """
-with storage.scheduler_lock("the first, process 1"):
+with storage.owned(JobTrigger.SCHEDULE, "the first, process 1", 1):
     print("locked", flush=True)
     sys.stdin.read()
 """
@@ -169,25 +171,28 @@ def test_a_writer_who_waits_too_long_gets_an_error(tmp_path: Path) -> None:
 
 def test_a_second_scheduler_is_refused(fleet: SqlStorage) -> None:
     with (
-        fleet.scheduler_lock("scheduler, process 4711"),
+        fleet.owned(JobTrigger.SCHEDULE, "scheduler, process 4711", 1),
         pytest.raises(AlreadyRunningError, match="scheduler, process 4711"),
-        fleet.scheduler_lock("another"),
+        fleet.owned(JobTrigger.SCHEDULE, "another", 1),
     ):
         pass
-    with fleet.scheduler_lock("the next"):
+    with fleet.owned(JobTrigger.SCHEDULE, "the next", 1):
         pass
 
 
 def test_a_killed_scheduler_lets_the_next_one_in(fleet: SqlStorage) -> None:
     with process(LOCK_AND_HANG, fleet) as running:
         assert line_of(running) == "locked"
-        with pytest.raises(AlreadyRunningError, match="the first, process 1"), fleet.scheduler_lock("second"):
+        with (
+            pytest.raises(AlreadyRunningError, match="the first, process 1"),
+            fleet.owned(JobTrigger.SCHEDULE, "second", 1),
+        ):
             pass
         running.kill()
         running.wait(30)
         for _ in range(200):  # the server notices the end of a session a moment later
             try:
-                with fleet.scheduler_lock("second"):
+                with fleet.owned(JobTrigger.SCHEDULE, "second", 1):
                     return
             except AlreadyRunningError:
                 threading.Event().wait(0.05)
@@ -198,7 +203,7 @@ def test_schedulers_of_two_databases_do_not_meet(sqlite_storage: SqlStorage, tmp
     url = f"sqlite:///{tmp_path / 'other.sqlite3'}"
     upgrade(url)
     other = SqlStorage(database_engine(url), tmp_path)
-    with sqlite_storage.scheduler_lock("one"), other.scheduler_lock("two"):
+    with sqlite_storage.owned(JobTrigger.SCHEDULE, "one", 1), other.owned(JobTrigger.SCHEDULE, "two", 1):
         pass
     other.close()
 

@@ -20,8 +20,8 @@ from estimation.errors import AlreadyRunningError, StorageError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.scheduler import build_scheduler, serve_jobs
 from estimation.jobs.settings import JobSettings
-from estimation.storage import Storage, UnitOfWork
-from estimation.values.runs import JobRun
+from estimation.storage import OwnedStorage, Storage, UnitOfWork
+from estimation.values.runs import JobRun, JobTrigger
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 
@@ -105,7 +105,8 @@ def test_a_killed_job_leaves_nothing_half_written_and_is_abandoned_at_the_next_s
     storage = SqlStorage(database_engine(storage_url), tmp_path)
     whole = [name for batch in range(3) for name in (f"{batch:06}a", f"{batch:06}b")]
     assert fleets(storage) in (whole, [*whole, "000003a", "000003b"])  # it may have been quicker than the signal
-    assert [run.outcome for run in runs_of(storage, "add_pairs")] == ["running"]
+    shown = [(run.outcome, run.finished_ns, run.error) for run in runs_of(storage, "add_pairs")]
+    assert shown == [("abandoned", None, "the process ended during the run")]
     done = Event()
     with serving(storage, [job("other", done.set)]):  # and the dead process's lock is free
         assert done.wait(PATIENCE_S)
@@ -216,8 +217,13 @@ class FailsOnce:
     def read(self) -> AbstractContextManager[UnitOfWork]:
         return self.real.read()
 
-    def scheduler_lock(self, holder: str) -> AbstractContextManager[None]:
-        return self.real.scheduler_lock(holder)
+    @contextmanager
+    def owned(self, kind: JobTrigger, holder: str, now_ns: int) -> Iterator[OwnedStorage]:
+        with self.real.owned(kind, holder, now_ns) as owned:
+            yield FailsOnce(owned, self.fails_at)
+
+    def holds(self) -> bool:
+        return self.real.holds()
 
 
 def test_a_run_that_cannot_be_recorded_is_logged_and_the_next_one_runs(
