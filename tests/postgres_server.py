@@ -25,6 +25,8 @@ import psycopg
 START_TIMEOUT_S = 60.0
 # the data of a test need not survive a loss of power
 FAST = ("fsync=off", "synchronous_commit=off", "full_page_writes=off", "max_connections=100", "timezone=UTC")
+SAFE = ("fsync=off", "max_connections=100", "timezone=UTC")
+"""For servers that are crashed while the machine runs on: what was committed survives."""
 
 
 @dataclass
@@ -59,14 +61,20 @@ def running_server() -> Iterator[str]:
 
 
 @contextmanager
-def stoppable_server() -> Iterator[PostgresServer]:
-    """Yield a running server that only this process knows; it ends with the block."""
+def stoppable_server(chosen: Sequence[str] = FAST) -> Iterator[PostgresServer]:
+    """Yield a running server that only this process knows; it ends with the block.
+
+    Parameters
+    ----------
+    chosen
+        Settings of the server.
+    """
     home = Path(tempfile.mkdtemp(prefix="treadwatch-postgres-"))  # short: the name of a socket is limited
     try:
         programs, user = _programs(home), _user(home)
         data = home / "data"
         _initialise(programs, data, user)
-        settings = [part for setting in FAST for part in ("-c", setting)]
+        settings = [part for setting in chosen for part in ("-c", setting)]
         command = [str(programs / "postgres"), "-D", str(data), "-h", "", "-k", str(home), *settings]
         server = PostgresServer(f"postgresql://postgres@/postgres?host={home}", command, home / "log", user)
         try:
