@@ -12,8 +12,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from estimation.errors import DamagedError
+from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.failed_windows import (
+    FailedWindow,
+    attempted,
+    let_due_wait_again,
+    refuse_failed,
+    release_others,
+)
 from estimation.jobs.steps.load_window import load_window, partner_digest
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.hunting import in_place_of_quality
@@ -31,6 +39,8 @@ def run(context: JobContext) -> Mapping[str, int]:
     """Estimate every pending window; each batch is committed together."""
     settings = context.settings.estimation
     counts: Counter[str] = Counter(estimated=0, refused=0, changed_meanwhile=0)
+    isolation = Isolation(context, "estimate_windows")
+    let_due_wait_again(context, isolation)
     with context.storage.write() as unit:
         known = {section.code: unit.tracks.in_force(section.code) for section in unit.tracks.sections()}
         in_force = {code: record for code, record in known.items() if record is not None}
@@ -39,12 +49,13 @@ def run(context: JobContext) -> Mapping[str, int]:
     done = 0
     waiting = [code for code, record in in_force.items() if record.source == AlignmentSource.FLEET]
     while batch := _compute(context, settings, waiting):
-        with context.storage.write() as unit:
-            classes = ClassLookup(unit, settings)
-            for work, outcome in batch:
-                counts[_store(unit, work, outcome, classes)] += 1
+        failed = [one for one in batch if isinstance(one, FailedWindow)]
+        failed += _store_all(context, [one for one in batch if not isinstance(one, FailedWindow)], counts)
+        refuse_failed(context, isolation, failed)
+        release_others(isolation, [one[0].record for one in batch if not isinstance(one, FailedWindow)], failed)
         done += len(batch)
         context.checkpoint(done, max(total, done))
+    counts["quarantined"] = isolation.quarantined
     return counts
 
 
@@ -62,6 +73,28 @@ class _Work:
     partner: str | None  # digest of the window on the other axle of the bogie
     mounted_reversed: bool = False
     layout: TrackLayout | None = None
+
+
+_Outcome = tuple[_Work, BinTable | Reason]
+
+
+def _store_all(context: JobContext, found: Sequence[_Outcome], counts: Counter[str]) -> list[FailedWindow]:
+    """Store outcomes in one transaction; where that fails, each in its own, and return those that failed alone."""
+    try:
+        counts.update(_stored(context, found))
+    except Exception as error:
+        if not fails_alone(error):
+            raise
+        if len(found) == 1:
+            return [FailedWindow(found[0][0].record, error)]
+        return [failed for one in found for failed in _store_all(context, [one], counts)]
+    return []
+
+
+def _stored(context: JobContext, found: Sequence[_Outcome]) -> list[str]:
+    with context.storage.write() as unit:
+        classes = ClassLookup(unit, context.settings.estimation)
+        return [_store(unit, work, outcome, classes) for work, outcome in found]
 
 
 def _requeue(unit: UnitOfWork, settings: EstimationSettings, in_force: Mapping[str, AlignmentRecord]) -> int:
@@ -95,7 +128,7 @@ def _class_known(unit: UnitOfWork, classes: ClassLookup) -> int:
 
 def _compute(
     context: JobContext, settings: EstimationSettings, waiting: Sequence[str]
-) -> list[tuple[_Work, BinTable | Reason]]:
+) -> list[_Outcome | FailedWindow]:
     with context.storage.read() as unit:
 
         @lru_cache
@@ -107,8 +140,8 @@ def _compute(
             return unit.tracks.layout(section) if section is not None else None
 
         classes = ClassLookup(unit, settings)
-        found = []
-        for record in unit.windows.ready(settings.batch, waiting):
+
+        def computed(record: WindowRecord) -> _Outcome:
             position = unit.tracks.position(record.wheelset, record.start_ns)
             mounting = unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
             turned = mounting is not None and mounting.reversed
@@ -116,8 +149,9 @@ def _compute(
             assumed = classes.assumed(record.vehicle, record.wheelset)
             partner = _partner(unit, record, assumed)
             work = _Work(record, alignment(section), position, assumed, partner, turned, layout(section))
-            found.append((work, _outcome(unit, work)))
-        return found
+            return work, _outcome(unit, work)
+
+        return [attempted(computed, record) for record in unit.windows.ready(settings.batch, waiting)]
 
 
 def _outcome(unit: UnitOfWork, work: _Work) -> BinTable | Reason:

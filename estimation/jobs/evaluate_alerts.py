@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from estimation.alerts.fleet_alerts import in_flood, opened, refreshed
 from estimation.alerts.identity import IdentityEvent
@@ -16,11 +16,13 @@ from estimation.alerts.rules.identity import IdentityRule
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.alerts.rules.sensor_fault import SensorFaultRule
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule
+from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.identities import new_events
 from estimation.jobs.steps.suspension import changes_by_wheelset
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Transition
+from estimation.values.quarantine import SubjectKind
 from estimation.values.registry import WheelsetRecord
 from estimation.values.suspension import SuspensionChange
 from estimation.values.windows import WindowRecord
@@ -119,30 +121,34 @@ def run(context: JobContext) -> Mapping[str, int]:
     for the others of its fleet, since too many of a kind are raised as one; each fleet is then one transaction. A run
     that ends early raises what it has found; what it has not stored the next run finds again.
     """
+    isolation = Isolation(context, "evaluate_alerts")
     with context.storage.read() as unit:
-        wheelsets = unit.registry.wheelsets()
-        serials = [wheelset.serial for wheelset in wheelsets]
-        identities = new_events(unit, wheelsets, context.settings.rules.rule(IdentityRule).parameters)
-        changes = changes_by_wheelset(unit, context.settings.rules.rule(SuspensionChangeRule).parameters)
+        serials = [wheelset.serial for wheelset in unit.registry.wheelsets()]
         fleets = [fleet.code for fleet in unit.registry.fleets()]
+    compared = _compared(context, isolation)
     counts: Counter[str] = Counter(dict.fromkeys(("wheelsets", *(kind.value for kind in AlertEventKind)), 0))
     found: list[Transition] = []
     try:
         for done, serial in enumerate(serials):
             context.checkpoint(done, len(serials))
-            with context.storage.write() as unit:
-                found_before = _Found(identities.get(serial), changes.get(serial))
-                events, to_raise = _evaluate(unit, serial, context, found_before)
-            counts.update(kind.value for kind in events)
-            found += to_raise
-            counts["wheelsets"] += 1
+            inputs = inputs_of(context, serial)
+            if isolation.waits(SubjectKind.WHEELSET, serial, inputs):
+                continue
+            with isolation.alone(SubjectKind.WHEELSET, serial, inputs):
+                with context.storage.write() as unit:
+                    events, to_raise = _evaluate(unit, serial, context, compared.of(serial))
+                counts.update(kind.value for kind in events)
+                found += to_raise
+                counts["wheelsets"] += 1
     finally:
         for fleet in fleets:
             of_fleet = [change for change in found if change.alert.fleet == fleet]
-            with context.storage.write() as unit:
-                events = raise_in_fleet(unit, fleet, of_fleet, context.settings.rules, context.clock.now_ns())
-            counts.update(kind.value for kind in events)
-    return dict(counts)
+            with isolation.alone(SubjectKind.FLEET, fleet):
+                with context.storage.write() as unit:
+                    events = raise_in_fleet(unit, fleet, of_fleet, context.settings.rules, context.clock.now_ns())
+                counts.update(kind.value for kind in events)
+    counts["quarantined"] = isolation.quarantined
+    return counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +157,28 @@ class _Found:
 
     identity: IdentityEvent | None
     suspension: SuspensionChange | None
+
+
+@dataclass(slots=True)
+class _Compared:
+    """What was found of the wheelsets beside the others of their fleets."""
+
+    identities: Mapping[str, IdentityEvent] = field(default_factory=dict)
+    suspensions: Mapping[str, SuspensionChange] = field(default_factory=dict)
+
+    def of(self, serial: str) -> _Found:
+        """Return what was found of one wheelset."""
+        return _Found(self.identities.get(serial), self.suspensions.get(serial))
+
+
+def _compared(context: JobContext, isolation: Isolation) -> _Compared:
+    """Compare the wheelsets of all fleets; where that fails their other alerts are evaluated without it."""
+    rules, compared = context.settings.rules, _Compared()
+    with isolation.alone(SubjectKind.FLEET, "comparison of identities"), context.storage.read() as unit:
+        compared.identities = new_events(unit, unit.registry.wheelsets(), rules.rule(IdentityRule).parameters)
+    with isolation.alone(SubjectKind.FLEET, "comparison of suspensions"), context.storage.read() as unit:
+        compared.suspensions = changes_by_wheelset(unit, rules.rule(SuspensionChangeRule).parameters)
+    return compared
 
 
 def _evaluate(

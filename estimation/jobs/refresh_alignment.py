@@ -11,9 +11,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from estimation.errors import DamagedError, StoppedError, TreadwatchError
+from estimation.errors import DamagedError
+from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import load_window
@@ -29,6 +28,7 @@ from estimation.track.examination import examine
 from estimation.track.passes import Pass
 from estimation.track.profile_life import ProfileLife, profile_life
 from estimation.track.update import UpdateOutcome, update_alignment
+from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.track import TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.windows import Window, WindowRecord
@@ -47,29 +47,20 @@ _COUNTS = ("sections", "windows", "passes", "versions", "kept", "unestimated", "
 
 
 def run(context: JobContext) -> Mapping[str, int]:
-    """Look at the new windows of every section; each epoch is committed together.
-
-    Raises
-    ------
-    TreadwatchError
-        A section failed; raised after all other sections are done.
-    """
+    """Look at the new windows of every section; each epoch is committed together."""
     counts: Counter[str] = Counter(dict.fromkeys(_COUNTS, 0))
-    failed: list[Exception] = []
+    isolation = Isolation(context, "refresh_alignment")
     with context.storage.read() as unit:
         sections = unit.tracks.sections()
     for section in sections:
+        if isolation.waits(SubjectKind.SECTION, section.code):
+            continue
         counts["sections"] += 1
-        try:
+        with isolation.alone(SubjectKind.SECTION, section.code):
             while _next_epoch(context, section, counts):
                 pass
-        except StoppedError:
-            raise
-        except (TreadwatchError, np.linalg.LinAlgError) as error:
-            failed.append(error)  # the other sections go on
-    if failed:
-        raise failed[0]
-    return dict(counts)
+    counts["quarantined"] = isolation.quarantined
+    return counts
 
 
 JOB = Job("refresh_alignment", "Find the alignment of sections and the positions of windows", every_s=600.0, run=run)

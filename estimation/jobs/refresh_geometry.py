@@ -11,12 +11,12 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
-from estimation.errors import DamagedError
 from estimation.estimators.catalogue import SHIPPED, estimator_named
 from estimation.estimators.interface import EstimatorParameters
 from estimation.estimators.wheelset_geometry import PublishedBins, geometry_from_motion
 from estimation.geometry.estimate import estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, contradiction
@@ -33,6 +33,7 @@ from estimation.values.identity import IdentityChange
 from estimation.values.json_value import JsonValue
 from estimation.values.motion import Motion
 from estimation.values.quantities import Status
+from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.windows import WindowRecord
@@ -61,27 +62,20 @@ def baselines(wheelset: WheelsetRecord) -> list[Baseline]:
 
 
 def run(context: JobContext) -> Mapping[str, int]:
-    """Refresh every wheelset whose windows changed; each wheelset is committed together.
-
-    Raises
-    ------
-    DamagedError
-        A bin table or a window is damaged; raised after all other wheelsets are done.
-    """
+    """Refresh every wheelset whose windows changed; each wheelset is committed together."""
     counts: Counter[str] = Counter(wheelsets=0, geometries=0)
-    damaged: list[DamagedError] = []
+    isolation = Isolation(context, "refresh_geometry")
     with context.storage.read() as unit:
         named = context.settings.estimation.estimator
         stale = unit.geometries.stale(_STALE_AT_ONCE, "" if named == SHIPPED else named)
     for done, serial in enumerate(stale, start=1):
-        try:
-            counts["geometries"] += _refresh(context, serial)
-            counts["wheelsets"] += 1
-        except DamagedError as error:
-            damaged.append(error)
+        inputs = inputs_of(context, serial)
+        if not isolation.waits(SubjectKind.WHEELSET, serial, inputs):
+            with isolation.alone(SubjectKind.WHEELSET, serial, inputs):
+                counts["geometries"] += _refresh(context, serial)
+                counts["wheelsets"] += 1
         context.checkpoint(done, len(stale))
-    if damaged:
-        raise damaged[0]
+    counts["quarantined"] = isolation.quarantined
     return counts
 
 

@@ -9,6 +9,7 @@ from dataclasses import asdict
 
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
+from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.identities import identity_change
 from estimation.storage import UnitOfWork
@@ -17,6 +18,7 @@ from estimation.trend.points import conicity_points
 from estimation.trend.trend import TrendParameters, refresh
 from estimation.values.geometry import GeometryRecord
 from estimation.values.identity import since_change
+from estimation.values.quarantine import SubjectKind
 from estimation.values.registry import WheelsetRecord
 from estimation.values.trend import TrendRecord
 
@@ -26,10 +28,16 @@ def run(context: JobContext) -> Mapping[str, int]:
     with context.storage.read() as unit:
         wheelsets = unit.registry.wheelsets()
     counts = dict.fromkeys(("wheelsets", "refreshed", "unchanged", "without_limit"), 0)
+    isolation = Isolation(context, "refresh_trends")
     for done, wheelset in enumerate(wheelsets):
         context.checkpoint(done, len(wheelsets))
-        counts["wheelsets"] += 1
-        counts[_refresh(context, wheelset)] += 1
+        inputs = inputs_of(context, wheelset.serial)
+        if isolation.waits(SubjectKind.WHEELSET, wheelset.serial, inputs):
+            continue
+        with isolation.alone(SubjectKind.WHEELSET, wheelset.serial, inputs):
+            counts[_refresh(context, wheelset)] += 1
+            counts["wheelsets"] += 1
+    counts["quarantined"] = isolation.quarantined
     return counts
 
 

@@ -1,0 +1,130 @@
+"""What fails in a run of a job fails alone: it goes to quarantine, the others go on; it is tried ever more rarely."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from estimation.errors import DamagedError, StoppedError, StorageError, TreadwatchError
+from estimation.failures import after_failure
+from estimation.jobs.job import JobContext
+from estimation.values.quarantine import Quarantined, SubjectKind, resolved
+
+Inputs = Callable[[], str]
+"""Returns what stands for that of which a thing is made; called only where it has failed."""
+
+_log = logging.getLogger(__name__)
+
+
+def no_inputs() -> str:
+    """Stand for inputs that are not known: only time and a command bring another attempt."""
+    return ""
+
+
+@dataclass(slots=True)
+class Isolation:
+    """The quarantine of one stage during one run.
+
+    Parameters
+    ----------
+    context
+        Of the job.
+    stage
+        Name of the job.
+    """
+
+    context: JobContext
+    stage: str
+    _held: dict[tuple[SubjectKind, str], Quarantined] = field(init=False)
+    _kept_out: set[tuple[SubjectKind, str]] = field(init=False, default_factory=set)
+
+    def __post_init__(self) -> None:
+        with self.context.storage.read() as unit:
+            self._held = {(item.kind, item.key): item for item in unit.quarantine.held(self.stage)}
+
+    @property
+    def quarantined(self) -> int:
+        """How many failed in this run or were left out because they are not due yet."""
+        return len(self._kept_out)
+
+    def waits(self, kind: SubjectKind, key: str, inputs: Inputs = no_inputs) -> bool:
+        """Whether a thing failed before and is not due yet; it counts as quarantined then."""
+        held = self._held.get((kind, key))
+        if held is None or not held.waits(inputs(), self.context.clock.now_ns()):
+            return False
+        self._kept_out.add((kind, key))
+        return True
+
+    def held(self, kind: SubjectKind) -> list[Quarantined]:
+        """Return what failed and has not succeeded since, of one kind."""
+        return [item for (of, _), item in self._held.items() if of is kind]
+
+    @contextmanager
+    def alone(self, kind: SubjectKind, key: str, inputs: Inputs = no_inputs) -> Iterator[None]:
+        """Do the work at one thing: an exception is kept in quarantine and not raised.
+
+        Parameters
+        ----------
+        kind, key
+            The thing.
+        inputs
+            Gives a digest or counter of what it is made from: with another one it is due at once.
+
+        Raises
+        ------
+        StoppedError
+            The process is stopping.
+        StorageError
+            The database, or all of the files, cannot be used: nothing else would succeed.
+        """
+        try:
+            yield
+        except Exception as error:
+            if not fails_alone(error):
+                raise
+            self.keep(kind, key, inputs(), error)
+        else:
+            self.release(kind, key)
+
+    def keep(self, kind: SubjectKind, key: str, inputs: str, error: Exception) -> None:
+        """Keep a failure.
+
+        Raises
+        ------
+        StorageError
+            The database cannot be used.
+        """
+        unexpected = None if isinstance(error, TreadwatchError) else error
+        _log.warning("%s: %s %s goes to quarantine: %s", self.stage, kind, key, error, exc_info=unexpected)
+        item = after_failure(
+            self._held.get((kind, key)), (kind, key, self.stage), inputs, error, self.context.clock.now_ns()
+        )
+        with self.context.storage.write() as unit:
+            unit.quarantine.put(item)
+        self._held[kind, key] = item
+        self._kept_out.add((kind, key))
+
+    def release(self, kind: SubjectKind, key: str) -> None:
+        """End the quarantine of a thing, if it was in one."""
+        item = self._held.pop((kind, key), None)
+        if item is not None:
+            with self.context.storage.write() as unit:
+                unit.quarantine.put(resolved(item))
+
+
+def fails_alone(error: Exception) -> bool:
+    """Whether an exception at one thing leaves work at others: the database, or all files, are there."""
+    whole = isinstance(error, StorageError) and not isinstance(error, DamagedError)
+    return not (whole or isinstance(error, StoppedError))
+
+
+def inputs_of(context: JobContext, wheelset: str) -> Inputs:
+    """Return what gives the inputs of a wheelset's results: a counter of their changes, and the numerics."""
+
+    def inputs() -> str:
+        with context.storage.read() as unit:
+            return f"{unit.geometries.change(wheelset)} {context.code_version}"
+
+    return inputs
