@@ -20,8 +20,7 @@ from ingest.canopen import sync_counter
 from ingest.catalogue import ACCELERATION, SYNC, default_catalogue
 from ingest.codec import Decoded, decode, encode
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
-from ingest.logs.blf_reader import read_blf
-from ingest.logs.blf_writer import write_blf
+from ingest.logs import read_log, write_blf
 
 FRAMES = 2_000_000
 SHARE = 20
@@ -110,7 +109,7 @@ def _reading(batch: FrameBatch) -> BenchRow:
                     pass
 
         theirs_s, ours_s = zip(
-            *((_seconds(by_frame) * SHARE, _seconds(lambda: read_blf(whole))) for _ in range(ROUNDS)), strict=True
+            *((_seconds(by_frame) * SHARE, _seconds(lambda: read_log(whole))) for _ in range(ROUNDS)), strict=True
         )
     ratio = median(theirs / ours for theirs, ours in zip(theirs_s, ours_s, strict=True))
     return BenchRow(

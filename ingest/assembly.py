@@ -339,6 +339,7 @@ def _receipt_after(record: ChunkRecord, recording: Recording, span: Span | None)
     first, last = recording.recorder_ns
     counts = {
         "frames": 0,
+        **recording.read_counts,
         **_nonzero({"frames_dropped": count_dropped(recording.batch)}),
         **_nonzero(asdict(recording.alone.frame_counts)),
         **_nonzero(asdict(recording.alone.align_counts)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.bundle import read_bundle
 from ingest.exchange.run import aligned_run, exchange_catalogue
 from ingest.frames import FrameBatch, between, empty_batch, merge
-from ingest.logs import read_log
+from ingest.logs.formats import read_content
 from ingest.own_bus.bus import OwnBus
 from ingest.own_bus.decoding import align_own
 
@@ -47,6 +47,7 @@ class Recording:
     alone: AlignedFrames
     catalogue: Catalogue
     rows: int = 0  # of an exchange
+    read_counts: Mapping[str, int] = field(default_factory=dict)  # of its log file: lines lost, and the like
 
     @property
     def frames(self) -> int:
@@ -91,10 +92,11 @@ class Recordings:
         if path.suffix == EXCHANGE_SUFFIX:
             return _read_exchange(path, digest)
         catalogue = self.catalogue_of(vehicle)
-        batch = merge([read_log(path)])
+        content = read_content(path)
+        batch = merge([content.batch])
         if not isinstance(catalogue, OwnBus):
             check_sync_rate(batch, catalogue.sample_interval_ns)
-        return Recording(digest, batch, align_frames(catalogue, batch), catalogue)
+        return Recording(digest, batch, align_frames(catalogue, batch), catalogue, read_counts=content.counts)
 
     def load(self, record: ChunkRecord) -> Recording:
         """Return the recording of a receipt.

@@ -2,17 +2,14 @@
 
 Nothing is read half: a file that is shorter or longer than its header states, an object without size, a container that
 does not inflate to just the size it declares, an object that is cut off, all raise and name the byte where it is.
-A file is a header and a chain of objects; objects of type 10 are containers, whose inflated contents, joined, are again
-a chain of objects: the frames. Every object begins with ``LOBJ``, its header size, header version, size and type.
+Containers are inflated and decoded a few at a time, so that memory does not grow with the file.
 Times are the file's start time (taken as UTC) plus whole nanoseconds; they never pass through a float.
 """
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,100 +17,37 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import LogFileError
-from ingest.frames import DATA_BYTES, ERROR_FLAG, REMOTE_FLAG, FrameBatch, channel_name, empty_batch, from_owned_arrays
-from ingest.logs.log_format import DEFAULT_LIMITS, LogFormat, ReadLimits
+from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, channel_name
+from ingest.logs import blf_layout as blf
+from ingest.logs.blf_containers import FileHeader, ObjectBase, file_header, inflated_containers, object_base
+from ingest.logs.frame_sink import FramePart, FrameSink
+from ingest.logs.log_format import LogFormat
+from ingest.logs.read_limits import ReadLimits
 
-FILE_SIGNATURE = b"LOGG"
-OBJECT_SIGNATURE = b"LOBJ"
-FILE_HEADER_SIZE = 144
+PIECE_BYTES = 1 << 20
+"""Containers are joined to pieces of so many bytes, inflated."""
 
-CAN_MESSAGE = 1
-LOG_CONTAINER = 10
-CAN_ERROR_EXT = 73
-CAN_MESSAGE2 = 86
-CAN_FD_MESSAGE = 100
-CAN_FD_MESSAGE_64 = 101
+RUN_OBJECTS = 32_768
+"""Objects that are decoded at once."""
 
-STORED = 0
-DEFLATED = 2
+HEADER_TOLERANCE_NS = 2_000_000_000
+"""How far the last stamp may be from the stop time in the header, which is of whole seconds with some writers."""
 
-TEN_MICROSECONDS = 1
-NANOSECONDS = 2
-
-EXTENDED = 0x8000_0000
-REMOTE = 0x80
-
-SYSTEM_TIME = np.dtype(
-    [(name, "<u2") for name in ("year", "month", "weekday", "day", "hour", "minute", "second", "ms")]
-)
-
-FILE_HEADER = np.dtype(
-    [
-        ("signature", "S4"),
-        ("header_size", "<u4"),
-        ("application", "u1", 4),
-        ("format_version", "u1", 4),
-        ("file_size", "<u8"),
-        ("inflated_size", "<u8"),
-        ("objects", "<u4"),
-        ("objects_read", "<u4"),
-        ("start", SYSTEM_TIME),
-        ("stop", SYSTEM_TIME),
-    ]
-)
-
-OBJECT_BASE = np.dtype(
-    [("signature", "S4"), ("header_size", "<u2"), ("header_version", "<u2"), ("size", "<u4"), ("type", "<u4")]
-)
-
-CONTAINER_HEAD = np.dtype([("method", "<u2"), ("_1", "V6"), ("inflated_size", "<u4"), ("_2", "V4")])
-
-OBJECT_HEAD = np.dtype([*OBJECT_BASE.descr, ("flags", "<u4"), ("_index", "<u2"), ("_version", "<u2"), ("time", "<u8")])
-"""Header versions 1 and 2 have flags and time at the same places; version 2 is 8 bytes longer."""
-
-CAN_BODY = np.dtype([("channel", "<u2"), ("flags", "u1"), ("dlc", "u1"), ("id", "<u4"), ("data", "u1", 8)])
-
-ERROR_BODY = np.dtype(
-    [
-        ("channel", "<u2"),
-        ("length", "<u2"),
-        ("flags", "<u4"),
-        ("ecc", "u1"),
-        ("position", "u1"),
-        ("dlc", "u1"),
-        ("_1", "u1"),
-        ("frame_length", "<u4"),
-        ("id", "<u4"),
-        ("flags_ext", "<u2"),
-        ("_2", "<u2"),
-        ("data", "u1", 8),
-    ]
-)
-
-BASE_SIZE = OBJECT_BASE.itemsize
-CONTAINER_OVERHEAD = BASE_SIZE + CONTAINER_HEAD.itemsize
-HEADER_SIZES = {1: 32, 2: 40}
-NANOSECONDS_PER_UNIT = {TEN_MICROSECONDS: 10_000, NANOSECONDS: 1}
-LATEST_NS = 1 << 62
-SMALLEST_OBJECT = BASE_SIZE
-LONGEST_PADDING = 8
-FRAME_KINDS = (CAN_MESSAGE, CAN_MESSAGE2, CAN_ERROR_EXT, CAN_FD_MESSAGE, CAN_FD_MESSAGE_64)
+OBJECTS_SKIPPED = "objects_not_frames"
+HEADER_DISAGREES = "header_disagrees"
+WHERE = "of the inflated contents"
 
 _BYTES_MASK = np.array([(1 << 8 * length) - 1 for length in range(DATA_BYTES + 1)], dtype="<u8")
+_BODIES = {
+    blf.CAN_MESSAGE: blf.CAN_BODY,
+    blf.CAN_MESSAGE2: blf.CAN_BODY,
+    blf.CAN_ERROR_EXT: blf.ERROR_BODY,
+}
+_IDENTIFIER_BITS = 0x1FFF_FFFF
+_STANDARD_BITS = 0x7FF
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Frames of one run of equal objects, or of one kind; ``order`` is the byte they stood at."""
-
-    channel: npt.NDArray[np.int64]
-    t_ns: npt.NDArray[np.int64]
-    identifier: npt.NDArray[np.uint32]
-    dlc: npt.NDArray[np.uint8]
-    data: npt.NDArray[np.uint8]
-
-
-def read_blf(path: Path, limits: ReadLimits = DEFAULT_LIMITS) -> FrameBatch:
+def read_blf(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
     """Read all CAN frames of a BLF file.
 
     Parameters
@@ -122,6 +56,8 @@ def read_blf(path: Path, limits: ReadLimits = DEFAULT_LIMITS) -> FrameBatch:
         The file.
     limits
         What reading may cost.
+    sink
+        Takes the frames.
 
     Raises
     ------
@@ -129,154 +65,154 @@ def read_blf(path: Path, limits: ReadLimits = DEFAULT_LIMITS) -> FrameBatch:
         The file is no BLF file, truncated, corrupt, too large when inflated, holds several buses or CAN FD frames of
         more than eight bytes; names file and byte.
     """
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise LogFileError(error.strerror or str(error), file=path) from error
-    start_ns, header_size = _file_header(raw, path)
-    contents = b"".join(_inflated(raw, header_size, path, limits))
-    parts = list(_parts(contents, start_ns, path))
-    if not parts:
-        return empty_batch()
-    channels = np.unique(np.concatenate([part.channel for part in parts]))
-    if len(channels) > 1:
-        raise LogFileError(
-            f"holds several buses (channels {', '.join(map(str, channels))}): one file, one bus", file=path
+    with path.open("rb") as file:
+        header = file_header(file, path)
+        reader = _ObjectReader(path, header, limits, sink)
+        pending, size = [b""], 0
+        for contents in inflated_containers(file, header.size, path, limits):
+            reader.containers += 1
+            pending.append(contents)
+            size += len(contents)
+            if size >= PIECE_BYTES:
+                pending, size = [reader.read(b"".join(pending), last=False)], 0
+        reader.read(b"".join(pending), last=True)
+        reader.compare_with_header()
+
+
+@dataclass
+class _ObjectReader:
+    """Decodes the joined contents of the containers, a piece at a time."""
+
+    path: Path
+    header: FileHeader
+    limits: ReadLimits
+    sink: FrameSink
+    first_byte: int = 0  # of the piece, in the inflated contents
+    containers: int = 0
+    objects: int = 0
+    frames: int = 0
+    latest_ns: int = 0
+
+    def read(self, contents: bytes, *, last: bool) -> bytes:
+        """Decode the whole objects of a piece; return what is left for the next."""
+        at = 0
+        for objects, base, at in self._runs(contents, last=last):
+            self.objects += len(objects)
+            part = self._decode(objects, base, self.first_byte + at - objects.size)
+            if part is None:
+                self.sink.count(OBJECTS_SKIPPED, len(objects))
+                continue
+            self.frames += len(part.t_ns)
+            self.latest_ns = max(self.latest_ns, int(part.t_ns.max()))
+            self._put(part)
+        self.first_byte += at
+        return contents[at:]
+
+    def compare_with_header(self) -> None:
+        """Count what the header says otherwise; writers do not agree on which objects they count."""
+        said = self.header.objects
+        stop_ns = self.header.stop_ns
+        disagrees = said > self.objects + self.containers
+        if stop_ns and self.frames:
+            disagrees |= abs(self.latest_ns - stop_ns) > HEADER_TOLERANCE_NS
+        self.sink.count(HEADER_DISAGREES, int(disagrees))
+
+    def _put(self, part: FramePart) -> None:
+        try:
+            self.sink.add(part)
+        except LogFileError as error:
+            raise LogFileError(error.reason, file=self.path) from error
+
+    def _runs(self, contents: bytes, *, last: bool) -> Iterator[tuple[npt.NDArray[np.uint8], ObjectBase, int]]:
+        """Yield runs of objects of equal size and type, with what they begin with and where the next one is."""
+        at, end = 0, len(contents)
+        while True:
+            if not last and end - at < blf.BASE_SIZE + blf.LONGEST_PADDING:
+                return
+            at = self._next_object(contents, at)
+            if at == end:
+                return
+            base = object_base(contents, at, WHERE, self.first_byte, self.path)
+            if base.size > self.limits.container_bytes:
+                raise self._error(f"object of {base.size} bytes at byte {self.first_byte + at} {WHERE} is too large")
+            if not last and at + base.size + blf.BASE_SIZE + blf.LONGEST_PADDING > end:
+                return
+            if at + base.size > end:
+                raise self._error(f"object of {base.size} bytes at byte {self.first_byte + at} {WHERE} is cut off")
+            stride = self._next_object(contents, at + base.size) - at
+            objects = _run(contents, at, stride)
+            at += objects.size
+            yield objects, base, at
+
+    def _next_object(self, contents: bytes, at: int) -> int:
+        """Return where the next object begins, past the padding; the length of the contents at the end."""
+        found = contents.find(blf.OBJECT_SIGNATURE, at, at + blf.LONGEST_PADDING)
+        if found >= 0:
+            return found
+        if len(contents) - at < blf.LONGEST_PADDING and not any(contents[at:]):
+            return len(contents)
+        raise self._error(f"no object at byte {self.first_byte + at} {WHERE}: truncated or corrupt")
+
+    def _decode(self, objects: npt.NDArray[np.uint8], base: ObjectBase, at: int) -> FramePart | None:
+        where = f"object of type {base.kind} at byte {at} {WHERE}"
+        if base.kind in (blf.CAN_FD_MESSAGE, blf.CAN_FD_MESSAGE_64):
+            raise self._error(f"{where} is a CAN FD frame: a vehicle bus is classic CAN")
+        if base.kind not in _BODIES:
+            return None
+        layout = blf.object_layout(_BODIES[base.kind], base.header_size)
+        if base.header_size != blf.HEADER_SIZES.get(base.version) or layout.itemsize > objects.shape[1]:
+            raise self._error(f"{where} has an impossible header")
+        fields = np.ascontiguousarray(objects[:, : layout.itemsize]).view(layout).ravel()
+        dlc = fields["body_dlc"]
+        if (dlc > DATA_BYTES).any():
+            raise self._error(f"{where} or after it: a frame of {int(dlc.max())} bytes")
+        words = np.ascontiguousarray(fields["body_data"]).view("<u8").ravel() & _BYTES_MASK[dlc]
+        channel = fields["body_channel"]
+        if (channel != channel[0]).any():
+            numbers = ", ".join(map(str, np.unique(channel)))
+            raise self._error(f"holds several buses (channels {numbers}): one file, one bus")
+        return FramePart(
+            channel_name(int(channel[0])),
+            self._times(fields, where),
+            self._identifiers(fields, base.kind, where),
+            dlc,
+            words.view(np.uint8).reshape(-1, DATA_BYTES),
         )
-    return from_owned_arrays(
-        channel_name(int(channels[0])),
-        np.concatenate([part.t_ns for part in parts]),
-        np.concatenate([part.identifier for part in parts]),
-        np.concatenate([part.dlc for part in parts]),
-        np.concatenate([part.data for part in parts]),
-    )
+
+    def _identifiers(self, fields: npt.NDArray[Any], kind: int, where: str) -> npt.NDArray[np.uint32]:
+        raw = fields["body_id"].astype(np.uint32)
+        if kind == blf.CAN_ERROR_EXT:
+            return np.asarray((raw & np.uint32(_IDENTIFIER_BITS | EXTENDED_FLAG)) | np.uint32(ERROR_FLAG))
+        most = np.where(raw & np.uint32(blf.EXTENDED), np.uint32(_IDENTIFIER_BITS), np.uint32(_STANDARD_BITS))
+        beyond = (raw & np.uint32(~blf.EXTENDED & 0xFFFF_FFFF)) > most
+        if beyond.any():
+            raise self._error(f"{where} or after it: identifier {int(raw[beyond][0]):#x} is out of range")
+        return np.asarray(raw | np.where(fields["body_flags"] & blf.REMOTE, np.uint32(REMOTE_FLAG), np.uint32(0)))
+
+    def _times(self, fields: npt.NDArray[Any], where: str) -> npt.NDArray[np.int64]:
+        units, time = fields["flags"], fields["time"]
+        coarse = units == blf.TEN_MICROSECONDS
+        unknown = ~coarse & (units != blf.NANOSECONDS)
+        if unknown.any():
+            raise self._error(f"{where} or after it: unknown unit of time {int(units[unknown][0])}")
+        unit = np.where(coarse, np.uint64(blf.NANOSECONDS_PER_UNIT[blf.TEN_MICROSECONDS]), np.uint64(1))
+        if (time > np.uint64(blf.LATEST_NS - self.header.start_ns) // unit).any():
+            raise self._error(f"{where} or after it: a time beyond this age")
+        return np.asarray((time * unit).astype(np.int64) + self.header.start_ns)
+
+    def _error(self, reason: str) -> LogFileError:
+        return LogFileError(reason, file=self.path)
 
 
-def _file_header(raw: bytes, path: Path) -> tuple[int, int]:
-    """Return the start time in ns and the size of the header."""
-    if len(raw) < FILE_HEADER_SIZE or not raw.startswith(FILE_SIGNATURE):
-        raise LogFileError("is no BLF file: no LOGG header at byte 0", file=path)
-    header = np.frombuffer(raw, dtype=FILE_HEADER, count=1)[0]
-    header_size, file_size = int(header["header_size"]), int(header["file_size"])
-    if header_size < FILE_HEADER.itemsize or header_size > len(raw):
-        raise LogFileError(f"header size {header_size} at byte 4 is impossible", file=path)
-    if file_size != len(raw):
-        raise LogFileError(
-            f"is truncated or was never closed: the header at byte 16 says {file_size} bytes, there are {len(raw)}",
-            file=path,
-        )
-    return _start_ns(header["start"], path), header_size
-
-
-def _start_ns(start: np.void, path: Path) -> int:
-    year, month, _, day, hour, minute, second, millisecond = start.tolist()
-    if (year, month, day) == (0, 0, 0):
-        return 0
-    try:
-        moment = datetime(year, month, day, hour, minute, second, millisecond * 1000, tzinfo=UTC)
-    except ValueError as error:
-        raise LogFileError(f"the start time at byte 40 is no date: {error}", file=path) from error
-    seconds = int(moment.replace(microsecond=0).timestamp())
-    return seconds * 1_000_000_000 + millisecond * 1_000_000
-
-
-def _base(buffer: bytes, at: int, where: str, path: Path) -> tuple[int, int, int, int]:
-    """Return header size, header version, size and type of the object at a byte."""
-    if buffer[at : at + 4] != OBJECT_SIGNATURE or at + BASE_SIZE > len(buffer):
-        raise LogFileError(f"no object at byte {at} {where}: truncated or corrupt", file=path)
-    base = np.frombuffer(buffer, dtype=OBJECT_BASE, count=1, offset=at)[0]
-    size = int(base["size"])
-    if size < SMALLEST_OBJECT:
-        raise LogFileError(f"object size {size} at byte {at + 8} {where} is impossible", file=path)
-    if at + size > len(buffer):
-        raise LogFileError(f"object of {size} bytes at byte {at} {where} is cut off", file=path)
-    return int(base["header_size"]), int(base["header_version"]), size, int(base["type"])
-
-
-def _inflated(raw: bytes, at: int, path: Path, limits: ReadLimits) -> Iterator[bytes]:
-    """Yield the contents of the containers, within the limits."""
-    total = 0
-    while at < len(raw):
-        _, _, size, kind = _base(raw, at, "of the file", path)
-        if kind == LOG_CONTAINER:
-            contents = _container(raw, at, size, path, limits)
-            total += len(contents)
-            if total > limits.inflated_bytes:
-                raise LogFileError(
-                    f"inflates to more than {limits.inflated_bytes} bytes (container at byte {at})", file=path
-                )
-            yield contents
-        elif kind in FRAME_KINDS:
-            raise LogFileError(f"frame outside a container at byte {at}", file=path)
-        at += size + size % 4
-
-
-def _container(raw: bytes, at: int, size: int, path: Path, limits: ReadLimits) -> bytes:
-    if size < CONTAINER_OVERHEAD:
-        raise LogFileError(f"container of {size} bytes at byte {at} has no head", file=path)
-    head = np.frombuffer(raw, dtype=CONTAINER_HEAD, count=1, offset=at + BASE_SIZE)[0]
-    method, declared = int(head["method"]), int(head["inflated_size"])
-    contents = memoryview(raw)[at + CONTAINER_OVERHEAD : at + size]
-    if declared > limits.container_bytes:
-        raise LogFileError(f"container at byte {at} declares {declared} bytes, more than is allowed", file=path)
-    if method == STORED:
-        inflated = bytes(contents)
-    elif method == DEFLATED:
-        inflated = _inflate(contents, declared, at, path)
-    else:
-        raise LogFileError(f"container at byte {at} has the unknown compression {method}", file=path)
-    if len(inflated) != declared:
-        raise LogFileError(f"container at byte {at} holds {len(inflated)} bytes, declares {declared}", file=path)
-    return inflated
-
-
-def _inflate(contents: memoryview, declared: int, at: int, path: Path) -> bytes:
-    machine = zlib.decompressobj()
-    try:
-        inflated = machine.decompress(contents, declared + 1)
-    except zlib.error as error:
-        raise LogFileError(f"container at byte {at} is corrupt: {error}", file=path) from error
-    if len(inflated) > declared:
-        raise LogFileError(f"container at byte {at} inflates to more than the {declared} bytes it declares", file=path)
-    if not machine.eof:
-        raise LogFileError(f"container at byte {at} is cut off", file=path)
-    return inflated
-
-
-def _parts(contents: bytes, start_ns: int, path: Path) -> Iterator[_Part]:
-    """Yield the frames in the inflated contents, a run of objects of equal size and type at a time."""
-    at = 0
-    while (at := _next_object(contents, at, path)) < len(contents):
-        header_size, version, size, kind = _base(contents, at, "of the inflated contents", path)
-        stride = _next_object(contents, at + size, path) - at
-        objects = _run(contents, at, stride, path)
-        part = _decode_run(objects, header_size, version, kind, start_ns, at, path)
-        if part is not None:
-            yield part
-        at += stride * len(objects)
-
-
-def _next_object(contents: bytes, at: int, path: Path) -> int:
-    """Return where the next object begins, past the padding; the length of the contents at the end."""
-    found = contents.find(OBJECT_SIGNATURE, at, at + LONGEST_PADDING)
-    if found >= 0:
-        return found
-    if len(contents) - at < LONGEST_PADDING and not any(contents[at:]):
-        return len(contents)
-    raise LogFileError(f"no object at byte {at} of the inflated contents: truncated or corrupt", file=path)
-
-
-def _run(contents: bytes, at: int, stride: int, path: Path) -> npt.NDArray[np.uint8]:
+def _run(contents: bytes, at: int, stride: int) -> npt.NDArray[np.uint8]:
     """Return the objects (k, stride) that begin at a byte, lie ``stride`` apart and are equal in size and type."""
-    count = max((len(contents) - at) // stride, 1)
-    if at + stride > len(contents):
-        raise LogFileError(f"object at byte {at} of the inflated contents is cut off", file=path)
-    first = np.frombuffer(contents, np.uint8, BASE_SIZE, at).view(np.uint64)
+    count = min(max((len(contents) - at) // stride, 1), RUN_OBJECTS)
+    first = np.frombuffer(contents, np.uint8, blf.BASE_SIZE, at).view(np.uint64)
     length, looked = 1, 64
     while True:
         looked = min(looked, count)
         rows = np.frombuffer(contents, np.uint8, looked * stride, at).reshape(looked, stride)
-        heads = np.ascontiguousarray(rows[length - 1 :, :BASE_SIZE]).view(np.uint64)
+        heads = np.ascontiguousarray(rows[length - 1 :, : blf.BASE_SIZE]).view(np.uint64)
         other = np.flatnonzero((heads != first).any(axis=1))
         if len(other):
             return rows[: length - 1 + int(other[0])]
@@ -285,67 +221,4 @@ def _run(contents: bytes, at: int, stride: int, path: Path) -> npt.NDArray[np.ui
         length, looked = looked, looked * 8
 
 
-def _decode_run(
-    objects: npt.NDArray[np.uint8], header_size: int, version: int, kind: int, start_ns: int, at: int, path: Path
-) -> _Part | None:
-    bodies = {CAN_MESSAGE: CAN_BODY, CAN_MESSAGE2: CAN_BODY, CAN_ERROR_EXT: ERROR_BODY}
-    where = f"object of type {kind} at byte {at} of the inflated contents"
-    if kind in (CAN_FD_MESSAGE, CAN_FD_MESSAGE_64):
-        raise LogFileError(f"{where} is a CAN FD frame: a vehicle bus is classic CAN", file=path)
-    if kind not in bodies:
-        return None
-    layout = object_layout(bodies[kind], header_size)
-    if header_size != HEADER_SIZES.get(version) or layout.itemsize > objects.shape[1]:
-        raise LogFileError(f"{where} has an impossible header", file=path)
-    fields = np.ascontiguousarray(objects[:, : layout.itemsize]).view(layout).ravel()
-    identifier = fields["body_id"].astype(np.uint32)
-    if kind == CAN_ERROR_EXT:
-        identifier |= np.uint32(ERROR_FLAG)
-    else:
-        identifier |= np.where(fields["body_flags"] & REMOTE, np.uint32(REMOTE_FLAG), np.uint32(0))
-    dlc = fields["body_dlc"]
-    if (dlc > DATA_BYTES).any():
-        raise LogFileError(f"{where} or after it: a frame of {int(dlc.max())} bytes", file=path)
-    words = np.ascontiguousarray(fields["body_data"]).view("<u8").ravel() & _BYTES_MASK[dlc]
-    data = words.view(np.uint8).reshape(-1, DATA_BYTES)
-    return _Part(fields["body_channel"].astype(np.int64), _times(fields, start_ns, where, path), identifier, dlc, data)
-
-
-def _times(fields: npt.NDArray[Any], start_ns: int, where: str, path: Path) -> npt.NDArray[np.int64]:
-    unknown = ~np.isin(fields["flags"], list(NANOSECONDS_PER_UNIT))
-    if unknown.any():
-        raise LogFileError(f"{where} or after it: unknown unit of time {int(fields['flags'][unknown][0])}", file=path)
-    coarse = fields["flags"] == TEN_MICROSECONDS
-    limit = np.where(coarse, LATEST_NS // NANOSECONDS_PER_UNIT[TEN_MICROSECONDS], LATEST_NS)
-    if (fields["time"] > limit.astype(np.uint64)).any():
-        raise LogFileError(f"{where} or after it: a time beyond this age", file=path)
-    times = fields["time"].astype(np.int64)
-    return start_ns + np.where(coarse, times * NANOSECONDS_PER_UNIT[TEN_MICROSECONDS], times)
-
-
-def object_layout(body: np.dtype[np.void], header_size: int) -> np.dtype[np.void]:
-    """Return the layout of a whole object.
-
-    Parameters
-    ----------
-    body
-        Layout of the body; its fields get the prefix ``body_``.
-    header_size
-        Bytes before the body.
-    """
-    fields = _fields(OBJECT_HEAD, "", 0) | _fields(body, "body_", header_size)
-    return np.dtype(
-        {
-            "names": list(fields),
-            "formats": [layout for layout, _ in fields.values()],
-            "offsets": [offset for _, offset in fields.values()],
-            "itemsize": header_size + body.itemsize,
-        }
-    )
-
-
-def _fields(layout: np.dtype[np.void], prefix: str, at: int) -> dict[str, tuple[np.dtype[Any], int]]:
-    return {f"{prefix}{name}": (field[0], field[1] + at) for name, field in (layout.fields or {}).items()}
-
-
-FORMAT = LogFormat(suffix=".blf", name="BLF", is_held=lambda head: head.startswith(FILE_SIGNATURE), read=read_blf)
+FORMAT = LogFormat(suffix=".blf", name="BLF", is_held=lambda head: head.startswith(blf.FILE_SIGNATURE), read=read_blf)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from estimation.errors import LogFileError
 from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, channel_number
-from ingest.logs import blf_reader as blf
+from ingest.logs import blf_layout as blf
 
 CONTAINER_BYTES = 128 * 1024
 COMPRESSION = 1

@@ -1,36 +1,58 @@
-"""candump logs (``.log``, SocketCAN), through python-can."""
+"""candump logs (``.log``, SocketCAN): one line a frame, ``(1750000000.007123) can0 181#0011223344556677``."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
-from ingest.logs.log_format import LogFormat
-from ingest.logs.text_lines import check_lines
+from ingest.frames import ERROR_FLAG, REMOTE_FLAG
+from ingest.logs.frame_sink import FrameSink
+from ingest.logs.log_format import LogFormat, library_channel_name
+from ingest.logs.read_limits import ReadLimits
+from ingest.logs.text_lines import Facts, LineFormat, identifier_limits
+from ingest.logs.text_log import TextLog
 
-LINES = re.compile(r"\(\d+\.\d+\) \S+ [0-9A-Fa-f]{3,8}#(?:R[0-8]?|(?:[0-9A-Fa-f]{2}){0,8})(?: [RT])?|\s*")
+_FRAME = re.compile(
+    r"\((?P<seconds>\d{1,10})\.(?P<fraction>\d{3,9})\) (?P<channel>[!-~]+) "
+    r"(?P<error>2(?=[0-9A-Fa-f]{7}#))?(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{7,8})#"
+    r"(?:(?P<remote>R)(?P<length>[0-8]?)|(?P<data>(?:[0-9A-Fa-f]{2}){0,8}))(?: [RT])?[ \t]*"
+)
+_STANDARD_DIGITS, _EXTENDED_DIGITS = 3, 8
 
 
-def messages(path: Path) -> Iterable[Any]:
-    """Return the frames of a candump file as messages of python-can.
+def read_candump(path: Path, _: ReadLimits, sink: FrameSink) -> None:
+    """Read a candump file.
 
     Parameters
     ----------
     path
         The file.
+    sink
+        Takes the frames.
 
     Raises
     ------
     LogFileError
-        A line is damaged.
+        The file is cut off, or more than one line in a thousand is damaged; names the first.
     """
-    import can  # noqa: PLC0415 - in the child process, after its limits are set
-
-    check_lines(path, LINES)
-    reader: Iterable[Any] = can.CanutilsLogReader(path)
-    return reader
+    TextLog(path, LineFormat(_FRAME, _facts), _other, sink).read()
 
 
-FORMAT = LogFormat(suffix=".log", name="candump", is_held=lambda head: head.startswith(b"("), messages=messages)
+def _facts(match: re.Match[str]) -> Facts | None:
+    digits = len(match["id"]) + len(match["error"] or "")
+    if digits not in (_STANDARD_DIGITS, _EXTENDED_DIGITS):
+        return None
+    flags, most = identifier_limits(extended=digits == _EXTENDED_DIGITS)
+    if match["error"]:
+        flags = ERROR_FLAG
+    if match["remote"]:
+        flags |= REMOTE_FLAG
+    length = int(match["length"] or 0) if match["remote"] else len(match["data"]) // 2
+    return Facts(library_channel_name(match["channel"]), flags, most, length)
+
+
+def _other(_: int, text: str) -> int | None:
+    return None if text.strip() else 0
+
+
+FORMAT = LogFormat(suffix=".log", name="candump", is_held=lambda head: head.startswith(b"("), read=read_candump)

@@ -1,100 +1,125 @@
-"""The child process that lets python-can read one log file under limits; see :mod:`ingest.logs.library`.
+"""What the process does that reads one log file: set its limits, read, answer in one line of JSON, end.
 
-Run as ``python -m ingest.logs.child LIMITS FILE OUT.npy``; the last line on standard output is one JSON object, with
-``error`` in it when something is wrong.
+A hostile or broken file can do its worst here: loop, inflate, exhaust memory, crash a library.
 """
 
 from __future__ import annotations
 
+import ctypes
+import errno
 import json
+import os
 import resource
+import signal
 import sys
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
-import numpy as np
-import numpy.typing as npt
-
-from estimation.errors import LogFileError
-from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from estimation.errors import LogFileError, PassingFaultError
 from ingest.logs.formats import format_of
-from ingest.logs.library import FRAME
-from ingest.logs.log_format import library_channel_name
+from ingest.logs.frame_sink import COLUMNS, FrameSink, SinkSummary
+from ingest.logs.library import read_messages
+from ingest.logs.log_format import LogFormat
+from ingest.logs.read_limits import MEBIBYTE, ReadLimits
 
-MICROSECONDS = 1_000_000
-PIECE = 65536
+PR_SET_PDEATHSIG = 1
+PASSING = {
+    *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EACCES, errno.EPERM),
+    *(errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ESTALE, errno.ENODEV, errno.ENOTCONN, errno.ETIMEDOUT),
+}
+"""Errors of the machine, not of the file: the same file can be read later."""
+
+RESERVE_BYTES = 1 << 20
+"""Of memory that is given back so that the answer can be written when memory has run out."""
 
 
-def main(arguments: list[str]) -> None:
-    """Read one file and print the answer.
+def main(path: Path, limits: ReadLimits, answer: int, columns: Sequence[int], parent: int) -> None:
+    """Read one file and end the process.
 
     Parameters
     ----------
-    arguments
-        Limits as a JSON list of bytes of memory, seconds and frames; the file; the ``.npy`` file to write.
+    path
+        The file.
+    limits
+        What reading may cost.
+    answer
+        Descriptor that the answer is written to.
+    columns
+        Descriptors of the files of columns.
+    parent
+        The process that started this one: with it this one ends.
     """
-    memory_bytes, seconds, frames = json.loads(arguments[0])
-    _limit(int(memory_bytes), float(seconds), int(frames) * FRAME.itemsize + 4096)
+    _end_with(parent)
+    reserve = bytearray(RESERVE_BYTES)
     try:
-        answer = _read(Path(arguments[1]), Path(arguments[2]), int(frames))
+        files = [os.fdopen(column, "wb", closefd=False) for column in columns]
+        _limit(limits)
+        found = _read(path, limits, files)
     except LogFileError as error:
-        answer = {"error": error.reason, "line": error.line}
+        found = {"error": error.reason, "line": error.line}
+    except PassingFaultError as error:
+        found = {"passing": error.reason}
     except MemoryError:
-        answer = {"error": "reading it needs more memory than the limits allow"}
-    except Exception as error:  # noqa: BLE001 - whatever the library raises on a bad file is that file's fault
-        answer = {"error": f"cannot be read: {type(error).__name__}: {error}"}
-    sys.stdout.write("\n" + json.dumps(answer))
+        del reserve
+        found = {"error": f"reading needs more memory than the limit of {limits.memory_bytes // MEBIBYTE} MiB"}
+    except OSError as error:
+        found = _of_system(error, limits)
+    except RecursionError:
+        found = {"error": "is nested too deep"}
+    except Exception as error:  # noqa: BLE001 - whatever a library raises on a bad file is that file's fault
+        found = {"error": f"cannot be read: {type(error).__name__}: {str(error)[:200]}"}
+    os.write(answer, json.dumps(found).encode() + b"\n")
+    os._exit(0)
 
 
-def _limit(memory_bytes: int, seconds: float, file_bytes: int) -> None:
-    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
-    resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1, int(seconds) + 2))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
+def _of_system(error: OSError, limits: ReadLimits) -> dict[str, Any]:
+    """Return the answer to an error of the system, which a library also raises where a file leads it astray."""
+    if error.errno == errno.ENOMEM:
+        return {"error": f"reading needs more memory than the limit of {limits.memory_bytes // MEBIBYTE} MiB"}
+    if error.errno == errno.EFBIG:
+        return {"error": f"holds more than {limits.frames} frames"}
+    kind = "passing" if error.errno in PASSING else "error"
+    return {kind: f"cannot be read: {error.strerror or error}"}
+
+
+def _end_with(parent: int) -> None:
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:  # it had ended before
+            os._exit(0)
+
+
+def _limit(limits: ReadLimits) -> None:
+    """Let the system end this process: by SIGPROF after its CPU time, by SIGALRM after its time on the clock."""
+    for name in (signal.SIGPROF, signal.SIGALRM, signal.SIGXCPU):
+        signal.signal(name, signal.SIG_DFL)
+    cpu_s = int(limits.cpu_s) + 2
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 1))
+    signal.setitimer(signal.ITIMER_PROF, limits.cpu_s)
+    signal.setitimer(signal.ITIMER_REAL, limits.wall_s)
+    largest = limits.frames * max(layout.itemsize for layout in COLUMNS) + RESERVE_BYTES
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    space = _address_space() + limits.memory_bytes
+    resource.setrlimit(resource.RLIMIT_AS, (space, space))
 
 
-def _read(path: Path, out: Path, max_frames: int) -> dict[str, Any]:
-    channels: set[str] = set()
-    pieces: list[npt.NDArray[np.void]] = []
-    piece, filled = np.zeros(PIECE, dtype=FRAME), 0
-    for message in _messages(path):
-        if message.channel is not None:
-            channels.add(library_channel_name(message.channel))
-        if filled == PIECE:
-            pieces.append(piece)
-            piece, filled = np.zeros(PIECE, dtype=FRAME), 0
-        if len(pieces) * PIECE + filled >= max_frames:
-            raise LogFileError(f"holds more than {max_frames} frames")
-        piece[filled] = _record(message)
-        filled += 1
-    if len(channels) > 1:
-        raise LogFileError(f"holds several buses ({', '.join(sorted(channels))}): one file, one bus")
-    np.save(out, np.concatenate([*pieces, piece[:filled]]), allow_pickle=False)
-    return {"channel": channels.pop() if channels else "can0"}
+def _address_space() -> int:
+    """Return the bytes of address space that this process has now."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    return pages * resource.getpagesize()
 
 
-def _messages(path: Path) -> Iterable[Any]:
-    messages = format_of(path).messages
-    if messages is None:
-        raise LogFileError("is not read by python-can")
-    return messages(path)
+def _read(path: Path, limits: ReadLimits, files: Sequence[BinaryIO]) -> dict[str, Any]:
+    sink = FrameSink(files, limits)
+    _read_with(format_of(path), path, limits, sink)
+    summary: SinkSummary = sink.finish()
+    return {"channel": summary.channel, "frames": summary.frames, "counts": summary.counts}
 
 
-def _record(message: Any) -> tuple[int, int, int, npt.NDArray[np.uint8]]:  # noqa: ANN401 - python-can's Message, untyped here
-    if message.is_fd:
-        raise LogFileError("holds a CAN FD frame: a vehicle bus is classic CAN")
-    identifier = int(message.arbitration_id)
-    if message.is_error_frame:
-        identifier |= ERROR_FLAG
-    if message.is_remote_frame:
-        identifier |= REMOTE_FLAG
-    if message.is_extended_id and not message.is_error_frame:
-        identifier |= EXTENDED_FLAG
-    t_ns = round(message.timestamp * MICROSECONDS) * 1000  # a float of this size holds no more
-    data = np.frombuffer(bytes(message.data[:DATA_BYTES]).ljust(DATA_BYTES, b"\0"), dtype=np.uint8)
-    return t_ns, identifier, min(int(message.dlc), DATA_BYTES), data
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
+def _read_with(form: LogFormat, path: Path, limits: ReadLimits, sink: FrameSink) -> None:
+    if form.read is not None:
+        form.read(path, limits, sink)
+    elif form.messages is not None:
+        read_messages(path, form.messages, sink)

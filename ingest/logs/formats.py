@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from estimation.errors import LogFileError
+from estimation.errors import LogFileError, PassingFaultError
 from ingest.frames import FrameBatch
 from ingest.logs import asc, blf_reader, candump, mf4
-from ingest.logs.library import read_with_library
-from ingest.logs.log_format import DEFAULT_LIMITS, LogFormat, ReadLimits
+from ingest.logs.log_format import LogFormat
+from ingest.logs.processes import LogContent, read_in_process
+from ingest.logs.read_limits import ReadLimits, limits_of
 
 FORMATS = (blf_reader.FORMAT, asc.FORMAT, candump.FORMAT, mf4.FORMAT)
 """A new format is a module with its ``FORMAT``, and its entry here."""
@@ -17,31 +18,38 @@ SUFFIXES = tuple(item.suffix for item in FORMATS)
 _HEAD_BYTES = 64
 
 
-def read_log(path: Path, limits: ReadLimits = DEFAULT_LIMITS) -> FrameBatch:
-    """Read a recording of one bus.
+def read_log(path: Path, limits: ReadLimits | None = None) -> FrameBatch:
+    """Return the frames of a recording of one bus; see :func:`read_content`."""
+    return read_content(path, limits).batch
+
+
+def read_content(path: Path, limits: ReadLimits | None = None) -> LogContent:
+    """Read a recording of one bus, in a process of its own.
 
     Parameters
     ----------
     path
         A file of one of ``FORMATS``.
     limits
-        What reading may cost.
+        What reading may cost; by default what a file of its size and format may need.
 
     Raises
     ------
     LogFileError
         The file is no such log, its contents are not of its suffix's format, it is truncated or corrupt, or reading it
         would cost more than the limits allow. Names the file, and the byte or line.
+    PassingFaultError
+        The machine cannot read it now.
     """
     expected = format_of(path)
-    held = _format_held(path)
+    held, size = _format_held(path)
     if held is None:
         raise LogFileError(f"is no {expected.name} log", file=path)
     if held is not expected:
         raise LogFileError(f"is called {expected.suffix} but holds a {held.name} log", file=path)
-    if expected.read is not None:
-        return expected.read(path, limits)
-    return read_with_library(path, limits)
+    if limits is None:
+        limits = limits_of(size, expected.bytes_per_s, expected.memory_bytes)
+    return read_in_process(path, expected, limits)
 
 
 def format_of(path: Path) -> LogFormat:
@@ -63,10 +71,16 @@ def format_of(path: Path) -> LogFormat:
     raise LogFileError(f"is no log file: the suffix is none of {', '.join(SUFFIXES)}", file=path)
 
 
-def _format_held(path: Path) -> LogFormat | None:
+def _format_held(path: Path) -> tuple[LogFormat | None, int]:
+    """Return the format that a file begins like, and its size."""
     try:
+        if not path.is_file() and path.exists():
+            raise LogFileError("is no file", file=path)
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
-    except OSError as error:
+            size = file.seek(0, 2)
+    except FileNotFoundError as error:
         raise LogFileError(error.strerror or str(error), file=path) from error
-    return next((item for item in FORMATS if item.is_held(head)), None)
+    except OSError as error:
+        raise PassingFaultError(f"cannot be read now: {error.strerror or error}", file=path) from error
+    return next((item for item in FORMATS if item.is_held(head)), None), size

@@ -1,92 +1,79 @@
-"""Log files through python-can, in a child process that may only use so much memory, time and disk.
-
-The child is where a hostile or broken file can do its worst: loop, inflate, exhaust memory. The parent gets plain
-arrays back, never pickled objects, or one line with the error.
-"""
+"""Log files through python-can: its messages as arrays. It runs in the process that reads one file."""
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
-import tempfile
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from estimation.errors import LogFileError
-from ingest.frames import FrameBatch, from_owned_arrays
-from ingest.logs.log_format import ReadLimits
+from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from ingest.logs.frame_sink import FramePart, FrameSink
+from ingest.logs.log_format import library_channel_name
 
-FRAME = np.dtype([("t_ns", "<i8"), ("id", "<u4"), ("dlc", "u1"), ("data", "u1", 8)])
-"""How frames travel between parent and child: a ``.npy`` file of these."""
+MICROSECONDS = 1_000_000
+PIECE = 65_536
 
-CHILD = "ingest.logs.child"
-ENVIRONMENT = {"TZ": "UTC", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-"""ASC files hold local dates: they are taken as UTC. One thread keeps the address space small."""
+_Record = tuple[int, int, int, bytes]
 
 
-def read_with_library(path: Path, limits: ReadLimits) -> FrameBatch:
-    """Read a log file of a format that python-can reads, in a child process.
+def read_messages(path: Path, messages: Callable[[Path], Iterable[Any]], sink: FrameSink) -> None:
+    """Read a log file of a format that python-can reads.
 
     Parameters
     ----------
     path
-        The file; its suffix is that of a format with ``messages``.
-    limits
-        What reading may cost.
+        The file.
+    messages
+        Opens it.
+    sink
+        Takes the frames.
 
     Raises
     ------
     LogFileError
-        The file cannot be read within the limits, or not at all; names the file, and the line where there is one.
+        The file holds CAN FD frames, several buses, or more than the limits allow.
     """
-    with tempfile.TemporaryDirectory(prefix="treadwatch-log-") as directory:
-        out = Path(directory) / "frames.npy"
-        answer = _run_child([str(path.absolute()), str(out)], path, limits)
-        frames = _load(out, path)
-    columns = (np.ascontiguousarray(frames[name]) for name in ("t_ns", "id", "dlc", "data"))
-    return from_owned_arrays(str(answer["channel"]), *columns)
+    buses: set[str] = set()
+    records: list[_Record] = []
+    for message in messages(path):
+        if message.channel is not None:
+            buses.add(library_channel_name(message.channel))
+        if len(buses) > 1:
+            raise LogFileError(f"holds several buses ({', '.join(sorted(buses))}): one file, one bus", file=path)
+        records.append(_record(message))
+        if len(records) == PIECE:
+            sink.add(_part(next(iter(buses), library_channel_name(None)), records))
+            records = []
+    if records:
+        sink.add(_part(next(iter(buses), library_channel_name(None)), records))
 
 
-def _run_child(arguments: list[str], path: Path, limits: ReadLimits) -> dict[str, Any]:
-    command = [
-        sys.executable,
-        "-m",
-        CHILD,
-        json.dumps([limits.memory_bytes, limits.seconds, limits.frames]),
-        *arguments,
-    ]
-    try:
-        done = subprocess.run(  # noqa: S603 - our own module, arguments as a list
-            command,
-            env={**os.environ, **ENVIRONMENT},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=limits.seconds,
-            check=False,
-        )
-    except subprocess.TimeoutExpired as error:
-        raise LogFileError(f"reading took longer than {limits.seconds:g} s and was ended", file=path) from error
-    try:
-        answer: dict[str, Any] = json.loads(done.stdout.decode().rpartition("\n")[2])
-    except ValueError as error:
-        message = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
-        reason = (
-            f"reading was ended by the system (exit {done.returncode}): it needs more than the limits allow. {message}"
-        )
-        raise LogFileError(reason.strip(), file=path) from error
-    if "error" in answer:
-        raise LogFileError(str(answer["error"]), file=path, line=answer.get("line"))
-    return answer
+def _part(channel: str, records: list[_Record]) -> FramePart:
+    t_ns, identifier, dlc, data = zip(*records, strict=True)
+    return FramePart(
+        channel,
+        np.array(t_ns, np.int64),
+        np.array(identifier, np.uint32),
+        np.array(dlc, np.uint8),
+        np.frombuffer(b"".join(data), np.uint8).reshape(-1, DATA_BYTES),
+    )
 
 
-def _load(out: Path, path: Path) -> npt.NDArray[np.void]:
-    try:
-        frames: npt.NDArray[np.void] = np.load(out, allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise LogFileError(f"reading left no frames: {error}", file=path) from error
-    return frames
+def _record(message: Any) -> _Record:  # noqa: ANN401 - python-can's Message, untyped here
+    if message.is_fd:
+        raise LogFileError("holds a CAN FD frame: a vehicle bus is classic CAN")
+    identifier = int(message.arbitration_id)
+    if message.is_error_frame:
+        identifier |= ERROR_FLAG
+    if message.is_remote_frame:
+        identifier |= REMOTE_FLAG
+    if message.is_extended_id and not message.is_error_frame:
+        identifier |= EXTENDED_FLAG
+    dlc = int(message.dlc)
+    if dlc > DATA_BYTES or (not message.is_remote_frame and not message.is_error_frame and dlc != len(message.data)):
+        raise LogFileError(f"holds a frame of length {dlc} with {len(message.data)} bytes")
+    t_ns = round(message.timestamp * MICROSECONDS) * 1000  # a float of this size holds no more
+    return t_ns, identifier, dlc, bytes(message.data[:DATA_BYTES]).ljust(DATA_BYTES, b"\0")

@@ -6,8 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from estimation.errors import LogFileError
+from estimation.errors import PassingFaultError
 from ingest.logs.log_format import LogFormat
+from ingest.logs.read_limits import MEBIBYTE
 
 
 def messages(path: Path) -> Iterable[Any]:
@@ -20,17 +21,24 @@ def messages(path: Path) -> Iterable[Any]:
 
     Raises
     ------
-    LogFileError
+    PassingFaultError
         The extra is not installed.
     """
-    import can  # noqa: PLC0415 - in the child process, after its limits are set
+    import can  # noqa: PLC0415 - in the process that reads one file
 
     try:
         import asammdf  # noqa: F401, PLC0415 - an extra
     except ImportError as error:
-        raise LogFileError("MF4 files need the extra 'mf4': pip install 'treadwatch[mf4]'") from error
+        raise PassingFaultError("MF4 files need the extra 'mf4': pip install 'treadwatch[mf4]'", file=path) from error
     reader: Iterable[Any] = can.MF4Reader(path)
     return reader
 
 
-FORMAT = LogFormat(suffix=".mf4", name="MF4", is_held=lambda head: head.startswith(b"MDF     "), messages=messages)
+FORMAT = LogFormat(
+    suffix=".mf4",
+    name="MF4",
+    is_held=lambda head: head.startswith(b"MDF     "),
+    messages=messages,
+    modules=("can", "asammdf"),
+    memory_bytes=64 * MEBIBYTE,
+)

@@ -1,52 +1,245 @@
-"""What a line of a text log may look like, so that a damaged line is an error and not a frame less.
+"""Lines of text logs that hold one frame each: every character is checked, most lines many at a time.
 
-python-can's readers step over lines that they do not understand; here every line must be one of the known kinds.
+A pattern says what a line with a frame looks like. Lines of the same length mostly differ in digits only: of one of
+them the pattern gives the place of each digit, and the others are read as arrays, once they have digits in just those
+places and the same characters in all others. What is left is matched line by line.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+
 from estimation.errors import LogFileError
+from estimation.values.arrays import BoolArray, IntArray
+from ingest.frames import DATA_BYTES, EXTENDED_FLAG
 
+BLOCK_BYTES = 1 << 20
 LONGEST_LINE = 1000
+LAYOUTS = 4
+"""Layouts that are tried of lines of one length; the rest is read line by line."""
+
+FEWEST = 8
+"""Lines of one length that are worth a layout."""
+
+STANDARD_BITS, EXTENDED_BITS = 0x7FF, 0x1FFF_FFFF
+LARGEST_BYTE = 0xFF
+DECIMAL, HEXADECIMAL = 10, 16
+SECOND_NS = 1_000_000_000
+LATEST_S = 1 << 32
+
+_DECIMAL = np.full(256, -1, np.int8)
+_DECIMAL[np.frombuffer(b"0123456789", np.uint8)] = np.arange(10)
+_HEXADECIMAL = _DECIMAL.copy()
+_HEXADECIMAL[np.frombuffer(b"abcdef", np.uint8)] = np.arange(10, 16)
+_HEXADECIMAL[np.frombuffer(b"ABCDEF", np.uint8)] = np.arange(10, 16)
+_DIGITS = {DECIMAL: _DECIMAL, HEXADECIMAL: _HEXADECIMAL}
 
 
-def check_lines(path: Path, pattern: re.Pattern[str]) -> None:
-    """Check that every line of a text log is of a known kind and the last one is whole.
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What all lines of one layout have in common."""
+
+    channel: str
+    flags: int  # of the identifier
+    most: int  # the largest identifier
+    dlc: int
+
+
+@dataclass(frozen=True, slots=True)
+class LineFormat:
+    """How the lines of a format hold frames.
+
+    ``pattern`` has the groups ``seconds``, ``fraction``, ``id``, ``data`` (two hexadecimal digits a byte, with or
+    without spaces between, or decimal words), perhaps ``tail`` (anything that is not read). All other characters are
+    equal in lines of one layout.
+    """
+
+    pattern: re.Pattern[str]
+    facts: Callable[[re.Match[str]], Facts | None]  # None: length and bytes disagree, or no such identifier
+    base: int = HEXADECIMAL  # of identifier and data
+
+
+@dataclass(frozen=True, slots=True)
+class LineBlock:
+    """The lines of a piece of a file, and what those with frames say."""
+
+    first_line: int  # number of the first, from 1
+    starts: IntArray  # (n,) of each line in ``text``
+    ends: IntArray  # (n,) without line ends
+    text: bytes
+    is_frame: BoolArray  # (n,)
+    channel: npt.NDArray[np.int16]  # (n,) index into ``channels``
+    channels: list[str]
+    t_ns: IntArray  # (n,)
+    identifier: npt.NDArray[np.uint32]  # (n,)
+    dlc: npt.NDArray[np.uint8]  # (n,)
+    data: npt.NDArray[np.uint8]  # (n, 8)
+
+    def line(self, index: int) -> str:
+        """Return a line without its end."""
+        return self.text[self.starts[index] : self.ends[index]].decode("latin-1")
+
+
+def line_blocks(path: Path, form: LineFormat) -> Iterator[LineBlock]:
+    """Yield the lines of a file, a piece at a time.
 
     Parameters
     ----------
     path
         The file.
-    pattern
-        What a line may be, without its line end.
+    form
+        How its lines hold frames.
 
     Raises
     ------
     LogFileError
-        A line is not; names file and line.
+        The file is empty, its last line is cut off, or a line is longer than any line of a log.
     """
-    last, opened = 0, False
-    for number, line in _lines(path):
-        last = number
-        if not line.endswith("\n"):
-            raise LogFileError("the last line is cut off: truncated", file=path, line=number)
-        if not pattern.fullmatch(line.rstrip("\r\n")):
-            raise LogFileError(f"no line of such a log: {line[:60].strip()!r}", file=path, line=number)
-        if line[:3] in ("Beg", "beg", "End", "end"):
-            opened = line[:1] in "Bb"
-    if opened:
-        raise LogFileError("a trigger block is never ended: truncated", file=path, line=last)
-    if last == 0:
+    number, rest = 1, b""
+    with path.open("rb") as file:
+        while block := file.read(BLOCK_BYTES):
+            text, newline, rest = (rest + block).rpartition(b"\n")
+            if len(rest) > LONGEST_LINE:
+                lines = number + text.count(b"\n") + len(newline)
+                raise LogFileError(f"a line of more than {LONGEST_LINE} characters", file=path, line=lines)
+            if newline:
+                lines_of_block = _block(text + newline, number, form)
+                number += len(lines_of_block.starts)
+                yield lines_of_block
+    if rest:
+        raise LogFileError("the last line is cut off: truncated", file=path, line=number)
+    if number == 1:
         raise LogFileError("is empty", file=path)
 
 
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    with path.open(encoding="latin-1", newline="\n") as file:
-        number = 0
-        while line := file.readline(LONGEST_LINE):
-            number += 1
-            yield number, line
+def _block(text: bytes, number: int, form: LineFormat) -> LineBlock:
+    raw = np.frombuffer(text, np.uint8)
+    ends = np.flatnonzero(raw == ord("\n"))
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    ends = ends - ((ends > starts) & (raw[ends - 1] == ord("\r")))
+    n = len(starts)
+    block = LineBlock(
+        number,
+        starts,
+        ends,
+        text,
+        np.zeros(n, np.bool_),
+        np.zeros(n, np.int16),
+        [],
+        np.zeros(n, np.int64),
+        np.zeros(n, np.uint32),
+        np.zeros(n, np.uint8),
+        np.zeros((n, DATA_BYTES), np.uint8),
+    )
+    lengths = ends - starts
+    order = np.argsort(lengths, kind="stable")
+    for group in np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1):
+        if 0 < lengths[group[0]] <= LONGEST_LINE:
+            _read_group(block, raw, group, form)
+    return block
+
+
+def _read_group(block: LineBlock, raw: npt.NDArray[np.uint8], lines: IntArray, form: LineFormat) -> None:
+    """Read the lines of one length."""
+    length = int(block.ends[lines[0]] - block.starts[lines[0]])
+    for _ in range(LAYOUTS):
+        if len(lines) < FEWEST:
+            break
+        match = form.pattern.fullmatch(block.line(int(lines[0])))
+        if match is None:
+            lines = lines[1:]
+            continue
+        facts = form.facts(match)
+        if facts is None:
+            lines = lines[1:]
+            continue
+        characters = np.lib.stride_tricks.sliding_window_view(raw, length)[block.starts[lines]]
+        alike = _alike(characters, match, form.base)
+        alike[alike] = _put(block, lines[alike], characters[alike], match, facts, form.base)
+        lines = lines[~alike]
+    for line in lines.tolist():
+        match = form.pattern.fullmatch(block.line(line))
+        facts = None if match is None else form.facts(match)
+        if match is not None and facts is not None:
+            characters = np.frombuffer(match.string.encode("latin-1"), np.uint8)[None]
+            _put(block, np.array([line]), characters, match, facts, form.base)
+
+
+def _alike(characters: npt.NDArray[np.uint8], match: re.Match[str], base: int) -> BoolArray:
+    """Return which lines (n, length) have digits where the matched one has them, and the same characters elsewhere."""
+    fixed = np.ones(characters.shape[1], np.bool_)
+    alike = np.ones(len(characters), np.bool_)
+    for name, digits in (("seconds", 10), ("fraction", 10), ("id", base), ("data", base)):
+        places = _digit_places(match, name)
+        fixed[places] = False
+        alike &= (_DIGITS[digits][characters[:, places]] >= 0).all(axis=1)
+    if match.re.groupindex.get("tail") and match["tail"]:
+        first, last = match.span("tail")
+        fixed[first:last] = False
+        alike &= (characters[:, first:last] >= ord(" ")).all(axis=1)
+    first_line = np.frombuffer(match.string.encode("latin-1"), np.uint8)
+    alike &= (characters[:, fixed] == first_line[fixed]).all(axis=1)
+    return alike
+
+
+def _digit_places(match: re.Match[str], name: str) -> list[int]:
+    """Return the places of the digits of a group, none where it is not in the line."""
+    first, last = match.span(name)
+    return [at for at in range(first, last) if match.string[at] != " "]
+
+
+def _put(
+    block: LineBlock,
+    lines: IntArray,
+    characters: npt.NDArray[np.uint8],
+    match: re.Match[str],
+    facts: Facts,
+    base: int,
+) -> BoolArray:
+    """Write the frames of lines of one layout; return which of them (n,) have possible numbers."""
+    identifier = _number(characters, _digit_places(match, "id"), base)
+    seconds = _number(characters, _digit_places(match, "seconds"), 10)
+    fraction = _digit_places(match, "fraction")
+    ns = _number(characters, fraction, 10) * 10 ** (9 - len(fraction))
+    data = _data_bytes(characters, match, base)
+    good = (identifier <= facts.most) & (seconds <= LATEST_S) & (data <= LARGEST_BYTE).all(axis=1)
+    lines = lines[good]
+    if facts.channel not in block.channels:
+        block.channels.append(facts.channel)
+    block.is_frame[lines] = True
+    block.channel[lines] = block.channels.index(facts.channel)
+    block.t_ns[lines] = seconds[good] * SECOND_NS + ns[good]
+    block.identifier[lines] = identifier[good].astype(np.uint32) | np.uint32(facts.flags)
+    block.dlc[lines] = facts.dlc
+    block.data[lines, : data.shape[1]] = data[good]
+    return np.asarray(good)
+
+
+def _data_bytes(characters: npt.NDArray[np.uint8], match: re.Match[str], base: int) -> IntArray:
+    """Return the data (n, bytes) of lines of one layout: two digits each, or words of decimal digits."""
+    if match["data"] is None:
+        return np.zeros((len(characters), 0), np.int64)
+    places = _digit_places(match, "data")
+    pairs = range(0, len(places) + 1, 2)
+    bounds = pairs if base == HEXADECIMAL else [0, *itertools.accumulate(map(len, match["data"].split()))]
+    columns = [_number(characters, places[first:last], base) for first, last in itertools.pairwise(bounds)]
+    return np.array(columns, np.int64).reshape(-1, len(characters)).T
+
+
+def _number(characters: npt.NDArray[np.uint8], places: Sequence[int], base: int) -> IntArray:
+    value = np.zeros(len(characters), np.int64)
+    for place in places:
+        value = value * base + _DIGITS[base][characters[:, place]]
+    return value
+
+
+def identifier_limits(extended: bool) -> tuple[int, int]:  # noqa: FBT001 - the one fact there is
+    """Return flags and largest value of a standard or an extended identifier."""
+    return (EXTENDED_FLAG, EXTENDED_BITS) if extended else (0, STANDARD_BITS)

@@ -1,0 +1,245 @@
+"""Log files read in processes of their own, which can be ended: the side of the process that wants the frames.
+
+One small server (:mod:`ingest.logs.server`) is started with the first file and starts a process for each file by a
+fork, which takes some milliseconds. Frames come back in files without a name, mapped, so that nothing is left when
+any of the processes is killed. A server that has died is replaced.
+"""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import json
+import mmap
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from estimation.errors import LogFileError, PassingFaultError
+from ingest.frames import FrameBatch
+from ingest.logs.frame_sink import COLUMNS
+from ingest.logs.log_format import LogFormat
+from ingest.logs.read_limits import ReadLimits
+
+SERVER = "ingest.logs.server"
+ENVIRONMENT = {"TZ": "UTC", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+"""Local dates in files are taken as UTC. One thread: the server forks."""
+
+PATIENCE_S = 30.0
+"""How much longer than its limit the answer of a process may take: the server imports what a format needs."""
+
+STARVED = 0.5
+"""A process that was ended by the clock and had less than this share of its CPU limit was kept waiting."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogContent:
+    """What a log file holds, and what reading it took.
+
+    Attributes
+    ----------
+    batch
+        Its frames.
+    counts
+        What was left out or is strange, where there was any: ``lines_lost``, ``lines_not_frames``,
+        ``objects_not_frames``, ``frames_out_of_time``, ``recorder_steps_back``, ``header_disagrees``.
+    cpu_s, memory_bytes
+        Of the process that read it; memory is the most it had.
+    """
+
+    batch: FrameBatch
+    counts: Mapping[str, int]
+    cpu_s: float
+    memory_bytes: int
+
+
+class _Server:
+    """The server of this process, started when it is needed."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._requests: socket.socket | None = None
+
+    def send(self, message: bytes, descriptors: Sequence[int]) -> None:
+        """Send a request, to a new server if the old one is gone.
+
+        Raises
+        ------
+        OSError
+            There is no server and none can be started.
+        """
+        with self._lock:
+            if self._process is not None and self._process.poll() is None and self._requests is not None:
+                with suppress(BrokenPipeError, ConnectionResetError):
+                    socket.send_fds(self._requests, [message], descriptors)
+                    return
+            self._end(patience_s=0.0)
+            socket.send_fds(self._start(), [message], descriptors)
+
+    def stop(self) -> None:
+        """Let the server end, and wait for it."""
+        with self._lock:
+            self._end(patience_s=2.0)
+
+    def _end(self, patience_s: float) -> None:
+        if self._requests is not None:
+            self._requests.close()
+        if self._process is not None:
+            try:
+                self._process.wait(patience_s)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        self._process = self._requests = None
+
+    def _start(self) -> socket.socket:
+        self._requests, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with theirs:
+            self._process = subprocess.Popen(  # noqa: S603 - our own module, arguments as a list
+                [sys.executable, "-m", SERVER, str(theirs.fileno())],
+                env={**os.environ, **ENVIRONMENT},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=[theirs.fileno()],
+                start_new_session=True,
+            )
+        return self._requests
+
+
+@functools.cache
+def _server_of(_: int) -> _Server:
+    """Return the server of a process; after a fork the one of the parent is not ours."""
+    server = _Server()
+    atexit.register(server.stop)
+    return server
+
+
+def stop_server() -> None:
+    """End the server of this process; the next file starts a new one."""
+    _server_of(os.getpid()).stop()
+
+
+def read_in_process(path: Path, form: LogFormat, limits: ReadLimits) -> LogContent:
+    """Read a log file in a process of its own.
+
+    Parameters
+    ----------
+    path
+        The file.
+    form
+        Its format.
+    limits
+        What reading may cost.
+
+    Raises
+    ------
+    LogFileError
+        The file cannot be read, or not within the limits; names the file, and the byte or line.
+    PassingFaultError
+        There is no process or no space to read it with, or it was ended from outside.
+    """
+    request = json.dumps(
+        {"path": str(path.absolute()), "limits": asdict(limits), "modules": list(form.modules)}
+    ).encode()
+    with ExitStack() as stack:
+        try:
+            files = [stack.enter_context(TemporaryFile(prefix="treadwatch-log-")) for _ in COLUMNS]
+            lines = _ask(request, [file.fileno() for file in files], limits.wall_s + PATIENCE_S, path)
+        except OSError as error:
+            raise PassingFaultError(f"cannot be read now: {error.strerror or error}", file=path) from error
+        answer = _judged(lines, limits, path)
+        columns = _columns(files, int(answer["frames"]), path)
+    batch = FrameBatch(str(answer["channel"]), *columns)
+    return LogContent(batch, answer["counts"], lines[-1]["cpu_s"], lines[-1]["memory_bytes"])
+
+
+def _ask(request: bytes, files: Sequence[int], seconds: float, path: Path) -> list[dict[str, Any]]:
+    """Return the lines of the answer; asks a second server if the first one is killed meanwhile."""
+    for _ in range(2):
+        ours, theirs = os.pipe()
+        try:
+            try:
+                _server_of(os.getpid()).send(request, [theirs, *files])
+            finally:
+                os.close(theirs)
+            answer = _all_of(ours, seconds)
+        finally:
+            os.close(ours)
+        lines = [json.loads(line) for line in answer.splitlines()] if answer.endswith(b"\n") else []
+        if lines and ("signal" in lines[-1] or "passing" in lines[-1]):
+            return lines
+    raise PassingFaultError("the process that reads it was ended twice", file=path)
+
+
+def _all_of(descriptor: int, seconds: float) -> bytes:
+    """Return what comes until the other end is closed."""
+    parts: list[bytes] = []
+    end = time.monotonic() + seconds
+    poll = select.poll()
+    poll.register(descriptor, select.POLLIN)
+    while (left := end - time.monotonic()) > 0:
+        if not poll.poll(left * 1000.0):
+            continue
+        part = os.read(descriptor, 65_536)
+        if not part:
+            return b"".join(parts)
+        parts.append(part)
+    raise TimeoutError("no answer of the process that reads it")
+
+
+def _judged(lines: Sequence[dict[str, Any]], limits: ReadLimits, path: Path) -> dict[str, Any]:
+    """Return the answer of a process that has read its file.
+
+    Raises
+    ------
+    LogFileError
+        The file is at fault.
+    PassingFaultError
+        The machine is.
+    """
+    first, last = lines[0], lines[-1]
+    if "passing" in first:
+        raise PassingFaultError(str(first["passing"]), file=path)
+    if "error" in first:
+        raise LogFileError(str(first["error"]), file=path, line=first.get("line"))
+    if "frames" in first:
+        return first
+    ended = last["signal"]
+    if ended in (signal.SIGPROF, signal.SIGXCPU):
+        raise LogFileError(f"reading takes more than {limits.cpu_s:.0f} s of CPU, the limit for its size", file=path)
+    if ended == signal.SIGALRM:
+        reason = f"reading takes longer than {limits.wall_s:.1f} s, the limit for its size"
+        if last["cpu_s"] < STARVED * limits.cpu_s:
+            raise PassingFaultError(f"{reason}, of which the CPU was at work {last['cpu_s']:.1f} s", file=path)
+        raise LogFileError(reason, file=path)
+    if ended == signal.SIGKILL:
+        raise PassingFaultError("the process that reads it was killed", file=path)
+    raise LogFileError(f"the process that reads it crashed (signal {ended})", file=path)
+
+
+def _columns(files: Sequence[IO[bytes]], frames: int, path: Path) -> list[npt.NDArray[Any]]:
+    """Return the columns of frames, mapped."""
+    columns = []
+    for file, layout in zip(files, COLUMNS, strict=True):
+        size = frames * layout.itemsize
+        if os.fstat(file.fileno()).st_size != size:
+            raise LogFileError(f"reading left {os.fstat(file.fileno()).st_size} bytes of a column of {size}", file=path)
+        content = mmap.mmap(file.fileno(), size, prot=mmap.PROT_READ) if size else b""
+        column = np.frombuffer(content, dtype=layout.base)
+        columns.append(column.reshape(-1, *layout.shape))
+    return columns
