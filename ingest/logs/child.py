@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from estimation.errors import LogFileError, PassingFaultError
+from estimation.values.reasons import ReasonCode
 from ingest.logs.formats import format_of
 from ingest.logs.frame_sink import COLUMNS, FrameSink, SinkSummary
 from ingest.logs.library import read_messages
@@ -59,7 +60,7 @@ def main(path: Path, limits: ReadLimits, answer: int, columns: Sequence[int], pa
     except LogFileError as error:
         found = {"error": error.reason, "line": error.line}
     except PassingFaultError as error:
-        found = {"passing": error.reason}
+        found = {"passing": error.reason, "code": error.code}
     except MemoryError:
         del reserve
         found = {"error": f"reading needs more memory than the limit of {limits.memory_bytes // MEBIBYTE} MiB"}
@@ -79,8 +80,8 @@ def _of_system(error: OSError, limits: ReadLimits) -> dict[str, Any]:
         return {"error": f"reading needs more memory than the limit of {limits.memory_bytes // MEBIBYTE} MiB"}
     if error.errno == errno.EFBIG:
         return {"error": f"holds more than {limits.frames} frames"}
-    kind = "passing" if error.errno in PASSING else "error"
-    return {kind: f"cannot be read: {error.strerror or error}"}
+    reason = f"cannot be read: {error.strerror or error}"
+    return {"passing": reason, "code": ReasonCode.WAITS_FOR_STORAGE} if error.errno in PASSING else {"error": reason}
 
 
 def _end_with(parent: int) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from estimation.errors import LogFileError, PassingFaultError
+from estimation.errors import LogFileError
+from fleet_db.passing import passing_fault
 from ingest.frames import FrameBatch
 from ingest.logs import asc, blf_reader, candump, mf4
 from ingest.logs.log_format import LogFormat
@@ -82,5 +83,5 @@ def _format_held(path: Path) -> tuple[LogFormat | None, int]:
     except FileNotFoundError as error:
         raise LogFileError(error.strerror or str(error), file=path) from error
     except OSError as error:
-        raise PassingFaultError(f"cannot be read now: {error.strerror or error}", file=path) from error
+        raise passing_fault(error, path) from error
     return next((item for item in FORMATS if item.is_held(head)), None), size

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from estimation.errors import PassingFaultError
+from estimation.values.reasons import ReasonCode
 from ingest.logs.log_format import LogFormat
 from ingest.logs.read_limits import MEBIBYTE
 
@@ -29,7 +30,8 @@ def messages(path: Path) -> Iterable[Any]:
     try:
         import asammdf  # noqa: F401, PLC0415 - an extra
     except ImportError as error:
-        raise PassingFaultError("MF4 files need the extra 'mf4': pip install 'treadwatch[mf4]'", file=path) from error
+        reason = "MF4 files need the extra 'mf4': pip install 'treadwatch[mf4]'"
+        raise PassingFaultError(reason, file=path, code=ReasonCode.WAITS_FOR_EXTRA) from error
     reader: Iterable[Any] = can.MF4Reader(path)
     return reader
 
@@ -39,6 +41,6 @@ FORMAT = LogFormat(
     name="MF4",
     is_held=lambda head: head.startswith(b"MDF     "),
     messages=messages,
-    modules=("can", "asammdf"),
+    modules=("asammdf",),
     memory_bytes=64 * MEBIBYTE,
 )

@@ -8,6 +8,7 @@ any of the processes is killed. A server that has died is replaced.
 from __future__ import annotations
 
 import atexit
+import errno
 import functools
 import json
 import mmap
@@ -30,6 +31,8 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import LogFileError, PassingFaultError
+from estimation.values.reasons import ReasonCode
+from fleet_db.passing import passing_fault
 from ingest.frames import FrameBatch
 from ingest.logs.frame_sink import COLUMNS
 from ingest.logs.log_format import LogFormat
@@ -153,15 +156,14 @@ def read_in_process(path: Path, form: LogFormat, limits: ReadLimits) -> LogConte
     PassingFaultError
         There is no process or no space to read it with, or it was ended from outside.
     """
-    request = json.dumps(
-        {"path": str(path.absolute()), "limits": asdict(limits), "modules": list(form.modules)}
-    ).encode()
+    modules = form.modules if form.messages is None else ("can", *form.modules)
+    request = json.dumps({"path": str(path.absolute()), "limits": asdict(limits), "modules": modules}).encode()
     with ExitStack() as stack:
         try:
             files = [stack.enter_context(TemporaryFile(prefix="treadwatch-log-")) for _ in COLUMNS]
             lines = _ask(request, [file.fileno() for file in files], limits.wall_s + PATIENCE_S, path)
         except OSError as error:
-            raise PassingFaultError(f"cannot be read now: {error.strerror or error}", file=path) from error
+            raise passing_fault(error, path) from error
         answer = _judged(lines, limits, path)
         columns = _columns(files, int(answer["frames"]), path)
     batch = FrameBatch(str(answer["channel"]), *columns)
@@ -183,7 +185,7 @@ def _ask(request: bytes, files: Sequence[int], seconds: float, path: Path) -> li
         lines = [json.loads(line) for line in answer.splitlines()] if answer.endswith(b"\n") else []
         if lines and ("signal" in lines[-1] or "passing" in lines[-1]):
             return lines
-    raise PassingFaultError("the process that reads it was ended twice", file=path)
+    raise _short_of_memory("the process that reads it was ended twice", path)
 
 
 def _all_of(descriptor: int, seconds: float) -> bytes:
@@ -199,7 +201,7 @@ def _all_of(descriptor: int, seconds: float) -> bytes:
         if not part:
             return b"".join(parts)
         parts.append(part)
-    raise TimeoutError("no answer of the process that reads it")
+    raise TimeoutError(errno.ETIMEDOUT, "no answer of the process that reads it")
 
 
 def _judged(lines: Sequence[dict[str, Any]], limits: ReadLimits, path: Path) -> dict[str, Any]:
@@ -214,7 +216,7 @@ def _judged(lines: Sequence[dict[str, Any]], limits: ReadLimits, path: Path) -> 
     """
     first, last = lines[0], lines[-1]
     if "passing" in first:
-        raise PassingFaultError(str(first["passing"]), file=path)
+        raise PassingFaultError(str(first["passing"]), file=path, code=str(first["code"]))
     if "error" in first:
         raise LogFileError(str(first["error"]), file=path, line=first.get("line"))
     if "frames" in first:
@@ -225,11 +227,16 @@ def _judged(lines: Sequence[dict[str, Any]], limits: ReadLimits, path: Path) -> 
     if ended == signal.SIGALRM:
         reason = f"reading takes longer than {limits.wall_s:.1f} s, the limit for its size"
         if last["cpu_s"] < STARVED * limits.cpu_s:
-            raise PassingFaultError(f"{reason}, of which the CPU was at work {last['cpu_s']:.1f} s", file=path)
+            raise _short_of_memory(f"{reason}, of which the CPU was at work {last['cpu_s']:.1f} s", path)
         raise LogFileError(reason, file=path)
     if ended == signal.SIGKILL:
-        raise PassingFaultError("the process that reads it was killed", file=path)
+        raise _short_of_memory("the process that reads it was killed", path)
     raise LogFileError(f"the process that reads it crashed (signal {ended})", file=path)
+
+
+def _short_of_memory(reason: str, path: Path) -> PassingFaultError:
+    """Return the error of a machine that is short of memory or time, not of a file."""
+    return PassingFaultError(reason, file=path, code=ReasonCode.WAITS_FOR_MEMORY)
 
 
 def _columns(files: Sequence[IO[bytes]], frames: int, path: Path) -> list[npt.NDArray[Any]]:

@@ -20,6 +20,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from estimation.values.reasons import ReasonCode
 from ingest.logs import child
 from ingest.logs.frame_sink import COLUMNS
 from ingest.logs.read_limits import ReadLimits
@@ -72,7 +73,8 @@ def _serve(requests: socket.socket, reading: dict[int, int]) -> bool:
     try:
         process = os.fork()
     except OSError as error:
-        os.write(answer, json.dumps({"passing": f"no process to read it: {error.strerror}"}).encode() + b"\n")
+        refused = {"passing": f"no process to read it: {error.strerror}", "code": ReasonCode.WAITS_FOR_MEMORY}
+        os.write(answer, json.dumps(refused).encode() + b"\n")
         process = -1
     if process == 0:
         try:
