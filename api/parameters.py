@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import Path, Query
 
 from api.problems import ProblemError, ProblemItem
-from api.times import Moment
+from api.times import Moment, to_rfc3339
 
 _CODE = r"^[^\x00-\x1f\x7f]{1,64}$"
 _INT64_MAX = 2**63 - 1
@@ -37,3 +37,16 @@ def not_in_the_future(as_of_ns: int | None, now_ns: int) -> None:
     if as_of_ns is not None and as_of_ns > now_ns:
         item = ProblemItem(part="query", pointer="#/as_of", detail="is in the future")
         raise ProblemError(422, "invalid-request", "as_of is in the future", [item])
+
+
+def not_purged(as_of_ns: int | None, purged_before_ns: int | None) -> None:
+    """Refuse a time from which replaced results are not kept any more: what was known then is not known now.
+
+    Raises
+    ------
+    ProblemError
+        410; names the time from which on they are kept.
+    """
+    if as_of_ns is not None and purged_before_ns is not None and as_of_ns < purged_before_ns:
+        kept = to_rfc3339(purged_before_ns)
+        raise ProblemError(410, "history-purged", f"replaced results are kept from {kept} on, see the retention")

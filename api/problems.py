@@ -28,6 +28,7 @@ TYPES: Mapping[str, str] = {
     "precondition-required": "If-Match is required",
     "precondition-failed": "The resource has changed since it was read",
     "idempotency-key-reused": "The Idempotency-Key was used for another request",
+    "history-purged": "What was known at that time has been purged",
     "not-acceptable": "None of the accepted media types is offered",
     "unsupported-media-type": "The request's media type is not supported",
     "content-too-large": "The request body is too large",

@@ -9,18 +9,20 @@ from fastapi import APIRouter, Request, Response
 from api import cursors
 from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer_page, answer_table, operation
 from api.contract import CSV, Accepted
-from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_future
+from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_future, not_purged
 from api.problems import described
 from api.schemas import geometry, trend, windows
 from api.schemas.common import Page
 from api.services import ServicesDep
 from estimation.errors import NotFoundError
+from fleet_db.keeping.purge import purged_before
+from fleet_db.keeping.retention import Kept
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 _TABLE: dict[int | str, dict[str, Any]] = {200: {"content": {CSV: {"schema": {"type": "string"}}}}}
 
 
-@router.get("/{serial}/geometry", response_model=geometry.Geometry, responses={**described(404), **_TABLE})
+@router.get("/{serial}/geometry", response_model=geometry.Geometry, responses={**described(404, 410), **_TABLE})
 def get_geometry(
     request: Request,
     services: ServicesDep,
@@ -33,6 +35,7 @@ def get_geometry(
     not_in_the_future(as_of, services.clock.now_ns())
     with services.storage.read() as unit:
         unit.registry.wheelset(serial)
+        not_purged(as_of, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
         found = unit.geometries.current(serial, as_of)
     if found is None:
         raise NotFoundError("geometry yet of wheelset", serial)
@@ -40,7 +43,7 @@ def get_geometry(
     return answer_table(request, body, accepted, geometry.table(body))
 
 
-@router.get("/{serial}/trend", response_model=trend.Trend, responses={**described(404), **_TABLE})
+@router.get("/{serial}/trend", response_model=trend.Trend, responses={**described(404, 410), **_TABLE})
 def get_trend(
     request: Request,
     services: ServicesDep,
@@ -53,6 +56,7 @@ def get_trend(
     not_in_the_future(as_of, services.clock.now_ns())
     with services.storage.read() as unit:
         unit.registry.wheelset(serial)
+        not_purged(as_of, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
         found = unit.trends.latest(serial, as_of)
         current = unit.geometries.current(serial, as_of)
     if found is None:

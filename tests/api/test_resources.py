@@ -16,6 +16,8 @@ from api.schemas import geometry as geometry_schema
 from api.schemas import trend as trend_schema
 from estimation.errors import ParameterError
 from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.keeping.purge import Purged, record_purge
+from fleet_db.keeping.retention import Kept
 
 
 def get(client: httpx.Client, path: str, **params: str | int) -> Any:  # noqa: ANN401 - JSON
@@ -197,6 +199,18 @@ def test_as_of_gives_what_was_recorded_then(client: httpx.Client, resource: str)
     assert earlier[key]["value"] == 0.1875
     assert client.get(path, params={"as_of": "2025-07-25T15:06:40.123456788Z"}).status_code == 404
     assert client.get(path, params={"as_of": "2200-01-01T00:00:00Z"}).status_code == 422
+
+
+@pytest.mark.parametrize("resource", ["geometry", "trend"])
+def test_what_was_purged_is_gone_not_unknown(service: Service, resource: str) -> None:
+    path, before_ns = f"/v1/wheelsets/WS-000/{resource}", 1_500_000_000 * 10**9
+    with service.storage.write() as unit:
+        record_purge(unit.connection, Purged(Kept.SUPERSEDED_ESTIMATES, 1), before_ns, before_ns)
+    answer = service.client.get(path, params={"as_of": "2017-07-14T02:39:59Z"})
+    assert (answer.status_code, answer.json()["type"]) == (410, "urn:treadwatch:problem:history-purged")
+    assert "2017-07-14T02:40:00Z" in answer.json()["detail"]
+    assert service.client.get(path, params={"as_of": "2017-07-14T02:40:00Z"}).status_code == 404
+    assert service.client.get(path).status_code == 200
 
 
 def test_windows_are_half_open_ranges_of_the_vehicles_clock(client: httpx.Client) -> None:
