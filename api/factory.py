@@ -21,6 +21,7 @@ from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
 from estimation.storage import Clock
+from fleet_db.keeping.purge_job import purge_job
 from fleet_db.keeping.retention import Retention
 from fleet_db.raw import RawStore
 from fleet_db.revisions import check_head
@@ -142,6 +143,17 @@ def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:
     return tuple(replace(job, every_s=settings.jobs_every_s) for job in jobs)
 
 
+def upkeep_jobs(settings: Settings) -> tuple[Job, ...]:
+    """Return the jobs of the schedule that estimate nothing.
+
+    Raises
+    ------
+    InputError
+        The retention file is wrong; names the file and the field.
+    """
+    return (purge_job(retention_of(settings), _sql_storage),)
+
+
 def receiver(settings: Settings, storage: SqlStorage, clock: Clock, catalogues: Sequence[Path] = ()) -> Receiver:
     """Return what takes recordings in and makes their windows.
 
@@ -189,7 +201,7 @@ def create_app(settings: Settings) -> FastAPI:
         Services(
             storage=storage,
             clock=context.clock,
-            jobs={job.name: job for job in scheduled_jobs(settings)},
+            jobs={job.name: job for job in (*scheduled_jobs(settings), *upkeep_jobs(settings))},
             runner=JobRunner(context, storage, process_name()),
             check=partial(check_head, storage.engine),
             close=storage.close,

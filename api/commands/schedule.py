@@ -9,7 +9,7 @@ def schedule() -> None:
     from contextlib import closing
 
     from api import logs
-    from api.factory import job_context, open_store, process_name, scheduled_jobs
+    from api.factory import job_context, open_store, process_name, scheduled_jobs, upkeep_jobs
     from api.settings import load_settings
     from estimation.jobs.scheduler import serve_jobs, stop_on_signals
 
@@ -19,4 +19,5 @@ def schedule() -> None:
     stop_on_signals(stopping)
     with closing(open_store(settings)) as storage:
         context = job_context(settings, storage)
-        serve_jobs(context, scheduled_jobs(settings), stopping, holder=process_name())
+        jobs = (*scheduled_jobs(settings), *upkeep_jobs(settings))
+        serve_jobs(context, jobs, stopping, holder=process_name())

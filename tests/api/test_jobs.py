@@ -46,7 +46,7 @@ def finished(client: httpx.Client, path: str) -> Mapping[str, object]:
 
 def test_every_job_is_listed_with_its_last_run(client: httpx.Client) -> None:
     jobs = client.get("/v1/jobs").json()["items"]
-    assert {job["name"] for job in jobs} == {"assemble_windows", *(job.name for job in ALL_JOBS)}
+    assert {job["name"] for job in jobs} == {"assemble_windows", "purge", *(job.name for job in ALL_JOBS)}
     assert all(job["last_run"] is None and job["next_due_at"] is None for job in jobs)
     started = client.post(jobs[0]["links"]["runs"])
     assert started.status_code == 202
