@@ -71,6 +71,12 @@ class Windows(Protocol):
     def counts(self) -> Mapping[str, int]: ...
 
 
+class StaleSpans(Protocol):
+    """Spans of a vehicle's clock whose windows are to be made again from its recordings."""
+
+    def add(self, vehicle: str, from_ns: int | None, to_ns: int | None, cause: str) -> None: ...
+
+
 class BinTables(Protocol):
     """One packed bin table per window."""
 
@@ -190,6 +196,8 @@ class UnitOfWork(Protocol):
     def tracks(self) -> Tracks: ...
     @property
     def windows(self) -> Windows: ...
+    @property
+    def stale_spans(self) -> StaleSpans: ...
     @property
     def tables(self) -> BinTables: ...
     @property

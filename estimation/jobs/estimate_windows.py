@@ -23,6 +23,7 @@ from estimation.jobs.steps.failed_windows import (
     release_others,
 )
 from estimation.jobs.steps.load_window import load_window, partner_digest
+from estimation.jobs.steps.lost_windows import assemble_if_lost
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.window_motion import NO_ALIGNMENT
@@ -188,6 +189,7 @@ def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Reason, classes: C
     if isinstance(outcome, Reason):
         refusal = in_place_of_quality(outcome, record.quality)
         unit.windows.mark(record.wheelset, record.start_ns, WindowState.REFUSED, refusal)
+        assemble_if_lost(unit, record, outcome)
         return "refused"
     version = work.track.version if work.track is not None else None
     unit.tables.put(record.wheelset, record.start_ns, outcome, version, record.content_digest)

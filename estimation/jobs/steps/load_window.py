@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from estimation.errors import DamagedError, NotFoundError
+from estimation.errors import NotFoundError
 from estimation.motion.axle_distance import check_axle_distance
 from estimation.motion.bogie_frame import with_frame_yaw
 from estimation.storage import UnitOfWork
@@ -28,7 +28,7 @@ def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleCl
     Raises
     ------
     DamagedError
-        The samples of the window are damaged; names the file.
+        The samples of the window, or of the one on the other axle, are damaged; names the file.
     """
     window = unit.windows.load(record.wheelset, record.start_ns)
     window = replace(window, measures_gravity=vehicle_class.sensors.measures_gravity)
@@ -72,8 +72,6 @@ def _partner(unit: UnitOfWork, record: WindowRecord, axle: int) -> Window | Reas
         return unit.windows.load(mounting.wheelset, record.start_ns)
     except NotFoundError:
         return _unknown(axle, "has no window of this time")
-    except DamagedError as error:
-        return _unknown(axle, f"has a damaged window: {error}")
 
 
 def _unknown(axle: int, why: str) -> Reason:

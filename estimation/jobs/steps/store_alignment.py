@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.jobs.job import JobContext
+from estimation.jobs.steps.lost_windows import assemble_if_lost
 from estimation.jobs.steps.suspension import store_suspension
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
@@ -86,6 +87,9 @@ def store(unit: UnitOfWork, epoch: Epoch, update: AlignmentUpdate, context: JobC
     store_suspension(unit, epoch.section.code, epoch.records, update, epoch.classes, context)
     for position in _positions(epoch, update, version, context.settings.alignment):
         _place(unit, position)
+    for record in epoch.records:
+        if (refusal := epoch.passes.refused.get((record.wheelset, record.start_ns))) is not None:
+            assemble_if_lost(unit, record, refusal)
     return True
 
 

@@ -11,6 +11,7 @@ from bogie_run import of_bogie
 from paper_class import PAPER_CLASS
 from smooth_wheelset import GOOD
 
+from estimation.errors import DamagedError
 from estimation.jobs.steps.load_window import load_window
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
@@ -110,10 +111,11 @@ def test_of_a_window_that_is_sampled_otherwise_the_frame_is_not_taken(sqlite_sto
     assert "is sampled otherwise" in why(sqlite_storage)
 
 
-def test_a_damaged_window_of_the_other_axle_is_named(sqlite_storage: SqlStorage, tmp_path: Path) -> None:
+def test_a_damaged_window_of_the_other_axle_is_one_of_the_file(sqlite_storage: SqlStorage, tmp_path: Path) -> None:
     register(sqlite_storage, [window(1), window(2)])
     with sqlite_storage.read() as unit:
         (record,) = unit.windows.list("W2")
     (file,) = [path for path in tmp_path.rglob("*") if path.is_file() and record.content_digest in path.name]
     file.unlink()
-    assert str(file) in why(sqlite_storage)
+    with pytest.raises(DamagedError, match=file.name):
+        why(sqlite_storage)
