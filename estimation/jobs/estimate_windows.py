@@ -144,8 +144,7 @@ def _compute(
 
         def computed(record: WindowRecord) -> _Outcome:
             position = unit.tracks.position(record.wheelset, record.start_ns)
-            mounting = unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
-            turned = mounting is not None and mounting.reversed
+            turned = _turned(unit, record)
             section = record.track_section
             assumed = classes.assumed(record.vehicle, record.wheelset)
             partner = _partner(unit, record, assumed)
@@ -208,8 +207,15 @@ def _changed(unit: UnitOfWork, work: _Work, classes: ClassLookup) -> bool:
         unit.tracks.position(record.wheelset, record.start_ns) != work.position
         or _layout_version(unit, record.track_section) != (work.layout.version if work.layout is not None else None)
         or assumed != work.assumed
+        or _turned(unit, record) != work.mounted_reversed
         or _partner(unit, record, assumed) != work.partner
     )
+
+
+def _turned(unit: UnitOfWork, record: WindowRecord) -> bool:
+    """Whether the wheelset of a window is mounted the other way round."""
+    mounting = unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
+    return mounting is not None and mounting.reversed
 
 
 def _partner(unit: UnitOfWork, record: WindowRecord, assumed: Assumed | Reason) -> str | None:
