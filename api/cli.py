@@ -35,6 +35,8 @@ COMMANDS = (
     Command("simulate", "api.commands.simulate", "simulate", "Simulate a fleet that sends CAN frames."),
     Command("ingest", "api.commands.ingest", "ingest", "Receive CAN frames from log files or a live bus."),
     Command("reassemble", "api.commands.reassemble", "reassemble", "Make the windows of a vehicle again."),
+    Command("recordings", "api.commands.recordings", "recordings", "List and correct what was received."),
+    Command("quarantine", "api.commands.quarantine", "quarantine", "List and retry what failed by itself."),
     Command("estimate", "api.commands.estimate", "estimate", "Run the scheduled jobs once, now, in order."),
     Command("serve", "api.commands.serve", "serve", "Serve the REST API."),
     Command("schedule", "api.commands.schedule", "schedule", "Run the jobs on schedule; one per deployment."),

@@ -25,6 +25,7 @@ from fleet_db.stores.jobs import JobRunStore
 from fleet_db.stores.quarantine import QuarantineStore
 from fleet_db.stores.raw_marks import RawMarkStore
 from fleet_db.stores.recorded_times import RecordedTimeStore
+from fleet_db.stores.recording_changes import RecordingChangeStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.suspension import SuspensionStore
@@ -51,6 +52,7 @@ class SqlUnitOfWork:
     stale_spans: StaleSpanStore = field(init=False)
     quarantine: QuarantineStore = field(init=False)
     raw_marks: RawMarkStore = field(init=False)
+    recording_changes: RecordingChangeStore = field(init=False)
     registry: RegistryStore = field(init=False)
     tracks: TrackStore = field(init=False)
     windows: WindowStore = field(init=False)
@@ -71,6 +73,7 @@ class SqlUnitOfWork:
         self.stale_spans = StaleSpanStore(connection)
         self.quarantine = QuarantineStore(connection)
         self.raw_marks = RawMarkStore(connection)
+        self.recording_changes = RecordingChangeStore(connection)
         self.registry = RegistryStore(connection, self.changes, self.shipped)
         self.tracks = TrackStore(connection)
         self.windows = WindowStore(connection, self.changes, self.files)

@@ -333,7 +333,8 @@ class Receiver:
         assert found is not None
         if found.vehicle != vehicle:
             raise ConflictError(
-                f"{path}: the same recording was received from vehicle {found.vehicle}",
+                f"{path}: the same recording was received from vehicle {found.vehicle};"
+                f" where that is wrong: treadwatch recordings move {digest[:12]} --vehicle {vehicle}",
                 kind="chunk",
                 key=digest,
             )

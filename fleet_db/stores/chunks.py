@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import builtins
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, exists, select, update
+from sqlalchemy import Connection, Row, exists, func, select, update
 
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
@@ -64,6 +65,24 @@ class ChunkStore:
             .where(CHUNKS.c.reason_code == ReasonCode.WAITS_FOR_TIME.value)
             .order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
         )
+        return [_record(row) for row in self.connection.execute(statement)]
+
+    def beginning(self, digest: str) -> Sequence[ChunkRecord]:
+        """Return the receipts whose digest begins so, at most two."""
+        begins = func.substr(CHUNKS.c.digest, 1, len(digest)) == digest
+        return [_record(row) for row in self.connection.execute(select(CHUNKS).where(begins).limit(2))]
+
+    def list(
+        self, state: ChunkState | None, vehicle: str | None, code: ReasonCode | None, limit: int
+    ) -> builtins.list[ChunkRecord]:
+        """Return the newest receipts of a state, a vehicle and a reason, where given; newest first."""
+        statement = select(CHUNKS).order_by(CHUNKS.c.recorded_ns.desc(), CHUNKS.c.digest).limit(limit)
+        if state is not None:
+            statement = statement.where(CHUNKS.c.state == state.value)
+        if vehicle is not None:
+            statement = statement.where(CHUNKS.c.vehicle == vehicle)
+        if code is not None:
+            statement = statement.where(CHUNKS.c.reason_code == code.value)
         return [_record(row) for row in self.connection.execute(statement)]
 
     def ends(self, count: int) -> Sequence[ChunkRecord]:

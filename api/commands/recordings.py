@@ -1,0 +1,76 @@
+"""``treadwatch recordings``: list and show what was received; try it again, set it aside, restore it, move it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from estimation.values.reasons import ReasonCode
+from fleet_db.receipts import ChunkState, RecordingAction
+
+recordings = typer.Typer(no_args_is_help=True, help="List and correct what was received.", rich_markup_mode=None)
+
+_Digest = Annotated[str, typer.Argument(metavar="DIGEST", help="Digest of the recording, or the begin of it.")]
+_Why = Annotated[str, typer.Option(help="Why; kept with the change.")]
+_Actor = Annotated[str, typer.Option("--by", help="Who; by default the user of the system.")]
+
+
+@recordings.command("list")
+def list_recordings(
+    *,
+    state: Annotated[ChunkState | None, typer.Option(help="Only those in this state.")] = None,
+    vehicle: Annotated[str | None, typer.Option(help="Only those of this vehicle.")] = None,
+    code: Annotated[ReasonCode | None, typer.Option("--reason", help="Only those with this reason code.")] = None,
+    limit: Annotated[int, typer.Option(min=1, help="At most so many, the newest.")] = 100,
+) -> None:
+    """List recordings, the newest first."""
+    from api.terminal.recordings import recording_list
+
+    typer.echo(recording_list(state, vehicle, code, limit))
+
+
+@recordings.command("show")
+def show_recording(digest: _Digest) -> None:
+    """Show the receipt of a recording, and what was done to it by hand."""
+    from api.terminal.recordings import recording_text
+
+    typer.echo(recording_text(digest))
+
+
+@recordings.command("retry")
+def retry_recording(digest: _Digest, *, why: _Why = "", actor: _Actor = "") -> None:
+    """Decode a recording again that was rejected, or that failed before."""
+    from api.terminal.recordings import correct_and_report
+
+    correct_and_report(RecordingAction.RETRY, digest, actor, why)
+
+
+@recordings.command("set-aside")
+def set_aside_recording(digest: _Digest, *, why: _Why, actor: _Actor = "") -> None:
+    """Let a recording count for no window any more; its bytes stay."""
+    from api.terminal.recordings import correct_and_report
+
+    correct_and_report(RecordingAction.SET_ASIDE, digest, actor, why)
+
+
+@recordings.command("restore")
+def restore_recording(digest: _Digest, *, why: _Why, actor: _Actor = "") -> None:
+    """Let a recording count again that was set aside."""
+    from api.terminal.recordings import correct_and_report
+
+    correct_and_report(RecordingAction.RESTORE, digest, actor, why)
+
+
+@recordings.command("move")
+def move_recording(
+    digest: _Digest,
+    *,
+    vehicle: Annotated[str, typer.Option(help="The vehicle that it is of.")],
+    why: _Why,
+    actor: _Actor = "",
+) -> None:
+    """Give a recording to the vehicle that it is of; the windows of both are made again."""
+    from api.terminal.recordings import correct_and_report
+
+    correct_and_report(RecordingAction.MOVE, digest, actor, why, vehicle)

@@ -1,0 +1,236 @@
+"""Recordings and quarantine on the terminal."""
+
+from __future__ import annotations
+
+import getpass
+from collections.abc import Iterable, Sequence
+from contextlib import closing
+
+import typer
+
+from api import factory, logs
+from api.factory import SystemClock, open_store
+from api.settings import load_settings
+from api.terminal.ingest import changes_line
+from api.times import to_rfc3339
+from estimation.errors import TreadwatchError
+from estimation.values.quarantine import Quarantined, SubjectKind
+from estimation.values.reasons import ReasonCode
+from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
+from ingest.corrections import Author, RecordingCorrections, receipt_of
+from ingest.receiver import ChunkReceipt, Receiver
+
+DIGITS = 12
+"""Of a digest, in lists: enough to name it."""
+
+MOST_LISTED = 10_000
+
+
+def recording_list(state: ChunkState | None, vehicle: str | None, code: ReasonCode | None, limit: int) -> str:
+    """Return recordings as lines, the newest first.
+
+    Parameters
+    ----------
+    state, vehicle, code
+        Only those; None for all.
+    limit
+        At most so many.
+
+    Raises
+    ------
+    StorageError
+        The database cannot be used.
+    """
+    with closing(open_store(load_settings())) as storage, storage.read() as unit:
+        found = unit.chunks.list(state, vehicle, code, limit)
+    head = ("digest", "kind", "vehicle", "received", "first", "last", "frames", "state", "reason")
+    return _columns([head, *map(_line, found)])
+
+
+def recording_text(digest: str) -> str:
+    """Return the receipt of a recording and the record of what was done to it.
+
+    Parameters
+    ----------
+    digest
+        Or the begin of it.
+
+    Raises
+    ------
+    NotFoundError, ConflictError
+        None or several have it.
+    StorageError
+        The database cannot be used.
+    """
+    with closing(open_store(load_settings())) as storage, storage.read() as unit:
+        record = receipt_of(unit, digest)
+        changes = unit.recording_changes.list(record.digest)
+    code = "" if record.reason is None else record.reason.code
+    rows = [
+        ("digest", record.digest),
+        ("kind", record.suffix),
+        ("bytes", str(record.size_bytes)),
+        ("vehicle", record.vehicle),
+        ("received", to_rfc3339(record.received_ns)),
+        ("span", " ".join(_times(record))),
+        ("frames", str(record.frames)),
+        ("state", record.state.value),
+        ("reason code", code),
+        ("reason", "" if record.reason is None else record.reason.text),
+        *((name.replace("_", " "), str(count)) for name, count in sorted(record.counts.items())),
+    ]
+    return "\n".join([_columns(rows), *map(_change_line, changes)])
+
+
+def correct_and_report(action: RecordingAction, digest: str, actor: str, why: str, vehicle: str | None = None) -> None:
+    """Correct a recording, decode what has to be, make the windows again, and print how it stands.
+
+    Parameters
+    ----------
+    action
+        What is done.
+    digest
+        Of the recording, or the begin of it.
+    actor, why
+        Who, by default the user of the system, and why.
+    vehicle
+        That it is moved to.
+
+    Raises
+    ------
+    NotFoundError, ConflictError
+        There is none such, or it is not in a state for that.
+    StorageError
+        The database cannot be used.
+    typer.Exit
+        Code 1: it could not be decoded.
+    """
+    settings, clock = load_settings(), SystemClock()
+    logs.configure(settings)
+    with closing(open_store(settings)) as storage:
+        with storage.read() as unit:
+            before = receipt_of(unit, digest)
+        corrections, author = RecordingCorrections(storage, clock), Author(actor or getpass.getuser(), why)
+        if vehicle is not None:
+            record = corrections.move(before.digest, vehicle, author)
+        elif action is RecordingAction.RETRY:
+            record = corrections.retry(before.digest, author)
+        elif action is RecordingAction.SET_ASIDE:
+            record = corrections.set_aside(before.digest, author)
+        else:
+            record = corrections.restore(before.digest, author)
+        receiver = factory.receiver(settings, storage, clock)
+        failed = _decode(receiver, (record.digest,) if record.state is ChunkState.STORED else ())
+        failed += [error for code in {before.vehicle, record.vehicle} for error in _made_again(receiver, code)]
+        with storage.read() as unit:
+            typer.echo(_columns([_line(receipt_of(unit, record.digest))]))
+    _report(failed)
+
+
+def quarantine_list(*, everything: bool) -> str:
+    """Return what is in quarantine as lines, by last failure.
+
+    Parameters
+    ----------
+    everything
+        Also what has succeeded since.
+
+    Raises
+    ------
+    StorageError
+        The database cannot be used.
+    """
+    with closing(open_store(load_settings())) as storage, storage.read() as unit:
+        found = unit.quarantine.all(MOST_LISTED) if everything else unit.quarantine.held()
+    head = ("kind", "key", "stage", "state", "reason code", "attempts", "first", "last", "next", "error")
+    return _columns([head, *map(_quarantine_line, found)])
+
+
+def retry_and_report(kind: SubjectKind | None, key: str | None) -> None:
+    """Let what is in quarantine be tried again: recordings now, the rest at the next run of the jobs.
+
+    Parameters
+    ----------
+    kind, key
+        Only these; None for all.
+
+    Raises
+    ------
+    StorageError
+        The database cannot be used.
+    typer.Exit
+        Code 1: a recording could not be decoded.
+    """
+    settings, clock = load_settings(), SystemClock()
+    logs.configure(settings)
+    with closing(open_store(settings)) as storage:
+        with storage.write() as unit:
+            found = unit.quarantine.retry(kind, key)
+        own = [item.key for item in found if item.kind is SubjectKind.RECORDING]
+        failed = _decode(factory.receiver(settings, storage, clock), own)
+    typer.echo(f"{len(own)} recordings tried now, {len(found) - len(own)} others at the next run of their job")
+    _report(failed)
+
+
+def _decode(receiver: Receiver, digests: Iterable[str]) -> list[str]:
+    """Decode recordings; return why any could not be."""
+    failed = []
+    for digest in digests:
+        for outcome in receiver.decode_stored(digest):
+            if not isinstance(outcome, ChunkReceipt):
+                failed.append(str(outcome))
+            elif outcome.record.reason is not None:
+                failed.append(f"{digest[:DIGITS]}: {outcome.record.reason}")
+    return failed
+
+
+def _made_again(receiver: Receiver, vehicle: str) -> list[str]:
+    for _ in receiver.decode_stored(vehicle=vehicle):
+        pass  # recordings whose time one had given them find it elsewhere, or wait
+    try:
+        changes = receiver.reassembler.work_off(vehicle)
+    except TreadwatchError as error:
+        return [f"windows of vehicle {vehicle} stay to be made again: {error}"]
+    typer.echo(f"vehicle {vehicle}: {changes_line(changes)}")
+    return []
+
+
+def _report(failed: Sequence[str]) -> None:
+    for line in failed:
+        typer.echo(line, err=True)
+    if failed:
+        raise typer.Exit(1)
+
+
+def _line(record: ChunkRecord) -> tuple[str, ...]:
+    reason = "" if record.reason is None else f"{record.reason.code}: {record.reason.text}"
+    first, last = _times(record)
+    received = to_rfc3339(record.received_ns)
+    shown = (record.digest[:DIGITS], record.suffix, record.vehicle, received, first, last)
+    return (*shown, str(record.frames), record.state.value, reason)
+
+
+def _times(record: ChunkRecord) -> tuple[str, str]:
+    if record.first_ns is None or record.last_ns is None:
+        return "-", "-"
+    return to_rfc3339(record.first_ns), to_rfc3339(record.last_ns)
+
+
+def _change_line(change: RecordingChange) -> str:
+    moved = (
+        "" if change.vehicle_before == change.vehicle_after else f" {change.vehicle_before} -> {change.vehicle_after}"
+    )
+    states = f"{change.state_before} -> {change.state_after}"
+    return f"{to_rfc3339(change.recorded_ns)} {change.action}{moved} ({states}) by {change.actor}: {change.why}"
+
+
+def _quarantine_line(item: Quarantined) -> tuple[str, ...]:
+    times = (to_rfc3339(item.first_ns), to_rfc3339(item.last_ns), to_rfc3339(item.due_ns))
+    return (item.kind.value, item.key, item.stage, item.state.value, item.code.value, str(item.attempts), *times, item.error)
+
+
+def _columns(rows: Sequence[tuple[str, ...]]) -> str:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    )

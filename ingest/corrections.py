@@ -1,0 +1,188 @@
+"""Recordings corrected by hand: tried again, set aside, restored, moved to another vehicle.
+
+Each correction is one transaction with its record and the stale spans of the vehicles' clocks. The recording is decoded
+and windows are made again afterwards, by whoever works off what is stored and stale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from estimation.errors import ConflictError, NotFoundError
+from estimation.storage import Clock
+from estimation.values.quarantine import SubjectKind, resolved
+from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from ingest.align.clock import CONTEXT_NS, TIME_REACH_NS
+from ingest.assembly import OWN_TIME, WAITING
+from ingest.held import STAGE
+from ingest.recordings import ALWAYS, RECORDER_FIRST, RECORDER_LAST
+
+ALLOWED = {
+    RecordingAction.RETRY: (ChunkState.REJECTED, ChunkState.STORED),
+    RecordingAction.SET_ASIDE: (ChunkState.STORED, ChunkState.DECODED, ChunkState.REJECTED),
+    RecordingAction.RESTORE: (ChunkState.SET_ASIDE,),
+    RecordingAction.MOVE: tuple(ChunkState),
+}
+"""States of recordings to which each may be done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Author:
+    """Who corrects something, and why."""
+
+    actor: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingCorrections:
+    """Corrections of recordings."""
+
+    storage: SqlStorage
+    clock: Clock
+
+    def retry(self, digest: str, author: Author) -> ChunkRecord:
+        """Let a rejected recording, or one in quarantine, be decoded again; return its receipt.
+
+        Raises
+        ------
+        NotFoundError
+            There is none of that digest.
+        ConflictError
+            It is decoded, or set aside.
+        """
+        return self._correct(digest, RecordingAction.RETRY, author)
+
+    def set_aside(self, digest: str, author: Author) -> ChunkRecord:
+        """Let a recording count for no window; return its receipt. Raises as :meth:`retry`."""
+        return self._correct(digest, RecordingAction.SET_ASIDE, author)
+
+    def restore(self, digest: str, author: Author) -> ChunkRecord:
+        """Let a recording that was set aside count again; return its receipt. Raises as :meth:`retry`."""
+        return self._correct(digest, RecordingAction.RESTORE, author)
+
+    def move(self, digest: str, vehicle: str, author: Author) -> ChunkRecord:
+        """Give a recording to another vehicle, whose windows it counts for from now on; return its receipt.
+
+        One that was set aside stays so.
+
+        Raises
+        ------
+        NotFoundError
+            There is none of that digest, or no such vehicle.
+        ConflictError
+            It is of that vehicle already.
+        """
+        return self._correct(digest, RecordingAction.MOVE, author, vehicle)
+
+    def _correct(self, digest: str, action: RecordingAction, author: Author, vehicle: str | None = None) -> ChunkRecord:
+        with self.storage.write() as unit:
+            before = receipt_of(unit, digest)
+            for code in sorted({before.vehicle, vehicle or before.vehicle}):
+                unit.assemble_alone(code)
+            before = receipt_of(unit, digest)  # as nobody else assembles it now
+            if vehicle is not None and unit.registry.vehicle(vehicle).code == before.vehicle:
+                raise _conflict(before, f"is of vehicle {vehicle} already")
+            if before.state not in ALLOWED[action]:
+                raise _conflict(before, f"is {before.state}")
+            after = _after(before, action, vehicle or before.vehicle)
+            _make_stale(unit, before, after, action)
+            unit.chunks.update(after)
+            held = unit.quarantine.get(SubjectKind.RECORDING, before.digest, STAGE)
+            if held is not None:
+                unit.quarantine.put(resolved(held))
+            unit.recording_changes.add(
+                RecordingChange(
+                    before.digest,
+                    action,
+                    self.clock.now_ns(),
+                    author.actor,
+                    author.why,
+                    before.vehicle,
+                    before.state,
+                    after.vehicle,
+                    after.state,
+                )
+            )
+            return after
+
+
+def receipt_of(unit: SqlUnitOfWork, digest: str) -> ChunkRecord:
+    """Return the receipt of a recording.
+
+    Parameters
+    ----------
+    unit
+        An open transaction.
+    digest
+        All of its digest, or the begin of it that no other recording has.
+
+    Raises
+    ------
+    NotFoundError
+        There is none.
+    ConflictError
+        Several digests begin so.
+    """
+    found = unit.chunks.beginning(digest)
+    if not found:
+        raise NotFoundError("recording", digest)
+    if len(found) > 1:
+        raise ConflictError(f"several recordings have a digest that begins {digest!r}", kind="recording", key=digest)
+    return found[0]
+
+
+def _after(before: ChunkRecord, action: RecordingAction, vehicle: str) -> ChunkRecord:
+    if action is RecordingAction.SET_ASIDE or (action is RecordingAction.MOVE and before.state is ChunkState.SET_ASIDE):
+        reason = Reason(ReasonCode.SET_ASIDE, "set aside by hand")
+        return replace(before, vehicle=vehicle, state=ChunkState.SET_ASIDE, reason=reason)
+    return replace(before, vehicle=vehicle, state=ChunkState.STORED, reason=None, first_ns=None, last_ns=None)
+
+
+def _make_stale(unit: SqlUnitOfWork, before: ChunkRecord, after: ChunkRecord, action: RecordingAction) -> None:
+    """Let the windows that a recording counted for be made again, and those of recordings that its TIME had placed."""
+    if before.state is not ChunkState.DECODED or before.first_ns is None or before.last_ns is None:
+        return
+    for vehicle in {before.vehicle, after.vehicle}:
+        _add_stale(unit, replace(before, vehicle=vehicle), f"recording {before.digest[:12]}: {action}")
+    for other in _placed_by(unit, before):
+        _add_stale(unit, other, f"recording {before.digest[:12]}, which had its time: {action}")
+        unit.chunks.update(replace(other, state=ChunkState.STORED, reason=WAITING, first_ns=None, last_ns=None))
+
+
+def _add_stale(unit: SqlUnitOfWork, record: ChunkRecord, cause: str) -> None:
+    if record.first_ns is not None and record.last_ns is not None:
+        unit.stale_spans.add(record.vehicle, record.first_ns - CONTEXT_NS, record.last_ns + CONTEXT_NS + 1, cause)
+
+
+def _placed_by(unit: SqlUnitOfWork, record: ChunkRecord) -> Sequence[ChunkRecord]:
+    """Return the decoded recordings without TIME frames that follow each other from this one on, either way."""
+    without = [
+        other
+        for other in unit.chunks.overlapping(record.vehicle, *ALWAYS)
+        if other.digest != record.digest and not other.counts.get(OWN_TIME, 1) and RECORDER_FIRST in other.counts
+    ]
+    found: list[ChunkRecord] = []
+    near = [record]
+    while near:
+        one = near.pop()
+        beside = [other for other in without if other not in found and _touch(one, other)]
+        found += beside
+        near += beside
+    return found
+
+
+def _touch(one: ChunkRecord, other: ChunkRecord) -> bool:
+    if RECORDER_FIRST not in one.counts:
+        return False
+    return (
+        one.counts[RECORDER_FIRST] <= other.counts[RECORDER_LAST] + TIME_REACH_NS
+        and other.counts[RECORDER_FIRST] <= one.counts[RECORDER_LAST] + TIME_REACH_NS
+    )
+
+
+def _conflict(record: ChunkRecord, why: str) -> ConflictError:
+    return ConflictError(f"recording {record.digest[:12]} {why}", kind="recording", key=record.digest)
