@@ -1,0 +1,181 @@
+"""Recordings set aside, restored, moved, tried again: the windows are those of a fleet without the mistake."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import pytest
+from sqlalchemy import select
+from vehicle_bus import OFFSETS_M, SECOND_NS, VEHICLE, Run, register
+
+from estimation.errors import ConflictError, LogFileError, NotFoundError
+from estimation.values.quarantine import SubjectKind
+from estimation.values.reasons import ReasonCode
+from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
+from fleet_db.models import WindowRow
+from fleet_db.raw import RawStore
+from fleet_db.receipts import ChunkState, RecordingAction
+from fleet_db.rows import table_of
+from fleet_db.storage import SqlStorage
+from ingest.canopen import TIME_ID
+from ingest.catalogue import default_catalogue
+from ingest.corrections import Author, RecordingCorrections
+from ingest.frames import FrameBatch, take
+from ingest.logs import write_blf
+from ingest.receiver import ChunkReceipt, Receiver
+
+OTHER = "V-OTHER"
+AUTHOR = Author("kim", "was mixed up")
+Windows = set[tuple[str, int, str, str, float]]
+
+
+class CountingClock:
+    def __init__(self) -> None:
+        self._count = itertools.count(1_800_000_000 * SECOND_NS)
+
+    def now_ns(self) -> int:
+        return next(self._count)
+
+
+class Deployment:
+    """A store with two vehicles, and what receives and corrects."""
+
+    def __init__(self, storage: SqlStorage, directory: Path) -> None:
+        clock = CountingClock()
+        self.storage = storage
+        self.receiver = Receiver(storage, RawStore(directory / "raw"), default_catalogue(), clock, 10.0)
+        self.corrections = RecordingCorrections(storage, clock)
+
+    def receive(self, path: Path, vehicle: str = VEHICLE) -> str:
+        return self.receiver.receive_file(path, vehicle).record.digest
+
+    def rest(self) -> list[ChunkReceipt | Exception]:
+        """Decode and assemble until nothing is left to do."""
+        found = list(self.receiver.decode_stored())
+        self.receiver.reassembler.work_off()
+        return found
+
+    def windows(self) -> Windows:
+        columns = [
+            table_of(WindowRow).c[name] for name in ("vehicle", "start_ns", "wheelset", "content_digest", "mileage_km")
+        ]
+        self.receiver.reassembler.work_off()
+        with self.storage.read() as unit:
+            return {tuple(row) for row in unit.connection.execute(select(*columns))}
+
+
+@pytest.fixture
+def deployment(storage: SqlStorage, tmp_path: Path) -> Deployment:
+    with storage.write() as unit:
+        register(unit)
+        unit.registry.add_vehicle(VehicleRecord(OTHER, "north", "multiple unit", 2, 40.0, OFFSETS_M))
+        for axle in (1, 2):
+            unit.registry.add_wheelset(WheelsetRecord(f"OT-{axle}", "north", "P8", 0.45, None))
+            unit.registry.add_mounting(Mounting(f"OT-{axle}", OTHER, axle, 0, None, 4000.0, 100.0 * axle))
+    return Deployment(storage, tmp_path)
+
+
+def pieces(folder: Path, *batches: FrameBatch) -> list[Path]:
+    paths = [folder / f"{number}.blf" for number in range(len(batches))]
+    for path, batch in zip(paths, batches, strict=True):
+        write_blf(path, batch)
+    return paths
+
+
+def halves(folder: Path) -> list[Path]:
+    run = Run(seconds=26.0).frames()
+    half = len(run) // 2
+    return pieces(folder, take(run, slice(0, half)), take(run, slice(half, None)))
+
+
+def test_one_that_was_set_aside_counts_no_more_and_restored_it_counts_again(
+    deployment: Deployment, tmp_path: Path
+) -> None:
+    first, second = halves(tmp_path)
+    deployment.receive(first)
+    alone = deployment.windows()
+    digest = deployment.receive(second)
+    both = deployment.windows()
+    assert alone != both
+    assert deployment.corrections.set_aside(digest, AUTHOR).state is ChunkState.SET_ASIDE
+    deployment.rest()
+    assert deployment.windows() == alone
+    assert deployment.receive(second) == digest  # received again it stays aside
+    deployment.rest()
+    assert deployment.windows() == alone
+    deployment.corrections.restore(digest, AUTHOR)
+    deployment.rest()
+    assert deployment.windows() == both
+    with deployment.storage.read() as unit:
+        changes = unit.recording_changes.list(digest)
+    assert [(one.action, one.state_before, one.state_after) for one in changes] == [
+        (RecordingAction.SET_ASIDE, ChunkState.DECODED, ChunkState.SET_ASIDE),
+        (RecordingAction.RESTORE, ChunkState.SET_ASIDE, ChunkState.STORED),
+    ]
+    assert {(one.actor, one.why) for one in changes} == {("kim", "was mixed up")}
+
+
+def test_one_that_came_from_the_wrong_vehicle_is_moved_as_if_it_had_come_from_the_right_one(
+    deployment: Deployment, tmp_path: Path
+) -> None:
+    first, second = halves(tmp_path)
+    deployment.receive(first)
+    digest = deployment.receive(second)
+    of_one = deployment.windows()
+    with pytest.raises(ConflictError, match=f"recordings move {digest[:12]} --vehicle {OTHER}"):
+        deployment.receive(second, OTHER)
+    deployment.corrections.move(digest, OTHER, AUTHOR)
+    deployment.rest()
+    moved = deployment.windows()
+    assert {row[0] for row in moved} == {VEHICLE, OTHER}
+    assert {row[2] for row in moved if row[0] == OTHER} == {"OT-1", "OT-2"}
+    assert deployment.receive(second, OTHER) == digest
+    deployment.corrections.move(digest, VEHICLE, AUTHOR)  # and back
+    deployment.rest()
+    assert deployment.windows() == of_one
+    with pytest.raises(ConflictError, match=f"is of vehicle {VEHICLE} already"):
+        deployment.corrections.move(digest, VEHICLE, AUTHOR)
+    with pytest.raises(NotFoundError, match="no vehicle 'nobody'"):
+        deployment.corrections.move(digest, "nobody", AUTHOR)
+
+
+def test_those_that_it_had_given_their_time_wait_without_it(deployment: Deployment, tmp_path: Path) -> None:
+    run = Run(seconds=26.0).frames()
+    half = len(run) // 2
+    early, late = take(run, slice(0, half)), take(run, slice(half, None))
+    with_time, without = pieces(tmp_path, early, take(late, late.arbitration_id != TIME_ID))
+    digest = deployment.receive(with_time)
+    waiting = deployment.receive(without)
+    both = deployment.windows()
+    deployment.corrections.set_aside(digest, AUTHOR)
+    deployment.rest()
+    assert deployment.windows() == set()
+    with deployment.storage.read() as unit:
+        record = unit.chunks.get(waiting)
+    assert record is not None
+    assert record.reason is not None
+    assert (record.state, record.reason.code) == (ChunkState.STORED, ReasonCode.WAITS_FOR_TIME)
+    deployment.corrections.restore(digest, AUTHOR)
+    deployment.rest()
+    assert deployment.windows() == both
+
+
+def test_one_that_was_rejected_is_tried_again_by_hand_only(deployment: Deployment, tmp_path: Path) -> None:
+    path = tmp_path / "0.blf"
+    path.write_bytes(b"LOGG" + bytes(200))
+    with pytest.raises(LogFileError):
+        deployment.receive(path)
+    with deployment.storage.read() as unit:
+        (record,) = unit.chunks.with_state(ChunkState.REJECTED)
+    assert deployment.rest() == []
+    deployment.corrections.retry(record.digest[:12], AUTHOR)
+    (error,) = deployment.rest()
+    assert isinstance(error, LogFileError)
+    deployment.corrections.set_aside(record.digest, AUTHOR)
+    with pytest.raises(ConflictError, match="is set_aside"):
+        deployment.corrections.retry(record.digest, AUTHOR)
+    with pytest.raises(NotFoundError, match="no recording 'ffff'"):
+        deployment.corrections.retry("ffff", AUTHOR)
+    with deployment.storage.read() as unit:
+        assert unit.quarantine.get(SubjectKind.RECORDING, record.digest, "ingest") is None
