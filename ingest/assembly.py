@@ -34,6 +34,7 @@ from ingest.dropped_frames import count_dropped
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.own_bus.bus import OwnBus
 from ingest.own_bus.samples import own_samples
+from ingest.plausibility.vehicle_clock import clock_verdict
 from ingest.recordings import (
     RECORDER_FIRST,
     RECORDER_LAST,
@@ -351,6 +352,9 @@ def _receipt_after(record: ChunkRecord, recording: Recording, span: Span | None)
     if span is None and recording.frames:
         return replace(record, reason=WAITING)
     first_ns, last_ns = span or (None, None)
+    verdict = None if span is None else clock_verdict(*span, record.received_ns)
+    if verdict is not None:
+        return replace(record, state=ChunkState.REJECTED, reason=verdict)
     return replace(record, state=ChunkState.DECODED, reason=None, first_ns=first_ns, last_ns=last_ns)
 
 

@@ -269,6 +269,8 @@ class Receiver:
         except Exception as error:  # noqa: BLE001 - the recording is stored, and stays so until it can be decoded
             return ChunkReceipt(self._held.hold(record, error), known=known, windows_changed=0)
         self._held.release(record.digest)
+        if record.state is ChunkState.REJECTED and record.reason is not None:  # its clock cannot be believed
+            raise LogFileError(record.reason.text, file=path)
         return ChunkReceipt(record, known=known, windows_changed=changed)
 
     def _check_raw(self) -> None:

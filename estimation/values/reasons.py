@@ -54,6 +54,10 @@ class ReasonCode(StrEnum):
         "frame_unknown",
         "The yaw of the bogie frame is not known: the other node of the bogie has no window. Check its sensors.",
     )
+    ODOMETER_IMPLAUSIBLE = (
+        "odometer_implausible",
+        "The odometer contradicts speed, mounting or other windows. Where it was exchanged, register a new mounting.",
+    )
     AXLE_DISTANCE = (
         "axle_distance",
         "The track reaches the axles of the bogie unlike their distance on file. Check nodes, axle offsets and class.",
@@ -152,6 +156,10 @@ class ReasonCode(StrEnum):
     IDENTITY_DOUBTFUL = "identity_doubtful", "The wheelset is not the recorded one, or is mounted the other way round."
     # recording
     LOG_DAMAGED = "log_damaged", "The recording is truncated, damaged or no log. Send it again."
+    CLOCK_IMPLAUSIBLE = (
+        "clock_implausible",
+        "The vehicle's clock contradicts ours or itself. Set the wrong one; try the recording again if it was ours.",
+    )
     VEHICLE_UNKNOWN = "vehicle_unknown", "The registry does not contain the vehicle. Register it; then decode again."
     WAITS_FOR_TIME = "waits_for_time", "The recording has no TIME frame and waits for the recording next to it."
     SET_ASIDE = "set_aside", "The recording was set aside by hand. Restore it to count it again."

@@ -20,6 +20,7 @@ from ingest.canopen import SYNC_ID, SYNC_PERIOD, TIME_ID, vehicle_time_ns
 from ingest.catalogue import ACCELERATION, EMERGENCY, HEARTBEAT, Catalogue, MessagePlan
 from ingest.codec import Decoded, FrameCounts, RawArray, decode
 from ingest.frames import FrameBatch
+from ingest.plausibility.vehicle_clock import believed, possible, without_odd_ones
 
 TIME_REACH_NS = 3_000_000_000
 """How far from a TIME frame a SYNC may be: two lost TIME frames are bridged."""
@@ -40,6 +41,7 @@ class AlignCounts:
     """Counts over one recording. Frames that are left out of windows are in exactly one of the reasons."""
 
     time_frames: int = 0
+    time_frames_implausible: int = 0  # before 2000, after 2099, or odd ones among others: not used
     clock_jumps: int = 0  # pairs of TIME frames that disagree
     syncs: int = 0
     syncs_missing: int = 0  # numbers that no SYNC carried, between two that did
@@ -73,9 +75,11 @@ class TimeFrames:
         """Return the first and last vehicle time of frames stamped ``first_ns`` to ``last_ns``; None without TIME."""
         if len(self.t_ns) == 0:
             return None
-        first = int(self.vehicle_ns[0] - (self.t_ns[0] - first_ns))
-        last = int(self.vehicle_ns[-1] + (last_ns - self.t_ns[-1]))
-        return min(first, last, int(self.vehicle_ns.min())), max(first, last, int(self.vehicle_ns.max()))
+        known = believed(self.t_ns, self.vehicle_ns, TIME_TOLERANCE_NS)
+        t_ns, vehicle_ns = self.t_ns[known], self.vehicle_ns[known]
+        first = int(vehicle_ns[0] - (t_ns[0] - first_ns))
+        last = int(vehicle_ns[-1] + (last_ns - t_ns[-1]))
+        return min(first, last, int(vehicle_ns.min())), max(first, last, int(vehicle_ns.max()))
 
     def at(self, first_ns: int, last_ns: int) -> tuple[int, int] | None:
         """Return the vehicle times of stamps ``first_ns`` to ``last_ns`` by the TIME frame nearest to each.
@@ -100,7 +104,7 @@ class TimeFrames:
 
 
 def time_frames(decoded: Decoded, batch: FrameBatch) -> TimeFrames:
-    """Return the TIME frames of a batch; those with an impossible time are left out.
+    """Return the TIME frames of a batch; those with an impossible time are left out, and odd ones among others.
 
     Parameters
     ----------
@@ -112,7 +116,10 @@ def time_frames(decoded: Decoded, batch: FrameBatch) -> TimeFrames:
         return TimeFrames(np.empty(0, np.int64), np.empty(0, np.int64))
     valid = values.valid().all(axis=1)
     vehicle_ns = vehicle_time_ns(values.column("milliseconds"), values.column("days"))
-    return TimeFrames(batch.t_ns[values.index[valid]], vehicle_ns[valid])
+    valid &= possible(vehicle_ns)
+    t_ns, vehicle_ns = batch.t_ns[values.index[valid]], vehicle_ns[valid]
+    kept = without_odd_ones(t_ns, vehicle_ns, TIME_TOLERANCE_NS)
+    return TimeFrames(t_ns[kept], vehicle_ns[kept])
 
 
 def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[SyncClock, AlignCounts]:
@@ -127,9 +134,11 @@ def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[S
     """
     syncs = decoded.messages.get(SYNC_ID)
     times = time_frames(decoded, batch)
+    sent = decoded.messages.get(TIME_ID)
+    left_out = 0 if sent is None else int(np.count_nonzero(sent.valid().all(axis=1))) - len(times.t_ns)
     if syncs is None:
         return sync_clock_of(np.empty(0, np.int64), np.empty(0, np.int64), interval_ns), AlignCounts(
-            time_frames=len(times.t_ns)
+            time_frames=len(times.t_ns), time_frames_implausible=left_out
         )
     t_ns, counter, valid = batch.t_ns[syncs.index], syncs.column("counter"), syncs.valid()[:, 0]
     estimate, agreed = _vehicle_times(times, t_ns)
@@ -142,6 +151,7 @@ def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[S
     near = np.diff(t_ns[placed]) <= TIME_REACH_NS
     counts = AlignCounts(
         time_frames=len(times.t_ns),
+        time_frames_implausible=left_out,
         clock_jumps=_jumps(times),
         syncs=len(t_ns),
         syncs_missing=int(np.clip(steps[near] - 1, 0, None).sum()),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from vehicle_bus import CATALOGUE, INTERVAL_NS, SECOND_NS, START_NS, VEHICLE, Run
@@ -12,6 +14,7 @@ from ingest.align.clock import AlignedFrames, align_to_clock, check_sync_rate
 from ingest.align.samples import NodeSamples, node_samples
 from ingest.canopen import SYNC_ID, TIME_ID, sync_counter, time_of_day, vehicle_time_ns
 from ingest.frames import FrameBatch, concatenate, merge, sort_by_time, take
+from ingest.plausibility.vehicle_clock import EARLIEST_NS, LATEST_NS
 
 ACCELERATION_1 = 0x181
 STATUS_1 = 0x281
@@ -227,3 +230,59 @@ def test_a_recording_of_another_rate_is_refused() -> None:
     check_sync_rate(batch, INTERVAL_NS)
     with pytest.raises(LogFileError, match=r"every 4\.000 ms, the catalogue says every 1\.000 ms"):
         check_sync_rate(batch, 1_000_000)
+
+
+def with_time(batch: FrameBatch, numbers: list[int], vehicle_ns: int, step_ns: int = SECOND_NS) -> FrameBatch:
+    """Return the batch with some of its TIME frames showing another time, a step later each."""
+    data = batch.data.copy()
+    for number, frame in enumerate(numbers):
+        milliseconds, days = time_of_day(vehicle_ns + number * step_ns)
+        at = position_of(batch, TIME_ID, frame)
+        data[at, :6] = np.frombuffer(
+            int(milliseconds).to_bytes(4, "little") + int(days).to_bytes(2, "little"), np.uint8
+        )
+    return replace(batch, data=data)
+
+
+YEAR_NS = 365 * 86_400 * SECOND_NS
+DAY_1984_NS = 5113 * 86_400 * SECOND_NS
+
+
+@pytest.mark.parametrize(("numbers", "shown_ns"), [([4], START_NS + YEAR_NS), ([4, 5], START_NS - YEAR_NS)])
+def test_a_few_odd_time_frames_among_good_ones_cost_nothing_but_a_count(numbers: list[int], shown_ns: int) -> None:
+    batch = Run(seconds=12.0).frames()
+    good, odd = placed(batch), placed(with_time(batch, numbers, shown_ns))
+    assert odd.align_counts.time_frames_implausible == len(numbers)
+    assert (odd.align_counts.syncs_unplaced, odd.align_counts.clock_jumps) == (0, 0)
+    assert odd.times.vehicle_range(0, 1) == good.times.vehicle_range(0, 1)
+    for identifier, found in good.messages.items():
+        assert np.array_equal(found.tick, odd.messages[identifier].tick)
+
+
+def test_three_in_a_row_are_a_clock_that_was_set() -> None:
+    batch = Run(seconds=12.0).frames()
+    found = placed(with_time(batch, [4, 5, 6], START_NS + YEAR_NS)).align_counts
+    assert (found.time_frames_implausible, found.clock_jumps) == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("shown_ns", "left_out"),
+    [
+        (DAY_1984_NS, 12),
+        (EARLIEST_NS - 12 * SECOND_NS, 12),
+        (EARLIEST_NS, 0),
+        (LATEST_NS - 12 * SECOND_NS, 0),
+        (LATEST_NS, 12),
+    ],
+)
+def test_a_clock_that_was_never_set_places_nothing(shown_ns: int, left_out: int) -> None:
+    batch = Run(seconds=12.0).frames()
+    found = placed(with_time(batch, list(range(12)), shown_ns))
+    assert (found.align_counts.time_frames_implausible, len(found.times.t_ns)) == (left_out, 12 - left_out)
+
+
+def test_an_odd_time_frame_at_the_end_does_not_stretch_a_recording() -> None:
+    batch = Run(seconds=12.0).frames()
+    good, odd = placed(batch), placed(with_time(batch, [11], START_NS + YEAR_NS))
+    ends = int(batch.t_ns[0]), int(batch.t_ns[-1])
+    assert odd.times.vehicle_range(*ends) == good.times.vehicle_range(*ends)

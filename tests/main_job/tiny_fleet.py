@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +112,11 @@ class Deployment:
     receiver: Receiver
 
     def receive(self, recordings: Iterable[Recording]) -> list[ChunkRecord]:
+        """Receive recordings, none before it was made."""
+        recordings = list(recordings)
+        for name in (item.path.stem for item in recordings if "__" in item.path.stem):
+            begun = datetime.strptime(name.rpartition("__")[2], "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC)
+            self.clock.at_ns = max(self.clock.at_ns, round(begun.timestamp()) * 10**9)
         return [self.receiver.receive_file(item.path, item.vehicle).record for item in recordings]
 
     def run_jobs(self) -> list[JobRun]:
