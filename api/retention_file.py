@@ -14,6 +14,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from estimation.errors import ParameterError
 from fleet_db.keeping.retention import Kept, Retention
 from ingest.input_file import InputTable, read_toml
 
@@ -29,6 +30,7 @@ class DaysTable(InputTable):
     idempotency_keys: Days = None
     superseded_estimates: Days = None
     track_reports: Days = None
+    recordings: Days = None
     orphaned_files: Days = None
 
 
@@ -52,7 +54,11 @@ def load_retention(path: Path) -> Retention:
         The file cannot be read or is no TOML; an unknown key; a value that is no number of days. Names the file, the
         line and the field.
     """
-    given = read_toml(path).parse(RetentionTable).days
+    file = read_toml(path)
+    given = file.parse(RetentionTable).days
     chosen = {kind.value: getattr(given, kind.value) for kind in Kept}
     changed = {name: None if days == FOR_EVER else days for name, days in chosen.items() if days is not None}
-    return Retention(**changed)
+    try:
+        return Retention(**changed)
+    except ParameterError as error:
+        raise file.error(error.reason, ("days", str(error.field))) from error

@@ -34,6 +34,7 @@ class ChunkRecord:
     counts: Mapping[str, int]  # marked and counted: unknown identifiers, wrong lengths, gaps, clipped, invalid ...
     received_ns: int
     recorded_ns: int
+    purged_ns: int | None = None  # our time at which its raw bytes were deleted; its windows stay as they are
 
 
 @dataclass(frozen=True, slots=True)

@@ -247,13 +247,15 @@ class Assembler:
         loaded: dict[str, Recording] = {}
         kept: list[Span] = []
         for source in sources:
+            if source.purged_ns is not None:
+                kept += _extent(source)
+                continue
             try:
                 loaded[source.digest] = self.recordings.load_neighbour(source)
             except StorageError:
                 if not keep_unreadable or not self.recordings.raw.directory.is_dir():
                     raise
-                if source.first_ns is not None and source.last_ns is not None:
-                    kept.append((source.first_ns - CONTEXT_NS, source.last_ns + CONTEXT_NS))
+                kept += _extent(source)
         return loaded, tuple(kept)
 
     def _windows(
@@ -306,6 +308,13 @@ def _check_one_kind(vehicle: str, suffix: str, sources: Iterable[ChunkRecord]) -
         kinds = ("an exchange", "a log") if of_exchange else ("a log", "an exchange")
         reason = f"{kinds[0]} of vehicle {vehicle} would share windows with {kinds[1]} that is stored"
         raise ConflictError(f"{reason}: {other.digest[:12]}", kind="chunk", key=other.digest)
+
+
+def _extent(source: ChunkRecord) -> list[Span]:
+    """Return the span in which a recording changes windows; nothing where it has no place."""
+    if source.first_ns is None or source.last_ns is None:
+        return []
+    return [(source.first_ns - CONTEXT_NS, source.last_ns + CONTEXT_NS)]
 
 
 def _span(recording: Recording, aligned: Iterable[AlignedFrames]) -> Span | None:

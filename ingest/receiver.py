@@ -332,6 +332,9 @@ class Receiver:
             if unit.chunks.put(record):
                 return record, False
             found = unit.chunks.get(digest)
+            if found is not None and found.purged_ns is not None:  # its bytes are there again
+                found = replace(found, purged_ns=None)
+                unit.chunks.update(found)
         assert found is not None
         if found.vehicle != vehicle:
             raise ConflictError(

@@ -187,7 +187,8 @@ def decoded_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> S
     recording
         The recording.
     """
-    return [r for r in unit.chunks.overlapping(vehicle, *ALWAYS) if _beside(r, recording)]
+    decoded = unit.chunks.overlapping(vehicle, *ALWAYS)
+    return [r for r in decoded if r.purged_ns is None and _beside(r, recording)]
 
 
 def _beside(record: ChunkRecord, recording: Recording) -> bool:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from sqlalchemy import Engine, text
+from sqlalchemy.exc import SQLAlchemyError
 
 from estimation.errors import ConflictError, StorageError
 from fleet_db.locks import NAMESPACE, Subject, single_writer
@@ -46,7 +47,9 @@ def keeping_alone(engine: Engine) -> Iterator[None]:
                 raise ConflictError(BUSY, kind="keeping", key="lock")
         yield
     finally:
-        connection.invalidate()  # the session ends with the lock
+        with suppress(SQLAlchemyError):  # the next may come at once; a session that is gone holds nothing
+            connection.scalar(text("SELECT pg_advisory_unlock(:namespace, :subject)"), names)
+        connection.invalidate()
         connection.close()
 
 

@@ -85,8 +85,8 @@ def kept_files(connection: Connection, *, windows: bool = True) -> Iterator[Kept
         Whether those of windows, too.
     """
     raw, samples = RawStore(Path(RAW)), WindowFiles(Path(SAMPLES))
-    chunks = select(CHUNKS.c.digest, CHUNKS.c.suffix, CHUNKS.c.size_bytes, CHUNKS.c.vehicle).order_by(CHUNKS.c.digest)
-    for row in connection.execute(chunks):
+    chunks = select(CHUNKS.c.digest, CHUNKS.c.suffix, CHUNKS.c.size_bytes, CHUNKS.c.vehicle)
+    for row in connection.execute(chunks.where(CHUNKS.c.purged_ns.is_(None)).order_by(CHUNKS.c.digest)):
         path = raw.path(row.digest, row.suffix)
         yield KeptFile(RAW, row.digest, row.size_bytes, path, f"recording {row.digest[:12]} of vehicle {row.vehicle}")
     if not windows:

@@ -62,6 +62,6 @@ def _marker(path: Path) -> bool:
 def _referred(connection: Connection) -> dict[str, frozenset[str]]:
     """Return the digests of the files that rows refer to, by directory."""
     return {
-        RAW: frozenset(connection.scalars(select(CHUNKS.c.digest))),
+        RAW: frozenset(connection.scalars(select(CHUNKS.c.digest).where(CHUNKS.c.purged_ns.is_(None)))),
         SAMPLES: frozenset(connection.scalars(select(WINDOWS.c.content_digest).distinct())),
     }

@@ -10,9 +10,11 @@ from sqlalchemy import Column, ColumnElement, Connection, and_, delete, exists, 
 
 from estimation.values.runs import JobOutcome
 from fleet_db.keeping.exclusive import keeping_alone
+from fleet_db.keeping.kept_files import RAW
 from fleet_db.keeping.orphans import LEAST_AGE_S, orphans
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.models import GeometryRow, IdempotencyRow, JobRunRow, PurgeRow, TrackReportRow, TrendRow
+from fleet_db.raw import RawStore
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 
@@ -68,6 +70,8 @@ def purge(storage: SqlStorage, retention: Retention, now_ns: int, checkpoint: Ch
 def _purge_kind(storage: SqlStorage, kind: Kept, before_ns: int, now_ns: int, checkpoint: Checkpoint) -> Purged:
     if kind is Kept.ORPHANED_FILES:
         return _purge_orphans(storage, before_ns, now_ns)
+    if kind is Kept.RECORDINGS:
+        return _purge_recordings(storage, before_ns, now_ns, checkpoint)
     items = 0
     for expired in _expired(kind, before_ns):
         while True:
@@ -156,12 +160,35 @@ def _replaced(number: Column[Any], key: Sequence[str], before_ns: int) -> _Expir
     return _Expired(number, exists().where(*same, later.c[number.name] > number, later.c.recorded_ns < before_ns))
 
 
+def _purge_recordings(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint: Checkpoint) -> Purged:
+    """Delete the raw files of decoded recordings: first the rows say so, then the files go."""
+    raw = RawStore(storage.data_dir / RAW)
+    items = size = 0
+    while True:
+        checkpoint()
+        with storage.write() as unit:
+            batch = unit.chunks.purge(before_ns, now_ns, BATCH)
+            part = Purged(Kept.RECORDINGS, len(batch), sum(record.size_bytes for record in batch))
+            if batch:
+                record_purge(unit.connection, part, before_ns, now_ns)
+        for record in batch:
+            raw.path(record.digest, record.suffix).unlink(missing_ok=True)
+        items, size = items + part.items, size + part.item_bytes
+        if len(batch) < BATCH:
+            return Purged(Kept.RECORDINGS, items, size)
+
+
 def _purge_orphans(storage: SqlStorage, before_ns: int, now_ns: int) -> Purged:
-    """Delete files of ``windows`` that no row refers to; those of ``raw`` may be recordings of a newer database."""
+    """Delete files of ``windows`` that no row refers to, and of ``raw`` those of recordings that were purged.
+
+    Others of ``raw`` may be recordings of a newer database.
+    """
     age_s = max((now_ns - before_ns) / DAY_NS * 86_400.0, LEAST_AGE_S)
     items = size = 0
+    with storage.read() as unit:
+        gone = unit.chunks.purged()
     for path in orphans(storage, age_s):
-        if path.parts[0] == "raw" and not path.name.startswith("."):
+        if path.parts[0] == RAW and not path.name.startswith(".") and path.stem not in gone:
             continue
         file = storage.data_dir / path
         size += file.stat().st_size

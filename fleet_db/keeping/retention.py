@@ -9,6 +9,9 @@ from estimation.errors import ParameterError
 
 DAY_NS = 86_400_000_000_000
 
+LEAST_DAYS_OF_RECORDINGS = 31.0
+"""Recordings that are late by 30 days still meet the raw frames of those beside them."""
+
 
 class Kept(StrEnum):
     """Kinds of what a purge deletes; what is needed for the present state is never among it."""
@@ -18,6 +21,7 @@ class Kept(StrEnum):
     IDEMPOTENCY_KEYS = "idempotency_keys"
     SUPERSEDED_ESTIMATES = "superseded_estimates"  # geometries and trends that newer ones have replaced
     TRACK_REPORTS = "track_reports"  # that newer ones of the same section and version have replaced
+    RECORDINGS = "recordings"  # raw bytes of decoded ones; the receipt stays, the windows stay as they are
     ORPHANED_FILES = "orphaned_files"  # of replaced windows, and what a killed process left
 
 
@@ -35,6 +39,8 @@ class Retention:
         After the estimate that replaced it: so far back ``as_of`` answers.
     track_reports
         After the report that replaced it.
+    recordings
+        After they were received; not below ``LEAST_DAYS_OF_RECORDINGS``, for those beside them may still come.
     orphaned_files
         After their last change.
     """
@@ -44,6 +50,7 @@ class Retention:
     idempotency_keys: float | None = 7.0
     superseded_estimates: float | None = 730.0
     track_reports: float | None = 730.0
+    recordings: float | None = None
     orphaned_files: float | None = 1.0
 
     def __post_init__(self) -> None:
@@ -51,6 +58,8 @@ class Retention:
             days = getattr(self, kind.value)
             if days is not None and not 0.0 < days < float("inf"):
                 raise ParameterError("must be a number of days above 0", field=kind.value)
+        if self.recordings is not None and self.recordings < LEAST_DAYS_OF_RECORDINGS:
+            raise ParameterError(f"must be at least {LEAST_DAYS_OF_RECORDINGS:g} days", field="recordings")
 
     def before_ns(self, kind: Kept, now_ns: int) -> int | None:
         """Return the time before which this kind is deleted; None where it is kept for ever.

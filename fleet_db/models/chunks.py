@@ -35,3 +35,4 @@ class ChunkRow(Base):
     counts: Mapped[Json]
     received_ns: Mapped[Nanoseconds]
     recorded_ns: Mapped[Nanoseconds]
+    purged_ns: Mapped[Nanoseconds | None]

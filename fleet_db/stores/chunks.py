@@ -57,6 +57,19 @@ class ChunkStore:
         )
         return [_record(row) for row in self.connection.execute(statement)]
 
+    def purge(self, before_ns: int, now_ns: int, limit: int) -> Sequence[ChunkRecord]:
+        """Note of decoded recordings that came before a time that their raw bytes are deleted; return these."""
+        old = (CHUNKS.c.received_ns < before_ns, CHUNKS.c.purged_ns.is_(None))
+        decoded = select(CHUNKS).where(*old, CHUNKS.c.state == ChunkState.DECODED.value)
+        found = [_record(row) for row in self.connection.execute(decoded.order_by(CHUNKS.c.digest).limit(limit))]
+        digests = [record.digest for record in found]
+        self.connection.execute(update(CHUNKS).where(CHUNKS.c.digest.in_(digests)).values(purged_ns=now_ns))
+        return found
+
+    def purged(self) -> frozenset[str]:
+        """Return the digests of the recordings whose raw bytes were deleted."""
+        return frozenset(self.connection.scalars(select(CHUNKS.c.digest).where(CHUNKS.c.purged_ns.is_not(None))))
+
     def waiting_for_time(self, vehicle: str) -> Sequence[ChunkRecord]:
         """Return the receipts of a vehicle's recordings that wait for a TIME frame beside them, oldest first."""
         statement = (

@@ -21,8 +21,8 @@ def written(folder: Path, text: str) -> Path:
 def test_what_is_not_written_keeps_its_default(tmp_path: Path) -> None:
     found = load_retention(written(tmp_path, '[days]\njob_runs = 3\nsuperseded_estimates = "for ever"\n'))
     assert found == Retention(job_runs=3.0, superseded_estimates=None)
-    everything = "\n".join(f"{kind.value} = {number + 1}" for number, kind in enumerate(Kept))
-    assert load_retention(written(tmp_path, f"[days]\n{everything}\n")) == Retention(1, 2, 3, 4, 5, 6)
+    everything = "\n".join(f"{kind.value} = {number + 40}" for number, kind in enumerate(Kept))
+    assert load_retention(written(tmp_path, f"[days]\n{everything}\n")) == Retention(40, 41, 42, 43, 44, 45, 46)
 
 
 @pytest.mark.parametrize(
@@ -33,6 +33,7 @@ def test_what_is_not_written_keeps_its_default(tmp_path: Path) -> None:
         ("[days]\nwindows = 3\n", "days.windows"),
         ("job_runs = 3\n", "days"),
         ("[days]\njob_runs = inf\n", "days.job_runs"),
+        ("[days]\nrecordings = 30\n", "days.recordings"),
     ],
 )
 def test_what_cannot_be_used_is_named(tmp_path: Path, text: str, field: str) -> None:
@@ -44,6 +45,6 @@ def test_what_cannot_be_used_is_named(tmp_path: Path, text: str, field: str) -> 
 def test_by_command(treadwatch: Run, tmp_path: Path) -> None:
     assert treadwatch("db", "upgrade", data_dir="data").returncode == 0
     done = treadwatch("db", "purge", retention_file=str(written(tmp_path, '[days]\ntrack_reports = "for ever"\n')))
-    assert (done.returncode, done.stdout.count("0 deleted")) == (0, len(Kept) - 1)
+    assert (done.returncode, done.stdout.count("0 deleted")) == (0, len(Kept) - 2)
     refused = treadwatch("db", "purge", retention_file=str(written(tmp_path, "[days]\njob_runs = -1\n")))
     assert (refused.returncode, "days.job_runs" in refused.stderr) == (2, True)

@@ -12,12 +12,14 @@ import stored_values as make
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.keeping import purge as purge_module
+from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.orphans import LEAST_AGE_S, orphans
 from fleet_db.keeping.purge import Purged, purge, purged_before
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.models import PurgeRow
 from fleet_db.raw import RawStore
+from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 
 NOW = 2_000 * DAY_NS
@@ -115,6 +117,34 @@ def test_files_of_replaced_windows_go(fleet: SqlStorage) -> None:
         assert make.same(unit.windows.load("WS-1", make.START), make.window(0, seed=5))
 
 
+def test_raw_files_of_old_recordings_go_and_their_receipts_stay(fleet: SqlStorage) -> None:
+    raw = RawStore(fleet.data_dir / "raw")
+    digests = [raw.put_bytes(bytes([number]) * 10, ".blf") for number in range(4)]
+    states = [ChunkState.DECODED, ChunkState.DECODED, ChunkState.STORED, ChunkState.REJECTED]
+    days = [1, 1990, 1, 1]
+    with fleet.write() as unit:
+        for digest, state, day in zip(digests, states, days, strict=True):
+            unit.chunks.put(replace(make.CHUNK, digest=digest, size_bytes=10, state=state, received_ns=day * DAY_NS,
+                                    first_ns=make.START, last_ns=make.START + 1))  # fmt: skip
+    assert purged(fleet, recordings=31.0) == {"recordings": 1}
+    assert [raw.path(digest, ".blf").is_file() for digest in digests] == [False, True, True, True]
+    with fleet.read() as unit:
+        assert unit.chunks.purged() == {digests[0]}
+        found = unit.chunks.get(digests[0])
+    assert found is not None
+    assert (found.state, found.purged_ns) == (ChunkState.DECODED, NOW)
+    assert check_deep(fleet, lambda _done, _total: None).findings == ()
+    raw.put_bytes(bytes([0]) * 10, ".blf")  # as by a process that was killed between row and file
+    os.utime(raw.path(digests[0], ".blf"), (1e9, 1e9))
+    assert purged(fleet, orphaned_files=1.0) == {"orphaned_files": 1}
+
+
+def test_recordings_stay_as_long_as_those_beside_them_may_come() -> None:
+    assert Retention(recordings=31.0).recordings == 31.0
+    with pytest.raises(ParameterError, match="at least 31 days"):
+        Retention(recordings=30.9)
+
+
 def test_young_files_stay_whatever_is_set() -> None:
     assert LEAST_AGE_S == 3600.0
 
@@ -133,7 +163,7 @@ def test_days_above_zero(days: float) -> None:
 
 def test_what_is_kept_by_default() -> None:
     """These decide what can still be looked at: a change of one is a decision."""
-    assert Retention() == Retention(14.0, 180.0, 7.0, 730.0, 730.0, 1.0)
+    assert Retention() == Retention(14.0, 180.0, 7.0, 730.0, 730.0, None, 1.0)
     assert replace(Retention(), job_runs=None).before_ns(Kept.JOB_RUNS, NOW) is None
 
 

@@ -1,4 +1,4 @@
-"""What was purged, when and why."""
+"""What was purged, when and why; recordings whose raw file was purged."""
 
 from __future__ import annotations
 
@@ -25,8 +25,10 @@ def upgrade() -> None:
         sqlite_autoincrement=True,
     )
     op.create_index(op.f("ix_purges_kind_before_ns"), "purges", ["kind", "before_ns"], unique=False)
+    op.add_column("chunks", sa.Column("purged_ns", sa.BigInteger(), nullable=True))
 
 
 def downgrade() -> None:
+    op.drop_column("chunks", "purged_ns")
     op.drop_index(op.f("ix_purges_kind_before_ns"), table_name="purges")
     op.drop_table("purges")
