@@ -32,6 +32,7 @@ from ingest.catalogue import default_catalogue
 from ingest.own_bus.choice import bus_choice
 from ingest.own_bus.loading import load_own_bus
 from ingest.receiver import Receiver
+from ingest.stored_settings import SECOND_NS, check_window_length, claim
 from ingest.vehicle_class_file import class_of_package
 
 if TYPE_CHECKING:
@@ -68,13 +69,18 @@ def open_store(settings: Settings) -> SqlStorage:
     MigrationError
         The database is at another migration; the message gives the command to run.
     ParameterError
-        The database URL names none that can be used.
+        The database URL names none that can be used, or windows of another length are stored.
     StorageError
         The database cannot be reached.
     """
     storage = SqlStorage(database_engine(settings.url), settings.data_dir, class_of_package)
     try:
         check_head(storage.engine)
+        with storage.read() as unit:
+            check_window_length(unit, _length_ns(settings))
+    except ParameterError as error:
+        storage.close()
+        raise ParameterError(error.reason, field=f"{PREFIX}WINDOW_LENGTH_S") from None
     except Exception:
         storage.close()
         raise
@@ -174,8 +180,12 @@ def receiver(settings: Settings, storage: SqlStorage, clock: Clock, catalogues: 
         A mapping file cannot be used.
     """
     buses = [load_own_bus(path) for path in catalogues or settings.catalogue_files]
-    chosen = bus_choice(default_catalogue(), buses)
+    chosen = claim(storage, bus_choice(default_catalogue(), buses), _length_ns(settings), clock.now_ns())
     return Receiver(storage, raw_store(settings), chosen, clock, window_length_s=settings.window_length_s)
+
+
+def _length_ns(settings: Settings) -> int:
+    return round(settings.window_length_s * SECOND_NS)
 
 
 def _sql_storage(context: JobContext) -> SqlStorage:

@@ -33,6 +33,7 @@ class Subject(IntEnum):
     GEOMETRIES = 4
     TRACKS = 5
     MIGRATION = 6
+    SETTINGS = 7
     KEEPING = 7
 
 

@@ -27,6 +27,7 @@ from fleet_db.stores.raw_marks import RawMarkStore
 from fleet_db.stores.recorded_times import RecordedTimeStore
 from fleet_db.stores.recording_changes import RecordingChangeStore
 from fleet_db.stores.registry import RegistryStore
+from fleet_db.stores.settings import StoredSettingStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.suspension import SuspensionStore
 from fleet_db.stores.tracks import TrackStore
@@ -49,6 +50,7 @@ class SqlUnitOfWork:
     owner: int | None = None  # token of the process that runs jobs
     changes: Changes = field(init=False)
     chunks: ChunkStore = field(init=False)
+    settings: StoredSettingStore = field(init=False)
     stale_spans: StaleSpanStore = field(init=False)
     quarantine: QuarantineStore = field(init=False)
     raw_marks: RawMarkStore = field(init=False)
@@ -70,6 +72,7 @@ class SqlUnitOfWork:
         connection = self.connection
         self.changes = Changes(connection)
         self.chunks = ChunkStore(connection)
+        self.settings = StoredSettingStore(connection)
         self.stale_spans = StaleSpanStore(connection)
         self.quarantine = QuarantineStore(connection)
         self.raw_marks = RawMarkStore(connection)

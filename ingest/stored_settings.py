@@ -1,0 +1,155 @@
+"""What windows rest on beside recordings and registry: their length and the buses of the vehicles.
+
+Both are stored with the first recording. The length never changes after that. A bus may: it is a new version, and what
+was assembled with the one before is assembled again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+
+from estimation.errors import DamagedError, ParameterError
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from ingest.catalogue import Catalogue
+from ingest.own_bus.bus import OwnBus
+from ingest.own_bus.choice import BusChoice
+
+LENGTH, BUSES = "window_length_ns", "buses"
+OTHERS = ""
+"""Stands for the classes without a bus of their own."""
+
+SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class StoredBus:
+    """The bus with which recordings were decoded: digest of its messages, and whether a mapping file described it."""
+
+    digest: str
+    own: bool
+
+
+def check_window_length(unit: SqlUnitOfWork, length_ns: int) -> None:
+    """Refuse a window length that is not the one with which data are stored.
+
+    Parameters
+    ----------
+    unit
+        An open transaction.
+    length_ns
+        What the process was started with.
+
+    Raises
+    ------
+    ParameterError
+        Names both and what to do.
+    """
+    stored = _stored_length(unit)
+    if stored is not None and stored != length_ns and unit.settings.in_use():
+        raise ParameterError(
+            f"is {length_ns / SECOND_NS:g} s, and the windows in this database have {stored / SECOND_NS:g} s: set it to"
+            f" {stored / SECOND_NS:g}, or begin a database and a data directory of their own",
+            field="window_length_s",
+        )
+
+
+def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) -> BusChoice:
+    """Store what this process assembles windows with; return its buses, without those that are not to be guessed.
+
+    Where a bus is not the one before, its vehicles are assembled again. Where a mapping file described it and this
+    process has none for it, recordings of its vehicles are left to a process that has.
+
+    Parameters
+    ----------
+    storage
+        Of the deployment.
+    buses, length_ns
+        What this process was started with.
+    now_ns
+        Our time.
+
+    Raises
+    ------
+    ParameterError
+        Windows of another length are stored.
+    """
+    with storage.read() as unit:
+        check_window_length(unit, length_ns)
+        found = _stored_buses(unit) if unit.settings.get(LENGTH) == str(length_ns) else None
+    given = _given(buses)
+    if found is None or _changed(found, given):
+        with storage.write() as unit:
+            unit.settings.alone()
+            check_window_length(unit, length_ns)
+            found = (_stored_buses(unit) or {}) if unit.settings.in_use() else {}
+            changed = _changed(found, given)
+            if found:
+                _make_stale(unit, changed, frozenset({*found, *given}))
+            found |= {name: given[name] for name in changed}
+            unit.settings.put(LENGTH, str(length_ns), now_ns)
+            unit.settings.put(BUSES, _to_json(found), now_ns)
+    missing = {name for name, bus in found.items() if bus.own and not (name in given and given[name].own)}
+    return replace(buses, missing=frozenset(missing - {OTHERS}), others_missing=OTHERS in missing)
+
+
+def bus_digest(bus: Catalogue) -> str:
+    """Return the digest of what decoding takes from a bus; the order of messages in a file does not matter."""
+    return hashlib.sha256(repr(_plain(bus)).encode()).hexdigest()
+
+
+def _given(buses: BusChoice) -> dict[str, StoredBus]:
+    chosen: dict[str, Catalogue] = {OTHERS: buses.others, **buses.by_class}
+    return {name: StoredBus(bus_digest(bus), isinstance(bus, OwnBus)) for name, bus in chosen.items()}
+
+
+def _changed(found: Mapping[str, StoredBus], given: Mapping[str, StoredBus]) -> list[str]:
+    """Return the classes whose bus is another one than before; the shipped one does not replace one's own."""
+    kept = {name for name, bus in found.items() if bus.own}
+    return [name for name, bus in given.items() if found.get(name) != bus and (bus.own or name not in kept)]
+
+
+def _make_stale(unit: SqlUnitOfWork, changed: Iterable[str], named: frozenset[str]) -> None:
+    for name in changed:
+        for fleet in unit.registry.fleets() if name == OTHERS else ():
+            for vehicle in unit.registry.vehicles_page(fleet.code, None, 1_000_000):
+                if vehicle.vehicle_class not in named:
+                    unit.stale_spans.add(vehicle.code, None, None, "the catalogue of its bus has changed")
+        for vehicle in unit.registry.vehicles_of_class(name) if name != OTHERS else ():
+            unit.stale_spans.add(vehicle.code, None, None, "the catalogue of its bus has changed")
+
+
+def _stored_length(unit: SqlUnitOfWork) -> int | None:
+    """Return the stored length; of a database that is older than this setting, that of a window."""
+    stored = unit.settings.get(LENGTH)
+    if stored is not None:
+        return int(stored)
+    for wheelset in unit.registry.wheelsets():
+        latest = unit.windows.latest(wheelset.serial)
+        if latest is None:
+            continue
+        try:
+            return unit.windows.load(wheelset.serial, latest.start_ns).length_ns
+        except DamagedError:
+            continue
+    return None
+
+
+def _stored_buses(unit: SqlUnitOfWork) -> dict[str, StoredBus] | None:
+    stored = unit.settings.get(BUSES)
+    return None if stored is None else {name: StoredBus(**bus) for name, bus in json.loads(stored).items()}
+
+
+def _to_json(buses: Mapping[str, StoredBus]) -> str:
+    return json.dumps({name: {"digest": bus.digest, "own": bus.own} for name, bus in sorted(buses.items())})
+
+
+def _plain(value: object) -> object:
+    if is_dataclass(value):
+        names = [field.name for field in fields(value) if field.name != "vehicle_classes"]
+        return [(name, _plain(getattr(value, name))) for name in names]
+    if isinstance(value, Mapping):
+        return sorted((key, _plain(part)) for key, part in value.items())
+    return [_plain(part) for part in value] if isinstance(value, (list, tuple)) else value
