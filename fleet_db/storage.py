@@ -19,6 +19,7 @@ from fleet_db.stores.alerts import AlertStore
 from fleet_db.stores.assembled import AssembledWindowStore
 from fleet_db.stores.bin_tables import BinTableStore
 from fleet_db.stores.chunks import ChunkStore
+from fleet_db.stores.corrections import CorrectionStore
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.idempotency import IdempotencyStore
 from fleet_db.stores.jobs import JobRunStore
@@ -27,6 +28,7 @@ from fleet_db.stores.raw_marks import RawMarkStore
 from fleet_db.stores.recorded_times import RecordedTimeStore
 from fleet_db.stores.recording_changes import RecordingChangeStore
 from fleet_db.stores.registry import RegistryStore
+from fleet_db.stores.registry_history import RegistryHistoryStore
 from fleet_db.stores.settings import StoredSettingStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.suspension import SuspensionStore
@@ -56,6 +58,8 @@ class SqlUnitOfWork:
     raw_marks: RawMarkStore = field(init=False)
     recording_changes: RecordingChangeStore = field(init=False)
     registry: RegistryStore = field(init=False)
+    registry_history: RegistryHistoryStore = field(init=False)
+    corrections: CorrectionStore = field(init=False)
     tracks: TrackStore = field(init=False)
     windows: WindowStore = field(init=False)
     assembled: AssembledWindowStore = field(init=False)
@@ -79,6 +83,8 @@ class SqlUnitOfWork:
         self.recording_changes = RecordingChangeStore(connection)
         self.registry = RegistryStore(connection, self.changes, self.shipped)
         self.tracks = TrackStore(connection)
+        self.registry_history = RegistryHistoryStore(connection)
+        self.corrections = CorrectionStore(connection, self.changes, self.registry, self.tracks, self.registry_history)
         self.windows = WindowStore(connection, self.changes, self.files)
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)

@@ -97,11 +97,16 @@ def load_registry(path: Path, unit_of_work: SqlUnitOfWork, recorded_ns: int) -> 
         path,
         "mountings",
         contents.mountings,
-        lambda one: registry.add_mounting(one, before.get((one.wheelset, one.from_ns))),
+        lambda one: registry.add_mounting(one, before.get((one.wheelset, one.from_ns)), recorded_ns),
     )
-    _store(path, "reprofilings", contents.reprofilings, registry.add_reprofiling)
-    _store(path, "measured_profiles", contents.measured_profiles, registry.add_measured_profiles)
-    _store(path, "track_sections", contents.sections, tracks.add_section)
+    _store(path, "reprofilings", contents.reprofilings, lambda one: registry.add_reprofiling(one, recorded_ns))
+    _store(
+        path,
+        "measured_profiles",
+        contents.measured_profiles,
+        lambda one: registry.add_measured_profiles(one, recorded_ns),
+    )
+    _store(path, "track_sections", contents.sections, lambda one: tracks.add_section(one, recorded_ns))
     _store(path, "track_sections", contents.alignments, lambda known: _add_alignment(unit_of_work, known))
     _store(path, "track_sections", contents.layouts, lambda layout: _add_layout(unit_of_work, layout))
     known = {code for code in _classes_of(contents) if registry.vehicle_class(code) is not None}

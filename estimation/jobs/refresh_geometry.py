@@ -129,16 +129,29 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
         records += _intervals(unit, serial, baseline, entries, context, classes, refused)
         if entries:
             newest = baseline, entries
-    current = unit.geometries.current(serial)
-    if current is not None and (newest is None or newest[0].number < current.baseline):
-        records.append(_emptied(current, context))
-    elif newest is not None:
+    records += _ended(unit, serial, None if newest is None else newest[0].number, context)
+    if newest is not None:
         near = _remembered(_since(newest[1], change), settings.half_life_km)
         assumed = _assumed(near[-1], classes)
         used = _of_class(near, assumed, classes)
         against = contradiction(refused, [entry[0] for entry in used])
         records.append(_record(unit, newest[0], None, used, context, assumed, against))
     return records
+
+
+def _ended(unit: UnitOfWork, serial: str, newest: int | None, context: JobContext) -> list[GeometryRecord]:
+    """Return empty geometries behind those of baselines that have no windows any more, or that there are not.
+
+    A reprofiling that was voided leaves fewer baselines than have been estimated.
+    """
+    number = len(baselines(unit.registry.wheelset(serial)))
+    left = [
+        record
+        for record in unit.geometries.baselines(serial)
+        if record.geometry.windows and (newest is None or record.baseline > newest)
+    ]
+    left += [r for r in unit.geometries.intervals(serial) if r.baseline >= number and r.geometry.windows]
+    return [_emptied(record, context) for record in left]
 
 
 def _intervals(

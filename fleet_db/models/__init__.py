@@ -13,6 +13,7 @@ from fleet_db.models.measured_profiles import MeasuredProfilesRow
 from fleet_db.models.mountings import MountingRow
 from fleet_db.models.purges import PurgeRow
 from fleet_db.models.quarantine import QuarantineRow, RawMarkRow, RecordingChangeRow
+from fleet_db.models.registry_history import RegistryEventRow
 from fleet_db.models.settings import StoredSettingRow
 from fleet_db.models.stale_spans import StaleSpanRow
 from fleet_db.models.suspension import SuspensionFindingRow
@@ -46,6 +47,7 @@ __all__ = [
     "QuarantineRow",
     "RawMarkRow",
     "RecordingChangeRow",
+    "RegistryEventRow",
     "ReprofilingRow",
     "StaleSpanRow",
     "StoredSettingRow",

@@ -70,6 +70,33 @@ class Again:
         """
         return self._windows((f"wheelset {serial}",), WINDOWS.c.wheelset == serial)
 
+    def mounting(self, serial: str, from_ns: int, to_ns: int | None) -> None:
+        """Let the windows of a wheelset over some time wait again, and start the sections again that they align.
+
+        Parameters
+        ----------
+        serial
+            Of the wheelset.
+        from_ns, to_ns
+            Of the mounting.
+        """
+        within = and_(WINDOWS.c.wheelset == serial, WINDOWS.c.start_ns >= from_ns)
+        self._windows((serial,), within if to_ns is None else and_(within, WINDOWS.c.start_ns < to_ns))
+
+    def lives(self, serial: str, from_ns: int | None) -> None:
+        """Start the sections again that a wheelset helped to align with profiles that were not what they seemed.
+
+        Parameters
+        ----------
+        serial
+            Of the wheelset.
+        from_ns
+            Since when; None is always.
+        """
+        chosen = WINDOWS.c.wheelset == serial
+        since = chosen if from_ns is None else and_(chosen, WINDOWS.c.start_ns >= from_ns)
+        self.sections(self._aligned_by(since))
+
     def _windows(self, names: tuple[str, ...], chosen: ColumnElement[bool]) -> EstimatedAgain:
         windows, from_ns = self.connection.execute(
             select(func.count(), func.min(WINDOWS.c.start_ns)).where(chosen)

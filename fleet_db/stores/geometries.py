@@ -7,7 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, and_, delete, exists, func, insert, or_, select, update
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    Select,
+    and_,
+    case,
+    delete,
+    exists,
+    func,
+    insert,
+    or_,
+    select,
+    update,
+)
 
 from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, WheelsetGeometry
 from fleet_db.changes import CHANGES, Changes
@@ -47,22 +61,24 @@ class GeometryStore:
             if all(getattr(newest, name) == values[name] for name in ("input_digest", "parameters", "code_version")):
                 return False
             values["recorded_ns"] = max(record.recorded_ns, newest.recorded_ns)
-        statement = insert(GEOMETRIES).values(**values).returning(GEOMETRIES.c.geometry_id)
-        geometry_id = self.connection.execute(statement).scalar_one()
-        if record.interval is None and self._newest_baseline(record.wheelset) == record.baseline:
-            _replace_bins(self.connection, record.wheelset, geometry_id, record.geometry)
+        self.connection.execute(insert(GEOMETRIES).values(**values))
+        if record.interval is None:
+            self._show_bins(record.wheelset)
         return True
 
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:
-        """Return the current geometry of the newest baseline, as it was recorded at ``as_of_ns``."""
-        statement = (
-            select(GEOMETRIES)
-            .where(GEOMETRIES.c.wheelset == wheelset, GEOMETRIES.c.baseline_interval.is_(None), _until(as_of_ns))
-            .order_by(GEOMETRIES.c.baseline.desc(), *NEWEST_FIRST)
-            .limit(1)
-        )
-        row = self.connection.execute(statement).first()
+        """Return the current geometry of the newest baseline with windows, as it was recorded at ``as_of_ns``.
+
+        Where no baseline has windows any more it is the empty one of the newest.
+        """
+        row = self._current(wheelset, as_of_ns)
         return None if row is None else _record(row)
+
+    def baselines(self, wheelset: str) -> Sequence[GeometryRecord]:
+        """Return the current geometry of each baseline that there has been, by its number."""
+        newest = _newest_of_baselines(wheelset, None)
+        statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(newest)).order_by(GEOMETRIES.c.baseline)
+        return [_record(row) for row in self.connection.execute(statement)]
 
     def intervals(
         self, wheelset: str, baseline: int | None = None, as_of_ns: int | None = None
@@ -129,13 +145,28 @@ class GeometryStore:
             update(CHANGES).where(CHANGES.c.wheelset == wheelset).values(geometry_change=CHANGES.c.change)
         )
 
-    def _newest_baseline(self, wheelset: str) -> int | None:
-        newest: int | None = self.connection.scalar(
-            select(func.max(GEOMETRIES.c.baseline)).where(
-                GEOMETRIES.c.wheelset == wheelset, GEOMETRIES.c.baseline_interval.is_(None)
-            )
+    def _current(self, wheelset: str, as_of_ns: int | None) -> Row[Any] | None:
+        newest = _newest_of_baselines(wheelset, as_of_ns)
+        statement = (
+            select(GEOMETRIES)
+            .where(GEOMETRIES.c.geometry_id.in_(newest))
+            .order_by(case((GEOMETRIES.c.windows > 0, 0), else_=1), GEOMETRIES.c.baseline.desc())
+            .limit(1)
         )
-        return newest
+        return self.connection.execute(statement).first()
+
+    def _show_bins(self, wheelset: str) -> None:
+        """Let the plain rows of bins be those of the current geometry."""
+        row = self._current(wheelset, None)
+        shown = self.connection.scalar(select(BINS.c.geometry_id).where(BINS.c.wheelset == wheelset).limit(1))
+        if row is not None and row.geometry_id != shown:
+            _replace_bins(self.connection, wheelset, row.geometry_id, _record(row).geometry)
+
+
+def _newest_of_baselines(wheelset: str, as_of_ns: int | None) -> Select[tuple[int]]:
+    """Return the numbers of the last current geometry of each baseline."""
+    chosen = (GEOMETRIES.c.wheelset == wheelset, GEOMETRIES.c.baseline_interval.is_(None), _until(as_of_ns))
+    return select(func.max(GEOMETRIES.c.geometry_id)).where(*chosen).group_by(GEOMETRIES.c.baseline)
 
 
 def _made_otherwise(estimator: str) -> ColumnElement[bool]:

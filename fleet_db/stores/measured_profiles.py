@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,6 +26,23 @@ def store_measured_profiles(connection: Connection, record: MeasuredProfiles) ->
     """Store a measurement of a wheelset that exists, or change the one of the same time; return whether it changed."""
     row = {"wheelset": record.wheelset, "at_ns": record.at_ns, "mileage_km": record.mileage_km, "std_m": record.std}
     return upsert(connection, MEASURED, row | {"packed": pack_wheel_pair(record.left, record.right)})
+
+
+def stored_measurement(connection: Connection, wheelset: str, at_ns: int) -> dict[str, Any] | None:
+    """Return the row of a measurement as JSON can hold it, its profiles in base64; None where there is none.
+
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    wheelset
+        Serial.
+    at_ns
+        Time of the measurement.
+    """
+    same = (MEASURED.c.wheelset == wheelset, MEASURED.c.at_ns == at_ns)
+    row = connection.execute(select(MEASURED).where(*same)).mappings().first()
+    return None if row is None else dict(row) | {"packed": base64.b64encode(row["packed"]).decode("ascii")}
 
 
 def _to_measured(row: Row[Any]) -> MeasuredProfiles:

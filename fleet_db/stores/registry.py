@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, select, update
+from sqlalchemy import Connection, Row, RowMapping, Select, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
-from estimation.values.windows import WindowState
 from estimation.vehicle.class_on_file import SHIPPED_VERSION, ClassOnFile
 from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.changes import Changes
@@ -21,12 +20,12 @@ from fleet_db.models import (
     ReprofilingRow,
     VehicleRow,
     WheelsetRow,
-    WindowRow,
 )
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
-from fleet_db.rows import reason_columns, table_of, upsert
+from fleet_db.registry_events import RecordAction, RecordKind
+from fleet_db.rows import table_of, upsert
 from fleet_db.stores.estimated_again import Again
-from fleet_db.stores.measured_profiles import measured_profiles_of, store_measured_profiles
+from fleet_db.stores.measured_profiles import measured_profiles_of, store_measured_profiles, stored_measurement
 from fleet_db.stores.mountings import (
     MOUNTINGS,
     add_mounting,
@@ -38,11 +37,12 @@ from fleet_db.stores.mountings import (
     mountings_on,
     to_mounting,
 )
+from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore, is_voided
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class
 
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
-REPROFILINGS, WINDOWS = table_of(ReprofilingRow), table_of(WindowRow)
+REPROFILINGS = table_of(ReprofilingRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +101,12 @@ class RegistryStore:
     def wheelsets_page(
         self, fleet: str | None, vehicle: str | None, after: str | None, limit: int
     ) -> Sequence[WheelsetRecord]:
-        """Return at most ``limit`` wheelsets with a serial behind ``after``; ``vehicle``: those mounted on it now."""
+        """Return at most ``limit`` wheelsets with a serial behind ``after`` that are not voided.
+
+        With ``vehicle`` those that are mounted on it now.
+        """
         statement = _in_fleet(select(WHEELSETS), WHEELSETS.c.fleet, fleet)
+        statement = statement.where(~is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial))
         if vehicle is not None:
             mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.to_ns.is_(None))
             statement = statement.where(WHEELSETS.c.serial.in_(mounted))
@@ -196,10 +200,14 @@ class RegistryStore:
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
         values = {name: getattr(record, name) for name in ("serial", "fleet", "wheel_profile", "nominal_radius_m")}
-        same = WHEELSETS.c.serial == record.serial
-        was = self.connection.scalar(select(WHEELSETS.c.nominal_radius_m).where(same))
+        row = self.connection.execute(select(WHEELSETS).where(WHEELSETS.c.serial == record.serial)).mappings().first()
+        was = None if row is None else row["nominal_radius_m"]
+        key = RecordKey(RecordKind.WHEELSET, record.serial)
+        if self.voided(record.serial):
+            RegistryHistoryStore(self.connection).note(key, RecordAction.RESTORED, values, recorded_ns)
         if upsert(self.connection, WHEELSETS, values):
             self.changes.note(record.serial)
+            self._note_change(key, row, recorded_ns)
         if record.mounting is not None:
             self.add_mounting(record.mounting)
         for reprofiling in record.reprofilings:
@@ -208,7 +216,7 @@ class RegistryStore:
             return NOTHING_AGAIN
         return Again(self.connection, self.changes, recorded_ns).wheelset(record.serial)
 
-    def add_mountings(self, records: Sequence[Mounting]) -> None:
+    def add_mountings(self, records: Sequence[Mounting], recorded_ns: int | None = None) -> None:
         """Add or change mountings together: wheelsets may change places with each other.
 
         Raises
@@ -218,7 +226,7 @@ class RegistryStore:
         """
         before = self.take_out(records)
         for record in records:
-            self.add_mounting(record, before.get((record.wheelset, record.from_ns)))
+            self.add_mounting(record, before.get((record.wheelset, record.from_ns)), recorded_ns)
 
     def take_out(self, records: Sequence[Mounting]) -> dict[tuple[str, int], Mounting]:
         """Remove the mountings that others of the same wheelset and start will replace; return them by those."""
@@ -231,7 +239,7 @@ class RegistryStore:
                 found[record.wheelset, record.from_ns] = was
         return found
 
-    def add_mounting(self, record: Mounting, before: Mounting | None = None) -> None:
+    def add_mounting(self, record: Mounting, before: Mounting | None = None, recorded_ns: int | None = None) -> None:
         """Add a mounting, or change the one of the same wheelset and start (to end it, for one).
 
         The windows of its time are assembled again. Where its way round changes, those that there are wait. ``before``
@@ -250,17 +258,29 @@ class RegistryStore:
         self._known_wheelset(record.wheelset)
         was = before or mounting_on_file(self.connection, record)
         if add_mounting(self.connection, record, self.vehicle(record.vehicle).axles):
-            self._mounted_otherwise(was, record)
+            self.mounting_changed(was, record, recorded_ns)
 
-    def _mounted_otherwise(self, was: Mounting | None, record: Mounting) -> None:
-        """Let follow what rests on a mounting that is new or was another."""
+    def mounting_changed(self, was: Mounting | None, now: Mounting | None, recorded_ns: int | None = None) -> None:
+        """Let follow what rests on a mounting that has changed; None is one that there is not."""
+        record = now or was
+        assert record is not None
         self.changes.note(record.wheelset)
-        for vehicle, from_ns, to_ns in changed_spans(was, record):
+        for vehicle, from_ns, to_ns in changed_spans(was, now):
             StaleSpanStore(self.connection).add(vehicle, from_ns, to_ns, f"mounting of wheelset {record.wheelset}")
-        if was is None or was.reversed is not record.reversed:
-            self._estimate_again(record)
+        if now is not None and (was is None or was.reversed is not now.reversed):
+            Again(self.connection, self.changes, recorded_ns).mounting(now.wheelset, now.from_ns, now.to_ns)
+        if was is not None and now is not None:
+            key = RecordKey(RecordKind.MOUNTING, was.wheelset, was.from_ns)
+            self._note_change(key, asdict(was), recorded_ns)
 
-    def add_reprofiling(self, record: Reprofiling) -> None:
+    def voided(self, serial: str) -> bool:
+        """Return whether a wheelset was voided and not restored since."""
+        statement = select(WHEELSETS.c.serial).where(
+            WHEELSETS.c.serial == serial, is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial)
+        )
+        return self.connection.scalar(statement) is not None
+
+    def add_reprofiling(self, record: Reprofiling, recorded_ns: int | None = None) -> None:
         """Add a visit to the lathe, or change the one of the same wheelset and time.
 
         Raises
@@ -270,10 +290,15 @@ class RegistryStore:
         """
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
+        same = (REPROFILINGS.c.wheelset == record.wheelset, REPROFILINGS.c.at_ns == record.at_ns)
+        was = self.connection.execute(select(REPROFILINGS).where(*same)).mappings().first()
         if upsert(self.connection, REPROFILINGS, asdict(record)):
             self.changes.note(record.wheelset)
+            Again(self.connection, self.changes, recorded_ns).lives(record.wheelset, record.at_ns)
+            key = RecordKey(RecordKind.REPROFILING, record.wheelset, record.at_ns)
+            self._note_change(key, was, recorded_ns)
 
-    def add_measured_profiles(self, record: MeasuredProfiles) -> None:
+    def add_measured_profiles(self, record: MeasuredProfiles, recorded_ns: int | None = None) -> None:
         """Add a measurement of the profiles of a wheelset, or change the one of the same wheelset and time.
 
         Raises
@@ -283,17 +308,19 @@ class RegistryStore:
         """
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
+        was = stored_measurement(self.connection, record.wheelset, record.at_ns)
         if store_measured_profiles(self.connection, record):
             self.changes.note(record.wheelset)
+            if was is not None:
+                Again(self.connection, self.changes, recorded_ns).lives(record.wheelset, None)
+                key = RecordKey(RecordKind.MEASUREMENT, record.wheelset, record.at_ns)
+                self._note_change(key, was, recorded_ns)
 
-    def _estimate_again(self, record: Mounting) -> None:
-        """Let the windows of a mounting wait again."""
-        within = [WINDOWS.c.wheelset == record.wheelset, WINDOWS.c.start_ns >= record.from_ns]
-        if record.to_ns is not None:
-            within.append(WINDOWS.c.start_ns < record.to_ns)
-        pending = {"state": WindowState.PENDING.value, **reason_columns(None)}
-        estimated = WINDOWS.c.state == WindowState.ESTIMATED.value
-        self.connection.execute(update(WINDOWS).where(*within, estimated).values(**pending))
+    def _note_change(self, key: RecordKey, was: Mapping[str, Any] | RowMapping | None, recorded_ns: int | None) -> None:
+        """Keep what a record was before it was changed."""
+        if was is not None:
+            history = RegistryHistoryStore(self.connection)
+            history.note(key, RecordAction.CHANGED, {str(name): value for name, value in was.items()}, recorded_ns)
 
     def _vehicles(self, statement: Select[Any]) -> Sequence[VehicleRecord]:
         rows = self.connection.execute(statement.order_by(VEHICLES.c.code)).mappings()

@@ -34,7 +34,9 @@ from fleet_db.models import (
 )
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
 from fleet_db.receipts import ChunkState
+from fleet_db.registry_events import RecordAction, RecordKind
 from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, upsert
+from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 
 CHUNKS, LAYOUTS = table_of(ChunkRow), table_of(TrackLayoutRow)
@@ -64,8 +66,8 @@ class TrackStore:
     connection: Connection
 
     def sections(self) -> Sequence[TrackSectionRecord]:
-        """Return all sections by code."""
-        return self._sections(select(SECTIONS).order_by(SECTIONS.c.code))
+        """Return all sections by code; one that was voided has no number of a bus and is none."""
+        return self._sections(select(SECTIONS).where(SECTIONS.c.number > 0).order_by(SECTIONS.c.code))
 
     def section(self, code: str) -> TrackSectionRecord:
         """Return one section.
@@ -75,7 +77,7 @@ class TrackStore:
         NotFoundError
             There is none of that code.
         """
-        found = self._sections(select(SECTIONS).where(SECTIONS.c.code == code))
+        found = self._sections(select(SECTIONS).where(SECTIONS.c.code == code, SECTIONS.c.number > 0))
         if not found:
             raise NotFoundError("track section", code)
         return found[0]
@@ -85,7 +87,7 @@ class TrackStore:
         found = self._sections(select(SECTIONS).where(SECTIONS.c.number == number))
         return found[0] if found else None
 
-    def add_section(self, record: TrackSectionRecord) -> None:
+    def add_section(self, record: TrackSectionRecord, recorded_ns: int | None = None) -> None:
         """Add a section or change it; where its number is new, windows of vehicles that sent it are assembled again.
 
         Raises
@@ -101,10 +103,12 @@ class TrackStore:
                 kind="track section",
                 key=record.code,
             )
-        was = self.connection.scalar(select(SECTIONS.c.number).where(SECTIONS.c.code == record.code))
-        upsert(self.connection, SECTIONS, asdict(record))
-        if was != record.number:
-            self._renumbered(record.code)
+        was = self.connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
+        if upsert(self.connection, SECTIONS, asdict(record)) and was is not None and was["number"] > 0:
+            key = RecordKey(RecordKind.SECTION, record.code)
+            RegistryHistoryStore(self.connection).note(key, RecordAction.CHANGED, dict(was), recorded_ns)
+        if was is None or was["number"] != record.number:
+            self.renumbered(record.code)
 
     def alignment(self, section: str, version: int | None = None) -> TrackAlignment | None:
         """Return one version of the alignment of a section, or the newest."""
@@ -238,7 +242,8 @@ class TrackStore:
         self.section(layout.section)
         return store_layout(self.connection, layout)
 
-    def _renumbered(self, section: str) -> None:
+    def renumbered(self, section: str) -> None:
+        """Let the windows of all vehicles be assembled again: which of them sent the number is not known."""
         vehicles = select(CHUNKS.c.vehicle).where(CHUNKS.c.state == ChunkState.DECODED.value).distinct()
         for vehicle in sorted(self.connection.scalars(vehicles)):
             StaleSpanStore(self.connection).add(vehicle, None, None, f"number of track section {section}")

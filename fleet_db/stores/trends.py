@@ -24,32 +24,33 @@ class TrendStore:
     connection: Connection
 
     def put(self, record: TrendRecord) -> bool:
-        """Append a trend; False if the newest of its wheelset and baseline is of the same quantity, inputs and code.
+        """Append a trend; False if the newest of its wheelset is of the same baseline, quantity, inputs and code.
 
         It is then the newest, whatever the clock says.
         """
         serialise(self.connection, Subject.GEOMETRIES)
         newest = self.connection.execute(
-            select(TRENDS.c.quantity, TRENDS.c.input_digest, TRENDS.c.code_version, TRENDS.c.recorded_ns)
-            .where(TRENDS.c.wheelset == record.wheelset, TRENDS.c.baseline == record.baseline)
+            select(TRENDS.c.baseline, TRENDS.c.quantity, TRENDS.c.input_digest, TRENDS.c.code_version)
+            .add_columns(TRENDS.c.recorded_ns)
+            .where(TRENDS.c.wheelset == record.wheelset)
             .order_by(*NEWEST_FIRST)
             .limit(1)
         ).first()
         values = _values(record)
         if newest is not None:
-            ours = (record.trend.quantity, record.input_digest, record.code_version)
-            if (newest.quantity, newest.input_digest, newest.code_version) == ours:
+            ours = (record.baseline, record.trend.quantity, record.input_digest, record.code_version)
+            if (newest.baseline, newest.quantity, newest.input_digest, newest.code_version) == ours:
                 return False
             values["recorded_ns"] = max(record.recorded_ns, newest.recorded_ns)
         self.connection.execute(insert(TRENDS).values(**values))
         return True
 
     def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None:
-        """Return the newest trend of the newest baseline, as it was recorded at ``as_of_ns``."""
+        """Return the newest trend, as it was recorded at ``as_of_ns``: that of the baseline in force then."""
         statement = select(TRENDS).where(TRENDS.c.wheelset == wheelset)
         if as_of_ns is not None:
             statement = statement.where(TRENDS.c.recorded_ns <= as_of_ns)
-        row = self.connection.execute(statement.order_by(TRENDS.c.baseline.desc(), *NEWEST_FIRST).limit(1)).first()
+        row = self.connection.execute(statement.order_by(*NEWEST_FIRST).limit(1)).first()
         if row is None:
             return None
         trend = unpack_trend(row.packed, where=f"trend {row.trend_id}")

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from estimation.alerts.identity import IdentityEvent, IdentityParameters, Observation, identity_events
+from estimation.alerts.rules.identity import MOUNTED
 from estimation.storage import UnitOfWork
+from estimation.values.alerts import Alert
 from estimation.values.geometry import GeometryRecord
-from estimation.values.identity import IDENTITY, IdentityChange, latest_identity_change, since_change
-from estimation.values.registry import WheelsetRecord
+from estimation.values.identity import AFTER, IDENTITY, IdentityChange, latest_identity_change, since_change
+from estimation.values.registry import Mounting, WheelsetRecord
 
 _ALL = 1000
 
@@ -16,17 +18,30 @@ _ALL = 1000
 def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
     """Return the last identity change of a wheelset that is on record, from its alerts of this kind.
 
+    One that was found in another place than the registry has for the wheelset now is none: what was recorded after it
+    is another wheelset's by now.
+
     Parameters
     ----------
     unit
-        Alerts are read.
+        Alerts and mountings are read.
     serial
         Wheelset.
     """
     alerts = unit.alerts.page(
         fleet=None, wheelset=serial, kind=IDENTITY, condition=None, open_only=False, after_id=None, limit=_ALL
     )
-    return latest_identity_change(alerts)
+    mountings = unit.registry.mountings(serial)
+    return latest_identity_change([alert for alert in alerts if _still_there(alert, mountings)])
+
+
+def _still_there(alert: Alert, mountings: Sequence[Mounting]) -> bool:
+    """Whether a wheelset was mounted after a change where the alert says; its way round may have been corrected."""
+    place, after_ns = alert.evidence.get(MOUNTED), alert.evidence.get(AFTER)
+    if not isinstance(place, list) or not isinstance(after_ns, int):
+        return True
+    same = [one for one in mountings if [one.vehicle, one.axle, one.from_ns] == place[:3]]
+    return any(one.to_ns is None or one.to_ns > after_ns for one in same)
 
 
 def new_events(

@@ -1,4 +1,4 @@
-"""Spans of a vehicle's clock whose windows are to be assembled again."""
+"""Spans of a vehicle's clock whose windows are to be assembled again, and what was decided on the registry."""
 
 from __future__ import annotations
 
@@ -24,8 +24,29 @@ def upgrade() -> None:
         sqlite_autoincrement=True,
     )
     op.create_index(op.f("ix_stale_spans_vehicle_from_ns"), "stale_spans", ["vehicle", "from_ns"], unique=False)
+    op.create_table(
+        "registry_events",
+        sa.Column("id", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), nullable=False),
+        sa.Column("kind", sa.String(length=16), nullable=False),
+        sa.Column("subject", sa.String(length=64), nullable=False),
+        sa.Column("at_ns", sa.BigInteger(), nullable=True),
+        sa.Column("action", sa.String(length=16), nullable=False),
+        sa.Column("reason", sa.Text(), nullable=False),
+        sa.Column("record", sa.JSON(), nullable=False),
+        sa.Column("recorded_ns", sa.BigInteger(), nullable=True),
+        sa.CheckConstraint(
+            "kind IN ('mounting', 'reprofiling', 'measurement', 'wheelset', 'section')",
+            name=op.f("ck_registry_events_kind_known"),
+        ),
+        sa.CheckConstraint("action IN ('changed', 'voided', 'restored')", name=op.f("ck_registry_events_action_known")),
+        sa.PrimaryKeyConstraint("id", name=op.f("pk_registry_events")),
+        sqlite_autoincrement=True,
+    )
+    op.create_index(op.f("ix_registry_events_subject_kind"), "registry_events", ["subject", "kind"], unique=False)
 
 
 def downgrade() -> None:
+    op.drop_index(op.f("ix_registry_events_subject_kind"), table_name="registry_events")
+    op.drop_table("registry_events")
     op.drop_index(op.f("ix_stale_spans_vehicle_from_ns"), table_name="stale_spans")
     op.drop_table("stale_spans")

@@ -1,0 +1,60 @@
+"""What was decided on records of the registry: changed, voided, restored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from estimation.values.json_value import JsonValue
+
+
+class RecordKind(StrEnum):
+    """Records of the registry that can be voided."""
+
+    MOUNTING = "mounting"  # of a wheelset, from a time
+    REPROFILING = "reprofiling"  # of a wheelset, at a time
+    MEASUREMENT = "measurement"  # of the profiles of a wheelset, at a time
+    WHEELSET = "wheelset"
+    SECTION = "section"
+
+    @property
+    def dated(self) -> bool:
+        """Whether a time belongs to its key."""
+        return self in {RecordKind.MOUNTING, RecordKind.REPROFILING, RecordKind.MEASUREMENT}
+
+
+class RecordAction(StrEnum):
+    """What was done to a record."""
+
+    CHANGED = "changed"
+    VOIDED = "voided"
+    RESTORED = "restored"
+
+
+@dataclass(frozen=True, slots=True)
+class RegistryEvent:
+    """One decision on a record.
+
+    Attributes
+    ----------
+    id
+        In the order of the decisions.
+    kind, subject, at_ns
+        The record: its wheelset or section, and its time on the vehicle's clock where that belongs to its key.
+    action, reason
+        What was done, and why.
+    record
+        What it was before it was changed or voided; what was restored.
+    recorded_ns
+        Our time; None where it is not known.
+    """
+
+    id: int
+    kind: RecordKind
+    subject: str
+    at_ns: int | None
+    action: RecordAction
+    reason: str
+    record: Mapping[str, JsonValue]
+    recorded_ns: int | None

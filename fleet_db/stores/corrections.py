@@ -1,0 +1,185 @@
+"""Records of the registry that were wrong are voided, and restored where they were right: what rests on them follows.
+
+A voided record is no longer among the records; what it was is in the history, from which it is restored.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from sqlalchemy import Connection, Row, delete, func, insert, select, update
+
+from estimation.errors import ConflictError, NotFoundError, ParameterError
+from estimation.values.json_value import JsonValue
+from estimation.values.registry import Mounting, Reprofiling
+from estimation.values.track import TrackSectionRecord
+from fleet_db.changes import Changes
+from fleet_db.locks import Subject, serialise
+from fleet_db.models import MeasuredProfilesRow, ReprofilingRow, TrackSectionRow
+from fleet_db.registry_events import RecordAction, RecordKind
+from fleet_db.rows import table_of
+from fleet_db.stores.estimated_again import Again
+from fleet_db.stores.measured_profiles import stored_measurement
+from fleet_db.stores.mountings import delete_mounting, mountings_of
+from fleet_db.stores.registry import RegistryStore
+from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
+from fleet_db.stores.tracks import TrackStore
+
+REPROFILINGS, MEASURED, SECTIONS = table_of(ReprofilingRow), table_of(MeasuredProfilesRow), table_of(TrackSectionRow)
+_Values = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectionStore:
+    """Voids and restores records, in one transaction."""
+
+    connection: Connection
+    changes: Changes
+    registry: RegistryStore
+    tracks: TrackStore
+    history: RegistryHistoryStore
+
+    def void(self, key: RecordKey, reason: str, recorded_ns: int) -> Mapping[str, JsonValue]:
+        """Take a record out of the registry; return what it was.
+
+        Raises
+        ------
+        NotFoundError
+            There is no such record.
+        ConflictError
+            It is a wheelset that is mounted somewhere: void its mountings first.
+        ParameterError
+            No reason is given, or a time is missing.
+        """
+        if not reason.strip():
+            raise ParameterError("is needed: it is what others will read", field="reason")
+        if key.kind.dated and key.at_ns is None:
+            raise ParameterError(f"is needed: a {key.kind} is one of a time", field="at")
+        serialise(self.connection, Subject.REGISTRY)
+        take = {
+            RecordKind.MOUNTING: self._void_mounting,
+            RecordKind.REPROFILING: self._void_reprofiling,
+            RecordKind.MEASUREMENT: self._void_measurement,
+            RecordKind.WHEELSET: self._void_wheelset,
+            RecordKind.SECTION: self._void_section,
+        }[key.kind]
+        record = take(key, recorded_ns)
+        self.history.note(key, RecordAction.VOIDED, record, recorded_ns, reason)
+        return record
+
+    def restore(self, key: RecordKey, reason: str, recorded_ns: int) -> Mapping[str, JsonValue]:
+        """Put a voided record back as it was; return it.
+
+        Raises
+        ------
+        NotFoundError
+            No such record was voided.
+        ConflictError
+            There is one of its wheelset and time, or number, by now; or it overlaps another mounting.
+        """
+        serialise(self.connection, Subject.REGISTRY)
+        voided = self.history.latest(key, RecordAction.VOIDED)
+        if voided is None:
+            raise NotFoundError(f"voided {key.kind}", _name(key))
+        if self._on_file(key) is not None:
+            raise ConflictError(f"{key.kind} {_name(key)} is on file", kind=key.kind.value, key=key.subject)
+        put = {
+            RecordKind.MOUNTING: self._restore_mounting,
+            RecordKind.REPROFILING: self._restore_reprofiling,
+            RecordKind.MEASUREMENT: self._restore_measurement,
+            RecordKind.WHEELSET: self._restore_wheelset,
+            RecordKind.SECTION: self._restore_section,
+        }[key.kind]
+        put(dict(voided.record), recorded_ns)
+        self.history.note(key, RecordAction.RESTORED, voided.record, recorded_ns, reason)
+        return voided.record
+
+    def _on_file(self, key: RecordKey) -> object | None:
+        if key.kind is RecordKind.MOUNTING:
+            return next((m for m in mountings_of(self.connection, key.subject) if m.from_ns == key.at_ns), None)
+        if key.kind is RecordKind.SECTION:
+            return self.connection.execute(
+                select(SECTIONS).where(SECTIONS.c.code == key.subject, SECTIONS.c.number > 0)
+            ).first()
+        if key.kind is RecordKind.WHEELSET:
+            return None if self.registry.voided(key.subject) else self.registry.wheelset(key.subject)
+        return self._dated_row(key)
+
+    def _dated_row(self, key: RecordKey) -> Row[Any] | None:
+        table = REPROFILINGS if key.kind is RecordKind.REPROFILING else MEASURED
+        statement = select(table).where(table.c.wheelset == key.subject, table.c.at_ns == key.at_ns)
+        return self.connection.execute(statement).first()
+
+    def _void_mounting(self, key: RecordKey, _recorded_ns: int) -> _Values:
+        found = self._on_file(key)
+        if not isinstance(found, Mounting):
+            raise NotFoundError(key.kind.value, _name(key))
+        delete_mounting(self.connection, found)
+        self.registry.mounting_changed(found, None)
+        return asdict(found)
+
+    def _void_reprofiling(self, key: RecordKey, recorded_ns: int) -> _Values:
+        found = self._taken(key)
+        Again(self.connection, self.changes, recorded_ns).lives(key.subject, key.at_ns)
+        return found
+
+    def _void_measurement(self, key: RecordKey, recorded_ns: int) -> _Values:
+        found = stored_measurement(self.connection, key.subject, key.at_ns or 0)
+        if found is None:
+            raise NotFoundError(key.kind.value, _name(key))
+        self._taken(key)
+        Again(self.connection, self.changes, recorded_ns).lives(key.subject, None)
+        return found
+
+    def _taken(self, key: RecordKey) -> _Values:
+        """Return a dated row of a wheelset that is no mounting, and delete it."""
+        row = self._dated_row(key)
+        if row is None:
+            raise NotFoundError(key.kind.value, _name(key))
+        table = REPROFILINGS if key.kind is RecordKind.REPROFILING else MEASURED
+        self.connection.execute(delete(table).where(table.c.wheelset == key.subject, table.c.at_ns == key.at_ns))
+        self.changes.note(key.subject)
+        return dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
+
+    def _void_wheelset(self, key: RecordKey, _recorded_ns: int) -> _Values:
+        record = self.registry.wheelset(key.subject)
+        if self.registry.voided(key.subject):
+            raise NotFoundError(key.kind.value, _name(key))
+        mounted = mountings_of(self.connection, key.subject)
+        if mounted:
+            reason = f"wheelset {key.subject!r} is mounted on {mounted[-1].vehicle!r}: void its mountings first"
+            raise ConflictError(reason, kind=key.kind.value, key=key.subject)
+        return {name: getattr(record, name) for name in ("serial", "fleet", "wheel_profile", "nominal_radius_m")}
+
+    def _void_section(self, key: RecordKey, _recorded_ns: int) -> _Values:
+        record = self.tracks.section(key.subject)
+        lowest = self.connection.scalar(select(func.min(SECTIONS.c.number))) or 0
+        given_up = {"number": min(lowest, 0) - 1}  # a number that is on no bus
+        self.connection.execute(update(SECTIONS).where(SECTIONS.c.code == key.subject).values(**given_up))
+        self.tracks.renumbered(key.subject)
+        return asdict(record)
+
+    def _restore_mounting(self, record: _Values, recorded_ns: int) -> None:
+        self.registry.add_mounting(Mounting(**record), recorded_ns=recorded_ns)
+
+    def _restore_reprofiling(self, record: _Values, recorded_ns: int) -> None:
+        self.registry.add_reprofiling(Reprofiling(**record), recorded_ns)
+
+    def _restore_measurement(self, record: _Values, recorded_ns: int) -> None:
+        row = record | {"packed": base64.b64decode(record["packed"])}
+        self.connection.execute(insert(MEASURED).values(**row))
+        self.changes.note(record["wheelset"])
+        Again(self.connection, self.changes, recorded_ns).lives(record["wheelset"], None)
+
+    def _restore_wheelset(self, _record: _Values, _recorded_ns: int) -> None:
+        """Nothing is to be put back: the decision itself ends that it is voided."""
+
+    def _restore_section(self, record: _Values, recorded_ns: int) -> None:
+        self.tracks.add_section(TrackSectionRecord(**record), recorded_ns)
+
+
+def _name(key: RecordKey) -> str:
+    return key.subject if key.at_ns is None else f"{key.subject}@{key.at_ns}"

@@ -1,0 +1,88 @@
+"""What was decided on records of the registry, append-only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, Row, Subquery, and_, func, insert, select
+
+from estimation.values.json_value import JsonValue
+from fleet_db.models import RegistryEventRow
+from fleet_db.registry_events import RecordAction, RecordKind, RegistryEvent
+from fleet_db.rows import table_of
+
+EVENTS = table_of(RegistryEventRow)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordKey:
+    """A record of the registry: its wheelset or section, and its time where that belongs to its key."""
+
+    kind: RecordKind
+    subject: str
+    at_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RegistryHistoryStore:
+    """Decisions, in one transaction."""
+
+    connection: Connection
+
+    def note(
+        self,
+        key: RecordKey,
+        action: RecordAction,
+        record: Mapping[str, JsonValue],
+        recorded_ns: int | None,
+        reason: str = "",
+    ) -> None:
+        """Append a decision on a record."""
+        values = {"kind": key.kind.value, "subject": key.subject, "at_ns": key.at_ns, "action": action.value}
+        more = {"reason": reason, "record": dict(record), "recorded_ns": recorded_ns}
+        self.connection.execute(insert(EVENTS).values(**values, **more))
+
+    def latest(self, key: RecordKey, action: RecordAction | None = None) -> RegistryEvent | None:
+        """Return the last decision on a record, or the last of one action; None where there is none."""
+        chosen = [EVENTS.c.kind == key.kind.value, EVENTS.c.subject == key.subject]
+        chosen.append(EVENTS.c.at_ns.is_(None) if key.at_ns is None else EVENTS.c.at_ns == key.at_ns)
+        if action is not None:
+            chosen.append(EVENTS.c.action == action.value)
+        row = self.connection.execute(select(EVENTS).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1)).first()
+        return None if row is None else _event(row)
+
+    def list(self, subject: str | None = None, after: int | None = None, limit: int = 1000) -> Sequence[RegistryEvent]:
+        """Return at most ``limit`` decisions, on one wheelset or section or on all, oldest first."""
+        statement = select(EVENTS).order_by(EVENTS.c.id).limit(limit)
+        if subject is not None:
+            statement = statement.where(EVENTS.c.subject == subject)
+        if after is not None:
+            statement = statement.where(EVENTS.c.id > after)
+        return [_event(row) for row in self.connection.execute(statement)]
+
+
+def is_voided(kind: RecordKind, subject: ColumnElement[str]) -> ColumnElement[bool]:
+    """Return whether the last decision on an undated record voided it.
+
+    Parameters
+    ----------
+    kind
+        Of the record.
+    subject
+        Column with its wheelset or section.
+    """
+    last = _last_of(kind)
+    voided = select(EVENTS.c.subject).join(last, EVENTS.c.id == last.c.id)
+    return subject.in_(voided.where(EVENTS.c.action == RecordAction.VOIDED.value))
+
+
+def _last_of(kind: RecordKind) -> Subquery:
+    chosen = and_(EVENTS.c.kind == kind.value, EVENTS.c.action != RecordAction.CHANGED.value)
+    return select(func.max(EVENTS.c.id).label("id")).where(chosen).group_by(EVENTS.c.subject).subquery()
+
+
+def _event(row: Row[Any]) -> RegistryEvent:
+    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
+    return RegistryEvent(**(fields | {"kind": RecordKind(row.kind), "action": RecordAction(row.action)}))
