@@ -32,6 +32,7 @@ from fleet_db.stores.registry_history import RegistryHistoryStore
 from fleet_db.stores.settings import StoredSettingStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.suspension import SuspensionStore
+from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.vehicle_classes import Shipped, no_class
@@ -61,6 +62,7 @@ class SqlUnitOfWork:
     registry_history: RegistryHistoryStore = field(init=False)
     corrections: CorrectionStore = field(init=False)
     tracks: TrackStore = field(init=False)
+    epochs: EpochStore = field(init=False)
     windows: WindowStore = field(init=False)
     assembled: AssembledWindowStore = field(init=False)
     tables: BinTableStore = field(init=False)
@@ -85,6 +87,7 @@ class SqlUnitOfWork:
         self.tracks = TrackStore(connection)
         self.registry_history = RegistryHistoryStore(connection)
         self.corrections = CorrectionStore(connection, self.changes, self.registry, self.tracks, self.registry_history)
+        self.epochs = EpochStore(connection)
         self.windows = WindowStore(connection, self.changes, self.files)
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)

@@ -104,12 +104,12 @@ def _requeue(unit: UnitOfWork, settings: EstimationSettings, in_force: Mapping[s
     A version that differs from the one of a table by less than that left unknown is none to estimate again for, nor is
     a recording of the gauge alone.
     """
-    same_since = {code: one.same_since for code, one in in_force.items() if one.status is Status.ESTIMATED}
+    known = [code for code, one in in_force.items() if one.status is Status.ESTIMATED]
     classes = ClassLookup(unit, settings)
-    outdated = {*unit.tables.outdated(same_since), *_made_otherwise(unit, classes)}
+    outdated = {*unit.epochs.outdated(), *_made_otherwise(unit, classes)}
     for wheelset, start_ns in sorted(outdated):
         unit.windows.mark(wheelset, start_ns, WindowState.PENDING)
-    come = sum(unit.windows.requeue(code, NO_ALIGNMENT.code) for code in same_since)
+    come = sum(unit.windows.requeue(code, NO_ALIGNMENT.code) for code in known)
     return len(outdated) + come + _class_known(unit, classes)
 
 
@@ -133,8 +133,20 @@ def _compute(
     with context.storage.read() as unit:
 
         @lru_cache
-        def alignment(section: str | None) -> TrackAlignment | None:
-            return unit.tracks.alignment(section) if section is not None else None
+        def in_force(section: str) -> int | None:
+            record = unit.tracks.in_force(section)
+            return None if record is None else record.version
+
+        @lru_cache
+        def of_version(section: str, version: int) -> TrackAlignment | None:
+            return unit.tracks.alignment(section, version)
+
+        def alignment(record: WindowRecord) -> TrackAlignment | None:
+            section = record.track_section
+            if section is None:
+                return None
+            version = unit.epochs.alignment_version(record.wheelset, record.start_ns, in_force(section))
+            return None if version is None else of_version(section, version)
 
         @lru_cache
         def layout(section: str | None) -> TrackLayout | None:
@@ -148,7 +160,7 @@ def _compute(
             section = record.track_section
             assumed = classes.assumed(record.vehicle, record.wheelset)
             partner = _partner(unit, record, assumed)
-            work = _Work(record, alignment(section), position, assumed, partner, turned, layout(section))
+            work = _Work(record, alignment(record), position, assumed, partner, turned, layout(section))
             return work, _outcome(unit, work)
 
         return [attempted(computed, record) for record in unit.windows.ready(settings.batch, waiting)]
@@ -185,12 +197,13 @@ def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Reason, classes: C
     record = work.record
     if _changed(unit, work, classes):
         return "changed_meanwhile"  # still pending: the next batch takes it
+    version = work.track.version if work.track is not None else None
     if isinstance(outcome, Reason):
         refusal = in_place_of_quality(outcome, record.quality)
         unit.windows.mark(record.wheelset, record.start_ns, WindowState.REFUSED, refusal)
+        unit.epochs.note_refused(record.wheelset, record.start_ns, version)
         assemble_if_lost(unit, record, outcome)
         return "refused"
-    version = work.track.version if work.track is not None else None
     unit.tables.put(record.wheelset, record.start_ns, outcome, version, record.content_digest)
     unit.windows.mark(record.wheelset, record.start_ns, WindowState.ESTIMATED)
     return "estimated"

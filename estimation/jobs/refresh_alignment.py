@@ -1,38 +1,31 @@
-"""Job: new windows of a section improve its alignment, which corrects their positions.
+"""Job: windows of a section, in epochs of vehicle time, give its alignment, which corrects their positions.
 
-Each section is done in epochs: windows that have not been placed yet, a bounded number, become passes;
-these and the alignment in force become the next version. So a run costs its new windows and not the history. Windows of
-an epoch that identifies nothing stay, and are looked at again together with those that come.
+The windows of each section are divided into epochs, a function of the set of windows. Those of an epoch become passes;
+these and what was known after the epoch before become the next version. So what is known of a section does not depend
+on when its windows came. An epoch is computed again when one of its windows has changed, or what it started from; so a
+run costs its new windows and not the history. Windows of an epoch that identifies nothing are looked at again together
+with those of the next.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from estimation.errors import DamagedError
 from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.load_window import load_window
+from estimation.jobs.steps.epoch_inputs import FileLookup, entries, given, input_digest
+from estimation.jobs.steps.epoch_passes import epoch_passes
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
-from estimation.jobs.steps.store_alignment import Epoch, EpochPasses, WindowKey, classes_of, store
+from estimation.jobs.steps.store_alignment import Computed, Due, Solved, classes_of, cut, store, survey_checked
 from estimation.jobs.steps.vehicle_classes import ClassLookup
-from estimation.motion.checks import gate
-from estimation.motion.joined_windows import following, joined
-from estimation.motion.usable_samples import straight_part
 from estimation.storage import UnitOfWork
-from estimation.track.epochs import epoch_digest, limit_batch, resampled
-from estimation.track.examination import examine
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife, profile_life
+from estimation.track.partition import Entry, first_epoch, newest_within
 from estimation.track.update import UpdateOutcome, update_alignment
 from estimation.values.quarantine import SubjectKind
-from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.track import TrackAlignment, TrackReport, TrackSectionRecord
-from estimation.values.windows import Window, WindowRecord
-from estimation.vehicle.class_on_file import ClassOnFile
+from estimation.values.track import TrackAlignment, TrackSectionRecord
+from estimation.values.track_epochs import TrackEpoch
 
 _COUNTED = {
     UpdateOutcome.UNESTIMATED: "unestimated",
@@ -42,12 +35,22 @@ _COUNTED = {
     UpdateOutcome.SURVEY_EXTENDED: "versions",
     UpdateOutcome.SURVEY_REFUSED: "versions",
 }
-_UNDECIDED = {None, ReasonCode.SURVEY_NOT_ASSESSABLE, ReasonCode.MODEL_CONTRADICTED}  # a survey is judged again
-_COUNTS = ("sections", "windows", "passes", "versions", "kept", "unestimated", "unchanged", "changed_meanwhile")
+_COUNTS = (
+    "sections",
+    "epochs",
+    "windows",
+    "passes",
+    "versions",
+    "kept",
+    "unestimated",
+    "unchanged",
+    "changed_meanwhile",
+)
+_READ = 4  # times the windows of an epoch that are read to find it
 
 
 def run(context: JobContext) -> Mapping[str, int]:
-    """Look at the new windows of every section; each epoch is committed together."""
+    """Compute the epochs of every section that are new or have changed; each is committed on its own."""
     counts: Counter[str] = Counter(dict.fromkeys(_COUNTS, 0))
     isolation = Isolation(context, "refresh_alignment")
     with context.storage.read() as unit:
@@ -57,8 +60,7 @@ def run(context: JobContext) -> Mapping[str, int]:
             continue
         counts["sections"] += 1
         with isolation.alone(SubjectKind.SECTION, section.code):
-            while _next_epoch(context, section, counts):
-                pass
+            _fold(context, section, counts)
     counts["quarantined"] = isolation.quarantined
     return counts
 
@@ -66,139 +68,151 @@ def run(context: JobContext) -> Mapping[str, int]:
 JOB = Job("refresh_alignment", "Find the alignment of sections and the positions of windows", every_s=600.0, run=run)
 
 
-@dataclass(frozen=True, slots=True)
-class _Waiting:
-    """New windows of a section and what was known of it when they were read."""
+def _fold(context: JobContext, section: TrackSectionRecord, counts: Counter[str]) -> None:
+    """Do the epochs of a section that have changed, in order; each once."""
+    files_ns = _files_changed(context, section)
+    visited = 0
+    while True:
+        with context.storage.read() as unit:
+            due = _due(unit, section, context, visited, files_ns)
+        if due is None:
+            break
+        visited = due.number
+        if not due.own:
+            _cut(context, due)
+            return
+        if due.same is not None:
+            with context.storage.write() as unit:
+                unit.epochs.put(due.same, due.own)
+        elif not _compute(context, due, counts):
+            counts["changed_meanwhile"] += 1
+            return
+    counts["unchanged"] += visited == 0
 
-    records: Sequence[WindowRecord]
-    lives: Sequence[ProfileLife]
-    in_force: TrackAlignment | None
-    looked_at: str | None  # digest of the last report
-    verdict: Reason | None  # on the survey, while the version of the report that holds it is in force
-    measured: Measured
-    classes: Mapping[str, ClassOnFile]  # by vehicle, those on file
-    assumed: Mapping[WindowKey, str]  # digest of what each window is looked at with
 
-
-def _next_epoch(context: JobContext, section: TrackSectionRecord, counts: Counter[str]) -> bool:
-    """Do one epoch of a section; return whether there may be another."""
+def _files_changed(context: JobContext, section: TrackSectionRecord) -> int | None:
+    """Return the start of the first window for which something else is on file than when its epoch was computed."""
+    changed: list[int] = []
+    unaffected: list[tuple[str, str, str]] = []
     with context.storage.read() as unit:
-        waiting = _waiting(unit, section, context)
-    version = waiting.in_force.version if waiting.in_force is not None else None
-    measured_curves = waiting.measured.curves
-    digest = epoch_digest(waiting.records, version, context.code_version, measured_curves, waiting.assumed)
-    if not waiting.records or digest == waiting.looked_at:
-        counts["unchanged"] += 1
-        return False
-    epoch_passes = _passes(context, waiting)
-    left = [record for record in waiting.records if (record.wheelset, record.start_ns) not in epoch_passes.refused]
-    # what the next run would find again
-    digest = epoch_digest(left, version, context.code_version, measured_curves, waiting.assumed)
-    notes = waiting.measured.notes
-    epoch = Epoch(section, waiting.records, waiting.in_force, digest, epoch_passes, notes, waiting.classes)
-    update = update_alignment(
+        lookup = _lookup(unit, context)
+        for vehicle, wheelset, digest in unit.epochs.contexts(section.code):
+            now = lookup.of(vehicle, wheelset).digest
+            if now == digest:
+                continue
+            held = unit.epochs.members(section.code, vehicle, wheelset)
+            other = [one.record.start_ns for one in held if lookup.member(one.record).assumed != one.assumed]
+            changed += other
+            if not other:
+                unaffected.append((vehicle, wheelset, now))
+    if unaffected:
+        with context.storage.write() as unit:
+            for vehicle, wheelset, now in unaffected:
+                unit.epochs.note_context(section.code, vehicle, wheelset, now)
+    return min(changed, default=None)
+
+
+def _lookup(unit: UnitOfWork, context: JobContext) -> FileLookup:
+    return FileLookup(unit, context.settings, ClassLookup(unit, context.settings.estimation))
+
+
+def _due(
+    unit: UnitOfWork, section: TrackSectionRecord, context: JobContext, visited: int, files_ns: int | None
+) -> Due | None:
+    """Return the next epoch behind ``visited`` that has to be looked at; None where all are as they should be."""
+    stored = unit.epochs.list(section.code)
+    basis, first = given(unit, section, context.settings)
+    states = [first, *(epoch.after for epoch in stored)]
+    news = unit.epochs.news(section.code)
+    changed_ns = min((at for at in (news.from_ns, files_ns) if at is not None), default=None)
+    again = {visited + 1} if visited and stored[visited - 1].waits else set[int]()
+
+    def affected(epoch: TrackEpoch) -> bool:
+        return (
+            epoch.before != states[epoch.number - 1].key(basis)
+            or (changed_ns is not None and changed_ns <= epoch.horizon_ns)
+            or epoch.number in news.unplaced | again
+        )
+
+    known = [epoch for epoch in stored if epoch.number > visited and affected(epoch)]
+    number = known[0].number if known else len(stored) + 1
+    settings = context.settings.alignment
+    lookup = _lookup(unit, context)
+    records = unit.epochs.remaining(section.code, number, _READ * settings.most_windows)
+    if not records:
+        return Due(section, number, stored, states[number - 1], basis) if known else None
+    group = first_epoch(entries(lookup, records), settings.most_windows, settings.most_wheelsets, settings.partition)
+    waiting = unit.epochs.windows(section.code, _waiting_before(stored, number))
+    own = [lookup.member(record) for record, _ in group.entries]
+    due = Due(
         section,
-        epoch_passes.found,
-        waiting.in_force,
-        context.settings.alignment,
-        survey_checked=code_of(waiting.verdict) not in _UNDECIDED,
-        measured=measured_curves,
+        number,
+        stored,
+        states[number - 1],
+        basis,
+        own,
+        [*entries(lookup, waiting), *group.entries],
+        input_digest([*(lookup.member(record) for record in waiting), *own]),
+        group.horizon_ns,
     )
-    update = replace(update, survey=update.survey or waiting.verdict)
-    with context.storage.write() as unit:
-        stored = store(unit, epoch, update, context)
-    counts[_COUNTED[update.outcome] if stored else "changed_meanwhile"] += 1
-    counts["windows"] += len(waiting.records)
-    counts["passes"] += len(epoch_passes.found)
-    return stored and not update.outcome.windows_wait
+    same = known and number not in news.unplaced | again and _rests_on(known[0], due)
+    return replace(due, same=replace(known[0], horizon_ns=group.horizon_ns, windows=len(own))) if same else due
 
 
-def _waiting(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext) -> _Waiting:
-    settings, interval_km = context.settings.alignment, context.settings.estimation.interval_km
-    records = unit.windows.unplaced(section.code, settings.most_windows)
-    wheelsets = {serial: unit.registry.wheelset(serial) for serial in {record.wheelset for record in records}}
-    lives = [profile_life(wheelsets[record.wheelset], record, interval_km) for record in records]
-    chosen = limit_batch(records, lives, settings.most_wheelsets)
-    in_force = unit.tracks.alignment(section.code)
-    report = unit.tracks.report(section.code)
-    current = report is not None and in_force is not None and report.version == in_force.version
-    chosen_records, chosen_lives = [record for record, _ in chosen], [life for _, life in chosen]
-    classes = ClassLookup(unit, context.settings.estimation)
-    return _Waiting(
-        records=chosen_records,
-        lives=chosen_lives,
-        in_force=in_force,
-        looked_at=report.input_digest if report is not None else None,
-        verdict=_verdict(report) if current and report is not None else None,
-        measured=measured(unit, section, chosen_records, chosen_lives, settings.measured_km),
-        classes=classes_of(classes, chosen_records),
-        assumed={(r.wheelset, r.start_ns): classes.digest(r.vehicle, r.wheelset) for r in chosen_records},
-    )
+def _rests_on(epoch: TrackEpoch, due: Due) -> bool:
+    return epoch.before == due.before.key(due.basis) and epoch.input_digest == due.digest
 
 
-def _verdict(report: TrackReport) -> Reason | None:
-    """Return what the report holds of the survey; None where the survey was not checked."""
-    code, text = report.report.get("recording_code"), report.report.get("recording")
-    return None if code is None else Reason(ReasonCode(str(code)), str(text))
-
-
-def _passes(context: JobContext, waiting: _Waiting) -> EpochPasses:
-    """Return the passes of the windows, and the reasons of windows that hold none; a few windows at a time in memory.
-
-    Windows that follow each other are one pass, for its ends are lost to the filter.
-    """
-    settings, step = context.settings.estimation, context.settings.alignment.pass_step
-    found: list[Pass] = []
-    members: dict[WindowKey, tuple[WindowKey, ...]] = {}
-    refused: dict[WindowKey, Reason] = {}
-    clean = []
-    for record, name in zip(waiting.records, waiting.lives, strict=True):
-        gated = gate(record.quality, record.track_section, settings.gates)
-        if gated is None:
-            clean.append((record, name))
-        else:
-            refused[record.wheelset, record.start_ns] = gated
-    keys = [((r.vehicle, r.axle, name), r.start_ns, r.start_ns + r.length_ns) for r, name in clean]
-    done = len(refused)
-    for group in following(clean, keys):
-        context.checkpoint(done, len(waiting.records))
-        done += len(group)
-        for serials, made, reason in _examined(context, [record for record, _ in group], settings):
-            found += [resampled(item, group[0][1], step) for item in made]
-            members[serials[0]] = serials
-            if not made and reason is not None:
-                refused |= dict.fromkeys(serials, reason)
-    return EpochPasses(found, members, refused)
-
-
-def _examined(
-    context: JobContext, records: Sequence[WindowRecord], settings: EstimationSettings
-) -> list[tuple[tuple[WindowKey, ...], Sequence[Pass], Reason | None]]:
-    """Return windows that follow each other, their passes, and why there is none."""
-    windows: list[Window] = []
-    found: list[tuple[tuple[WindowKey, ...], Sequence[Pass], Reason | None]] = []
-    with context.storage.read() as unit:
-        assumed = ClassLookup(unit, settings).assumed(records[0].vehicle, records[0].wheelset)
-        if isinstance(assumed, Reason):
-            return [(((record.wheelset, record.start_ns),), (), assumed) for record in records]
-        mounting = unit.registry.mounting_at(records[0].vehicle, records[0].axle, records[0].start_ns)
-        section = records[0].track_section
-        layout = unit.tracks.layout(section) if section is not None else None
-        for record in records:
-            try:
-                window = load_window(unit, record, assumed.windows.vehicle_class)
-            except DamagedError as error:  # names the file; the other windows go on
-                window = Reason(ReasonCode.FILE_DAMAGED, str(error))
-            if not isinstance(window, Reason):
-                window = straight_part(window, layout, settings.signals)
-            if isinstance(window, Reason):
-                found.append((((record.wheelset, record.start_ns),), (), window))
-            else:
-                windows.append(window)
-    turned = mounting is not None and mounting.reversed
-    keys = [(w.sample_interval_s, w.start_ns, w.start_ns + w.length_ns) for w in windows]
-    for group in following(windows, keys):
-        examined = examine(joined(group), assumed.windows, mounted_reversed=turned)
-        serials = tuple((window.wheelset, window.start_ns) for window in group)
-        found.append((serials, examined.passes, examined.outcome.reason))
+def _waiting_before(stored: Sequence[TrackEpoch], number: int) -> list[int]:
+    """Return the epochs right before one that have identified nothing."""
+    found: list[int] = []
+    for epoch in reversed(stored[: number - 1]):
+        if not epoch.waits:
+            break
+        found.append(epoch.number)
     return found
+
+
+def _compute(context: JobContext, due: Due, counts: Counter[str]) -> bool:
+    """Compute an epoch and store what it shows; return whether that could be stored."""
+    settings = context.settings.alignment
+    chosen, rest = newest_within(due.entries, settings.most_windows, settings.most_wheelsets)
+    with context.storage.read() as unit:
+        version = due.before.version
+        alignment = None if version is None else unit.tracks.alignment(due.section.code, version)
+        classes = classes_of(ClassLookup(unit, context.settings.estimation), [record for record, _ in due.entries])
+    solved, notes = _solve(context, due, chosen, alignment, checked=survey_checked(due.before.survey))
+    parts = [solved]
+    if not solved.update.outcome.windows_wait:
+        while rest:
+            chosen, rest = newest_within(rest, settings.most_windows, settings.most_wheelsets)
+            parts.append(_solve(context, due, chosen, solved.update.alignment, checked=True)[0])
+    with context.storage.write() as unit:
+        stored = store(unit, Computed(due, alignment, parts, classes, notes), context)
+    if stored:
+        counts[_COUNTED[solved.update.outcome]] += 1
+        counts["epochs"] += 1
+        counts["windows"] += len(due.own)
+        counts["passes"] += sum(len(part.passes.found) for part in parts)
+    return stored
+
+
+def _solve(
+    context: JobContext, due: Due, chosen: Sequence[Entry], alignment: TrackAlignment | None, *, checked: bool
+) -> tuple[Solved, tuple[str, ...]]:
+    """Return what some windows make of an alignment, and notes on evidence that could not be used."""
+    settings = context.settings.alignment
+    records, lives = [record for record, _ in chosen], [life for _, life in chosen]
+    with context.storage.read() as unit:
+        known: Measured = measured(unit, due.section, records, lives, settings.measured_km)
+    made = epoch_passes(context, chosen)
+    update = update_alignment(
+        due.section, made.found, alignment, settings, survey_checked=checked, measured=known.curves
+    )
+    return Solved(records, made, update), known.notes
+
+
+def _cut(context: JobContext, due: Due) -> None:
+    """Forget the epochs that have no window any more."""
+    with context.storage.write() as unit:
+        cut(unit, due, context)

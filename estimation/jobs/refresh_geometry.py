@@ -23,6 +23,7 @@ from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, contradic
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.replay import TabulatedWindow, replayed
 from estimation.jobs.steps.rolling_radius import radius_contradicted
+from estimation.jobs.steps.running_mileage import running_mileage
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.parameters import WindowParameters
 from estimation.storage import UnitOfWork
@@ -121,7 +122,7 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     classes = ClassLookup(unit, settings)
     turned = [mounting for mounting in unit.registry.mountings(serial) if mounting.reversed]
     for baseline in baselines(unit.registry.wheelset(serial)):
-        index = unit.tables.index(serial, baseline.from_ns, baseline.to_ns)
+        index = _running(unit.tables.index(serial, baseline.from_ns, baseline.to_ns))
         entries = _apart(
             [_mounted(entry, turned) for entry in index if entry[1] == classes.table_key(entry[0].vehicle, serial)],
             change,
@@ -175,6 +176,15 @@ def _intervals(
         if interval not in stored or stored[interval].input_digest != _digest(used, context, assumed, against):
             records.append(_record(unit, baseline, interval, used, context, assumed, against))
     return records + [_emptied(record, context) for interval, record in stored.items() if interval not in parts]
+
+
+def _running(entries: Sequence[_Entry]) -> list[_Entry]:
+    """Return the entries with the mileage that their wheelset had run, whatever its odometer did."""
+    mileages = running_mileage([entry[0] for entry in entries])
+    return [
+        (replace(window, mileage_km=mileage_km), key, version)
+        for (window, key, version), mileage_km in zip(entries, mileages, strict=True)
+    ]
 
 
 def _assumed(entry: _Entry, classes: ClassLookup) -> Assumed:
@@ -239,16 +249,16 @@ def _by_interval(entries: Sequence[_Entry], baseline: Baseline, interval_km: flo
 
 def _remembered(entries: Sequence[_Entry], half_life_km: float) -> list[_Entry]:
     """Return the entries that forgetting has left a weight worth keeping."""
-    newest = max(entry[0].mileage_km for entry in entries)
+    newest = entries[-1][0].mileage_km
     return [entry for entry in entries if newest - entry[0].mileage_km <= REMEMBERED_HALF_LIVES * half_life_km]
 
 
 def _tables(unit: UnitOfWork, entries: Sequence[_Entry]) -> list[tuple[float, BinTable]]:
     """Return mileage and table of the entries, oldest first."""
-    wanted = {entry[0].start_ns for entry in entries}
+    wanted = {entry[0].start_ns: entry[0].mileage_km for entry in entries}
     first, last = entries[0][0], entries[-1][0]
     return [
-        (window.mileage_km, table)
+        (wanted[window.start_ns], table)
         for window, table, _ in unit.tables.stream(first.wheelset, first.start_ns, last.start_ns + 1)
         if window.start_ns in wanted
     ]
@@ -382,8 +392,8 @@ def _from_motions(
 def _weighted_motions(
     unit: UnitOfWork, entries: Sequence[_Entry], parameters: WindowParameters, half_life_km: float | None
 ) -> Iterator[tuple[float, Motion]]:
-    """Yield weight and motion of the entries' windows, oldest first; the newest mileage has weight 1."""
-    newest = max(record.mileage_km for record, _, _ in entries)
+    """Yield weight and motion of the entries' windows, oldest first; the newest has weight 1."""
+    newest = entries[-1][0].mileage_km
     windows = [TabulatedWindow(record, version) for record, _, version in entries]
     for record, moved in replayed(unit, windows, parameters):
         yield 1.0 if half_life_km is None else 0.5 ** ((newest - record.mileage_km) / half_life_km), moved
@@ -391,6 +401,6 @@ def _weighted_motions(
 
 def _mean_mileage(windows: Sequence[WindowRecord], half_life_km: float | None) -> float:
     """Return the mean mileage, weighted as forgetting weights the windows."""
-    newest = max(w.mileage_km for w in windows)
+    newest = windows[-1].mileage_km
     weights = [1.0 if half_life_km is None else 0.5 ** ((newest - w.mileage_km) / half_life_km) for w in windows]
     return sum(weight * w.mileage_km for weight, w in zip(weights, windows, strict=True)) / sum(weights)

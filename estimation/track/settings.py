@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from estimation.track.partition import PartitionParameters
 from estimation.track.screening.parameters import ScreeningParameters
 from estimation.track.section_parameters import SectionParameters
 
@@ -14,7 +15,8 @@ class AlignmentSettings:
 
     section: SectionParameters = field(default_factory=SectionParameters)
     screening: ScreeningParameters = field(default_factory=ScreeningParameters)
-    most_windows: int = 480  # of an epoch, the newest
+    partition: PartitionParameters = field(default_factory=PartitionParameters)
+    most_windows: int = 480  # of an epoch
     most_wheelsets: int = 48  # of an epoch, each life of a profile and mileage interval one
     pass_step: float = 0.2  # m, grid on which passes are kept
     trusted_offset: float = 0.3  # m: positions on a surveyed section are used as they are up to this error

@@ -142,7 +142,8 @@ class AlignmentRecord:
     """A version of a section's alignment without its arrays.
 
     ``same_since`` is the oldest version from which it differs by less than that one left unknown: what was estimated
-    with any version since then need not be estimated again.
+    with any version since then need not be estimated again. ``superseded_ns`` is when it ceased to follow from what is
+    stored; None while it does.
     """
 
     section: str
@@ -156,6 +157,7 @@ class AlignmentRecord:
     alignment_std_m: float | None  # median along the section; None of recordings before it was kept
     points: int
     recorded_ns: int | None
+    superseded_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from fleet_db.models.registry_history import RegistryEventRow
 from fleet_db.models.settings import StoredSettingRow
 from fleet_db.models.stale_spans import StaleSpanRow
 from fleet_db.models.suspension import SuspensionFindingRow
+from fleet_db.models.track_epochs import TrackEpochRow, TrackEpochWindowRow
 from fleet_db.models.tracks import (
     TrackAlignmentRow,
     TrackLayoutRow,
@@ -53,6 +54,8 @@ __all__ = [
     "StoredSettingRow",
     "SuspensionFindingRow",
     "TrackAlignmentRow",
+    "TrackEpochRow",
+    "TrackEpochWindowRow",
     "TrackLayoutRow",
     "TrackReportRow",
     "TrackSectionRow",

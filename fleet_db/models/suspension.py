@@ -27,4 +27,5 @@ class SuspensionFindingRow(Base):
     ratio_std: Mapped[Real]
     assumed_m: Mapped[Real]
     code_version: Mapped[Name]
+    epoch: Mapped[int | None]
     recorded_ns: Mapped[Nanoseconds]

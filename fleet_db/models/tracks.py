@@ -55,7 +55,8 @@ class TrackVersionRow(Base):
     """Where a version of an alignment came from, beside it; one without this row is a recording.
 
     ``same_since`` is the oldest version from which this one differs by less than that one left unknown.
-    ``cut_off_m`` is null where every wavelength is known.
+    ``cut_off_m`` is null where every wavelength is known. ``superseded_ns`` is when it ceased to follow from what is
+    stored, since something came late or was corrected; null while it does.
     """
 
     __tablename__ = "track_versions"
@@ -74,6 +75,7 @@ class TrackVersionRow(Base):
     gauge_known: Mapped[bool]
     alignment_std_m: Mapped[Real | None]
     recorded_ns: Mapped[Nanoseconds]
+    superseded_ns: Mapped[Nanoseconds | None]
 
 
 class TrackReportRow(Base):

@@ -18,6 +18,7 @@ class WindowRow(Base):
     __table_args__ = (
         one_of("state", WindowState),
         CheckConstraint("length_ns > 0", name="length_positive"),
+        Index(None, "track_section", "start_ns"),
         Index("ix_windows_pending", "wheelset", "start_ns", sqlite_where=PENDING, postgresql_where=PENDING),
     )
 

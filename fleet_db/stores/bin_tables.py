@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Select, and_, false, or_, select
+from sqlalchemy import Connection, Select, and_, select
 
 from estimation.errors import ConflictError
 from estimation.values.geometry import BinTable, TableKey
@@ -70,26 +70,6 @@ class BinTableStore:
             .order_by(TABLES.c.start_ns)
         )
         return [(key.wheelset, start_ns) for start_ns in self.connection.scalars(statement)]
-
-    def outdated(self, track_versions: Mapping[str, int]) -> Sequence[tuple[str, int]]:
-        """Return (wheelset, start) of tables made on too old a version of the alignment of their section.
-
-        Parameters
-        ----------
-        track_versions
-            By section, the oldest version that is as good as the one in force; a section not named is not looked at.
-        """
-        newer = [
-            and_(WINDOWS.c.track_section == section, TABLES.c.track_version < version)
-            for section, version in track_versions.items()
-        ]
-        statement = (
-            select(TABLES.c.wheelset, TABLES.c.start_ns)
-            .join_from(WINDOWS, TABLES, SAME_WINDOW)
-            .where(or_(false(), *newer))
-            .order_by(TABLES.c.wheelset, TABLES.c.start_ns)
-        )
-        return [(row.wheelset, row.start_ns) for row in self.connection.execute(statement)]
 
     def index(self, wheelset: str, from_ns: int, to_ns: int | None) -> Sequence[tuple[WindowRecord, str, int | None]]:
         """Return what :meth:`stream` would yield without the tables: window, parameter key, track version."""

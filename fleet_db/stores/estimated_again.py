@@ -17,6 +17,7 @@ from fleet_db.changes import Changes
 from fleet_db.models import TrackAlignmentRow, TrackVersionRow, WindowPositionRow, WindowRow
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.rows import reason_columns, table_of
+from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
 
 WINDOWS, POSITIONS = table_of(WindowRow), table_of(WindowPositionRow)
@@ -146,6 +147,7 @@ class Again:
         recorded_ns = before.recorded_ns if self.recorded_ns is None else self.recorded_ns
         if recorded_ns is not None:  # a registered one is in force as it is
             tracks.add_alignment(self._registered(section) or _unknown(now), recorded_ns=recorded_ns)
+        EpochStore(self.connection).start_again(section)
         self._wait(WINDOWS.c.track_section == section)
 
     def _registered(self, section: str) -> TrackAlignment | None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, func, select
+from sqlalchemy import Connection, Row, Select, delete, func, or_, select
 from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
 from estimation.values.suspension import SuspensionFinding
@@ -22,8 +22,8 @@ class SuspensionStore:
 
     connection: Connection
 
-    def put(self, finding: SuspensionFinding) -> None:
-        """Store a finding; one of the same vehicle, section and time is replaced: its epoch was looked at again."""
+    def put(self, finding: SuspensionFinding, epoch: int | None = None) -> None:
+        """Store a finding of an epoch; one of the same vehicle, section and time is replaced."""
         values = {
             "vehicle": finding.vehicle,
             "section": finding.section,
@@ -33,9 +33,27 @@ class SuspensionStore:
             "ratio_std": finding.ratio_std,
             "assumed_m": finding.assumed,
             "code_version": finding.code_version,
+            "epoch": epoch,
             "recorded_ns": finding.recorded_ns,
         }
         upsert(self.connection, FINDINGS, values)
+
+    def forget(self, section: str, epoch: int, *, behind: bool) -> None:
+        """Remove what an epoch of a section has shown, before it is stored again.
+
+        Parameters
+        ----------
+        section
+            Code.
+        epoch
+            Its number.
+        behind
+            What the epochs behind it have shown goes too, and what is from before epochs were kept.
+        """
+        chosen = FINDINGS.c.epoch == epoch
+        if behind:
+            chosen = or_(FINDINGS.c.epoch >= epoch, FINDINGS.c.epoch.is_(None))
+        self.connection.execute(delete(FINDINGS).where(FINDINGS.c.section == section, chosen))
 
     def list(self, vehicle: str | None = None) -> Sequence[SuspensionFinding]:
         """Return the findings of a vehicle, or of all, in order of vehicle, time and section."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, Select, and_, delete, exists, func, insert, select
+from sqlalchemy import Connection, Row, Select, and_, delete, exists, func, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.quantities import Status
@@ -25,6 +25,7 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.models import (
     ChunkRow,
     TrackAlignmentRow,
+    TrackEpochRow,
     TrackLayoutRow,
     TrackReportRow,
     TrackSectionRow,
@@ -38,11 +39,14 @@ from fleet_db.registry_events import RecordAction, RecordKind
 from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, upsert
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.stale_spans import StaleSpanStore
+from fleet_db.stores.track_epochs import EpochStore
 
 CHUNKS, LAYOUTS = table_of(ChunkRow), table_of(TrackLayoutRow)
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
+EPOCHS = table_of(TrackEpochRow)
 REPORTS, POSITIONS, WINDOWS = table_of(TrackReportRow), table_of(WindowPositionRow), table_of(WindowRow)
 SAME_VERSION = and_(VERSIONS.c.section == ALIGNMENTS.c.section, VERSIONS.c.version == ALIGNMENTS.c.version)
+STANDS = VERSIONS.c.superseded_ns.is_(None)  # a registered one has no row there
 SOURCE = func.coalesce(VERSIONS.c.source, AlignmentSource.RECORDED)
 RECORDS = select(
     ALIGNMENTS.c.section,
@@ -56,6 +60,7 @@ RECORDS = select(
     VERSIONS.c.gauge_known,
     VERSIONS.c.alignment_std_m,
     VERSIONS.c.recorded_ns,
+    VERSIONS.c.superseded_ns,
 ).select_from(ALIGNMENTS.outerjoin(VERSIONS, SAME_VERSION))
 
 
@@ -111,10 +116,12 @@ class TrackStore:
             self.renumbered(record.code)
 
     def alignment(self, section: str, version: int | None = None) -> TrackAlignment | None:
-        """Return one version of the alignment of a section, or the newest."""
+        """Return one version of the alignment of a section, or the one in force."""
         statement = select(ALIGNMENTS.c.version, ALIGNMENTS.c.packed).where(ALIGNMENTS.c.section == section)
         if version is not None:
             statement = statement.where(ALIGNMENTS.c.version == version)
+        else:
+            statement = statement.select_from(ALIGNMENTS.outerjoin(VERSIONS, SAME_VERSION)).where(STANDS)
         row = self.connection.execute(statement.order_by(ALIGNMENTS.c.version.desc()).limit(1)).first()
         if row is None:
             return None
@@ -147,11 +154,11 @@ class TrackStore:
         packed = pack_alignment(alignment)
         digest = hashlib.sha256(packed).hexdigest()
         of_section = ALIGNMENTS.c.section == alignment.section
-        registered = (VERSIONS.c.version.is_(None),) if recorded_ns is None else ()  # those have no row there
+        comparable = VERSIONS.c.version.is_(None) if recorded_ns is None else STANDS
         known = self.connection.execute(
             select(ALIGNMENTS.c.version, ALIGNMENTS.c.content_digest)
             .select_from(ALIGNMENTS.outerjoin(VERSIONS, SAME_VERSION))
-            .where(of_section, *registered)
+            .where(of_section, comparable)
             .order_by(ALIGNMENTS.c.version.desc())
             .limit(1)
         ).first()
@@ -167,10 +174,49 @@ class TrackStore:
         return version
 
     def in_force(self, section: str) -> AlignmentRecord | None:
-        """Return what the newest version of the alignment of a section is, without its arrays."""
-        statement = RECORDS.where(ALIGNMENTS.c.section == section).order_by(ALIGNMENTS.c.version.desc()).limit(1)
+        """Return which version of the alignment of a section is in force, without its arrays.
+
+        It is the newest that has not been superseded.
+        """
+        statement = (
+            RECORDS.where(ALIGNMENTS.c.section == section, STANDS).order_by(ALIGNMENTS.c.version.desc()).limit(1)
+        )
         row = self.connection.execute(statement).first()
         return None if row is None else _alignment_record(row)
+
+    def registered(self, section: str) -> int | None:
+        """Return the newest version of the alignment of a section that the operator registered; None without one."""
+        statement = (
+            select(func.max(ALIGNMENTS.c.version))
+            .select_from(ALIGNMENTS.outerjoin(VERSIONS, SAME_VERSION))
+            .where(ALIGNMENTS.c.section == section, VERSIONS.c.version.is_(None))
+        )
+        found: int | None = self.connection.scalar(statement)
+        return found
+
+    def same_content(self, section: str, version: int, alignment: TrackAlignment, same_since: int) -> bool:
+        """Whether a version stands, was estimated, and has this content and this oldest version like it."""
+        statement = select(ALIGNMENTS.c.content_digest).join_from(ALIGNMENTS, VERSIONS, SAME_VERSION)
+        key = (ALIGNMENTS.c.section == section, ALIGNMENTS.c.version == version)
+        stored = self.connection.scalar(statement.where(*key, STANDS, VERSIONS.c.same_since == same_since))
+        return stored is not None and stored == hashlib.sha256(pack_alignment(alignment)).hexdigest()
+
+    def supersede(self, section: str, kept: Collection[int], recorded_ns: int) -> int:
+        """Mark the estimated versions of a section but for those that are kept as superseded; return of how many.
+
+        They stay for what was recorded with them.
+
+        Parameters
+        ----------
+        section
+            Code.
+        kept
+            Versions that follow from what is stored.
+        recorded_ns
+            Our time.
+        """
+        gone = (VERSIONS.c.section == section, STANDS, VERSIONS.c.version.not_in(sorted(kept)))
+        return int(self.connection.execute(update(VERSIONS).where(*gone).values(superseded_ns=recorded_ns)).rowcount)
 
     def versions(self, section: str, after: int | None, limit: int) -> Sequence[AlignmentRecord]:
         """Return at most ``limit`` versions of a section behind version ``after``, oldest first."""
@@ -180,10 +226,14 @@ class TrackStore:
         return [_alignment_record(row) for row in self.connection.execute(statement)]
 
     def report(self, section: str, version: int | None = None) -> TrackReport | None:
-        """Return the newest report of a section, or the one of the run that made ``version``."""
+        """Return the report of the last epoch of a section, or the one of the run that made ``version``."""
         statement = select(REPORTS).where(REPORTS.c.section == section)
         if version is not None:
             statement = statement.where(REPORTS.c.version == version, REPORTS.c.made)
+        else:
+            last = select(EPOCHS.c.report).where(EPOCHS.c.section == section).order_by(EPOCHS.c.number.desc()).limit(1)
+            number = self.connection.scalar(last)
+            statement = statement if number is None else statement.where(REPORTS.c.report_id == number)
         row = self.connection.execute(statement.order_by(REPORTS.c.report_id.desc()).limit(1)).first()
         if row is None:
             return None
@@ -211,8 +261,18 @@ class TrackStore:
         """Store where a window was, in the place of what was known; return whether that has changed."""
         return upsert(self.connection, POSITIONS, asdict(position) | reason_columns(position.reason))
 
+    def forget_position(self, wheelset: str, start_ns: int) -> None:
+        """Forget where a window was."""
+        self.connection.execute(
+            delete(POSITIONS).where(POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
+        )
+
     def forget_positions(self, section: str) -> int:
-        """Forget where the windows of a section were, so that they are looked at again; return of how many."""
+        """Forget where the windows of a section were, so that they are looked at again; return of how many.
+
+        Its epochs are computed again from the first.
+        """
+        EpochStore(self.connection).start_again(section)
         of_section = exists().where(
             WINDOWS.c.wheelset == POSITIONS.c.wheelset,
             WINDOWS.c.start_ns == POSITIONS.c.start_ns,
@@ -284,6 +344,7 @@ def _alignment_record(row: Any) -> AlignmentRecord:  # noqa: ANN401 - a row of R
         alignment_std_m=row.alignment_std_m,
         points=row.points,
         recorded_ns=row.recorded_ns,
+        superseded_ns=row.superseded_ns,
     )
 
 

@@ -103,11 +103,6 @@ class WindowStore:
             statement = statement.where(or_(elsewhere, PLACED))
         return self._records(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns).limit(limit))
 
-    def unplaced(self, track_section: str, limit: int) -> Sequence[WindowRecord]:
-        """Return windows of a section whose positions have not been looked for, newest first."""
-        statement = select(WINDOWS).where(WINDOWS.c.track_section == track_section, ~PLACED)
-        return self._records(statement.order_by(WINDOWS.c.start_ns.desc(), WINDOWS.c.wheelset).limit(limit))
-
     def get(self, wheelset: str, start_ns: int) -> WindowRecord | None:
         """Return one window's record."""
         key = (WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)

@@ -21,6 +21,7 @@ from estimation.values.windows import Window
 
 LENGTH = 2900.0
 DAY_NS = 86_400 * 10**9
+QUIET = {"estimated": 0, "refused": 0, "changed_meanwhile": 0, "requeued": 0, "quarantined": 0}
 NAMES = [f"W{number}" for number in range(len(RUNS))]
 
 

@@ -147,7 +147,6 @@ def test_windows_wait_until_it_has_been_looked_at_where_they_were(fleet: SqlStor
         for window in (*windows, elsewhere):
             unit.windows.put(window, 1.0, 1)
         records = {record.start_ns: record for record in unit.windows.ready(10, [])}
-        assert [one.start_ns for one in unit.windows.unplaced("S-7", 2)] == [w.start_ns for w in windows[:0:-1]]
         assert len(unit.windows.ready(10, [])) == len(unit.windows.ready(10, ["S-8"])) == 4
         assert [one.start_ns for one in unit.windows.ready(10, ["S-7"])] == [elsewhere.start_ns]
         digest = records[windows[0].start_ns].content_digest
@@ -161,7 +160,7 @@ def test_windows_wait_until_it_has_been_looked_at_where_they_were(fleet: SqlStor
         assert [one.start_ns for one in unit.windows.ready(10, ["S-7"])] == [windows[0].start_ns, elsewhere.start_ns]
     with fleet.write() as unit:  # other samples: not estimated yet
         unit.windows.put(make.window(0, seed=5), 1.0, 2)
-        assert len(unit.windows.unplaced("S-7", 10)) == 3
+        assert [one.start_ns for one in unit.windows.ready(10, ["S-7"])] == [elsewhere.start_ns]
     with pytest.raises(ConflictError), fleet.write() as unit:
         unit.tracks.put_position(replace(position, start_ns=5))
 
@@ -174,13 +173,12 @@ def test_where_windows_of_a_section_were_can_be_forgotten(fleet: SqlStorage) -> 
         for record in unit.windows.ready(10, []):
             unit.tracks.put_position(WindowPosition(record.wheelset, record.start_ns, record.content_digest, None))
         assert unit.tracks.forget_positions("S-8") == 0
-        assert unit.windows.unplaced("S-7", 10) == []
         assert unit.tracks.forget_positions("S-7") == 1
-        assert [one.start_ns for one in unit.windows.unplaced("S-7", 10)] == [windows[0].start_ns]
+        assert unit.tracks.position("WS-1", windows[0].start_ns) is None
         assert unit.tracks.position("WS-1", windows[1].start_ns) is not None
 
 
-def test_tables_of_versions_that_are_as_good_as_the_one_in_force_are_not_outdated(fleet: SqlStorage) -> None:
+def test_tables_are_found_by_what_they_were_made_with(fleet: SqlStorage) -> None:
     with fleet.write() as unit:
         for number, version in enumerate((1, 2, 3)):
             window = make.window(number)
@@ -189,8 +187,6 @@ def test_tables_of_versions_that_are_as_good_as_the_one_in_force_are_not_outdate
             record = unit.windows.get("WS-1", window.start_ns)
             assert record is not None
             unit.tables.put("WS-1", window.start_ns, make.bin_table(), version, record.content_digest)
-        assert [start for _, start in unit.tables.outdated({"S-7": 2})] == [make.window(0).start_ns]
-        assert unit.tables.outdated({"S-7": 1}) == unit.tables.outdated({}) == []
         (key,) = unit.tables.parameter_keys()
         assert key == TableKey("WS-1", "V-1", make.bin_table().parameter_key)
         assert len(unit.tables.made_with(key)) == 3

@@ -66,7 +66,7 @@ def new_events(
         known = since_change(records, identity_change(unit, wheelset.serial))
         seen = [_observation(record) for record in known if record.geometry.windows]
         if len(seen) > 1:
-            histories[wheelset.serial] = sorted(seen, key=lambda item: item.mileage_km)
+            histories[wheelset.serial] = sorted(seen, key=lambda item: item.from_ns)
     return identity_events(histories, parameters)
 
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.jobs.job import JobContext
+from estimation.jobs.steps.epoch_inputs import given
+from estimation.jobs.steps.epoch_passes import EpochPasses, WindowKey
 from estimation.jobs.steps.lost_windows import assemble_if_lost
 from estimation.jobs.steps.suspension import store_suspension
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.track.journeys import Journey
-from estimation.track.passes import Pass
+from estimation.track.partition import Entry
 from estimation.track.screening.screen import PassStatus
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import AlignmentUpdate
@@ -21,40 +23,75 @@ from estimation.track.versions import requires_reestimation
 from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.track import Correction, TrackAlignment, TrackReport, TrackSectionRecord
+from estimation.values.track_epochs import EpochMember, FoldState, TrackEpoch
 from estimation.values.windows import WindowPosition, WindowRecord, WindowState
 from estimation.vehicle.class_on_file import ClassOnFile
 
-WindowKey = tuple[str, int]  # wheelset, start
+_UNDECIDED = {None, ReasonCode.SURVEY_NOT_ASSESSABLE, ReasonCode.MODEL_CONTRADICTED}  # a survey is judged again
 
 
 @dataclass(frozen=True, slots=True)
-class EpochPasses:
-    """Passes, the windows that each was made of (by its wheelset and start), and why others hold none."""
+class Due:
+    """An epoch that has to be looked at, with the epochs as they were read.
 
-    found: Sequence[Pass]
-    members: Mapping[WindowKey, Sequence[WindowKey]]
-    refused: Mapping[WindowKey, Reason]
-
-    def windows(self, item: Pass) -> Sequence[WindowKey]:
-        """Return the windows of a pass."""
-        return self.members[item.wheelset, item.start_ns]
-
-
-@dataclass(frozen=True, slots=True)
-class Epoch:
-    """The windows of an epoch, what was known before, and the passes that were made of them."""
+    Without windows of its own it and those behind it have none left. ``same`` is set where it rests on what it did.
+    """
 
     section: TrackSectionRecord
+    number: int
+    stored: Sequence[TrackEpoch]
+    before: FoldState
+    basis: str  # digest of what all epochs rest on
+    own: Sequence[EpochMember] = ()
+    entries: Sequence[Entry] = ()  # its own windows and those that wait
+    digest: str = ""
+    horizon_ns: int = 0
+    same: TrackEpoch | None = None
+
+    @property
+    def old(self) -> TrackEpoch | None:
+        """The epoch as it was computed last."""
+        return self.stored[self.number - 1] if self.number <= len(self.stored) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """Windows, their passes, and what follows from them."""
+
     records: Sequence[WindowRecord]
-    before: TrackAlignment | None
-    digest: str
     passes: EpochPasses
-    notes: tuple[str, ...] = ()  # on evidence that could not be used
-    classes: Mapping[str, ClassOnFile] = field(default_factory=dict)  # by vehicle; those on file when it was read
+    update: AlignmentUpdate
 
 
-def store(unit: UnitOfWork, epoch: Epoch, update: AlignmentUpdate, context: JobContext) -> bool:
-    """Store what an epoch makes of a section, unless its alignment or a class has changed since the epoch was read.
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """An epoch with what was found; the first part makes the version, the others are placed on it."""
+
+    due: Due
+    before: TrackAlignment | None
+    parts: Sequence[Solved]
+    classes: Mapping[str, ClassOnFile]  # by vehicle; those on file when it was read
+    notes: tuple[str, ...]  # on evidence that could not be used
+
+    @property
+    def update(self) -> AlignmentUpdate:
+        """What the epoch makes of the alignment."""
+        return self.parts[0].update
+
+
+def survey_checked(survey: Reason | None) -> bool:
+    """Return whether a survey has been decided on.
+
+    Parameters
+    ----------
+    survey
+        What the fleet has found of it; None where it was not checked.
+    """
+    return code_of(survey) not in _UNDECIDED
+
+
+def store(unit: UnitOfWork, computed: Computed, context: JobContext) -> bool:
+    """Store what an epoch makes of a section, unless what it rests on has changed since it was read.
 
     Windows of an epoch that identified nothing are left for the next, but for those that hold no pass.
 
@@ -62,9 +99,7 @@ def store(unit: UnitOfWork, epoch: Epoch, update: AlignmentUpdate, context: JobC
     ----------
     unit
         A transaction to write in.
-    epoch
-        Its windows and passes.
-    update
+    computed
         What was found.
     context
         Settings, clock and code version of the job.
@@ -74,54 +109,114 @@ def store(unit: UnitOfWork, epoch: Epoch, update: AlignmentUpdate, context: JobC
     bool
         Whether it was stored.
     """
-    now = unit.tracks.in_force(epoch.section.code)
-    expected = epoch.before.version if epoch.before is not None else None
-    if (now.version if now is not None else None) != expected:
+    due, section = computed.due, computed.due.section.code
+    if _changed(unit, computed, context):
         return False
-    if classes_of(ClassLookup(unit, context.settings.estimation), epoch.records) != epoch.classes:
-        return False
-    version = expected
-    if update.outcome.makes_version and update.alignment is not None:
-        version = _next_version(unit, epoch, update.alignment, context)
-    _report(unit, epoch, update, version, context)
-    store_suspension(unit, epoch.section.code, epoch.records, update, epoch.classes, context)
-    for position in _positions(epoch, update, version, context.settings.alignment):
-        _place(unit, position)
-    for record in epoch.records:
-        if (refusal := epoch.passes.refused.get((record.wheelset, record.start_ns))) is not None:
-            assemble_if_lost(unit, record, refusal)
+    after = _after(unit, computed, context)
+    found = _report(unit, computed, after.version, context)
+    epoch = TrackEpoch(
+        section=section,
+        number=due.number,
+        before=due.before.key(due.basis),
+        input_digest=due.digest,
+        horizon_ns=due.horizon_ns,
+        windows=len(due.own),
+        waits=computed.update.outcome.windows_wait,
+        after=after,
+        report=found,
+        recorded_ns=context.clock.now_ns(),
+    )
+    behind = due.old is None or due.old.after != after  # the epochs behind it start from something else
+    if behind:
+        unit.epochs.start_again(section, due.number)
+    _supersede(unit, due, after, context, kept=0 if behind else due.number)
+    unit.suspensions.forget(section, due.number, behind=behind)
+    store_suspension(unit, epoch, computed.parts[0].records, computed.update, computed.classes, context)
+    for part in computed.parts:
+        for record in part.records:
+            if (refusal := part.passes.refused.get((record.wheelset, record.start_ns))) is not None:
+                assemble_if_lost(unit, record, refusal)
+        _place_all(unit, part, after.version, context.settings.alignment, waits=epoch.waits)
+    unit.epochs.put(epoch, due.own)
     return True
 
 
-def _next_version(unit: UnitOfWork, epoch: Epoch, alignment: TrackAlignment, context: JobContext) -> int:
-    """Store an alignment with the oldest version whose results need not be estimated again."""
-    now = unit.tracks.in_force(epoch.section.code)
-    base = unit.tracks.alignment(epoch.section.code, now.same_since) if now is not None else None
-    same_since = None
-    if base is not None and not requires_reestimation(base, alignment, context.settings.alignment):
-        same_since = base.version
-    return unit.tracks.add_alignment(alignment, same_since=same_since, recorded_ns=context.clock.now_ns())
+def cut(unit: UnitOfWork, due: Due, context: JobContext) -> None:
+    """Forget an epoch that has no window any more, and those behind it.
+
+    Parameters
+    ----------
+    unit
+        A transaction to write in.
+    due
+        The epoch.
+    context
+        Clock of the job.
+    """
+    unit.epochs.start_again(due.section.code, due.number - 1)
+    unit.suspensions.forget(due.section.code, due.number, behind=True)
+    _supersede(unit, due, due.before, context, kept=0)
 
 
-def _report(unit: UnitOfWork, epoch: Epoch, update: AlignmentUpdate, version: int | None, context: JobContext) -> None:
+def _changed(unit: UnitOfWork, computed: Computed, context: JobContext) -> bool:
+    due = computed.due
+    if unit.epochs.list(due.section.code)[: due.number] != due.stored[: due.number]:
+        return True
+    if given(unit, due.section, context.settings)[0] != due.basis:
+        return True
+    records = [record for record, _ in due.entries]
+    return classes_of(ClassLookup(unit, context.settings.estimation), records) != computed.classes
+
+
+def _after(unit: UnitOfWork, computed: Computed, context: JobContext) -> FoldState:
+    """Return what is known after an epoch, with its alignment stored where that is a version of its own."""
+    due, update = computed.due, computed.update
+    before, section = due.before, due.section.code
+    survey = update.survey or before.survey
+    if not update.outcome.makes_version or update.alignment is None:
+        return FoldState(before.version, before.same_since, survey)
+    base = None if before.same_since is None else unit.tracks.alignment(section, before.same_since)
+    same = base is not None and not requires_reestimation(base, update.alignment, context.settings.alignment)
+    since = before.same_since if same else None
+    old = due.old.after.version if due.old is not None else None
+    if old is not None and old > (before.version or 0):
+        oldest = old if since is None else since
+        if unit.tracks.same_content(section, old, update.alignment, oldest):
+            return FoldState(old, oldest, survey)
+    _supersede(unit, due, before, context, kept=0)
+    version = unit.tracks.add_alignment(update.alignment, same_since=since, recorded_ns=context.clock.now_ns())
+    return FoldState(version, version if since is None else since, survey)
+
+
+def _supersede(unit: UnitOfWork, due: Due, after: FoldState, context: JobContext, *, kept: int) -> None:
+    """Mark what no longer follows from what is stored; the epochs behind number ``kept`` count where it is not 0."""
+    chain = [*due.stored[: due.number - 1], *(due.stored[kept:] if kept else ())]
+    versions = {epoch.after.version for epoch in chain} | {after.version}
+    standing = {version for version in versions if version is not None}
+    unit.tracks.supersede(due.section.code, standing, context.clock.now_ns())
+
+
+def _report(unit: UnitOfWork, computed: Computed, version: int | None, context: JobContext) -> int:
+    update, refused = computed.update, computed.parts[0].passes.refused
     found = update.estimate.report
+    survey = update.survey or computed.due.before.survey
     extra: dict[str, JsonValue] = {
-        "evidence": [*found.evidence, *epoch.notes],
-        "recording": text_of(update.survey),
-        "recording_code": code_of(update.survey),
-        "refused_windows": _counted([reason.text for reason in epoch.passes.refused.values()]),
-        "refused_windows_by_code": _counted([reason.code for reason in epoch.passes.refused.values()]),
-        "parameters": context.settings.alignment_parameters() | {"vehicle_classes": _provenance(epoch.classes)},
+        "evidence": [*found.evidence, *computed.notes],
+        "recording": text_of(survey),
+        "recording_code": code_of(survey),
+        "refused_windows": _counted([reason.text for reason in refused.values()]),
+        "refused_windows_by_code": _counted([reason.code for reason in refused.values()]),
+        "parameters": context.settings.alignment_parameters() | {"vehicle_classes": _provenance(computed.classes)},
     }
-    unit.tracks.add_report(
+    return unit.tracks.add_report(
         TrackReport(
-            section=epoch.section.code,
+            section=computed.due.section.code,
             version=version,
             made=update.outcome.makes_version,
             status=found.status,
             reason=found.reason,
-            windows=len(epoch.records),
-            input_digest=epoch.digest,
+            windows=len(computed.due.entries),
+            input_digest=computed.due.digest,
             code_version=context.code_version,
             report=dict(found.as_json()) | extra,
             recorded_ns=context.clock.now_ns(),
@@ -154,11 +249,25 @@ def _counted(reasons: Sequence[str]) -> JsonValue:
     return {reason: reasons.count(reason) for reason in sorted(set(reasons))}
 
 
+def _place_all(
+    unit: UnitOfWork, part: Solved, version: int | None, settings: AlignmentSettings, *, waits: bool
+) -> None:
+    """Store where windows were; what was known of the others is forgotten."""
+    found = _positions(part, version, settings, waits=waits)
+    for position in found:
+        _place(unit, position)
+    placed = {(position.wheelset, position.start_ns) for position in found}
+    for record in part.records:
+        if (record.wheelset, record.start_ns) not in placed:
+            unit.tracks.forget_position(record.wheelset, record.start_ns)
+
+
 def _positions(
-    epoch: Epoch, update: AlignmentUpdate, version: int | None, settings: AlignmentSettings
+    part: Solved, version: int | None, settings: AlignmentSettings, *, waits: bool
 ) -> Sequence[WindowPosition]:
     """Return where the windows were, as far as it has been found."""
-    journey_of = _journeys_of_windows(epoch, update)
+    epoch, update = part, part.update
+    journey_of = _journeys_of_windows(part)
     unused = {
         key: outcome
         for item, outcome in zip(epoch.passes.found, update.pass_outcomes, strict=True)
@@ -172,22 +281,22 @@ def _positions(
     for record in epoch.records:
         key = (record.wheelset, record.start_ns)
         uncorrected = WindowPosition(record.wheelset, record.start_ns, record.content_digest, version)
-        if key in refusals and (key in epoch.passes.refused or not update.outcome.windows_wait):
+        if key in refusals and (key in epoch.passes.refused or not waits):
             # on a survey a window needs no pass, unless its pass contradicts the survey
             accepted = update.outcome.positions_valid and key not in contradicted
             found.append(uncorrected if accepted else replace(uncorrected, reason=refusals[key]))
-        elif not update.outcome.windows_wait and key in journey_of:
+        elif not waits and key in journey_of:
             found.append(_corrected(uncorrected, journey_of[key], update, outliers, settings))
     return found
 
 
-def _journeys_of_windows(epoch: Epoch, update: AlignmentUpdate) -> dict[WindowKey, Journey]:
+def _journeys_of_windows(part: Solved) -> dict[WindowKey, Journey]:
     """Return the journey of every window whose pass was used."""
     return {
         key: journey
-        for journey, members in update.estimate.grouped.items()
+        for journey, members in part.update.estimate.grouped.items()
         for item in members
-        for key in epoch.passes.windows(item)
+        for key in part.passes.windows(item)
     }
 
 
@@ -228,8 +337,8 @@ def _place(unit: UnitOfWork, position: WindowPosition) -> None:
     before = unit.tracks.position(position.wheelset, position.start_ns)
     if not unit.tracks.put_position(position):
         return
-    now = (position.offset_m, position.scale, code_of(position.reason))
-    was = (before.offset_m, before.scale, code_of(before.reason)) if before is not None else (0.0, 0.0, None)
+    now = (position.offset_m, position.scale, position.reason)
+    was = (before.offset_m, before.scale, before.reason) if before is not None else (0.0, 0.0, None)
     window = unit.windows.get(position.wheelset, position.start_ns)
     if now != was and window is not None and window.state is not WindowState.PENDING:
         unit.windows.mark(position.wheelset, position.start_ns, WindowState.PENDING)

@@ -10,6 +10,7 @@ from estimation.track.panel.stiffness_ratio import PRIOR_STD
 from estimation.track.update import AlignmentUpdate
 from estimation.trend.suspension import SuspensionParameters, suspension_changes
 from estimation.values.suspension import SuspensionChange, SuspensionFinding
+from estimation.values.track_epochs import TrackEpoch
 from estimation.values.windows import WindowRecord
 from estimation.vehicle.class_on_file import ClassOnFile
 
@@ -18,7 +19,7 @@ LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of the 
 
 def store_suspension(
     unit: UnitOfWork,
-    section: str,
+    epoch: TrackEpoch,
     records: Sequence[WindowRecord],
     update: AlignmentUpdate,
     classes: Mapping[str, ClassOnFile],
@@ -30,8 +31,8 @@ def store_suspension(
     ----------
     unit
         A transaction to write in.
-    section
-        Code of the section.
+    epoch
+        Where it belongs.
     records
         Windows of the epoch.
     update
@@ -53,7 +54,7 @@ def store_suspension(
         unit.suspensions.put(
             SuspensionFinding(
                 vehicle=code,
-                section=section,
+                section=epoch.section,
                 from_ns=min(record.start_ns for record in own),
                 to_ns=max(record.start_ns + record.length_ns for record in own),
                 ratio=ratio.value,
@@ -61,7 +62,8 @@ def store_suspension(
                 assumed=vehicle.yaw_stiffness / vehicle.longitudinal_creep_coefficient,
                 code_version=context.code_version,
                 recorded_ns=context.clock.now_ns(),
-            )
+            ),
+            epoch.number,
         )
         known += 1
     return known
