@@ -15,6 +15,7 @@ from fastapi.routing import APIRoute
 from prometheus_client import CollectorRegistry
 
 from api import contract, docs_page, problems
+from api.http_limits import HttpLimits
 from api.metrics import RequestMeasures, StoredMeasures
 from api.middleware import RequestContextMiddleware
 from api.openapi_document import document
@@ -76,8 +77,8 @@ def committed_document() -> dict[str, Any]:
     return found
 
 
-def build_app(services: Services) -> FastAPI:
-    """Return the app that answers with these services."""
+def build_app(services: Services, limits: HttpLimits | None = None) -> FastAPI:
+    """Return the app that answers with these services, within these limits or the usual ones."""
     app = describe()
     registry = CollectorRegistry(auto_describe=False)
     registry.register(StoredMeasures(services.storage, services.jobs))
@@ -85,7 +86,7 @@ def build_app(services: Services) -> FastAPI:
     app.state.registry = registry
     app.openapi_schema = committed_document()
     app.state.contracts = contract.contracts_of(app.openapi_schema)
-    app.add_middleware(RequestContextMiddleware, measures=RequestMeasures(registry))
+    app.add_middleware(RequestContextMiddleware, measures=RequestMeasures(registry), limits=limits or HttpLimits())
     return app
 
 

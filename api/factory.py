@@ -202,6 +202,7 @@ def create_app(settings: Settings) -> FastAPI:
     """Return the REST application of this deployment; refuses where :func:`open_store` or :func:`job_context` do."""
     # the receiver and the scheduler are built in this module too and do not wait for the web framework
     from api.app import build_app  # noqa: PLC0415 - the same
+    from api.http_limits import limits_of  # noqa: PLC0415 - the same
     from api.job_runner import JobRunner  # noqa: PLC0415 - the same
     from api.services import Services  # noqa: PLC0415 - the same
 
@@ -216,21 +217,13 @@ def create_app(settings: Settings) -> FastAPI:
             check=partial(check_head, storage.engine),
             close=storage.close,
             one_reader=settings.url.startswith("sqlite"),
-        )
+        ),
+        limits_of(settings),
     )
 
 
 def create_server(settings: Settings) -> uvicorn.Server:
     """Return the server of the REST application, which answers running requests before it ends on a signal."""
-    import uvicorn  # noqa: PLC0415 - the same
+    from api.http_server import http_server  # noqa: PLC0415 - the same
 
-    config = uvicorn.Config(
-        create_app(settings),
-        host=settings.host,
-        port=settings.port,
-        log_config=None,
-        access_log=False,
-        server_header=False,
-        timeout_graceful_shutdown=settings.shutdown_timeout_s,
-    )
-    return uvicorn.Server(config)
+    return http_server(create_app(settings), settings)

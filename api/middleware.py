@@ -1,13 +1,12 @@
-"""Around every request: request id, log line, metrics, limit of the body, and the answer to unexpected errors."""
+"""Around every request: request id, log line, measures, limits of size and time, the answer to unexpected errors."""
 
 from __future__ import annotations
 
+import asyncio
 import re
 import time
 import uuid
-from collections.abc import MutableMapping
-from http import HTTPStatus
-from typing import Any
+from http import HTTPMethod, HTTPStatus
 
 import structlog
 from fastapi import Request
@@ -15,12 +14,15 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from api.http_limits import MAX_BODY_BYTES, MAX_HEAD_BYTES, REQUESTS, HttpLimits
 from api.metrics import RequestMeasures
-from api.problems import from_error, problem_response
+from api.problems import ProblemError, from_error, problem_response
 
-MAX_BODY_BYTES = 1 << 20
-TOO_LARGE = 413
+ALWAYS_ANSWERED = "/healthz"
+OTHER = "other"
+_METHODS = frozenset(HTTPMethod)
 _IDENTITY = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
+_CLOSING = {"Connection": "close"}
 _log = structlog.stdlib.get_logger("treadwatch.access")
 
 
@@ -34,12 +36,40 @@ def _route(scope: Scope) -> str:
     return getattr(scope.get("route"), "path_format", "unmatched")
 
 
+class _Answer:
+    """The way back to the client: with the identity of the request, and closed to whoever is too late."""
+
+    def __init__(self, send: Send, identity: str) -> None:
+        self._send = send
+        self._identity = identity
+        self._late = False
+        self.status: int | None = None
+
+    async def send(self, message: Message) -> None:
+        """Send what the application answers."""
+        if not self._late:
+            await self._pass_on(message)
+
+    async def instead(self, message: Message) -> None:
+        """Send another answer, after which the application's own is not sent any more."""
+        self._late = True
+        await self._pass_on(message)
+
+    async def _pass_on(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            self.status = message["status"]
+            MutableHeaders(scope=message)["X-Request-Id"] = self._identity
+        await self._send(message)
+
+
 class RequestContextMiddleware:
     """ASGI middleware; one instance an app."""
 
-    def __init__(self, app: ASGIApp, measures: RequestMeasures) -> None:
+    def __init__(self, app: ASGIApp, measures: RequestMeasures, limits: HttpLimits) -> None:
         self.app = app
         self.measures = measures
+        self.limits = limits
+        self._running = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on; log and count its outcome."""
@@ -47,46 +77,98 @@ class RequestContextMiddleware:
             await self.app(scope, receive, send)
             return
         identity, began = _identity(scope), time.perf_counter()
-        seen: MutableMapping[str, Any] = {}
-
-        async def send_with_id(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                seen["status"] = message["status"]
-                MutableHeaders(scope=message)["X-Request-Id"] = identity
-            await send(message)
-
+        answer = _Answer(send, identity)
         with structlog.contextvars.bound_contextvars(request_id=identity):
             try:
-                await self.app(scope, limit_body(scope, receive), send_with_id)
+                self._refuse(scope)
+                await self._run(scope, limit_body(scope, receive, self.limits.body_timeout_s), answer)
             except Exception as error:
-                if "status" in seen:
+                if answer.status is not None:
                     raise
-                _log.error("request failed", path=scope["path"], exc_info=error)
-                await problem_response(Request(scope), from_error(error))(scope, receive, send_with_id)
+                problem = from_error(error)
+                if problem.status == HTTPStatus.INTERNAL_SERVER_ERROR:
+                    _log.error("request failed", path=scope["path"], exc_info=error)
+                await problem_response(Request(scope), problem)(scope, receive, answer.instead)
             finally:
                 took = time.perf_counter() - began
-                status = int(seen.get("status", HTTPStatus.INTERNAL_SERVER_ERROR))
-                self.measures.observe(scope["method"], _route(scope), status, took)
+                status = HTTPStatus.INTERNAL_SERVER_ERROR if answer.status is None else answer.status
+                method = scope["method"] if scope["method"] in _METHODS else OTHER
+                self.measures.observe(method, _route(scope), int(status), took)
                 _log.info(
                     "request",
                     method=scope["method"],
                     path=scope["path"],
-                    status=status,
+                    status=int(status),
                     duration_ms=round(took * 1000.0, 2),
                 )
 
+    def _refuse(self, scope: Scope) -> None:
+        size = len(scope["raw_path"]) + len(scope["query_string"])
+        size += sum(len(name) + len(value) for name, value in scope["headers"])
+        if size > MAX_HEAD_BYTES:
+            detail = f"request line and headers: at most {MAX_HEAD_BYTES} bytes"
+            raise ProblemError(431, "headers-too-large", detail, headers=_CLOSING)
+        if self._running >= REQUESTS and scope["path"] != ALWAYS_ANSWERED:
+            detail = f"{REQUESTS} requests are being answered; try again"
+            raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "1"})
 
-def limit_body(scope: Scope, receive: Receive) -> Receive:
-    """Return ``receive`` that refuses a body above the limit, whether ``Content-Length`` announces it or not."""
-    size = 0
+    async def _run(self, scope: Scope, receive: Receive, answer: _Answer) -> None:
+        """Let the application answer; a thread that is late goes on, but the client does not wait for it.
+
+        Raises
+        ------
+        ProblemError
+            503: there was no answer in time.
+        """
+        task = asyncio.ensure_future(self.app(scope, receive, answer.send))
+        self._running += 1
+        task.add_done_callback(self._ended)
+        try:
+            await asyncio.wait({task}, timeout=self.limits.request_timeout_s)
+        except asyncio.CancelledError:
+            task.cancel()
+            raise
+        if not task.done() and answer.status is None:
+            detail = f"no answer within {self.limits.request_timeout_s:g} s; what was asked for may still be done"
+            raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "5"})
+        await task
+
+    def _ended(self, task: asyncio.Future[None]) -> None:
+        self._running -= 1
+        if not task.cancelled():
+            task.exception()  # whoever still waits for the task has it; a late one is of no interest any more
+
+
+def limit_body(scope: Scope, receive: Receive, timeout_s: float) -> Receive:
+    """Return ``receive`` that refuses a body above the limit, announced or not, and one that is late.
+
+    Parameters
+    ----------
+    scope
+        Of the request; ``Content-Length`` is read from it.
+    receive
+        Of the server.
+    timeout_s
+        How long the whole body may take, from now on.
+    """
+    size, more = 0, True
     announced = Headers(scope=scope).get("content-length", "0")
+    until_s = asyncio.get_running_loop().time() + timeout_s
 
-    async def limited() -> Message:
-        nonlocal size
-        message = await receive()
+    async def limited() -> Message:  # the framework passes HTTPException on, and reads others as a bad body
+        nonlocal size, more
+        if not more:
+            return await receive()  # only the end of the connection can follow
+        try:
+            async with asyncio.timeout_at(until_s):
+                message = await receive()
+        except TimeoutError:
+            detail = f"the body did not arrive within {timeout_s:g} s"
+            raise HTTPException(408, detail, _CLOSING) from None
+        more = bool(message.get("more_body", False))
         size += len(message.get("body", b""))
         if size > MAX_BODY_BYTES or (announced.isdecimal() and int(announced) > MAX_BODY_BYTES):
-            raise HTTPException(TOO_LARGE, f"at most {MAX_BODY_BYTES} bytes")
+            raise HTTPException(413, f"at most {MAX_BODY_BYTES} bytes", _CLOSING)
         return message
 
     return limited

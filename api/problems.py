@@ -16,7 +16,7 @@ from starlette.exceptions import HTTPException
 from estimation.errors import ConflictError, InputError, MigrationError, NotFoundError, StorageError
 
 PROBLEM_MEDIA_TYPE = "application/problem+json"
-_KIND_OF_STATUS = {404: "not-found", 413: "content-too-large"}
+_KIND_OF_STATUS = {404: "not-found", 408: "request-timeout", 413: "content-too-large"}
 _log = logging.getLogger(__name__)
 
 # Type URIs are names for programs to compare; they never change once published.
@@ -32,6 +32,9 @@ TYPES: Mapping[str, str] = {
     "not-acceptable": "None of the accepted media types is offered",
     "unsupported-media-type": "The request's media type is not supported",
     "content-too-large": "The request body is too large",
+    "headers-too-large": "Request line and headers are too large",
+    "request-timeout": "The request did not arrive in time",
+    "overloaded": "The service has too much to do",
     "not-ready": "The service is not ready",
     "internal-error": "The service failed",
 }

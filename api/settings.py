@@ -47,6 +47,10 @@ class Settings(BaseSettings):
         nothing; of each vehicle.
     shutdown_timeout_s
         How long running requests and jobs may take to finish after SIGTERM, in seconds.
+    max_connections
+        How many connections the REST API holds at the same time; fewer where the process may open fewer files.
+    header_timeout_s, body_timeout_s, request_timeout_s
+        How long the REST API waits for the headers of a request, for its body and for its own answer, in seconds.
     """
 
     model_config = SettingsConfigDict(
@@ -68,6 +72,10 @@ class Settings(BaseSettings):
     spool_mb: int = Field(default=1024, ge=1)
     spool_memory_mb: int = Field(default=64, ge=1)
     shutdown_timeout_s: int = Field(default=10, ge=1, le=600)
+    max_connections: int = Field(default=1000, ge=1, le=100_000)
+    header_timeout_s: float = Field(default=10.0, gt=0.0, le=600.0)
+    body_timeout_s: float = Field(default=30.0, gt=0.0, le=600.0)
+    request_timeout_s: float = Field(default=60.0, gt=0.0, le=600.0)
 
     @field_validator("database_url", "rules_file", "retention_file", "jobs_every_s", "catalogues", mode="before")
     @classmethod

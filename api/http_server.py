@@ -1,0 +1,59 @@
+"""The HTTP server: uvicorn, with limits on what a client may take."""
+
+from __future__ import annotations
+
+import socket
+from asyncio import Protocol
+from functools import partial
+from typing import cast
+
+import uvicorn
+from fastapi import FastAPI
+
+from api.connections import ConnectionMeasures, Connections, LimitedConnection
+from api.http_limits import ACCEPTED_AT_ONCE, MAX_HEAD_BYTES, open_connections
+from api.settings import Settings
+
+WAITING_TO_BE_ACCEPTED = 2048
+"""Connections that the system holds until they are accepted."""
+
+
+class HttpServer(uvicorn.Server):
+    """Accepts a few connections at a time, however many wait: the event loop would take all, and run out of files."""
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen."""
+        await super().startup(sockets)
+        for server in self.servers:
+            for listening in server.sockets:
+                with listening.dup() as same:  # its queue need not be as short as what is accepted at once
+                    same.listen(WAITING_TO_BE_ACCEPTED)
+
+
+def http_server(app: FastAPI, settings: Settings) -> HttpServer:
+    """Return the server of an app, which answers running requests before it ends on a signal.
+
+    Parameters
+    ----------
+    app
+        Its ``state.registry`` gets the measures of the connections.
+    settings
+        Where to listen, what a client may take, how long to wait at the end.
+    """
+    connections = Connections(open_connections(settings.max_connections), settings.header_timeout_s)
+    app.state.registry.register(ConnectionMeasures(connections))
+    config = uvicorn.Config(
+        app,
+        host=settings.host,
+        port=settings.port,
+        http=cast("type[Protocol]", partial(LimitedConnection, connections)),
+        loop="asyncio",  # the one whose way to accept is known here
+        ws="none",
+        backlog=ACCEPTED_AT_ONCE,
+        h11_max_incomplete_event_size=MAX_HEAD_BYTES,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=settings.shutdown_timeout_s,
+    )
+    return HttpServer(config)
