@@ -12,7 +12,7 @@ import orjson
 from api.problems import ProblemError
 
 _DIGEST_LENGTH = 12
-_INT64 = 2**63
+INT64 = 2**63
 Key = str | int
 
 
@@ -39,7 +39,8 @@ def encode(operation: str, filters: Mapping[str, object], key: Key) -> str:
     return base64.urlsafe_b64encode(raw).decode().rstrip("=")
 
 
-def _refused(detail: str) -> ProblemError:
+def refused(detail: str) -> ProblemError:
+    """Return the problem of a cursor that cannot be used."""
     return ProblemError(400, "invalid-cursor", detail)
 
 
@@ -48,7 +49,7 @@ def _unpack(cursor: str) -> tuple[str, object]:
         raw = base64.b64decode(cursor + "=" * (-len(cursor) % 4), altchars=b"-_", validate=True)
         digest, key = orjson.loads(raw)
     except (binascii.Error, ValueError, TypeError):
-        raise _refused("this is no cursor of this service") from None
+        raise refused("this is no cursor of this service") from None
     return str(digest), key
 
 
@@ -69,9 +70,9 @@ def decode_number(operation: str, filters: Mapping[str, object], cursor: str | N
     ProblemError
         400: not a cursor, or a cursor of another list or filter.
     """
-    key = _decode(operation, filters, cursor)
-    if key is not None and (not isinstance(key, int) or isinstance(key, bool) or not -_INT64 <= key < _INT64):
-        raise _refused("this is no cursor of this list")
+    key = decode(operation, filters, cursor)
+    if key is not None and (not isinstance(key, int) or isinstance(key, bool) or not -INT64 <= key < INT64):
+        raise refused("this is no cursor of this list")
     return key
 
 
@@ -92,18 +93,34 @@ def decode_text(operation: str, filters: Mapping[str, object], cursor: str | Non
     ProblemError
         400: not a cursor, or a cursor of another list or filter.
     """
-    key = _decode(operation, filters, cursor)
+    key = decode(operation, filters, cursor)
     if key is not None and (not isinstance(key, str) or "\0" in key):
-        raise _refused("this is no cursor of this list")
+        raise refused("this is no cursor of this list")
     return key
 
 
-def _decode(operation: str, filters: Mapping[str, object], cursor: str | None) -> object:
+def decode(operation: str, filters: Mapping[str, object], cursor: str | None) -> object:
+    """Return the key in a cursor, of any form; None at the beginning of a list.
+
+    Parameters
+    ----------
+    operation
+        Name of the list's operation.
+    filters
+        Filters of the list, each under its name; None is no filter.
+    cursor
+        As the client sent it.
+
+    Raises
+    ------
+    ProblemError
+        400: not a cursor, or a cursor of another list or filter.
+    """
     if cursor is None:
         return None
     digest, key = _unpack(cursor)
     if digest != _digest(operation, filters):
-        raise _refused("this cursor belongs to another list or another filter; start again without it")
+        raise refused("this cursor belongs to another list or another filter; start again without it")
     if key is None:
-        raise _refused("this is no cursor of this list")
+        raise refused("this is no cursor of this list")
     return key

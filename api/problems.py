@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any
 
@@ -24,6 +25,7 @@ TYPES: Mapping[str, str] = {
     "not-found": "No such resource",
     "invalid-request": "The request does not validate",
     "invalid-cursor": "The cursor cannot be used",
+    "cursor-of-another-database": "The cursor belongs to another history of the database",
     "conflict": "The resource is not in the state that the request assumes",
     "precondition-required": "If-Match is required",
     "precondition-failed": "The resource has changed since it was read",
@@ -57,19 +59,36 @@ class Problem(BaseModel):
     detail: str | None = Field(default=None, examples=["no wheelset 'WS-9999'"])
     instance: str | None = Field(default=None, examples=["/v1/wheelsets/WS-9999"])
     errors: list[ProblemItem] | None = None
+    next_cursor: str | None = Field(default=None, description="Cursor with which to go on.")
+    next: str | None = Field(default=None, description="Path with which to go on.", examples=["/v1/alerts/feed"])
+
+
+@dataclass(frozen=True, slots=True)
+class GoOn:
+    """Where a client that was refused goes on: a path, and the cursor in it."""
+
+    path: str
+    cursor: str | None
 
 
 class ProblemError(Exception):
     """A problem that a handler raises: the key of its type, the HTTP status, what happened."""
 
     def __init__(
-        self, status: int, kind: str, detail: str, errors: Sequence[ProblemItem] = (), headers: Mapping[str, str] = {}
+        self,
+        status: int,
+        kind: str,
+        detail: str,
+        errors: Sequence[ProblemItem] = (),
+        headers: Mapping[str, str] = {},
+        go_on: GoOn | None = None,
     ) -> None:
         self.status = status
         self.kind = kind
         self.detail = detail
         self.errors = list(errors)
         self.headers = dict(headers)
+        self.go_on = go_on
         super().__init__(detail)
 
 
@@ -82,6 +101,8 @@ def problem_response(request: Request, error: ProblemError) -> Response:
         detail=error.detail or None,
         instance=request.scope.get("path"),
         errors=error.errors or None,
+        next_cursor=None if error.go_on is None else error.go_on.cursor,
+        next=None if error.go_on is None else error.go_on.path,
     )
     body = orjson.dumps(problem.model_dump(by_alias=True, exclude_none=True))
     return Response(body, error.status, headers=error.headers, media_type=PROBLEM_MEDIA_TYPE)

@@ -20,6 +20,7 @@ from fleet_db.stores.assembled import AssembledWindowStore
 from fleet_db.stores.bin_tables import BinTableStore
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.corrections import CorrectionStore
+from fleet_db.stores.feed_branches import FeedBranchStore
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.idempotency import IdempotencyStore
 from fleet_db.stores.jobs import JobRunStore
@@ -70,6 +71,7 @@ class SqlUnitOfWork:
     trends: TrendStore = field(init=False)
     suspensions: SuspensionStore = field(init=False)
     alerts: AlertStore = field(init=False)
+    feed_branches: FeedBranchStore = field(init=False)
     jobs: JobRunStore = field(init=False)
     recorded_times: RecordedTimeStore = field(init=False)
     idempotency: IdempotencyStore = field(init=False)
@@ -96,6 +98,7 @@ class SqlUnitOfWork:
         self.suspensions = SuspensionStore(connection)
         self.alerts = AlertStore(connection, self.writing, self.changes)
         self.recorded_times = RecordedTimeStore(connection)
+        self.feed_branches = FeedBranchStore(connection)
         self.jobs = JobRunStore(connection, self.owner)
         self.idempotency = IdempotencyStore(connection)
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
-from api import cursors
+from api import cursors, feed_cursors
 from api.answers import (
     DEFAULT_LIMIT,
     Cursor,
@@ -78,19 +78,22 @@ def list_alerts(
     )
 
 
-@router.get("/feed", response_model=alerts.Feed, responses=described(400))
+@router.get("/feed", response_model=alerts.Feed, responses=described(400, 409))
 def poll_alert_feed(
     request: Request, services: ServicesDep, after: After = None, limit: Limit = DEFAULT_LIMIT
 ) -> Response:
     """Return what happened to alerts, in commit order; keep `next_cursor` and poll with it, nothing is missed.
 
-    A fleet alert stands for members that were raised with it; what happens to those is in their own `events`.
+    A fleet alert stands for members that were raised with it; what happens to those is in their own `events`. A cursor
+    from before the database was restored is refused (409) where its history has changed, with where to go on.
     """
     name = operation(request)
-    position = cursors.decode_number(name, {}, after) or 0
+    given = feed_cursors.decode(name, after)
     with services.storage.read() as unit:
-        found = unit.alerts.feed(position, limit)
-    cursor = cursors.encode(name, {}, found[-1].sequence if found else position)
+        last = feed_cursors.position(unit, name, request.scope["path"], given)
+        found = unit.alerts.feed(0 if last is None else last.sequence, limit)
+        branch = unit.feed_branches.all()[-1]
+    cursor = feed_cursors.encode(name, branch, found[-1] if found else last)
     path = next_path(request, "after", cursor)
     body = alerts.Feed(items=[alerts.event(record) for record in found], next_cursor=cursor, next=path)
     return answer(request, body, headers={"Link": f'<{path}>; rel="next"'})

@@ -6,6 +6,7 @@ import os
 import shutil
 import sqlite3
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from fleet_db.models import Base, WindowRow
 from fleet_db.revisions import known_revisions
 from fleet_db.rows import table_of
 from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, sqlite_file, translate_errors
+from fleet_db.stores.feed_branches import FeedBranchStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 
 WINDOWS = table_of(WindowRow)
@@ -214,8 +216,9 @@ def _into_place(part: Path, file: Path) -> None:
 
 
 def _finished(target: Connection, stale: tuple[str, ...]) -> dict[str, int]:
-    """Let windows without files be made again; return the numbers of rows."""
+    """Let windows without files be made again and begin a branch of the feed; return the numbers of rows."""
     spans = StaleSpanStore(target)
     for vehicle in stale:
         spans.add(vehicle, None, None, CAUSE)
+    FeedBranchStore(target).begin(time.time_ns())  # cursors that are behind the backup are refused from now on
     return row_counts(target)

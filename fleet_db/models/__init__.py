@@ -4,6 +4,7 @@ from fleet_db.models.alerts import AlertEventRow, AlertRow
 from fleet_db.models.base import Base
 from fleet_db.models.bin_tables import WheelsetBinRow, WindowBinTableRow
 from fleet_db.models.chunks import ChunkRow
+from fleet_db.models.feed_branches import FeedBranchRow
 from fleet_db.models.fleets import FleetRow
 from fleet_db.models.geometries import GeometryRow
 from fleet_db.models.idempotency import IdempotencyRow
@@ -37,6 +38,7 @@ __all__ = [
     "AlertRow",
     "Base",
     "ChunkRow",
+    "FeedBranchRow",
     "FleetRow",
     "GeometryRow",
     "IdempotencyRow",

@@ -95,6 +95,10 @@ class AlertStore:
         """
         return self._events(select(EVENTS).where(EVENTS.c.sequence > after_sequence, EVENTS.c.in_feed).limit(limit))
 
+    def event(self, sequence: int) -> AlertEvent | None:
+        """Return the event of a number; None where there is none."""
+        return next(iter(self._events(select(EVENTS).where(EVENTS.c.sequence == sequence))), None)
+
     def events(self, alert_id: int) -> Sequence[AlertEvent]:
         """Return what happened to one alert, oldest first."""
         return self._events(select(EVENTS).where(EVENTS.c.alert_id == alert_id))
