@@ -52,7 +52,7 @@ class RecordingCorrections:
         NotFoundError
             There is none of that digest.
         ConflictError
-            It is decoded, or set aside.
+            It is decoded, or set aside, or its raw bytes were purged.
         """
         return self._correct(digest, RecordingAction.RETRY, author)
 
@@ -74,7 +74,7 @@ class RecordingCorrections:
         NotFoundError
             There is none of that digest, or no such vehicle.
         ConflictError
-            It is of that vehicle already.
+            It is of that vehicle already, or its raw bytes were purged.
         """
         return self._correct(digest, RecordingAction.MOVE, author, vehicle)
 
@@ -88,6 +88,8 @@ class RecordingCorrections:
                 raise _conflict(before, f"is of vehicle {vehicle} already")
             if before.state not in ALLOWED[action]:
                 raise _conflict(before, f"is {before.state}")
+            if before.purged_ns is not None and action is not RecordingAction.SET_ASIDE:
+                raise _conflict(before, "has no raw bytes any more: they were purged")
             after = _after(before, action, vehicle or before.vehicle)
             _make_stale(unit, before, after, action)
             unit.chunks.update(after)

@@ -99,9 +99,10 @@ class ChunkStore:
         return [_record(row) for row in self.connection.execute(statement)]
 
     def ends(self, count: int) -> Sequence[ChunkRecord]:
-        """Return at most ``count`` of the oldest and of the newest receipts."""
-        oldest = select(CHUNKS).order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest).limit(count)
-        newest = select(CHUNKS).order_by(CHUNKS.c.recorded_ns.desc(), CHUNKS.c.digest).limit(count)
+        """Return at most ``count`` of the oldest and of the newest receipts whose raw bytes are kept."""
+        kept = select(CHUNKS).where(CHUNKS.c.purged_ns.is_(None)).limit(count)
+        oldest = kept.order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
+        newest = kept.order_by(CHUNKS.c.recorded_ns.desc(), CHUNKS.c.digest)
         return [_record(row) for statement in (oldest, newest) for row in self.connection.execute(statement)]
 
     def of_known_vehicles(self) -> Sequence[ChunkRecord]:
