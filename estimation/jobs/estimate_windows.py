@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from estimation.errors import DamagedError
+from estimation.errors import DamagedError, PassingFaultError
 from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
@@ -31,6 +31,7 @@ from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import tabulate_window
 from estimation.values.geometry import BinTable
 from estimation.values.quantities import Status
+from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentRecord, AlignmentSource, Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import WindowPosition, WindowRecord, WindowState
@@ -177,6 +178,8 @@ def _outcome(unit: UnitOfWork, work: _Work) -> BinTable | Reason:
     if isinstance(window, Reason):
         return window
     position = work.position
+    if position is not None and position.reason is not None and position.reason.code in TRIED_AGAIN:
+        raise PassingFaultError(position.reason.text, code=position.reason.code)  # it is looked for again, too
     if position is None or position.content_digest != work.record.content_digest:
         return tabulate_window(
             window, work.track, parameters, mounted_reversed=work.mounted_reversed, layout=work.layout

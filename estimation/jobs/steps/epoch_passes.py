@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from estimation.errors import DamagedError
+from estimation.failures import code_of_error, first_line
+from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import load_window
-from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.checks import gate
 from estimation.motion.joined_windows import following, joined
 from estimation.motion.usable_samples import straight_part
+from estimation.storage import UnitOfWork
 from estimation.track.examination import examine
 from estimation.track.partition import Entry
 from estimation.track.pass_grid import resampled
 from estimation.track.passes import Pass
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason
+from estimation.values.track import TrackLayout
 from estimation.values.windows import Window, WindowRecord
 
 WindowKey = tuple[str, int]  # wheelset, start
+_Found = tuple[tuple[WindowKey, ...], Sequence[Pass], Reason | None]  # windows, their passes, why there is none
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +79,10 @@ def epoch_passes(context: JobContext, chosen: Sequence[Entry]) -> EpochPasses:
     return EpochPasses(found, members, refused)
 
 
-def _examined(
-    context: JobContext, records: Sequence[WindowRecord], settings: EstimationSettings
-) -> list[tuple[tuple[WindowKey, ...], Sequence[Pass], Reason | None]]:
+def _examined(context: JobContext, records: Sequence[WindowRecord], settings: EstimationSettings) -> list[_Found]:
     """Return windows that follow each other, their passes, and why there is none."""
     windows: list[Window] = []
-    found: list[tuple[tuple[WindowKey, ...], Sequence[Pass], Reason | None]] = []
+    found: list[_Found] = []
     with context.storage.read() as unit:
         assumed = ClassLookup(unit, settings).assumed(records[0].vehicle, records[0].wheelset)
         if isinstance(assumed, Reason):
@@ -86,12 +91,7 @@ def _examined(
         section = records[0].track_section
         layout = unit.tracks.layout(section) if section is not None else None
         for record in records:
-            try:
-                window = load_window(unit, record, assumed.windows.vehicle_class)
-            except DamagedError as error:  # names the file; the other windows go on
-                window = Reason(ReasonCode.FILE_DAMAGED, str(error))
-            if not isinstance(window, Reason):
-                window = straight_part(window, layout, settings.signals)
+            window = _loaded(unit, record, assumed, layout, settings)
             if isinstance(window, Reason):
                 found.append((((record.wheelset, record.start_ns),), (), window))
             else:
@@ -99,7 +99,33 @@ def _examined(
     turned = mounting is not None and mounting.reversed
     keys = [(w.sample_interval_s, w.start_ns, w.start_ns + w.length_ns) for w in windows]
     for group in following(windows, keys):
-        examined = examine(joined(group), assumed.windows, mounted_reversed=turned)
-        serials = tuple((window.wheelset, window.start_ns) for window in group)
-        found.append((serials, examined.passes, examined.outcome.reason))
+        found += _passes_of(group, assumed, mounted_reversed=turned)
     return found
+
+
+def _loaded(
+    unit: UnitOfWork, record: WindowRecord, assumed: Assumed, layout: TrackLayout | None, settings: EstimationSettings
+) -> Window | Reason:
+    """Return the part of a window that is examined, or why there is none; whatever fails, the other windows go on."""
+    try:
+        window = load_window(unit, record, assumed.windows.vehicle_class)
+        return window if isinstance(window, Reason) else straight_part(window, layout, settings.signals)
+    except Exception as error:
+        if not fails_alone(error):
+            raise
+        return Reason(code_of_error(error), first_line(error))
+
+
+def _passes_of(group: Sequence[Window], assumed: Assumed, *, mounted_reversed: bool) -> list[_Found]:
+    """Return the passes of windows that are one run; where that fails, of each alone."""
+    serials = tuple((window.wheelset, window.start_ns) for window in group)
+    try:
+        examined = examine(joined(group), assumed.windows, mounted_reversed=mounted_reversed)
+    except Exception as error:
+        if not fails_alone(error):
+            raise
+        if len(group) == 1:
+            _log.exception("window %s@%d could not be examined", *serials[0])
+            return [(serials, (), Reason(code_of_error(error), first_line(error)))]
+        return [one for w in group for one in _passes_of([w], assumed, mounted_reversed=mounted_reversed)]
+    return [(serials, examined.passes, examined.outcome.reason)]

@@ -22,7 +22,7 @@ from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, Whe
 from estimation.values.runs import JobTrigger
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import WindowRecord, WindowState
-from fleet_db.models import GeometryRow, TrackAlignmentRow, WindowRow
+from fleet_db.models import GeometryRow, TrackAlignmentRow, WindowBinTableRow, WindowRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 
@@ -75,7 +75,8 @@ def test_one_window_that_cannot_be_read_waits_alone_and_is_tried_again(
     whole = path.read_bytes()
     path.unlink()
     path.mkdir()  # the system refuses to read it, for root too
-    found = counts(fleet, clock, "refresh_alignment", "estimate_windows")
+    assert counts(fleet, clock, "refresh_alignment")["quarantined"] == 0  # the section goes on without it
+    found = counts(fleet, clock, "estimate_windows")
     assert (found["estimated"], found["refused"], found["quarantined"]) == (5, 0, 1)
     refused = of(fleet, "W0")[0]
     assert refused.reason is not None
@@ -86,8 +87,7 @@ def test_one_window_that_cannot_be_read_waits_alone_and_is_tried_again(
     assert path.name in item.error
     path.rmdir()
     path.write_bytes(whole)
-    found = counts(fleet, clock, "refresh_alignment", "estimate_windows")
-    found = counts(fleet, clock, "refresh_alignment", "estimate_windows") if found["estimated"] == 0 else found
+    found = counts(fleet, clock, "refresh_alignment", "estimate_windows")  # the survey does not wait for positions
     assert (found["estimated"], found["quarantined"]) == (1, 0)
     with fleet.read() as unit:
         assert unit.quarantine.held() == []
@@ -102,12 +102,24 @@ def test_a_mileage_that_nothing_can_be_computed_with_leaves_the_other_wheelsets_
     with fleet.engine.begin() as connection:
         key = (table.c.wheelset == "W1", table.c.start_ns == first.start_ns)
         connection.execute(update(table).where(*key).values(mileage_km=1e300))
+    counts(fleet, clock, *ALL[2:])
+    with fleet.read() as unit:
+        assert [unit.geometries.current(name) is None for name in ("W0", "W2")] == [False, False]
+
+
+def test_a_wheelset_that_fails_is_tried_ever_more_rarely_and_at_once_with_other_inputs(
+    fleet: SqlStorage, clock: SetClock
+) -> None:
+    counts(fleet, clock, "refresh_alignment", "estimate_windows")
+    table = table_of(WindowBinTableRow)
+    with fleet.engine.begin() as connection:
+        connection.execute(update(table).where(table.c.wheelset == "W1").values(packed=b"rubbish"))
     assert counts(fleet, clock, "refresh_geometry")["quarantined"] == 1
     with fleet.read() as unit:
         assert [unit.geometries.current(name) is None for name in NAMES] == [False, True, False]
         (item,) = unit.quarantine.held("refresh_geometry")
-    assert (item.key, item.code) == ("W1", ReasonCode.PROCESSING_FAILED)
-    counts(fleet, clock, "refresh_geometry")  # not due: nothing is tried
+    assert (item.key, item.code) == ("W1", ReasonCode.FILE_DAMAGED)
+    assert counts(fleet, clock, "refresh_geometry")["quarantined"] == 1  # not due: nothing is tried
     with fleet.read() as unit:
         assert unit.quarantine.held() == [item]
     clock.at_ns = item.due_ns
@@ -115,9 +127,10 @@ def test_a_mileage_that_nothing_can_be_computed_with_leaves_the_other_wheelsets_
     with fleet.read() as unit:
         (again,) = unit.quarantine.held()
     assert (again.attempts, again.due_ns - again.last_ns) == (2, 4 * MINUTE_NS)
-    with fleet.write() as unit:  # corrected: its inputs have changed, and it is tried before its time
-        unit.windows.put(replace(windows(1)[0], wheelset="W1", vehicle="W1", track_section="S1"), 10.0, 2)
-    assert counts(fleet, clock, "refresh_geometry")["quarantined"] == 0
+    with fleet.write() as unit:  # made again: its inputs have changed, and it is tried before its time
+        for record in unit.windows.list("W1"):
+            unit.windows.mark("W1", record.start_ns, WindowState.PENDING)
+    assert counts(fleet, clock, "estimate_windows", "refresh_geometry")["quarantined"] == 0
     with fleet.read() as unit:
         assert unit.geometries.current("W1") is not None
         (gone,) = unit.quarantine.all(10)
