@@ -40,6 +40,10 @@ if TYPE_CHECKING:
     from fastapi import FastAPI
 
 
+WRITERS = 16
+"""Requests that write at once on a database server; the others are left for those that read."""
+
+
 class SystemClock:
     """The machine's clock."""
 
@@ -205,9 +209,11 @@ def create_app(settings: Settings) -> FastAPI:
     from api.http_limits import limits_of  # noqa: PLC0415 - the same
     from api.job_runner import JobRunner  # noqa: PLC0415 - the same
     from api.services import Services  # noqa: PLC0415 - the same
+    from api.writer_slots import PATIENCE_S, WriterSlots  # noqa: PLC0415 - the same
 
-    storage = open_store(settings)
+    storage = replace(open_store(settings), patience_s=PATIENCE_S)
     context = job_context(settings, storage)
+    one_reader = settings.url.startswith("sqlite")
     return build_app(
         Services(
             storage=storage,
@@ -216,7 +222,8 @@ def create_app(settings: Settings) -> FastAPI:
             runner=JobRunner(context, storage, process_name()),
             check=partial(check_head, storage.engine),
             close=storage.close,
-            one_reader=settings.url.startswith("sqlite"),
+            writers=WriterSlots(1 if one_reader else WRITERS, PATIENCE_S),
+            one_reader=one_reader,
         ),
         limits_of(settings),
     )

@@ -9,6 +9,7 @@ from dataclasses import replace
 from estimation.errors import ConflictError
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
+from fleet_db.session import BUSY_TIMEOUT_MS
 from fleet_db.storage import SqlStorage
 
 
@@ -53,7 +54,8 @@ class JobRunner:
 
     def _run(self, job: Job, begun: Future[JobRun]) -> JobRun:
         with self._storage.owned(JobTrigger.API, self._holder, self._context.clock.now_ns()) as owned:
-            return run_job(job, replace(self._context, storage=owned), JobTrigger.API, started=begun.set_result)
+            patient = replace(owned, patience_s=BUSY_TIMEOUT_MS / 1000)  # requests do not wait for the job
+            return run_job(job, replace(self._context, storage=patient), JobTrigger.API, started=begun.set_result)
 
     def _refuse_second(self, job: Job) -> None:
         if self._running is not None and not self._running.done():

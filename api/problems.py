@@ -14,7 +14,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 
-from estimation.errors import ConflictError, InputError, MigrationError, NotFoundError, StorageError
+from estimation.errors import BusyError, ConflictError, InputError, MigrationError, NotFoundError, StorageError
 
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 _KIND_OF_STATUS = {404: "not-found", 408: "request-timeout", 413: "content-too-large"}
@@ -144,6 +144,11 @@ def _unavailable(_error: StorageError) -> ProblemError:
     return ProblemError(503, "not-ready", "the storage is not available", headers={"Retry-After": "5"})
 
 
+def _busy(_error: BusyError) -> ProblemError:
+    detail = "the database is being written to; nothing was changed, try again"
+    return ProblemError(503, "not-ready", detail, headers={"Retry-After": "2"})
+
+
 def _unexpected(_error: Exception) -> ProblemError:
     return ProblemError(500, "internal-error", "the failure has been logged")
 
@@ -157,6 +162,7 @@ _TABLE: tuple[tuple[type[Exception], Callable[[Any], ProblemError]], ...] = (
     (ConflictError, lambda error: ProblemError(409, "conflict", str(error))),
     (InputError, _bad_input),
     (MigrationError, lambda error: ProblemError(503, "not-ready", str(error))),
+    (BusyError, _busy),
     (StorageError, _unavailable),
     (Exception, _unexpected),
 )

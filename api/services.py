@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, cast
 
 from fastapi import Depends, Request
 
 from api.job_runner import JobRunner
+from api.writer_slots import WriterSlots
 from estimation.errors import NotFoundError
 from estimation.jobs.job import Job
 from estimation.storage import Clock
@@ -28,6 +29,7 @@ class Services:
     runner: JobRunner
     check: Callable[[], None]
     close: Callable[[], None]
+    writers: WriterSlots
     one_reader: bool  # an embedded database, whose reads slow each other down in threads
 
     def job(self, name: str) -> Job:
@@ -50,3 +52,15 @@ async def services_of(request: Request) -> Services:
 
 
 ServicesDep = Annotated[Services, Depends(services_of)]
+
+
+async def writer_slot(services: ServicesDep) -> AsyncIterator[None]:
+    """Hold a place among the requests that write; for the routes that do.
+
+    Raises
+    ------
+    BusyError
+        None became free in time.
+    """
+    async with services.writers.slot():
+        yield

@@ -19,6 +19,7 @@ mistake of ours or bad input from the outside world, and carries its facts as fi
     └── StorageError               the database or the window files
         ├── DamagedError           something that was stored is missing or damaged; the rest is whole
         ├── MigrationError         the database is at another migration head
+        ├── BusyError              another writer did not end in time; nothing was changed
         ├── AlreadyRunningError    a second scheduler on the same database
         └── ClaimLostError         this process no longer owns the jobs that it runs
 """
@@ -163,6 +164,10 @@ class MigrationError(StorageError):
         self.expected = expected
         remedy = "run: treadwatch db upgrade" if known else "this version does not know it: run the later one it is of"
         super().__init__(f"the database is at migration {found or 'none'}, this version needs {expected}; {remedy}")
+
+
+class BusyError(StorageError):
+    """Another writer did not end in time; nothing was changed, and the same may succeed a moment later."""
 
 
 class AlreadyRunningError(StorageError):

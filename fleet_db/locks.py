@@ -16,7 +16,7 @@ from pathlib import Path
 
 from sqlalchemy import Connection, Engine, text
 
-from estimation.errors import AlreadyRunningError, StorageError
+from estimation.errors import AlreadyRunningError, BusyError
 
 POLL_S = 0.002
 NAME_LENGTH = 60  # PostgreSQL keeps 63 bytes of an application name
@@ -77,7 +77,7 @@ def single_writer(path: Path, timeout_s: float) -> Iterator[None]:
 
     Raises
     ------
-    StorageError
+    BusyError
         Another writer held it for longer than ``timeout_s``.
     """
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
@@ -85,7 +85,7 @@ def single_writer(path: Path, timeout_s: float) -> Iterator[None]:
         until = time.monotonic() + timeout_s
         while not _locked(handle):
             if time.monotonic() > until:
-                raise StorageError(f"another writer has held the database for {timeout_s:g} s ({path.name})")
+                raise BusyError(f"another writer has held the database for {timeout_s:g} s ({path.name})")
             time.sleep(POLL_S)
         yield
     finally:

@@ -122,11 +122,14 @@ class SqlStorage:
         Where the samples of windows are, under ``windows``.
     shipped
         The classes of the package, for vehicles whose class is not registered.
+    patience_s
+        How long a writing transaction on SQLite waits for that of another process.
     """
 
     engine: Engine
     data_dir: Path
     shipped: Shipped = no_class
+    patience_s: float = BUSY_TIMEOUT_MS / 1000
 
     @contextmanager
     def write(self) -> Iterator[SqlUnitOfWork]:
@@ -136,8 +139,10 @@ class SqlStorage:
         ------
         ConflictError
             A constraint of the database refused it.
+        BusyError
+            Another writer holds it too long.
         StorageError
-            The database cannot be reached, or another writer holds it too long.
+            The database cannot be reached.
         """
         with (
             translate_errors(),
@@ -186,7 +191,8 @@ class SqlStorage:
         file = sqlite_file(self.engine)
         claim = self._postgresql_claim(kind, holder, now_ns) if file is None else self._file_claim(kind, holder, now_ns)
         with claim as token:
-            storage = OwnedStorage(self.engine, self.data_dir, self.shipped, token=token, holder=holder)
+            same = (self.engine, self.data_dir, self.shipped, self.patience_s)
+            storage = OwnedStorage(*same, token=token, holder=holder)
             try:
                 yield storage
             finally:
@@ -226,7 +232,7 @@ class SqlStorage:
         file = sqlite_file(self.engine)
         if file is None:
             return nullcontext()
-        return single_writer(file.with_name(f"{file.name}.writer-lock"), BUSY_TIMEOUT_MS / 1000)
+        return single_writer(file.with_name(f"{file.name}.writer-lock"), self.patience_s)
 
     def _files(self) -> WindowFiles:
         return WindowFiles(self.data_dir / "windows")

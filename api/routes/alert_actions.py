@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from http import HTTPStatus
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 
 from api.answers import IdempotencyKey, IfMatch, answer, require_match
 from api.idempotency import idempotent_post
@@ -14,11 +14,11 @@ from api.parameters import Number
 from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Request as Body
-from api.services import Services, ServicesDep
+from api.services import Services, ServicesDep, writer_slot
 from estimation.alerts.life_cycle import acknowledge, link, shelve
 from estimation.values.alerts import Alert, Transition
 
-router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
+router = APIRouter(prefix="/v1/alerts", tags=["alerts"], dependencies=[Depends(writer_slot)])
 _REFUSALS = described(404, 409, 412, 413, 415, 428)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from http import HTTPStatus
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 
 from api import cursors
 from api.answers import DEFAULT_LIMIT, Cursor, IdempotencyKey, IfNoneMatch, Limit, answer, answer_page, operation
@@ -13,7 +13,7 @@ from api.parameters import Code, Number
 from api.problems import described
 from api.schemas import jobs
 from api.schemas.common import Page
-from api.services import Services, ServicesDep
+from api.services import Services, ServicesDep, writer_slot
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
@@ -56,6 +56,7 @@ def list_job_runs(
     status_code=HTTPStatus.ACCEPTED,
     response_model=jobs.JobRun,
     responses=described(404, 409, 415),
+    dependencies=[Depends(writer_slot)],
 )
 def run_job_now(
     request: Request, services: ServicesDep, name: Code, idempotency_key: IdempotencyKey = None

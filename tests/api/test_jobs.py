@@ -17,6 +17,7 @@ from api.factory import SystemClock, open_store
 from api.job_runner import JobRunner
 from api.services import Services
 from api.settings import Settings
+from api.writer_slots import WriterSlots
 from estimation.errors import ConflictError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
@@ -135,7 +136,8 @@ def test_readiness_is_a_problem_where_the_database_is_at_another_migration(sqlit
         raise MigrationError("0000", "0001")
 
     runner = JobRunner(JobContext(sqlite_storage, SystemClock(), "test", JobSettings()), sqlite_storage, "test")
-    services = Services(sqlite_storage, SystemClock(), {}, runner, check, lambda: None, one_reader=True)
+    writers = WriterSlots(1, 1.0)
+    services = Services(sqlite_storage, SystemClock(), {}, runner, check, lambda: None, writers, one_reader=True)
     assert build_app(services).state.services is services
     with pytest.raises(MigrationError, match="treadwatch db upgrade"):
         health.get_readiness(services)
