@@ -34,6 +34,7 @@ COMMANDS = (
     Command("demo", "api.commands.demo", "demo", "Run the main job end to end on the embedded default."),
     Command("simulate", "api.commands.simulate", "simulate", "Simulate a fleet that sends CAN frames."),
     Command("ingest", "api.commands.ingest", "ingest", "Receive CAN frames from log files or a live bus."),
+    Command("registry", "api.commands.registry", "registry", "Load, void, restore and list records of the registry."),
     Command("reassemble", "api.commands.reassemble", "reassemble", "Make the windows of a vehicle again."),
     Command("recordings", "api.commands.recordings", "recordings", "List and correct what was received."),
     Command("quarantine", "api.commands.quarantine", "quarantine", "List and retry what failed by itself."),

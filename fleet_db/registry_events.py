@@ -33,6 +33,15 @@ class RecordAction(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Decision:
+    """Who decides on a record, why, and when by our clock; None where that is not known."""
+
+    actor: str = ""
+    reason: str = ""
+    recorded_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class RegistryEvent:
     """One decision on a record.
 
@@ -42,8 +51,8 @@ class RegistryEvent:
         In the order of the decisions.
     kind, subject, at_ns
         The record: its wheelset or section, and its time on the vehicle's clock where that belongs to its key.
-    action, reason
-        What was done, and why.
+    action, actor, reason
+        What was done, by whom, and why; the last two are empty where a registry file changed it.
     record
         What it was before it was changed or voided; what was restored.
     recorded_ns
@@ -55,6 +64,7 @@ class RegistryEvent:
     subject: str
     at_ns: int | None
     action: RecordAction
+    actor: str
     reason: str
     record: Mapping[str, JsonValue]
     recorded_ns: int | None

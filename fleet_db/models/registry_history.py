@@ -25,6 +25,7 @@ class RegistryEventRow(Base):
     subject: Mapped[Code]
     at_ns: Mapped[Nanoseconds | None]
     action: Mapped[str] = mapped_column(String(16))
+    actor: Mapped[Name]
     reason: Mapped[Name]
     record: Mapped[Json]
     recorded_ns: Mapped[Nanoseconds | None]

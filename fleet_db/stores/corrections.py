@@ -19,7 +19,7 @@ from estimation.values.track import TrackSectionRecord
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import MeasuredProfilesRow, ReprofilingRow, TrackSectionRow
-from fleet_db.registry_events import RecordAction, RecordKind
+from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of
 from fleet_db.stores.estimated_again import Again
 from fleet_db.stores.measured_profiles import stored_measurement
@@ -42,7 +42,7 @@ class CorrectionStore:
     tracks: TrackStore
     history: RegistryHistoryStore
 
-    def void(self, key: RecordKey, reason: str, recorded_ns: int) -> Mapping[str, JsonValue]:
+    def void(self, key: RecordKey, decision: Decision) -> Mapping[str, JsonValue]:
         """Take a record out of the registry; return what it was.
 
         Raises
@@ -54,7 +54,7 @@ class CorrectionStore:
         ParameterError
             No reason is given, or a time is missing.
         """
-        if not reason.strip():
+        if not decision.reason.strip():
             raise ParameterError("is needed: it is what others will read", field="reason")
         if key.kind.dated and key.at_ns is None:
             raise ParameterError(f"is needed: a {key.kind} is one of a time", field="at")
@@ -66,11 +66,11 @@ class CorrectionStore:
             RecordKind.WHEELSET: self._void_wheelset,
             RecordKind.SECTION: self._void_section,
         }[key.kind]
-        record = take(key, recorded_ns)
-        self.history.note(key, RecordAction.VOIDED, record, recorded_ns, reason)
+        record = take(key, decision.recorded_ns)
+        self.history.note(key, RecordAction.VOIDED, record, decision)
         return record
 
-    def restore(self, key: RecordKey, reason: str, recorded_ns: int) -> Mapping[str, JsonValue]:
+    def restore(self, key: RecordKey, decision: Decision) -> Mapping[str, JsonValue]:
         """Put a voided record back as it was; return it.
 
         Raises
@@ -93,8 +93,8 @@ class CorrectionStore:
             RecordKind.WHEELSET: self._restore_wheelset,
             RecordKind.SECTION: self._restore_section,
         }[key.kind]
-        put(dict(voided.record), recorded_ns)
-        self.history.note(key, RecordAction.RESTORED, voided.record, recorded_ns, reason)
+        put(dict(voided.record), decision.recorded_ns)
+        self.history.note(key, RecordAction.RESTORED, voided.record, decision)
         return voided.record
 
     def _on_file(self, key: RecordKey) -> object | None:
@@ -113,7 +113,7 @@ class CorrectionStore:
         statement = select(table).where(table.c.wheelset == key.subject, table.c.at_ns == key.at_ns)
         return self.connection.execute(statement).first()
 
-    def _void_mounting(self, key: RecordKey, _recorded_ns: int) -> _Values:
+    def _void_mounting(self, key: RecordKey, _recorded_ns: int | None) -> _Values:
         found = self._on_file(key)
         if not isinstance(found, Mounting):
             raise NotFoundError(key.kind.value, _name(key))
@@ -121,12 +121,12 @@ class CorrectionStore:
         self.registry.mounting_changed(found, None)
         return asdict(found)
 
-    def _void_reprofiling(self, key: RecordKey, recorded_ns: int) -> _Values:
+    def _void_reprofiling(self, key: RecordKey, recorded_ns: int | None) -> _Values:
         found = self._taken(key)
         Again(self.connection, self.changes, recorded_ns).lives(key.subject, key.at_ns)
         return found
 
-    def _void_measurement(self, key: RecordKey, recorded_ns: int) -> _Values:
+    def _void_measurement(self, key: RecordKey, recorded_ns: int | None) -> _Values:
         found = stored_measurement(self.connection, key.subject, key.at_ns or 0)
         if found is None:
             raise NotFoundError(key.kind.value, _name(key))
@@ -144,7 +144,7 @@ class CorrectionStore:
         self.changes.note(key.subject)
         return dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
 
-    def _void_wheelset(self, key: RecordKey, _recorded_ns: int) -> _Values:
+    def _void_wheelset(self, key: RecordKey, _recorded_ns: int | None) -> _Values:
         record = self.registry.wheelset(key.subject)
         if self.registry.voided(key.subject):
             raise NotFoundError(key.kind.value, _name(key))
@@ -154,7 +154,7 @@ class CorrectionStore:
             raise ConflictError(reason, kind=key.kind.value, key=key.subject)
         return {name: getattr(record, name) for name in ("serial", "fleet", "wheel_profile", "nominal_radius_m")}
 
-    def _void_section(self, key: RecordKey, _recorded_ns: int) -> _Values:
+    def _void_section(self, key: RecordKey, _recorded_ns: int | None) -> _Values:
         record = self.tracks.section(key.subject)
         lowest = self.connection.scalar(select(func.min(SECTIONS.c.number))) or 0
         given_up = {"number": min(lowest, 0) - 1}  # a number that is on no bus
@@ -162,22 +162,22 @@ class CorrectionStore:
         self.tracks.renumbered(key.subject)
         return asdict(record)
 
-    def _restore_mounting(self, record: _Values, recorded_ns: int) -> None:
+    def _restore_mounting(self, record: _Values, recorded_ns: int | None) -> None:
         self.registry.add_mounting(Mounting(**record), recorded_ns=recorded_ns)
 
-    def _restore_reprofiling(self, record: _Values, recorded_ns: int) -> None:
+    def _restore_reprofiling(self, record: _Values, recorded_ns: int | None) -> None:
         self.registry.add_reprofiling(Reprofiling(**record), recorded_ns)
 
-    def _restore_measurement(self, record: _Values, recorded_ns: int) -> None:
+    def _restore_measurement(self, record: _Values, recorded_ns: int | None) -> None:
         row = record | {"packed": base64.b64decode(record["packed"])}
         self.connection.execute(insert(MEASURED).values(**row))
         self.changes.note(record["wheelset"])
         Again(self.connection, self.changes, recorded_ns).lives(record["wheelset"], None)
 
-    def _restore_wheelset(self, _record: _Values, _recorded_ns: int) -> None:
+    def _restore_wheelset(self, _record: _Values, _recorded_ns: int | None) -> None:
         """Nothing is to be put back: the decision itself ends that it is voided."""
 
-    def _restore_section(self, record: _Values, recorded_ns: int) -> None:
+    def _restore_section(self, record: _Values, recorded_ns: int | None) -> None:
         self.tracks.add_section(TrackSectionRecord(**record), recorded_ns)
 
 

@@ -22,7 +22,7 @@ from fleet_db.models import (
     WheelsetRow,
 )
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
-from fleet_db.registry_events import RecordAction, RecordKind
+from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of, upsert
 from fleet_db.stores.estimated_again import Again
 from fleet_db.stores.measured_profiles import measured_profiles_of, store_measured_profiles, stored_measurement
@@ -204,7 +204,9 @@ class RegistryStore:
         was = None if row is None else row["nominal_radius_m"]
         key = RecordKey(RecordKind.WHEELSET, record.serial)
         if self.voided(record.serial):
-            RegistryHistoryStore(self.connection).note(key, RecordAction.RESTORED, values, recorded_ns)
+            RegistryHistoryStore(self.connection).note(
+                key, RecordAction.RESTORED, values, Decision(recorded_ns=recorded_ns)
+            )
         if upsert(self.connection, WHEELSETS, values):
             self.changes.note(record.serial)
             self._note_change(key, row, recorded_ns)
@@ -320,7 +322,12 @@ class RegistryStore:
         """Keep what a record was before it was changed."""
         if was is not None:
             history = RegistryHistoryStore(self.connection)
-            history.note(key, RecordAction.CHANGED, {str(name): value for name, value in was.items()}, recorded_ns)
+            history.note(
+                key,
+                RecordAction.CHANGED,
+                {str(name): value for name, value in was.items()},
+                Decision(recorded_ns=recorded_ns),
+            )
 
     def _vehicles(self, statement: Select[Any]) -> Sequence[VehicleRecord]:
         rows = self.connection.execute(statement.order_by(VEHICLES.c.code)).mappings()

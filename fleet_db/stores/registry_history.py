@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Subquery, and_, func, insert, select
 
 from estimation.values.json_value import JsonValue
 from fleet_db.models import RegistryEventRow
-from fleet_db.registry_events import RecordAction, RecordKind, RegistryEvent
+from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.rows import table_of
 
 EVENTS = table_of(RegistryEventRow)
@@ -31,18 +31,10 @@ class RegistryHistoryStore:
 
     connection: Connection
 
-    def note(
-        self,
-        key: RecordKey,
-        action: RecordAction,
-        record: Mapping[str, JsonValue],
-        recorded_ns: int | None,
-        reason: str = "",
-    ) -> None:
+    def note(self, key: RecordKey, action: RecordAction, record: Mapping[str, JsonValue], decision: Decision) -> None:
         """Append a decision on a record."""
         values = {"kind": key.kind.value, "subject": key.subject, "at_ns": key.at_ns, "action": action.value}
-        more = {"reason": reason, "record": dict(record), "recorded_ns": recorded_ns}
-        self.connection.execute(insert(EVENTS).values(**values, **more))
+        self.connection.execute(insert(EVENTS).values(**values, **asdict(decision), record=dict(record)))
 
     def latest(self, key: RecordKey, action: RecordAction | None = None) -> RegistryEvent | None:
         """Return the last decision on a record, or the last of one action; None where there is none."""

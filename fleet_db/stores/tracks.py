@@ -35,7 +35,7 @@ from fleet_db.models import (
 )
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
 from fleet_db.receipts import ChunkState
-from fleet_db.registry_events import RecordAction, RecordKind
+from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, upsert
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.stale_spans import StaleSpanStore
@@ -111,7 +111,9 @@ class TrackStore:
         was = self.connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
         if upsert(self.connection, SECTIONS, asdict(record)) and was is not None and was["number"] > 0:
             key = RecordKey(RecordKind.SECTION, record.code)
-            RegistryHistoryStore(self.connection).note(key, RecordAction.CHANGED, dict(was), recorded_ns)
+            RegistryHistoryStore(self.connection).note(
+                key, RecordAction.CHANGED, dict(was), Decision(recorded_ns=recorded_ns)
+            )
         if was is None or was["number"] != record.number:
             self.renumbered(record.code)
 

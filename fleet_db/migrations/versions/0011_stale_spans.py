@@ -31,6 +31,7 @@ def upgrade() -> None:
         sa.Column("subject", sa.String(length=64), nullable=False),
         sa.Column("at_ns", sa.BigInteger(), nullable=True),
         sa.Column("action", sa.String(length=16), nullable=False),
+        sa.Column("actor", sa.Text(), nullable=False),
         sa.Column("reason", sa.Text(), nullable=False),
         sa.Column("record", sa.JSON(), nullable=False),
         sa.Column("recorded_ns", sa.BigInteger(), nullable=True),

@@ -1,0 +1,121 @@
+"""The registry on the terminal: loaded, corrected, and what was decided on its records."""
+
+from __future__ import annotations
+
+import getpass
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+
+import typer
+
+from api.factory import SystemClock, open_store
+from api.settings import load_settings
+from api.terminal.ingest import registry_lines
+from api.times import from_rfc3339, to_rfc3339
+from estimation.errors import ParameterError
+from estimation.values.json_value import JsonValue
+from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
+from fleet_db.stores.registry_history import RecordKey
+from ingest.registry_file import load_registry
+
+LONG = ("packed",)  # values of a record that are not for reading
+
+
+def load_and_report(file: Path) -> None:
+    """Load a registry file and print what people must know of it.
+
+    Raises
+    ------
+    InputError
+        The file is wrong; names file, line and field. Nothing is stored then.
+    StorageError
+        The database cannot be used.
+    """
+    with closing(open_store(load_settings())) as storage, storage.write() as unit:
+        loaded = load_registry(file, unit, SystemClock().now_ns())
+        spans = len(unit.stale_spans.all())
+    for line in registry_lines(loaded):
+        typer.echo(line)
+    typer.echo(f"loaded {file}; {_follows(spans)}")
+
+
+def decide_and_report(
+    action: RecordAction, kind: RecordKind, subject: str, at: str | None, actor: str, why: str
+) -> None:
+    """Void or restore a record and print what it is.
+
+    Parameters
+    ----------
+    action
+        ``voided`` or ``restored``.
+    kind, subject, at
+        The record; its time is of RFC 3339.
+    actor
+        Who; empty is the user of the system.
+    why
+        Kept with the decision.
+
+    Raises
+    ------
+    NotFoundError
+        There is no such record, or none was voided.
+    ConflictError
+        It cannot be taken out or put back as things are.
+    ParameterError
+        A time is missing or none, or no reason is given.
+    """
+    key = RecordKey(kind, subject, _at(kind, at))
+    decision = Decision(actor or getpass.getuser(), why, SystemClock().now_ns())
+    with closing(open_store(load_settings())) as storage, storage.write() as unit:
+        decide = unit.corrections.void if action is RecordAction.VOIDED else unit.corrections.restore
+        record = decide(key, decision)
+        spans = len(unit.stale_spans.all())
+    typer.echo(f"{action} {kind} {subject}: {_text(record)}")
+    typer.echo(_follows(spans))
+
+
+def history_lines(subject: str | None) -> list[str]:
+    """Return what was decided on records, a line each, the oldest first.
+
+    Parameters
+    ----------
+    subject
+        Wheelset or section; None is all.
+
+    Raises
+    ------
+    StorageError
+        The database cannot be used.
+    """
+    with closing(open_store(load_settings())) as storage, storage.read() as unit:
+        return [_line(event) for event in unit.registry_history.list(subject)]
+
+
+def _at(kind: RecordKind, at: str | None) -> int | None:
+    if not kind.dated:
+        if at is not None:
+            raise ParameterError(f"is no part of a {kind}", field="--at")
+        return None
+    try:
+        return from_rfc3339(at)
+    except ValueError as error:
+        raise ParameterError(str(error), field="--at") from None
+
+
+def _line(event: RegistryEvent) -> str:
+    when = "" if event.recorded_ns is None else to_rfc3339(event.recorded_ns)
+    at = "" if event.at_ns is None else f" {to_rfc3339(event.at_ns)}"
+    who = f" by {event.actor}" if event.actor else ""
+    why = f" ({event.reason})" if event.reason else ""
+    return f"{when} {event.action} {event.kind} {event.subject}{at}{who}{why}: {_text(event.record)}"
+
+
+def _text(record: Mapping[str, JsonValue]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in record.items() if name not in LONG)
+
+
+def _follows(spans: int) -> str:
+    return (
+        f"{spans} spans of windows are to be assembled again: `treadwatch estimate`, the schedule or an ingest does it"
+    )
