@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from estimation.values.reasons import ReasonCode
-from estimation.values.windows import WindowRecord
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.telemetry import window_digest
 from ingest.align.windows import MountedWindow
 from ingest.assembly import Assembler, SpanAssembly, registry_lookup
 
@@ -76,8 +74,7 @@ def still_so(
 def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, verify: bool = False) -> SpanChanges:
     """Make the stored windows of a vehicle in a span those of an assembly.
 
-    What rests on windows that are removed, or that belonged elsewhere, goes with them: bin tables, positions, and the
-    alignments that they helped to find.
+    Bin tables and positions of windows that are removed go with them; the jobs find what rested on those.
 
     Parameters
     ----------
@@ -100,8 +97,6 @@ def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, ver
         for key, record in stored.items()
         if key not in wanted and not assembly.keeps(record.start_ns, record.length_ns)
     ]
-    elsewhere = [found for each in assembly.windows if (found := _elsewhere(unit, each)) is not None]
-    unit.assembled.withdraw([*gone, *elsewhere], recorded_ns)
     unit.assembled.remove(gone)
     for record in gone:
         _requeue_partner(unit, record.vehicle, record.axle, record.start_ns)
@@ -119,22 +114,6 @@ def mileage_km(mounted: MountedWindow) -> float:
     """
     mounting = mounted.mounting
     return mounting.wheelset_mileage_km + (mounted.window.odometer_m / 1000.0 - mounting.vehicle_odometer_km)
-
-
-def _elsewhere(unit: SqlUnitOfWork, mounted: MountedWindow) -> WindowRecord | None:
-    """Return the window that is stored in the place of one, if it is of another axle, section or mileage.
-
-    What that gave to an alignment was not this wheelset's, or not of its present life, or of another section.
-    """
-    window = mounted.window
-    found = unit.windows.get(window.wheelset, window.start_ns)
-    if found is None:
-        return None
-    if (found.vehicle, found.axle, found.track_section) != (window.vehicle, window.axle, window.track_section):
-        return found
-    if found.mileage_km == mileage_km(mounted) or found.content_digest != window_digest(window):
-        return None  # as it was, or of more recordings now
-    return found
 
 
 def _put(unit: SqlUnitOfWork, mounted: MountedWindow, recorded_ns: int, *, verify: bool) -> SpanChanges:

@@ -112,10 +112,12 @@ def _line(event: RegistryEvent) -> str:
 
 
 def _text(record: Mapping[str, JsonValue]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in record.items() if name not in LONG)
+    shown = {name: value for name, value in record.items() if name not in LONG and value is not None}
+    times = {
+        name: to_rfc3339(value) for name, value in shown.items() if name.endswith("_ns") and isinstance(value, int)
+    }
+    return ", ".join(f"{name.removesuffix('_ns')} {value}" for name, value in (shown | times).items())
 
 
 def _follows(spans: int) -> str:
-    return (
-        f"{spans} spans of windows are to be assembled again: `treadwatch estimate`, the schedule or an ingest does it"
-    )
+    return f"spans of windows to be assembled again, by an ingest or by the jobs: {spans}"

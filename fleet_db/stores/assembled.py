@@ -1,25 +1,23 @@
-"""Windows as a set that is made from recordings and registry: which there are, which go, and what rests on them."""
+"""Windows as a set that is made from recordings and registry: which there are, and which go."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, and_, delete, exists, func, select
+from sqlalchemy import Connection, and_, delete, func, select
 
 from estimation.errors import DamagedError
-from estimation.values.reasons import ReasonCode
 from estimation.values.windows import WindowRecord
 from fleet_db.changes import Changes
-from fleet_db.models import ChunkRow, TrackVersionRow, WindowBinTableRow, WindowPositionRow, WindowRow
+from fleet_db.models import ChunkRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
-from fleet_db.stores.estimated_again import Again
 from fleet_db.stores.windows import to_window_record
 from fleet_db.telemetry import WindowFiles
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)
-CHUNKS, VERSIONS = table_of(ChunkRow), table_of(TrackVersionRow)
+CHUNKS = table_of(ChunkRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,25 +54,6 @@ class AssembledWindowStore:
         )
         return [(row.first_ns, row.last_ns, row.frames) for row in self.connection.execute(statement)]
 
-    def withdraw(self, records: Sequence[WindowRecord], recorded_ns: int) -> Sequence[str]:
-        """Start the sections again whose alignment may rest on windows that were not what they seemed; return those.
-
-        Called before the windows are removed or replaced.
-
-        Parameters
-        ----------
-        records
-            The windows as they are stored.
-        recorded_ns
-            Our time, ns UTC.
-        """
-        sections: set[str] = set()
-        for record in records:
-            if record.track_section is not None and record.track_section not in sections and self._rests_on(record):
-                sections.add(record.track_section)
-        Again(self.connection, self.changes, recorded_ns).sections(sorted(sections))
-        return sorted(sections)
-
     def remove(self, records: Sequence[WindowRecord]) -> None:
         """Remove windows with their bin tables and positions; their files are no concern of a transaction."""
         for record in records:
@@ -104,13 +83,3 @@ class AssembledWindowStore:
                 self.files.path(record.content_digest).unlink(missing_ok=True)
                 return False
         return True
-
-    def _rests_on(self, record: WindowRecord) -> bool:
-        """Whether an alignment of the fleet's own may rest on a window."""
-        of_fleet = exists().where(VERSIONS.c.section == record.track_section)
-        placed = exists().where(
-            POSITIONS.c.wheelset == record.wheelset,
-            POSITIONS.c.start_ns == record.start_ns,
-            POSITIONS.c.reason_code.is_distinct_from(ReasonCode.CLASS_UNKNOWN.value),
-        )
-        return bool(self.connection.scalar(select(and_(of_fleet, placed))))

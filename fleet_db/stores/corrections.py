@@ -21,7 +21,6 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.models import MeasuredProfilesRow, ReprofilingRow, TrackSectionRow
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of
-from fleet_db.stores.estimated_again import Again
 from fleet_db.stores.measured_profiles import stored_measurement
 from fleet_db.stores.mountings import delete_mounting, mountings_of
 from fleet_db.stores.registry import RegistryStore
@@ -66,7 +65,7 @@ class CorrectionStore:
             RecordKind.WHEELSET: self._void_wheelset,
             RecordKind.SECTION: self._void_section,
         }[key.kind]
-        record = take(key, decision.recorded_ns)
+        record = take(key)
         self.history.note(key, RecordAction.VOIDED, record, decision)
         return record
 
@@ -113,7 +112,7 @@ class CorrectionStore:
         statement = select(table).where(table.c.wheelset == key.subject, table.c.at_ns == key.at_ns)
         return self.connection.execute(statement).first()
 
-    def _void_mounting(self, key: RecordKey, _recorded_ns: int | None) -> _Values:
+    def _void_mounting(self, key: RecordKey) -> _Values:
         found = self._on_file(key)
         if not isinstance(found, Mounting):
             raise NotFoundError(key.kind.value, _name(key))
@@ -121,17 +120,14 @@ class CorrectionStore:
         self.registry.mounting_changed(found, None)
         return asdict(found)
 
-    def _void_reprofiling(self, key: RecordKey, recorded_ns: int | None) -> _Values:
-        found = self._taken(key)
-        Again(self.connection, self.changes, recorded_ns).lives(key.subject, key.at_ns)
-        return found
+    def _void_reprofiling(self, key: RecordKey) -> _Values:
+        return self._taken(key)
 
-    def _void_measurement(self, key: RecordKey, recorded_ns: int | None) -> _Values:
+    def _void_measurement(self, key: RecordKey) -> _Values:
         found = stored_measurement(self.connection, key.subject, key.at_ns or 0)
         if found is None:
             raise NotFoundError(key.kind.value, _name(key))
         self._taken(key)
-        Again(self.connection, self.changes, recorded_ns).lives(key.subject, None)
         return found
 
     def _taken(self, key: RecordKey) -> _Values:
@@ -144,7 +140,7 @@ class CorrectionStore:
         self.changes.note(key.subject)
         return dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
 
-    def _void_wheelset(self, key: RecordKey, _recorded_ns: int | None) -> _Values:
+    def _void_wheelset(self, key: RecordKey) -> _Values:
         record = self.registry.wheelset(key.subject)
         if self.registry.voided(key.subject):
             raise NotFoundError(key.kind.value, _name(key))
@@ -154,7 +150,7 @@ class CorrectionStore:
             raise ConflictError(reason, kind=key.kind.value, key=key.subject)
         return {name: getattr(record, name) for name in ("serial", "fleet", "wheel_profile", "nominal_radius_m")}
 
-    def _void_section(self, key: RecordKey, _recorded_ns: int | None) -> _Values:
+    def _void_section(self, key: RecordKey) -> _Values:
         record = self.tracks.section(key.subject)
         lowest = self.connection.scalar(select(func.min(SECTIONS.c.number))) or 0
         given_up = {"number": min(lowest, 0) - 1}  # a number that is on no bus
@@ -168,11 +164,10 @@ class CorrectionStore:
     def _restore_reprofiling(self, record: _Values, recorded_ns: int | None) -> None:
         self.registry.add_reprofiling(Reprofiling(**record), recorded_ns)
 
-    def _restore_measurement(self, record: _Values, recorded_ns: int | None) -> None:
+    def _restore_measurement(self, record: _Values, _recorded_ns: int | None) -> None:
         row = record | {"packed": base64.b64decode(record["packed"])}
         self.connection.execute(insert(MEASURED).values(**row))
         self.changes.note(record["wheelset"])
-        Again(self.connection, self.changes, recorded_ns).lives(record["wheelset"], None)
 
     def _restore_wheelset(self, _record: _Values, _recorded_ns: int | None) -> None:
         """Nothing is to be put back: the decision itself ends that it is voided."""

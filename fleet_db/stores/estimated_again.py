@@ -72,7 +72,7 @@ class Again:
         return self._windows((f"wheelset {serial}",), WINDOWS.c.wheelset == serial)
 
     def mounting(self, serial: str, from_ns: int, to_ns: int | None) -> None:
-        """Let the windows of a wheelset over some time wait again, and start the sections again that they align.
+        """Let the windows of a wheelset over some time wait again.
 
         Parameters
         ----------
@@ -82,21 +82,7 @@ class Again:
             Of the mounting.
         """
         within = and_(WINDOWS.c.wheelset == serial, WINDOWS.c.start_ns >= from_ns)
-        self._windows((serial,), within if to_ns is None else and_(within, WINDOWS.c.start_ns < to_ns))
-
-    def lives(self, serial: str, from_ns: int | None) -> None:
-        """Start the sections again that a wheelset helped to align with profiles that were not what they seemed.
-
-        Parameters
-        ----------
-        serial
-            Of the wheelset.
-        from_ns
-            Since when; None is always.
-        """
-        chosen = WINDOWS.c.wheelset == serial
-        since = chosen if from_ns is None else and_(chosen, WINDOWS.c.start_ns >= from_ns)
-        self.sections(self._aligned_by(since))
+        self._wait(within if to_ns is None else and_(within, WINDOWS.c.start_ns < to_ns))
 
     def _windows(self, names: tuple[str, ...], chosen: ColumnElement[bool]) -> EstimatedAgain:
         windows, from_ns = self.connection.execute(
@@ -104,7 +90,8 @@ class Again:
         ).one()
         sections = self._aligned_by(chosen)
         self._wait(chosen)
-        self.sections(sections)
+        for section in sections:
+            self._restart(section)
         return EstimatedAgain(names, int(windows), from_ns, tuple(sections))
 
     def geometries(self, codes: Sequence[str]) -> EstimatedAgain:
@@ -119,17 +106,6 @@ class Again:
         self._note(of_vehicles)
         from_ns = self.connection.scalar(select(func.min(WINDOWS.c.start_ns)).where(of_vehicles))
         return EstimatedAgain(tuple(codes), 0, from_ns, ())
-
-    def sections(self, codes: Sequence[str]) -> None:
-        """Start sections again, whose windows all wait then.
-
-        Parameters
-        ----------
-        codes
-            Of sections with an alignment.
-        """
-        for section in codes:
-            self._restart(section)
 
     def _aligned_by(self, chosen: ColumnElement[bool]) -> list[str]:
         """Return the sections with a version of the fleet's own that windows may have contributed to."""

@@ -94,7 +94,7 @@ def changed_spans(before: Mounting | None, after: Mounting | None) -> list[tuple
             return []
         return [(after.vehicle, min(ends), max(ends) if len(ends) == 2 else None)]  # noqa: PLR2004 - both end
     known = [one for one in (before, after) if one is not None]
-    return [(one.vehicle, one.from_ns, one.to_ns) for one in known]
+    return list(dict.fromkeys((one.vehicle, one.from_ns, one.to_ns) for one in known))
 
 
 def add_mounting(connection: Connection, record: Mounting, axles: int) -> bool:

@@ -296,7 +296,6 @@ class RegistryStore:
         was = self.connection.execute(select(REPROFILINGS).where(*same)).mappings().first()
         if upsert(self.connection, REPROFILINGS, asdict(record)):
             self.changes.note(record.wheelset)
-            Again(self.connection, self.changes, recorded_ns).lives(record.wheelset, record.at_ns)
             key = RecordKey(RecordKind.REPROFILING, record.wheelset, record.at_ns)
             self._note_change(key, was, recorded_ns)
 
@@ -314,7 +313,6 @@ class RegistryStore:
         if store_measured_profiles(self.connection, record):
             self.changes.note(record.wheelset)
             if was is not None:
-                Again(self.connection, self.changes, recorded_ns).lives(record.wheelset, None)
                 key = RecordKey(RecordKind.MEASUREMENT, record.wheelset, record.at_ns)
                 self._note_change(key, was, recorded_ns)
 
