@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
-from bench.chaos.part import ChaosPart
+from collections.abc import Iterator
+
+from bench.chaos.part import ChaosPart, ChaosSettings
+from bench.report import BenchRow
 
 
 def parts() -> tuple[ChaosPart, ...]:
     """Return all parts; each imports what it needs when it runs."""
-    return ()
+    return (ChaosPart("connections", "clients that open connections and do not use them", 1000, 300, _connections),)
+
+
+def _connections(settings: ChaosSettings) -> Iterator[BenchRow]:
+    from bench.chaos.connections import rows  # noqa: PLC0415 - only when it runs
+
+    return rows(settings)

@@ -14,7 +14,6 @@ from pathlib import Path
 
 START_S = 60.0
 COMMAND = "from api.cli import main; main()"
-LIMIT = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, ({0}, {0})); "
 ROOT = Path(__file__).parent.parent.parent
 
 
@@ -36,9 +35,7 @@ class ServiceProcess:
 
 
 @contextmanager
-def service_process(
-    folder: Path, database_url: str | None = None, descriptors: int | None = None, **environment: str
-) -> Iterator[ServiceProcess]:
+def service_process(folder: Path, database_url: str | None = None, **environment: str) -> Iterator[ServiceProcess]:
     """Yield a service on a free port.
 
     Parameters
@@ -47,19 +44,16 @@ def service_process(
         Of its data and of its log.
     database_url
         A migrated database; by default SQLite in ``folder``.
-    descriptors
-        How many files it may have open.
     environment
         Further settings, without their prefix.
     """
     given: Mapping[str, str] = {"DATA_DIR": str(folder / "data"), "PORT": "0", "DATABASE_URL": database_url or ""}
     variables = {f"TREADWATCH_{name}": value for name, value in {**given, **environment}.items()}
 
-    limit = "" if descriptors is None else LIMIT.format(descriptors)
     file = folder / "service.log"
     with file.open("wb") as log:
         process = subprocess.Popen(
-            [sys.executable, "-c", limit + COMMAND, "serve"],
+            [sys.executable, "-c", COMMAND, "serve"],
             env={**os.environ, "PYTHONPATH": str(ROOT), **variables},
             stderr=log,
         )

@@ -10,7 +10,6 @@ from pathlib import Path
 import httpx
 import pytest
 from running_service import running
-from service_process import service_process
 
 from api import http_limits
 from api.factory import create_server, open_store
@@ -121,21 +120,6 @@ def test_a_busy_connection_is_not_displaced(tmp_path: Path) -> None:
                 other.sendall(KNOWN_REQUEST)
                 assert other.recv(65536).startswith(b"HTTP/1.1 200 ")
         assert busy.recv(65536).startswith(b"HTTP/1.1 404 ")  # there is no such alert
-
-
-def test_the_service_answers_beside_300_half_sent_requests(tmp_path: Path) -> None:
-    url = f"sqlite:///{tmp_path / 'x.sqlite'}"
-    upgrade(url)
-    with service_process(tmp_path, url, descriptors=256) as process, ExitStack() as stack:
-        address = ("127.0.0.1", process.port)
-        for number in range(300):
-            connection = stack.enter_context(connect(address))
-            connection.sendall(HALF_BODY if number % 2 else HALF)
-        for path in ("/healthz", "/readyz", "/v1/fleets"):
-            assert httpx.get(process.url + path, timeout=20.0).status_code == 200
-        stack.pop_all().close()
-        assert len(process.log) < 100_000
-        assert "out of system resource" not in process.log
 
 
 def test_headers_that_are_too_large_are_refused(tmp_path: Path) -> None:
