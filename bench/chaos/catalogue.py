@@ -10,10 +10,19 @@ from bench.report import BenchRow
 
 def parts() -> tuple[ChaosPart, ...]:
     """Return all parts; each imports what it needs when it runs."""
-    return (ChaosPart("connections", "clients that open connections and do not use them", 1000, 300, _connections),)
+    return (
+        ChaosPart("connections", "clients that open connections and do not use them", 1000, 300, _connections),
+        ChaosPart("mutations", "log files are damaged, so many of each format, and read", 100_000, 40, _mutations),
+    )
 
 
 def _connections(settings: ChaosSettings) -> Iterator[BenchRow]:
     from bench.chaos.connections import rows  # noqa: PLC0415 - only when it runs
+
+    return rows(settings)
+
+
+def _mutations(settings: ChaosSettings) -> Iterator[BenchRow]:
+    from bench.chaos.mutations import rows  # noqa: PLC0415 - only when it runs
 
     return rows(settings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from estimation.errors import LogFileError
@@ -9,7 +10,7 @@ from fleet_db.passing import passing_fault
 from ingest.frames import FrameBatch
 from ingest.logs import asc, blf_reader, candump, mf4
 from ingest.logs.log_format import LogFormat
-from ingest.logs.processes import LogContent, read_in_process
+from ingest.logs.processes import LogContent, ReadCost, read_in_process
 from ingest.logs.read_limits import ReadLimits, limits_of
 
 FORMATS = (blf_reader.FORMAT, asc.FORMAT, candump.FORMAT, mf4.FORMAT)
@@ -24,7 +25,9 @@ def read_log(path: Path, limits: ReadLimits | None = None) -> FrameBatch:
     return read_content(path, limits).batch
 
 
-def read_content(path: Path, limits: ReadLimits | None = None) -> LogContent:
+def read_content(
+    path: Path, limits: ReadLimits | None = None, cost: Callable[[ReadCost], None] | None = None
+) -> LogContent:
     """Read a recording of one bus, in a process of its own.
 
     Parameters
@@ -33,6 +36,8 @@ def read_content(path: Path, limits: ReadLimits | None = None) -> LogContent:
         A file of one of ``FORMATS``.
     limits
         What reading may cost; by default what a file of its size and format may need.
+    cost
+        Takes what it cost, also of a file that is refused.
 
     Raises
     ------
@@ -50,7 +55,7 @@ def read_content(path: Path, limits: ReadLimits | None = None) -> LogContent:
         raise LogFileError(f"is called {expected.suffix} but holds a {held.name} log", file=path)
     if limits is None:
         limits = limits_of(size, expected.bytes_per_s, expected.memory_bytes)
-    return read_in_process(path, expected, limits)
+    return read_in_process(path, expected, limits, cost)
 
 
 def format_of(path: Path) -> LogFormat:

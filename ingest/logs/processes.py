@@ -20,7 +20,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -51,7 +51,7 @@ STARVED = 0.5
 
 @dataclass(frozen=True, slots=True)
 class LogContent:
-    """What a log file holds, and what reading it took.
+    """What a log file holds.
 
     Attributes
     ----------
@@ -60,12 +60,16 @@ class LogContent:
     counts
         What was left out or is strange, where there was any: ``lines_lost``, ``lines_not_frames``,
         ``objects_not_frames``, ``frames_out_of_time``, ``recorder_steps_back``, ``header_disagrees``.
-    cpu_s, memory_bytes
-        Of the process that read it; memory is the most it had.
     """
 
     batch: FrameBatch
     counts: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class ReadCost:
+    """What the process took that read a file; memory is the most it had."""
+
     cpu_s: float
     memory_bytes: int
 
@@ -137,7 +141,9 @@ def stop_server() -> None:
     _server_of(os.getpid()).stop()
 
 
-def read_in_process(path: Path, form: LogFormat, limits: ReadLimits) -> LogContent:
+def read_in_process(
+    path: Path, form: LogFormat, limits: ReadLimits, cost: Callable[[ReadCost], None] | None = None
+) -> LogContent:
     """Read a log file in a process of its own.
 
     Parameters
@@ -148,6 +154,8 @@ def read_in_process(path: Path, form: LogFormat, limits: ReadLimits) -> LogConte
         Its format.
     limits
         What reading may cost.
+    cost
+        Takes what it cost, also of a file that is refused.
 
     Raises
     ------
@@ -164,10 +172,12 @@ def read_in_process(path: Path, form: LogFormat, limits: ReadLimits) -> LogConte
             lines = _ask(request, [file.fileno() for file in files], limits.wall_s + PATIENCE_S, path)
         except OSError as error:
             raise passing_fault(error, path) from error
+        if cost is not None and "signal" in lines[-1]:
+            cost(ReadCost(lines[-1]["cpu_s"], lines[-1]["memory_bytes"]))
         answer = _judged(lines, limits, path)
         columns = _columns(files, int(answer["frames"]), path)
     batch = FrameBatch(str(answer["channel"]), *columns)
-    return LogContent(batch, answer["counts"], lines[-1]["cpu_s"], lines[-1]["memory_bytes"])
+    return LogContent(batch, answer["counts"])
 
 
 def _ask(request: bytes, files: Sequence[int], seconds: float, path: Path) -> list[dict[str, Any]]:

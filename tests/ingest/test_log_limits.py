@@ -19,7 +19,7 @@ from log_files import write_recording
 from estimation.errors import LogFileError, PassingFaultError
 from ingest.frames import FrameBatch
 from ingest.logs.formats import read_content, read_log
-from ingest.logs.processes import stop_server
+from ingest.logs.processes import ReadCost, stop_server
 from ingest.logs.read_limits import DAY_NS, ReadLimits, limits_of
 
 GENEROUS = ReadLimits(cpu_s=60.0, wall_s=60.0, frames=10**7, inflated_bytes=1 << 30)
@@ -142,9 +142,10 @@ def test_a_bomb_of_stored_zeros_costs_little(tmp_path: Path) -> None:
     path.write_bytes(blf_bytes(blf_object(96, 1 << 20) * 15, containers=40))
     with pytest.raises(LogFileError, match="inflates to more than"):
         read_log(path)
-    content = read_content(path, GENEROUS)
+    costs: list[ReadCost] = []
+    content = read_content(path, GENEROUS, costs.append)
     assert content.counts == {"objects_not_frames": 600}
-    assert content.memory_bytes < 256 << 20
+    assert [cost.memory_bytes < 256 << 20 for cost in costs] == [True]
 
 
 def descendants(pid: int) -> list[int]:
