@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from estimation.errors import CatalogueError
+from ingest.bounded_file import SETTINGS_BYTES, read_text_within
 
 NO_SCALE = "a scale of 0: every value would be the offset"
 VEHICLE_NODE = 16
@@ -163,11 +164,8 @@ def parse_dbc(path: Path) -> Any:  # noqa: ANN401 - cantools is untyped
     import cantools  # noqa: PLC0415 - a slow import, needed only to read a catalogue
 
     try:
-        return cantools.database.load_file(path, database_format="dbc", strict=True)
-    except OSError as error:
-        raise CatalogueError(error.strerror or str(error), file=path) from error
-    except UnicodeDecodeError as error:
-        raise CatalogueError("is no text file", file=path) from error
+        text = read_text_within(path, SETTINGS_BYTES, CatalogueError, encoding="cp1252", errors="replace")
+        return cantools.database.load_string(text, database_format="dbc", strict=True)
     except (cantools.database.errors.Error, ValueError, KeyError) as error:
         raise CatalogueError(f"is no DBC file: {error}", file=path) from error
 

@@ -24,6 +24,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from estimation.errors import InputError
+from ingest.bounded_file import SETTINGS_BYTES, read_text_within
 
 Location = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -163,7 +164,7 @@ def read_toml(path: Path, error_type: type[InputError] = InputError) -> InputFil
     InputError
         As ``error_type``: the file cannot be read, or is no TOML.
     """
-    text = _read_text(path, error_type)
+    text = read_text_within(path, SETTINGS_BYTES, error_type)
     try:
         return InputFile(path, tomllib.loads(text), key_lines(text), error_type)
     except tomllib.TOMLDecodeError as error:
@@ -187,7 +188,7 @@ def read_json(path: Path, error_type: type[InputError] = InputError) -> InputFil
     InputError
         As ``error_type``: the file cannot be read, is no JSON, or holds something else than an object.
     """
-    text = _read_text(path, error_type)
+    text = read_text_within(path, SETTINGS_BYTES, error_type)
     try:
         values = json.loads(text)
     except json.JSONDecodeError as error:
@@ -197,15 +198,6 @@ def read_json(path: Path, error_type: type[InputError] = InputError) -> InputFil
     if not isinstance(values, dict):
         raise error_type("must hold one object", file=path)
     return InputFile(path, values, error_type=error_type, container="an object")
-
-
-def _read_text(path: Path, error_type: type[InputError]) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise error_type(f"cannot be read: {error.strerror or error}", file=path) from error
-    except UnicodeDecodeError as error:
-        raise error_type("is no text file", file=path) from error
 
 
 def key_lines(text: str) -> dict[Location, int]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from estimation.errors import InputError
 from estimation.values.arrays import FloatArray
+from ingest.bounded_file import TABLE_BYTES, read_text_within
 
 COLUMNS = ("s_m", "alignment_mm", "gauge_deviation_mm")
 GAUGE_COLUMNS = ("s_m", "gauge_deviation_mm")
@@ -102,12 +103,7 @@ _Row = tuple[int, list[str]]
 
 def _cells(path: Path) -> tuple[list[str], list[_Row]]:
     """Return the names of the columns, and the cells of every line that is not blank with its number."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from error
-    except UnicodeDecodeError as error:
-        raise InputError("is no text file", file=path) from error
+    text = read_text_within(path, TABLE_BYTES, InputError, encoding="utf-8-sig")
     lines = csv.reader(text.splitlines())
     header = [name.strip() for name in next(lines, [])]
     return header, [(lines.line_num, cells) for cells in lines if any(cell.strip() for cell in cells)]

@@ -167,8 +167,9 @@ def _rows_of(name: str, tally: Tally) -> Iterator[BenchRow]:
     yield BenchRow(
         f"{name}: read with other frames",
         f"{other:,}: {outcomes['same values']:,} with the same samples, {outcomes['gaps']:,} with samples less, "
-        f"{outcomes['marked']:,} with other samples and counts that show it, {outcomes['unmarked']:,} that nothing shows",
-        "none of BLF that nothing shows, few of text",
+        f"{outcomes['marked']:,} with other samples and counts that show it, "
+        f"{outcomes['unmarked']:,} with other samples that nothing shows",
+        "none of BLF that nothing shows",
         name != ".blf" or outcomes["unmarked"] == 0,
     )
 

@@ -13,11 +13,14 @@ import numpy as np
 
 from estimation.errors import ExchangeError
 from estimation.values.arrays import FloatArray, frozen_array
+from ingest.bounded_file import MEBIBYTE, TABLE_BYTES, read_text_within
 from ingest.exchange.description import CsvTable
 
 SUFFIXES = (".csv", ".txt", ".parquet")
 MAGIC = b"PAR1"
 BATCH_ROWS = 65_536
+UNPACKED_BYTES = 512 * MEBIBYTE
+"""Of a Parquet file, unpacked: an hour at 250 Hz with 25 columns has 180 MiB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +75,7 @@ def _row_error(path: Path, first_line: int | None, reason: str, row: int, column
 
 
 def _read_csv(path: Path, layout: CsvTable, names: Sequence[str]) -> Mapping[str, FloatArray]:
-    try:
-        lines = path.read_text(encoding="utf-8-sig").rstrip().splitlines()
-    except OSError as error:
-        raise ExchangeError(f"cannot be read: {error.strerror or error}", file=path) from error
-    except UnicodeDecodeError as error:
-        raise ExchangeError("is no text file", file=path) from error
+    lines = read_text_within(path, TABLE_BYTES, ExchangeError, encoding="utf-8-sig").rstrip().splitlines()
     if len(lines) < layout.first:
         raise ExchangeError(f"has {len(lines)} lines; numbers were to begin in line {layout.first}", file=path)
     header = _cells(lines[layout.header_line - 1], layout)
@@ -139,7 +137,7 @@ def _read_parquet(path: Path, names: Sequence[str]) -> Mapping[str, FloatArray]:
         reader = read_parquet(path, batch_size=BATCH_ROWS)
         header = list(reader.schema.names)
         _places(path, header, names, None)
-        table = reader.read_all()
+        table = _within_limit(reader, path)
     except ExchangeError:
         raise
     except BaseException as error:
@@ -147,6 +145,20 @@ def _read_parquet(path: Path, names: Sequence[str]) -> Mapping[str, FloatArray]:
             raise
         raise ExchangeError(f"is a damaged Parquet file: {error}", file=path) from error  # panics are no Exceptions
     return {name: _numbers(path, name, table.column(name)) for name in names}
+
+
+def _within_limit(reader: Any, path: Path) -> Any:  # noqa: ANN401 - of an extra
+    """Return the table of a reader of batches, unless it is larger than any exchange."""
+    from arro3.core import Table  # noqa: PLC0415 - an extra
+
+    batches, size = [], 0
+    for batch in reader:
+        batches.append(batch)
+        size += int(batch.nbytes)
+        if size > UNPACKED_BYTES:
+            reason = f"unpacks to more than {UNPACKED_BYTES / MEBIBYTE:.0f} MiB, the limit for an exchange"
+            raise ExchangeError(reason, file=path)
+    return Table.from_batches(batches, schema=reader.schema)
 
 
 def _check_magic(path: Path) -> None:
@@ -158,6 +170,8 @@ def _check_magic(path: Path) -> None:
             tail = file.read()
     except OSError as error:
         raise ExchangeError(f"cannot be read: {error.strerror or error}", file=path) from error
+    if size > TABLE_BYTES:
+        raise ExchangeError(f"has more than {TABLE_BYTES / MEBIBYTE:.0f} MiB, the limit for such a file", file=path)
     if head != MAGIC or tail != MAGIC or size < 3 * len(MAGIC):
         raise ExchangeError("is no Parquet file, or is cut off", file=path)
 

@@ -9,6 +9,7 @@ from typing import Literal
 from estimation.contact.profiles import Profile, ProfileKind
 from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ProfileError
+from ingest.bounded_file import PROFILE_BYTES, read_text_within
 from ingest.profiles.columns import parse_columns
 from ingest.profiles.formats import FORMATS
 from ingest.profiles.orientation import oriented
@@ -86,10 +87,7 @@ def read_measured_profile(
             "names it",
             file=file,
         )
-    try:
-        text = file.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise ProfileError(f"cannot be read: {error.strerror}", file=file) from error
+    text = read_text_within(file, PROFILE_BYTES, ProfileError, errors="replace")
     if "\x00" in text:
         raise ProfileError("is not a text file; export the profile as text", file=file)
     points = _parsed(text, str(file), file.suffix.lower(), unit)

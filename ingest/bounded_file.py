@@ -1,0 +1,50 @@
+"""Input files of text that are read whole, up to a size that no such file needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from estimation.errors import InputError
+
+MEBIBYTE = 1 << 20
+SETTINGS_BYTES = 64 * MEBIBYTE
+"""Of a TOML, JSON or DBC file: a registry of ten thousand vehicles has 40 MiB."""
+
+TABLE_BYTES = 256 * MEBIBYTE
+"""Of a table of text: an hour at 250 Hz with 25 columns has 225 MiB."""
+
+PROFILE_BYTES = 16 * MEBIBYTE
+
+
+def read_text_within(
+    path: Path, most: int, error_type: type[InputError], *, encoding: str = "utf-8", errors: str = "strict"
+) -> str:
+    """Return the content of a text file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    most
+        Bytes that it may have.
+    error_type
+        The error to raise.
+    encoding, errors
+        As of ``bytes.decode``.
+
+    Raises
+    ------
+    InputError
+        As ``error_type``: the file cannot be read, is too large, or no text.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(most + 1)
+    except OSError as error:
+        raise error_type(f"cannot be read: {error.strerror or error}", file=path) from error
+    if len(content) > most:
+        raise error_type(f"has more than {most / MEBIBYTE:.0f} MiB, the limit for such a file", file=path)
+    try:
+        return content.decode(encoding, errors).replace("\r\n", "\n").replace("\r", "\n")
+    except UnicodeDecodeError as error:
+        raise error_type("is no text file", file=path) from error
