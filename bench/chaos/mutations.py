@@ -175,5 +175,5 @@ def _rows_of(name: str, tally: Tally) -> Iterator[BenchRow]:
 
 
 part = ChaosPart(
-    "mutations", "log files are damaged, 100,000 of each format, and read", size=100_000, short=60, rows=rows
+    "mutations", "log files are damaged, 100,000 of each format, and read", size=100_000, short=40, rows=rows
 )
