@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.chaos.mutated_files import mutated, mutated_inside, small_recording, written
-from bench.chaos.part import ChaosPart, ChaosSettings
+from bench.chaos.part import ChaosSettings
 from bench.report import BenchRow
 from estimation.errors import LogFileError
 from ingest.align.windows import vehicle_samples
@@ -172,8 +172,3 @@ def _rows_of(name: str, tally: Tally) -> Iterator[BenchRow]:
         "none of BLF that nothing shows",
         name != ".blf" or outcomes["unmarked"] == 0,
     )
-
-
-part = ChaosPart(
-    "mutations", "log files are damaged, 100,000 of each format, and read", size=100_000, short=40, rows=rows
-)
