@@ -1,4 +1,4 @@
-"""Job: windows of stale spans are assembled again, and recordings decoded whose vehicle the registry knows by now.
+"""Job: windows of stale spans are assembled again, recordings decoded whose vehicle has come or that are due again.
 
 It reads raw recordings, so it is defined here and joins the other jobs where all is joined.
 """
@@ -8,7 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from estimation.jobs.job import Job, JobContext
+from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
+from ingest.held import HeldRecordings
 from ingest.receiver import ChunkReceipt, Receiver
 
 NAME = "assemble_windows"
@@ -26,17 +28,18 @@ def assemble_windows(
     """
 
     def run(context: JobContext) -> Mapping[str, int]:
-        counts = dict.fromkeys(("spans", "decoded", "new", "changed", "removed", "healed"), 0)
+        counts = dict.fromkeys(("spans", "decoded", "new", "changed", "removed", "healed", "quarantined"), 0)
         with storage_of(context).read() as unit:
             counts["spans"] = len(unit.stale_spans.all())
-            waiting = unit.chunks.of_known_vehicles()
+            waiting = list(unit.chunks.of_known_vehicles())
+        waiting += HeldRecordings(storage_of(context), context.clock).due()
         if not counts["spans"] and not waiting:
             return counts
         receiver = receiver_of(context)
-        failed = [outcome for outcome in receiver.decode(waiting) if not isinstance(outcome, ChunkReceipt)]
-        counts["decoded"] = len(waiting) - len(failed)
+        receipts = [one.record for one in receiver.decode(waiting) if isinstance(one, ChunkReceipt)]
+        counts["decoded"] = sum(record.state is ChunkState.DECODED for record in receipts)
         changes = receiver.reassembler.work_off(checkpoint=context.checkpoint)
-        counts |= {name: getattr(changes, name) for name in ("new", "changed", "removed", "healed")}
+        counts |= {name: getattr(changes, name) for name in ("new", "changed", "removed", "healed", "quarantined")}
         return counts
 
     return Job(NAME, "Assemble windows again whose recordings, registry or files have changed", every_s=60.0, run=run)

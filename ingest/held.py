@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from estimation.errors import TreadwatchError
 from estimation.failures import after_failure
+from estimation.jobs.isolation import fails_alone
 from estimation.storage import Clock
-from estimation.values.quarantine import SubjectKind, resolved
+from estimation.values.quarantine import Quarantined, SubjectKind, resolved
 from estimation.values.reasons import Reason
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.stale_spans import StaleSpan
 
 STAGE = "ingest"
+ASSEMBLY = "assemble_windows"
 
 _log = logging.getLogger(__name__)
 
@@ -51,15 +55,18 @@ class HeldRecordings:
 
         Of one that was moved to another vehicle it never is.
         """
+        return frozenset(record.digest for record, early in self._held() if early)
+
+    def due(self) -> list[ChunkRecord]:
+        """Return the stored recordings in quarantine for which another attempt is due."""
+        return [record for record, early in self._held() if not early and record.state is ChunkState.STORED]
+
+    def _held(self) -> list[tuple[ChunkRecord, bool]]:
+        """Return the recordings in quarantine, and whether it is too early for another attempt."""
         now_ns = self.clock.now_ns()
         with self.storage.read() as unit:
-            found = {item.key: item for item in unit.quarantine.held(STAGE)}
-            records = [unit.chunks.get(digest) for digest in found]
-        return frozenset(
-            record.digest
-            for record in records
-            if record is not None and found[record.digest].waits(record.vehicle, now_ns)
-        )
+            found = [(unit.chunks.get(item.key), item) for item in unit.quarantine.held(STAGE)]
+        return [(record, item.waits(record.vehicle, now_ns)) for record, item in found if record is not None]
 
     def release(self, digest: str) -> None:
         """End the quarantine of a recording, if it was in one."""
@@ -68,3 +75,47 @@ class HeldRecordings:
         if item is not None and item != resolved(item):
             with self.storage.write() as unit:
                 unit.quarantine.put(resolved(item))
+
+
+@dataclass(frozen=True, slots=True)
+class HeldVehicles:
+    """The quarantine of vehicles whose windows could not be assembled again."""
+
+    storage: SqlStorage
+    clock: Clock
+
+    def waits(self, vehicle: str, spans: Sequence[StaleSpan]) -> bool:
+        """Whether it is too early for another attempt at the stale spans of a vehicle."""
+        item = self._item(vehicle)
+        return item is not None and item.waits(_inputs(spans), self.clock.now_ns())
+
+    def hold(self, vehicle: str, spans: Sequence[StaleSpan], error: Exception) -> None:
+        """Keep a failure at the stale spans of a vehicle, where others may succeed.
+
+        Raises
+        ------
+        StorageError
+            The database cannot be reached.
+        """
+        unexpected = None if isinstance(error, TreadwatchError) else error
+        _log.warning("windows of vehicle %s could not be assembled again: %s", vehicle, error, exc_info=unexpected)
+        if fails_alone(error):
+            subject = (SubjectKind.VEHICLE, vehicle, ASSEMBLY)
+            item = after_failure(self._item(vehicle), subject, _inputs(spans), error, self.clock.now_ns())
+            with self.storage.write() as unit:
+                unit.quarantine.put(item)
+
+    def release(self, vehicle: str) -> None:
+        """End the quarantine of a vehicle, if it was in one."""
+        item = self._item(vehicle)
+        if item is not None and item != resolved(item):
+            with self.storage.write() as unit:
+                unit.quarantine.put(resolved(item))
+
+    def _item(self, vehicle: str) -> Quarantined | None:
+        with self.storage.read() as unit:
+            return unit.quarantine.get(SubjectKind.VEHICLE, vehicle, ASSEMBLY)
+
+
+def _inputs(spans: Sequence[StaleSpan]) -> str:
+    return f"{len(spans)} spans up to {max(span.id for span in spans)}"

@@ -7,15 +7,18 @@ off: piece by piece, each piece committed with the part of the spans that it cov
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from estimation.errors import NotFoundError, StoppedError, TreadwatchError
+from estimation.errors import NotFoundError, StoppedError, StorageError, TreadwatchError
+from estimation.failures import first_line
+from estimation.jobs.isolation import fails_alone
 from estimation.storage import Clock
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.stale_spans import StaleSpan
 from ingest.align.clock import CONTEXT_NS
 from ingest.assembly import Assembler, SpanAssembly
+from ingest.held import HeldVehicles
 from ingest.recordings import Span
 from ingest.span_commit import NO_CHANGES, SpanChanges, commit, still_so
 
@@ -67,51 +70,64 @@ class Reassembler:
     def work_off(self, vehicle: str | None = None, checkpoint: Callable[[int, int], None] | None = None) -> SpanChanges:
         """Work off the stale spans of one vehicle or of all; one that fails does not keep the others waiting.
 
+        A vehicle that fails goes to quarantine. Among all it is left out until it is due again, or more is stale of it.
+
         Parameters
         ----------
         vehicle
-            Code.
+            Code of the only one, due or not.
         checkpoint
             Called after each piece with the number of spans that are done and of all.
 
         Raises
         ------
         TreadwatchError
-            The first failure, after all other vehicles are done; what is left stays stale.
+            The one vehicle failed; or raw recordings or database cannot be reached, after all others are done. What is
+            left stays stale.
         """
         with self.storage.read() as unit:
             spans = unit.stale_spans.all(vehicle)
         changes, done = NO_CHANGES, 0
         failed: list[TreadwatchError] = []
+        held = HeldVehicles(self.storage, self.clock)
         for code in dict.fromkeys(span.vehicle for span in spans):
             own = [span for span in spans if span.vehicle == code]
-            try:
-                for part in joined(own):
-                    changes += self._work_off(code, part, _report(checkpoint, done, len(spans)))
-                    done += len(part)
-            except StoppedError:
-                raise
-            except TreadwatchError as error:
-                _log.warning("windows of vehicle %s could not be assembled again: %s", code, error)
-                failed.append(error)
+            if vehicle is None and held.waits(code, own):
+                changes += SpanChanges(quarantined=1)
+                continue
+            pieces = self._pieces(code, own)
+            while (made := _next(pieces)) is not None:
+                if isinstance(made, Exception):
+                    held.hold(code, own, made)
+                    changes += SpanChanges(quarantined=1)
+                    failed += _raised(made, alone=vehicle is not None)
+                    break
+                changes += made
+                if checkpoint is not None:
+                    checkpoint(done, len(spans))
+            else:
+                held.release(code)
+            done += len(own)
         if failed:
             raise failed[0]
         return changes
 
-    def _work_off(self, vehicle: str, spans: Sequence[StaleSpan], report: Callable[[], None]) -> SpanChanges:
-        """Work off spans of a vehicle that touch each other."""
+    def _pieces(self, vehicle: str, spans: Sequence[StaleSpan]) -> Iterator[SpanChanges]:
+        for part in joined(spans):
+            yield from self._work_off(vehicle, part)
+
+    def _work_off(self, vehicle: str, spans: Sequence[StaleSpan]) -> Iterator[SpanChanges]:
+        """Work off spans of a vehicle that touch each other, piece by piece."""
         from_ns, to_ns = spans[0].from_ns, max(span.to_ns for span in spans)
-        changes = NO_CHANGES
         while True:
             with self.storage.read() as unit:
                 piece = self._next_piece(unit, vehicle, (from_ns, to_ns)) if _on_file(unit, vehicle) else None
             if piece is None:
                 with self.storage.write() as unit:
                     unit.stale_spans.remove(spans)
-                return changes
-            changes += self._assemble(vehicle, piece, spans)
+                return
+            yield self._assemble(vehicle, piece, spans)
             from_ns = piece[1]
-            report()
 
     def _assemble(self, vehicle: str, piece: Span, spans: Sequence[StaleSpan]) -> SpanChanges:
         for _ in range(ATTEMPTS_BESIDE_OTHERS):
@@ -181,9 +197,18 @@ def _on_file(unit: SqlUnitOfWork, vehicle: str) -> bool:
     return True
 
 
-def _report(checkpoint: Callable[[int, int], None] | None, done: int, total: int) -> Callable[[], None]:
-    def report() -> None:
-        if checkpoint is not None:
-            checkpoint(done, total)
+def _next(pieces: Iterator[SpanChanges]) -> SpanChanges | Exception | None:
+    """Return what the next piece changed, or why it could not be assembled; None behind the last."""
+    try:
+        return next(pieces, None)
+    except StoppedError:
+        raise
+    except Exception as error:  # noqa: BLE001 - it is kept with the vehicle
+        return error
 
-    return report
+
+def _raised(error: Exception, *, alone: bool) -> list[TreadwatchError]:
+    """Return what is raised of a failure at a vehicle: the one that was asked for, or where no other can succeed."""
+    if not alone and fails_alone(error):
+        return []
+    return [error if isinstance(error, TreadwatchError) else StorageError(first_line(error))]

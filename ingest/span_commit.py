@@ -22,12 +22,15 @@ class SpanChanges:
         Windows that were not there, have another content or mileage now, or are none any more.
     healed
         Windows whose file had been lost or damaged.
+    quarantined
+        Vehicles at which it failed, or that are not due yet after a failure.
     """
 
     new: int = 0
     changed: int = 0
     removed: int = 0
     healed: int = 0
+    quarantined: int = 0
 
     @property
     def windows(self) -> int:
@@ -41,6 +44,7 @@ class SpanChanges:
             self.changed + other.changed,
             self.removed + other.removed,
             self.healed + other.healed,
+            self.quarantined + other.quarantined,
         )
 
 

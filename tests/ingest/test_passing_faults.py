@@ -10,23 +10,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sqlalchemy import select, update
+from sqlalchemy import delete, select, update
 from vehicle_bus import OFFSETS_M, SECOND_NS, START_NS, VEHICLE, Run, register
 
 from estimation.errors import PassingFaultError
+from estimation.jobs.job import JobContext, run_job
+from estimation.jobs.settings import JobSettings
 from estimation.values.reasons import ReasonCode
-from estimation.values.registry import VehicleRecord
-from fleet_db.models import ChunkRow
+from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.runs import JobTrigger
+from fleet_db.models import ChunkRow, WindowRow
 from fleet_db.raw import RawStore
 from fleet_db.raw_mark import MARK_FILE
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from ingest.assemble_windows import assemble_windows
 from ingest.canopen import TIME_ID
 from ingest.catalogue import default_catalogue
 from ingest.frames import from_owned_arrays, take
 from ingest.logs import write_blf
 from ingest.receiver import ChunkReceipt, Receiver
+from ingest.span_commit import SpanChanges
 
 MINUTE_NS = 60 * SECOND_NS
 YEAR_OF_START = 40  # place of the year of the start in the header of a BLF file
@@ -268,3 +273,53 @@ def test_a_failure_of_the_program_holds_its_recording_and_the_others_go_on(
     clock.at_ns = item.due_ns
     list(receiver_on(registered, tmp_path, clock).decode_stored())
     assert (ChunkState.STORED, ReasonCode.PROCESSING_FAILED) not in states(registered)
+
+
+def test_the_scheduled_job_decodes_what_is_due(registered: SqlStorage, tmp_path: Path, clock: SetClock) -> None:
+    windows_away(tmp_path)
+    receiver = receiver_on(registered, tmp_path, clock)
+    receiver.receive_file(recording(tmp_path), VEHICLE)
+    receiver.reassembler.work_off()
+    (tmp_path / "data" / "windows").unlink()
+    job = assemble_windows(lambda _: registered, lambda _: receiver_on(registered, tmp_path, clock))
+    run = run_job(job, JobContext(registered, clock, "test", JobSettings()), JobTrigger.SCHEDULE)
+    assert (run.outcome, run.counts["decoded"]) == ("succeeded", 1)
+    assert states(registered) == [(ChunkState.DECODED, None)]
+
+
+def test_a_vehicle_whose_windows_cannot_be_made_again_keeps_no_other_waiting(
+    registered: SqlStorage, tmp_path: Path, clock: SetClock
+) -> None:
+    with registered.write() as unit:
+        unit.registry.add_vehicle(VehicleRecord("N-8", "north", "multiple unit", 2, 40.0, OFFSETS_M))
+        for axle in (1, 2):
+            unit.registry.add_wheelset(WheelsetRecord(f"OT-{axle}", "north", "P8", 0.45, None))
+            unit.registry.add_mounting(Mounting(f"OT-{axle}", "N-8", axle, 0, None, 4000.0, 100.0 * axle))
+    receiver = receiver_on(registered, tmp_path, clock)
+    receiver.receive_file(recording(tmp_path, 1), VEHICLE)
+    digest = receiver.receive_file(recording(tmp_path, 2), "N-8").record.digest
+    receiver.reassembler.work_off()
+    table = table_of(ChunkRow)
+    with registered.engine.begin() as connection:
+        connection.execute(
+            update(table).where(table.c.digest != digest).values(suffix="blf")
+        )  # damaged: no file ending
+    with registered.write() as unit:
+        unit.connection.execute(delete(table_of(WindowRow)))
+        for vehicle in (VEHICLE, "N-8"):
+            unit.stale_spans.add(vehicle, None, None, "test")
+    changes = receiver_on(registered, tmp_path, clock).reassembler.work_off()
+    assert (changes.new, changes.quarantined) == (4, 1)
+    with registered.read() as unit:
+        (item,) = unit.quarantine.held("assemble_windows")
+        assert {span.vehicle for span in unit.stale_spans.all()} == {VEHICLE}
+    assert (item.key, item.attempts) == (VEHICLE, 1)
+    assert receiver_on(registered, tmp_path, clock).reassembler.work_off().quarantined == 1
+    with registered.read() as unit:
+        assert unit.quarantine.held() == [item]  # not due: nothing was tried
+    with registered.engine.begin() as connection:
+        connection.execute(update(table).values(suffix=".blf"))
+    clock.at_ns = item.due_ns
+    assert receiver_on(registered, tmp_path, clock).reassembler.work_off() == SpanChanges(new=4)
+    with registered.read() as unit:
+        assert unit.quarantine.held() == []
