@@ -11,7 +11,6 @@ from http import HTTPMethod, HTTPStatus
 import structlog
 from fastapi import Request
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.http_limits import MAX_BODY_BYTES, MAX_HEAD_BYTES, REQUESTS, HttpLimits
@@ -80,8 +79,9 @@ class RequestContextMiddleware:
         answer = _Answer(send, identity)
         with structlog.contextvars.bound_contextvars(request_id=identity):
             try:
-                self._refuse(scope)
-                await self._run(scope, limit_body(scope, receive, self.limits.body_timeout_s), answer)
+                _refuse_large_head(scope)
+                with_it = await with_body(scope, receive, self.limits.body_timeout_s)
+                await self._run(scope, with_it, answer)
             except Exception as error:
                 if answer.status is not None:
                     raise
@@ -102,24 +102,17 @@ class RequestContextMiddleware:
                     duration_ms=round(took * 1000.0, 2),
                 )
 
-    def _refuse(self, scope: Scope) -> None:
-        size = len(scope["raw_path"]) + len(scope["query_string"])
-        size += sum(len(name) + len(value) for name, value in scope["headers"])
-        if size > MAX_HEAD_BYTES:
-            detail = f"request line and headers: at most {MAX_HEAD_BYTES} bytes"
-            raise ProblemError(431, "headers-too-large", detail, headers=_CLOSING)
-        if self._running >= REQUESTS and scope["path"] != ALWAYS_ANSWERED:
-            detail = f"{REQUESTS} requests are being answered; try again"
-            raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "1"})
-
     async def _run(self, scope: Scope, receive: Receive, answer: _Answer) -> None:
         """Let the application answer; a thread that is late goes on, but the client does not wait for it.
 
         Raises
         ------
         ProblemError
-            503: there was no answer in time.
+            503: too many requests are being answered, or there was no answer in time.
         """
+        if self._running >= REQUESTS and scope["path"] != ALWAYS_ANSWERED:
+            detail = f"{REQUESTS} requests are being answered; try again"
+            raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "1"})
         task = asyncio.ensure_future(self.app(scope, receive, answer.send))
         self._running += 1
         task.add_done_callback(self._ended)
@@ -139,36 +132,62 @@ class RequestContextMiddleware:
             task.exception()  # whoever still waits for the task has it; a late one is of no interest any more
 
 
-def limit_body(scope: Scope, receive: Receive, timeout_s: float) -> Receive:
-    """Return ``receive`` that refuses a body above the limit, announced or not, and one that is late.
+def _refuse_large_head(scope: Scope) -> None:
+    size = len(scope["raw_path"]) + len(scope["query_string"])
+    size += sum(len(name) + len(value) for name, value in scope["headers"])
+    if size > MAX_HEAD_BYTES:
+        detail = f"request line and headers: at most {MAX_HEAD_BYTES} bytes"
+        raise ProblemError(431, "headers-too-large", detail, headers=_CLOSING)
+
+
+async def with_body(scope: Scope, receive: Receive, timeout_s: float) -> Receive:
+    """Wait for the whole body and return ``receive`` that hands it over.
 
     Parameters
     ----------
     scope
-        Of the request; ``Content-Length`` is read from it.
+        Of the request; ``Content-Length`` and ``Transfer-Encoding`` are read from it.
     receive
         Of the server.
     timeout_s
-        How long the whole body may take, from now on.
+        How long the whole body may take.
+
+    Raises
+    ------
+    ProblemError
+        413: it is too large, announced or not; 408: it is late.
     """
-    size, more = 0, True
-    announced = Headers(scope=scope).get("content-length", "0")
-    until_s = asyncio.get_running_loop().time() + timeout_s
-
-    async def limited() -> Message:  # the framework passes HTTPException on, and reads others as a bad body
-        nonlocal size, more
-        if not more:
-            return await receive()  # only the end of the connection can follow
-        try:
-            async with asyncio.timeout_at(until_s):
+    headers = Headers(scope=scope)
+    announced = headers.get("content-length", "0")
+    if announced == "0" and "transfer-encoding" not in headers:
+        return receive
+    if announced.isdecimal() and int(announced) > MAX_BODY_BYTES:
+        raise _too_large()
+    body, more = bytearray(), True
+    try:
+        async with asyncio.timeout(timeout_s):
+            while more:
                 message = await receive()
-        except TimeoutError:
-            detail = f"the body did not arrive within {timeout_s:g} s"
-            raise HTTPException(408, detail, _CLOSING) from None
-        more = bool(message.get("more_body", False))
-        size += len(message.get("body", b""))
-        if size > MAX_BODY_BYTES or (announced.isdecimal() and int(announced) > MAX_BODY_BYTES):
-            raise HTTPException(413, f"at most {MAX_BODY_BYTES} bytes", _CLOSING)
-        return message
+                body += message.get("body", b"")
+                more = message.get("more_body", False)
+                if len(body) > MAX_BODY_BYTES:
+                    raise _too_large()
+    except TimeoutError:
+        detail = f"the body did not arrive within {timeout_s:g} s"
+        raise ProblemError(408, "request-timeout", detail, headers=_CLOSING) from None
+    if message["type"] == "http.disconnect":
+        raise ProblemError(408, "request-timeout", "the client left before the end of the body")
+    handed_over = False
 
-    return limited
+    async def hand_over() -> Message:
+        nonlocal handed_over
+        if handed_over:
+            return await receive()  # only the end of the connection can follow
+        handed_over = True
+        return {"type": "http.request", "body": bytes(body), "more_body": False}
+
+    return hand_over
+
+
+def _too_large() -> ProblemError:
+    return ProblemError(413, "content-too-large", f"at most {MAX_BODY_BYTES} bytes", headers=_CLOSING)

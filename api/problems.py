@@ -17,7 +17,7 @@ from starlette.exceptions import HTTPException
 from estimation.errors import BusyError, ConflictError, InputError, MigrationError, NotFoundError, StorageError
 
 PROBLEM_MEDIA_TYPE = "application/problem+json"
-_KIND_OF_STATUS = {404: "not-found", 408: "request-timeout", 413: "content-too-large"}
+_KIND_OF_STATUS = {404: "not-found"}
 _log = logging.getLogger(__name__)
 
 # Type URIs are names for programs to compare; they never change once published.

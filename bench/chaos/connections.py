@@ -82,6 +82,8 @@ def _half_open(server: _Server, size: int, named: str) -> Iterator[BenchRow]:
             took.append(server.seconds_of("/healthz"))
     took += [server.seconds_of("/healthz") for _ in range(ASKED)]
     yield BenchRow(f"/healthz beside {named}", f"{max(took):.3f} s at most", "< 1 s", max(took) < 1.0)
+    listed = server.seconds_of("/v1/fleets")
+    yield BenchRow(f"/v1/fleets beside {named}", f"{listed:.3f} s", "< 1 s", listed < 1.0)
     left = _open_after(held, TIMEOUT_S + 5.0)
     yield BenchRow(f"{named}: open 5 s after the timeout", f"{left}", "0", left == 0)
     each = server.log.stat().st_size / size

@@ -45,6 +45,14 @@ def all_of(connection: socket.socket) -> bytes:
         return b""
 
 
+def answer_of(connection: socket.socket) -> bytes:
+    """Return one answer with its JSON; the connection stays open."""
+    found = b""
+    while not found.endswith(b"}"):
+        found += connection.recv(65536)
+    return found
+
+
 def measures(address: tuple[str, int]) -> str:
     return httpx.get("http://{}:{}/metrics".format(*address)).text
 
@@ -105,21 +113,61 @@ def test_who_waits_for_longest_makes_room_for_who_comes(tmp_path: Path) -> None:
         assert "treadwatch_http_connections 8.0" in measures(address)
 
 
-def test_a_busy_connection_is_not_displaced(tmp_path: Path) -> None:
-    """Its request waits for another writer; connections that have been answered make room for each other."""
+def acknowledgement() -> bytes:
+    """Return a request that has to write: it waits for whoever writes already."""
     body = b'{"by": "me"}'
     request = HALF_BODY.partition(b"Content-Length")[0].replace(b"jobs/x/runs", b"alerts/1/acknowledge")
-    request += b"If-Match: *\r\nContent-Length: %d\r\n\r\n%s" % (len(body), body)
+    return request + b"If-Match: *\r\nContent-Length: %d\r\n\r\n%s" % (len(body), body)
+
+
+@contextmanager
+def somebody_writes(folder: Path) -> Iterator[None]:
+    settings = Settings.model_validate({"data_dir": folder})
+    with closing(open_store(settings)) as storage, storage.write():
+        yield
+
+
+def test_a_busy_connection_is_not_displaced(tmp_path: Path) -> None:
+    """Its request waits for another writer; connections that have been answered make room for each other."""
     with service(tmp_path, max_connections=2) as address, ExitStack() as stack:
-        storage = stack.enter_context(closing(open_store(Settings.model_validate({"data_dir": tmp_path}))))
-        with storage.write():
+        with somebody_writes(tmp_path):
             busy = stack.enter_context(connect(address))
-            busy.sendall(request)
+            busy.sendall(acknowledgement())
             for _ in range(5):
                 other = stack.enter_context(connect(address))
                 other.sendall(KNOWN_REQUEST)
-                assert other.recv(65536).startswith(b"HTTP/1.1 200 ")
-        assert busy.recv(65536).startswith(b"HTTP/1.1 404 ")  # there is no such alert
+                assert answer_of(other).startswith(b"HTTP/1.1 200 ")
+        assert answer_of(busy).startswith(b"HTTP/1.1 404 ")  # there is no such alert
+
+
+def test_requests_beyond_those_that_are_being_answered_are_refused_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert http_limits.REQUESTS == 100
+    monkeypatch.setattr("api.middleware.REQUESTS", 1)
+    with service(tmp_path) as address, connect(address) as waiting, connect(address) as half:
+        url = "http://{}:{}".format(*address)
+        half.sendall(HALF_BODY)  # is not being answered yet
+        with somebody_writes(tmp_path):
+            waiting.sendall(acknowledgement())
+            assert httpx.get(f"{url}/healthz").status_code == 200
+            refused = httpx.get(f"{url}/v1/fleets")
+            assert (refused.status_code, refused.headers["retry-after"]) == (503, "1")
+            assert refused.json()["type"] == "urn:treadwatch:problem:overloaded"
+            assert httpx.get(f"{url}/healthz").status_code == 200
+        assert answer_of(waiting).startswith(b"HTTP/1.1 404 ")  # there is no such alert
+        assert httpx.get(f"{url}/v1/fleets").status_code == 200
+
+
+def test_an_answer_that_is_late_is_not_waited_for(tmp_path: Path) -> None:
+    with service(tmp_path, request_timeout_s=0.3) as address, connect(address) as connection:
+        with somebody_writes(tmp_path):
+            connection.sendall(acknowledgement())
+            answer = answer_of(connection)
+            assert answer.startswith(b"HTTP/1.1 503 ")
+            assert b"urn:treadwatch:problem:overloaded" in answer
+        connection.sendall(KNOWN_REQUEST)
+        assert answer_of(connection).startswith(b"HTTP/1.1 200 ")
 
 
 def test_headers_that_are_too_large_are_refused(tmp_path: Path) -> None:
@@ -153,6 +201,13 @@ def test_fewer_connections_than_files(monkeypatch: pytest.MonkeyPatch) -> None:
     assert http_limits.open_connections(1000) == 920
     found = 4096
     assert http_limits.open_connections(1000) == 1000
+
+
+def test_the_usual_limits(tmp_path: Path) -> None:
+    settings = Settings.model_validate({"data_dir": tmp_path})
+    assert (settings.header_timeout_s, settings.body_timeout_s, settings.request_timeout_s) == (10.0, 30.0, 60.0)
+    assert (settings.max_connections, http_limits.SEND_TIMEOUT_S, http_limits.MAX_HEAD_BYTES) == (1000, 30.0, 16384)
+    assert http_limits.limits_of(settings) == http_limits.HttpLimits()
 
 
 def test_the_server_is_built_with_the_limits_of_the_settings(tmp_path: Path) -> None:
