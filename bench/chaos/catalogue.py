@@ -13,6 +13,7 @@ def parts() -> tuple[ChaosPart, ...]:
     return (
         ChaosPart("connections", "clients that open connections and do not use them", 1000, 300, _connections),
         ChaosPart("mutations", "log files are damaged, so many of each format, and read", 100_000, 40, _mutations),
+        ChaosPart("registry", "mistakes in the registry, made at random and corrected", 50, 2, _registry),
     )
 
 
@@ -24,5 +25,11 @@ def _connections(settings: ChaosSettings) -> Iterator[BenchRow]:
 
 def _mutations(settings: ChaosSettings) -> Iterator[BenchRow]:
     from bench.chaos.mutations import rows  # noqa: PLC0415 - only when it runs
+
+    return rows(settings)
+
+
+def _registry(settings: ChaosSettings) -> Iterator[BenchRow]:
+    from bench.chaos.registry import rows  # noqa: PLC0415 - only when it runs
 
     return rows(settings)

@@ -12,7 +12,7 @@ import numpy as np
 
 from api.factory import job_context, receiver, scheduled_jobs
 from api.settings import Settings
-from bench.chaos.part import ChaosPart, ChaosSettings
+from bench.chaos.part import ChaosSettings
 from bench.report import BenchRow
 from estimation.jobs.job import run_job
 from estimation.values.registry import Mounting, Reprofiling
@@ -361,6 +361,3 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     yield BenchRow("mistakes that showed before they were corrected", shown, "all", not silent)
     measured = f"{len(outcomes) - len(wrong)} of {len(outcomes)} as never made" + "".join(f"; {one}" for one in wrong)
     yield BenchRow("mistakes in the registry, corrected", measured, "all as never made", not wrong)
-
-
-PART = ChaosPart("registry", "mistakes in the registry, made at random and corrected", 50, 2, rows)
