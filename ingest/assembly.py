@@ -144,8 +144,37 @@ class Assembler:
         _, _, from_ns, to_ns = needed_range(*span, self.length_ns)
         _check_one_kind(vehicle, EXCHANGE_SUFFIX, unit.chunks.overlapping(vehicle, from_ns, to_ns))
 
+    def check_alone(self, unit: SqlUnitOfWork, vehicle: str, span: Span, digest: str) -> None:
+        """Raise where another exchange of the vehicle shares an instant with one: neither would give a window.
+
+        Parameters
+        ----------
+        unit
+            An open transaction.
+        vehicle
+            Code.
+        span
+            First and last instant of the exchange on the vehicle's clock.
+        digest
+            Of the exchange.
+
+        Raises
+        ------
+        ConflictError
+            There is one.
+        """
+        for other in unit.chunks.overlapping(vehicle, span[0], span[1] + 1):
+            if other.suffix == EXCHANGE_SUFFIX and other.digest != digest:
+                reason = (
+                    f"another exchange of vehicle {vehicle} is stored for the same time: {other.digest[:12]};"
+                    f" where that one is wrong: treadwatch recordings set-aside {other.digest[:12]}"
+                )
+                raise ConflictError(reason, kind="chunk", key=other.digest)
+
     def check_one_kind(self, unit: SqlUnitOfWork, record: ChunkRecord) -> None:
         """Raise where logs of a bus and exchanges would share a window with a recording that was just placed.
+
+        Two exchanges may share a window, but no instant.
 
         Raises
         ------
@@ -156,6 +185,8 @@ class Assembler:
             _, _, from_ns, to_ns = needed_range(record.first_ns, record.last_ns, self.length_ns)
             beside = unit.chunks.overlapping(record.vehicle, from_ns, to_ns)
             _check_one_kind(record.vehicle, record.suffix, beside)
+            if record.suffix == EXCHANGE_SUFFIX:
+                self.check_alone(unit, record.vehicle, (record.first_ns, record.last_ns), record.digest)
 
     def touched(self, receipts: Iterable[ChunkRecord]) -> Span | None:
         """Return the span of the vehicle's clock whose windows recordings can change; None where there is none."""

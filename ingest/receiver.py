@@ -7,6 +7,7 @@ from the receipts.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -131,7 +132,7 @@ class Receiver:
         ExchangeError
             Something in it is missing, impossible, or contradicts itself or the registry; names file, line and field.
         ConflictError
-            Logs of the vehicle's bus are in the same windows.
+            Logs of the vehicle's bus are in the same windows, or another exchange has the same time.
         """
         with self._storage.read() as unit:
             exchange = checked_exchange(description, unit)
@@ -139,6 +140,11 @@ class Receiver:
         with TemporaryDirectory(prefix="treadwatch-exchange-") as folder:
             bundle = Path(folder) / f"{description.stem}{EXCHANGE_SUFFIX}"
             write_bundle(bundle, description, exchange.table, exchange.facts)
+            with bundle.open("rb") as file, self._storage.read() as unit:
+                span = (exchange.first_ns, exchange.last_ns)
+                self._assembler.check_alone(
+                    unit, exchange.vehicle, span, hashlib.file_digest(file, "sha256").hexdigest()
+                )
             return self.receive_file(bundle, exchange.vehicle)
 
     def receive_files(self, files: Iterable[tuple[Path, str]]) -> Iterator[tuple[Path, ChunkReceipt | Exception]]:
