@@ -11,10 +11,24 @@ from bench.report import BenchRow
 def parts() -> tuple[ChaosPart, ...]:
     """Return all parts; each imports what it needs when it runs."""
     return (
+        ChaosPart("kills", "ingest, estimate, schedule and serve killed while recordings come in", 500, 4, _kills),
+        ChaosPart("ingests", "two to eight ingests of one vehicle at once, on both databases", 100, 2, _ingests),
         ChaosPart("connections", "clients that open connections and do not use them", 1000, 300, _connections),
         ChaosPart("mutations", "log files are damaged, so many of each format, and read", 100_000, 40, _mutations),
         ChaosPart("registry", "mistakes in the registry, made at random and corrected", 50, 2, _registry),
     )
+
+
+def _kills(settings: ChaosSettings) -> Iterator[BenchRow]:
+    from bench.chaos.kills import rows  # noqa: PLC0415 - only when it runs
+
+    return rows(settings)
+
+
+def _ingests(settings: ChaosSettings) -> Iterator[BenchRow]:
+    from bench.chaos.ingests import rows  # noqa: PLC0415 - only when it runs
+
+    return rows(settings)
 
 
 def _connections(settings: ChaosSettings) -> Iterator[BenchRow]:

@@ -1,0 +1,210 @@
+"""A deployment of one vehicle with two wheelsets, small enough to be broken hundreds of times; on either database."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import time
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import psycopg
+import sqlalchemy
+from psycopg import sql
+
+from api.factory import SystemClock, open_store, receiver
+from api.settings import Settings
+from estimation.errors import DamagedError
+from estimation.values.runs import JobOutcome
+from fleet_db.migrate import upgrade
+from fleet_db.models import Base
+from fleet_db.packed_values import pack_geometry
+from fleet_db.storage import SqlStorage
+from ingest.frames import take
+from ingest.logs import write_blf
+from ingest.vehicle_class_file import shipped_class
+from tests.ingest.vehicle_bus import VEHICLE, Run, register
+from tests.postgres_server import SAFE, PostgresServer, stoppable_server
+
+WINDOW_S = 10.0
+STATE = {
+    "chunks": ("digest", "vehicle", "state", "reason_code", "first_ns", "last_ns", "frames"),
+    "windows": ("wheelset", "start_ns", "mileage_km", "track_section", "state", "reason_code", "content_digest"),
+    "window_bin_tables": ("wheelset", "start_ns", "window_digest", "parameter_key", "packed"),
+}
+"""What is a function of what was received: not when it was stored, and in which order."""
+
+
+@dataclass(frozen=True, slots=True)
+class Databases:
+    """A migrated SQLite file and a running PostgreSQL with a migrated database, both to be copied from."""
+
+    folder: Path
+    server: PostgresServer
+
+    def new(self, kind: str) -> Settings:
+        """Return the settings of a new deployment on ``sqlite`` or ``postgresql``, with its vehicle registered."""
+        name = f"d{uuid.uuid4().hex[:12]}"
+        home = self.folder / name
+        home.mkdir()
+        if kind == "sqlite":
+            shutil.copyfile(self.folder / "migrated.sqlite", home / "treadwatch.sqlite")
+            url = f"sqlite:///{home / 'treadwatch.sqlite'}"
+        else:
+            with psycopg.connect(self.server.url, autocommit=True) as connection:
+                connection.execute(sql.SQL("CREATE DATABASE {} TEMPLATE migrated").format(sql.Identifier(name)))
+            url = _database(self.server.url, name)
+        settings = Settings(database_url=url, data_dir=home, window_length_s=WINDOW_S, port=0, _env_file=None)
+        with closing(open_store(settings)) as storage, storage.write() as unit:
+            register(unit)
+            unit.registry.add_vehicle_class(replace(shipped_class("coach"), code="multiple unit"), 1)
+        return settings
+
+    def drop(self, settings: Settings) -> None:
+        """Remove a deployment."""
+        shutil.rmtree(settings.data_dir)
+        if not settings.url.startswith("sqlite"):
+            name = str(sqlalchemy.make_url(settings.url).database)
+            with psycopg.connect(self.server.url, autocommit=True) as connection:
+                connection.execute(sql.SQL("DROP DATABASE {} WITH (FORCE)").format(sql.Identifier(name)))
+
+
+@contextmanager
+def databases(folder: Path) -> Iterator[Databases]:
+    """Yield both databases, for the deployments of a part."""
+    upgrade(f"sqlite:///{folder / 'migrated.sqlite'}")
+    with stoppable_server(SAFE) as server:
+        with psycopg.connect(server.url, autocommit=True) as connection:
+            connection.execute("CREATE DATABASE migrated")
+        upgrade(_database(server.url, "migrated"))
+        yield Databases(folder, server)
+
+
+def _database(url: str, name: str) -> str:
+    """Return the URL of a database of a server; with a password, which must be in no log."""
+    parsed = sqlalchemy.make_url(url).set(drivername="postgresql", database=name, password=PASSWORD)
+    return parsed.render_as_string(hide_password=False)
+
+
+PASSWORD = "not-for-the-log-4711"  # noqa: S105 - the server trusts everybody; it is looked for in the logs
+
+
+def recordings(folder: Path, cuts: Sequence[float], seconds: float) -> list[Path]:
+    """Write one journey of the vehicle as recordings that follow each other.
+
+    Parameters
+    ----------
+    folder
+        Where to.
+    cuts
+        Where it is cut, as shares of its frames.
+    seconds
+        Its length.
+    """
+    frames = Run(seconds=seconds).frames()
+    edges = [0, *sorted(round(cut * len(frames)) for cut in cuts), len(frames)]
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for number, (first, last) in enumerate(pairwise(edges)):
+        if last > first:
+            paths.append(folder / f"{VEHICLE}__{number:03}.blf")
+            write_blf(paths[-1], take(frames, slice(first, last)))
+    return paths
+
+
+def ingest(settings: Settings, paths: Sequence[Path]) -> list[object]:
+    """Receive recordings as ``treadwatch ingest`` does: what was left over first; return their outcomes."""
+    with closing(open_store(settings)) as storage:
+        taking = receiver(settings, storage, SystemClock())
+        left = list(taking.decode_stored())
+        taking.reassembler.work_off()
+        return [*left, *(outcome for _, outcome in taking.receive_files([(path, VEHICLE) for path in paths]))]
+
+
+def fork(work: Callable[[], object], log: Path) -> int:
+    """Run ``work`` in a process of its own, which imports nothing again; return its number.
+
+    Parameters
+    ----------
+    work
+        What it does; it opens its own connections.
+    log
+        Where its output goes.
+    """
+    pid = os.fork()
+    if pid:
+        return pid
+    code = 1
+    try:
+        handle = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        os.dup2(handle, 1)
+        os.dup2(handle, 2)
+        work()
+        code = 0
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    except BaseException as error:  # noqa: BLE001 - it is written where the part looks for it
+        os.write(2, f"ended by {type(error).__name__}: {error}\n".encode())
+    os._exit(code)
+
+
+def wait_for(pids: Sequence[int]) -> list[int]:
+    """Wait for processes to end; return their exit codes."""
+    return [os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) for pid in pids]
+
+
+def state(storage: SqlStorage) -> dict[str, str]:
+    """Return digests of receipts, windows, bin tables, and the present geometries."""
+    found = {}
+    with storage.read() as unit:
+        for name, columns in STATE.items():
+            table = Base.metadata.tables[name]
+            chosen = sqlalchemy.select(*(table.c[column] for column in columns))
+            rows = sorted(repr(tuple(row)) for row in unit.connection.execute(chosen))
+            found[name] = _digest("\n".join(rows).encode())
+        current = [unit.geometries.current(f"WS-{axle}") for axle in (1, 2)]
+        packed = [b"" if record is None else pack_geometry(record.geometry) for record in current]
+        found["geometries"] = _digest(b"\n".join(packed))
+    return found
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
+def faults(settings: Settings, storage: SqlStorage) -> list[str]:
+    """Return what is wrong with a deployment in itself: torn or orphaned files, doubled windows, open runs."""
+    wrong = []
+    with storage.read() as unit:
+        windows = [window for axle in (1, 2) for window in unit.windows.list(f"WS-{axle}")]
+        for window in windows:
+            try:
+                unit.windows.load(window.wheelset, window.start_ns)
+            except DamagedError as error:
+                wrong.append(f"torn: {error}")
+        if any(run.outcome is JobOutcome.RUNNING for run in unit.jobs.page(None, None, 1000)):
+            wrong.append("a run without an end")
+        digests = {window.content_digest for window in windows}
+        chunks = {row.digest for row in unit.connection.execute(sqlalchemy.text("SELECT digest FROM chunks"))}
+    starts = [(window.wheelset, window.start_ns) for window in windows]
+    wrong += ["doubled window"] * (len(starts) - len(set(starts)))
+    for folder, known in (("windows", digests), ("raw", chunks)):
+        files = [path for path in (settings.data_dir / folder).rglob("*") if path.is_file()]
+        left = [path for path in files if path.name.partition(".")[0] not in known and len(path.stem) >= 64]
+        wrong += [f"orphaned: {folder}/{path.name[:12]}" for path in left]
+    return wrong
+
+
+def until(reached: Callable[[], bool], seconds: float) -> float | None:
+    """Wait until something is so; return how long it took, s, or None."""
+    begin = time.monotonic()
+    while not reached():
+        if time.monotonic() - begin > seconds:
+            return None
+        time.sleep(0.02)
+    return time.monotonic() - begin
