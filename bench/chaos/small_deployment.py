@@ -19,8 +19,9 @@ from psycopg import sql
 
 from api.factory import SystemClock, open_store, receiver
 from api.settings import Settings
-from estimation.errors import DamagedError
 from estimation.values.runs import JobOutcome
+from fleet_db.keeping.deep_check import check_deep
+from fleet_db.keeping.orphans import orphans
 from fleet_db.migrate import upgrade
 from fleet_db.models import Base
 from fleet_db.packed_values import pack_geometry
@@ -178,26 +179,16 @@ def _digest(content: bytes) -> str:
 
 
 def faults(settings: Settings, storage: SqlStorage) -> list[str]:
-    """Return what is wrong with a deployment in itself: torn or orphaned files, doubled windows, open runs."""
-    wrong = []
+    """Return what is wrong with a deployment in itself: torn files, rows without theirs, raw orphans, open runs."""
+    wrong = [
+        str(finding) for finding in check_deep(storage, lambda _done, _total: None).findings if not finding.harmless
+    ]
+    wrong += [f"orphaned: {path}" for path in orphans(storage, 0.0) if path.parts[0] == settings.raw_dir.name]
     with storage.read() as unit:
-        windows = [window for axle in (1, 2) for window in unit.windows.list(f"WS-{axle}")]
-        for window in windows:
-            try:
-                unit.windows.load(window.wheelset, window.start_ns)
-            except DamagedError as error:
-                wrong.append(f"torn: {error}")
-        if any(run.outcome is JobOutcome.RUNNING for run in unit.jobs.page(None, None, 1000)):
-            wrong.append("a run without an end")
-        digests = {window.content_digest for window in windows}
-        chunks = {row.digest for row in unit.connection.execute(sqlalchemy.text("SELECT digest FROM chunks"))}
-    starts = [(window.wheelset, window.start_ns) for window in windows]
-    wrong += ["doubled window"] * (len(starts) - len(set(starts)))
-    for folder, known in (("windows", digests), ("raw", chunks)):
-        files = [path for path in (settings.data_dir / folder).rglob("*") if path.is_file()]
-        left = [path for path in files if path.name.partition(".")[0] not in known and len(path.stem) >= 64]
-        wrong += [f"orphaned: {folder}/{path.name[:12]}" for path in left]
-    return wrong
+        windows = [(w.wheelset, w.start_ns) for axle in (1, 2) for w in unit.windows.list(f"WS-{axle}")]
+        runs = unit.jobs.page(None, None, 1000)
+    wrong += ["doubled window"] * (len(windows) - len(set(windows)))
+    return wrong + ["a run without an end"] * sum(run.outcome is JobOutcome.RUNNING for run in runs)
 
 
 def until(reached: Callable[[], bool], seconds: float) -> float | None:
