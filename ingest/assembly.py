@@ -32,6 +32,7 @@ from ingest.align.windows import (
 from ingest.catalogue import Catalogue
 from ingest.dropped_frames import count_dropped
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
+from ingest.exchange.overlaps import check_alone
 from ingest.own_bus.bus import OwnBus
 from ingest.own_bus.samples import own_samples
 from ingest.plausibility.vehicle_clock import clock_verdict
@@ -144,33 +145,6 @@ class Assembler:
         _, _, from_ns, to_ns = needed_range(*span, self.length_ns)
         _check_one_kind(vehicle, EXCHANGE_SUFFIX, unit.chunks.overlapping(vehicle, from_ns, to_ns))
 
-    def check_alone(self, unit: SqlUnitOfWork, vehicle: str, span: Span, digest: str) -> None:
-        """Raise where another exchange of the vehicle shares an instant with one: neither would give a window.
-
-        Parameters
-        ----------
-        unit
-            An open transaction.
-        vehicle
-            Code.
-        span
-            First and last instant of the exchange on the vehicle's clock.
-        digest
-            Of the exchange.
-
-        Raises
-        ------
-        ConflictError
-            There is one.
-        """
-        for other in unit.chunks.overlapping(vehicle, span[0], span[1] + 1):
-            if other.suffix == EXCHANGE_SUFFIX and other.digest != digest:
-                reason = (
-                    f"another exchange of vehicle {vehicle} is stored for the same time: {other.digest[:12]};"
-                    f" where that one is wrong: treadwatch recordings set-aside {other.digest[:12]}"
-                )
-                raise ConflictError(reason, kind="chunk", key=other.digest)
-
     def check_one_kind(self, unit: SqlUnitOfWork, record: ChunkRecord) -> None:
         """Raise where logs of a bus and exchanges would share a window with a recording that was just placed.
 
@@ -186,7 +160,7 @@ class Assembler:
             beside = unit.chunks.overlapping(record.vehicle, from_ns, to_ns)
             _check_one_kind(record.vehicle, record.suffix, beside)
             if record.suffix == EXCHANGE_SUFFIX:
-                self.check_alone(unit, record.vehicle, (record.first_ns, record.last_ns), record.digest)
+                check_alone(unit, record.vehicle, record.first_ns, record.last_ns, record.digest)
 
     def touched(self, receipts: Iterable[ChunkRecord]) -> Span | None:
         """Return the span of the vehicle's clock whose windows recordings can change; None where there is none."""

@@ -21,15 +21,17 @@ from fleet_db.raw import RawStore
 from fleet_db.raw_mark import check_raw_store, stored_mark
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from ingest.assembly import Assembler, SpanAssembly
+from ingest.assembly import Assembler
 from ingest.catalogue import Catalogue
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.bundle import write_bundle
 from ingest.exchange.intake import checked_exchange
+from ingest.exchange.overlaps import check_alone
 from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
 from ingest.own_bus.choice import BusChoice
 from ingest.reassembly import Reassembler
+from ingest.received import Decoded, ReceivedFile, check_undecided, read_or_raise
 from ingest.recordings import Recording, Recordings
 from ingest.span_commit import NO_CHANGES, commit, still_so
 
@@ -46,24 +48,6 @@ class ChunkReceipt:
     record: ChunkRecord
     known: bool  # the same bytes had been received before
     windows_changed: int  # windows that are new or have other content now
-
-
-@dataclass(frozen=True, slots=True)
-class ReceivedFile:
-    """A file whose bytes are durable, read if it can be read."""
-
-    path: Path
-    vehicle: str
-    digest: str
-    recording: Recording | Exception
-
-
-@dataclass(frozen=True, slots=True)
-class Decoded:
-    """What a recording makes: receipts, its own first, and the windows that it touches, where it has a place."""
-
-    receipts: tuple[ChunkRecord, ...]
-    assembly: SpanAssembly | None
 
 
 class Receiver:
@@ -141,10 +125,8 @@ class Receiver:
             bundle = Path(folder) / f"{description.stem}{EXCHANGE_SUFFIX}"
             write_bundle(bundle, description, exchange.table, exchange.facts)
             with bundle.open("rb") as file, self._storage.read() as unit:
-                span = (exchange.first_ns, exchange.last_ns)
-                self._assembler.check_alone(
-                    unit, exchange.vehicle, span, hashlib.file_digest(file, "sha256").hexdigest()
-                )
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+                check_alone(unit, exchange.vehicle, exchange.first_ns, exchange.last_ns, digest)
             return self.receive_file(bundle, exchange.vehicle)
 
     def receive_files(self, files: Iterable[tuple[Path, str]]) -> Iterator[tuple[Path, ChunkReceipt | Exception]]:
@@ -263,7 +245,7 @@ class Receiver:
         """Decode a stored recording that was read, or keep why it could not be; raises as :meth:`receive_file`."""
         changed = 0
         try:
-            record, changed = self._decode(record, _read(recording))
+            record, changed = self._decode(record, read_or_raise(recording))
         except LogFileError as error:
             self._reject(record, error)
             raise LogFileError(error.reason, file=path or error.file, line=error.line) from error
@@ -382,7 +364,7 @@ class Receiver:
         return self._assembler.placed(unit, record, recording) == made.receipts
 
     def _commit(self, unit: SqlUnitOfWork, made: Decoded) -> tuple[ChunkRecord, int]:
-        _check_undecided(unit, made.receipts)
+        check_undecided(unit, made.receipts)
         changes, counts = NO_CHANGES, made.receipts[0].counts
         if made.assembly is not None:
             changes = commit(unit, made.assembly, self._clock.now_ns())
@@ -401,21 +383,6 @@ class Receiver:
             return Decoded(receipts, None)
         coming = [receipt for receipt in receipts if receipt.state is ChunkState.DECODED]
         return Decoded(receipts, self._assembler.assemble(unit, record.vehicle, span, coming))
-
-
-def _read(recording: Recording | Exception) -> Recording:
-    """Return what was read; raise what was raised at reading."""
-    if isinstance(recording, Exception):
-        raise recording
-    return recording
-
-
-def _check_undecided(unit: SqlUnitOfWork, receipts: Iterable[ChunkRecord]) -> None:
-    """Raise where a recording was moved, set aside or rejected while its windows were assembled."""
-    for receipt in receipts:
-        now = unit.chunks.get(receipt.digest)
-        if now is None or now.vehicle != receipt.vehicle or now.state in {ChunkState.REJECTED, ChunkState.SET_ASIDE}:
-            raise ConflictError(f"recording {receipt.digest[:12]} changed meanwhile", kind="chunk", key=receipt.digest)
 
 
 def _suffix_of(path: Path) -> str:

@@ -24,7 +24,6 @@ from fleet_db.raw import RawStore
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
-from ingest.corrections import Author, RecordingCorrections
 from ingest.logs import write_blf
 from ingest.receiver import Receiver
 from ingest.vehicle_class_file import shipped_class
@@ -366,24 +365,6 @@ def test_two_halves_in_any_order_give_the_same_windows(place: Received, motion: 
                 connection.exec_driver_sql(f"delete from {table}")  # noqa: S608 - two names of ours
     assert found[0] == found[1]
     assert len(found[0]) == 6
-
-
-def test_a_run_of_a_time_that_another_one_has_is_refused_and_taken_once_that_is_set_aside(
-    place: Received, motion: Mapping[str, FloatArray]
-) -> None:
-    still, moving = place.folder / "still", place.folder / "moving"
-    for folder in (still, moving):
-        folder.mkdir()
-    standing = {**motion, "s": np.full_like(motion["s"], 500.0), "v": np.zeros_like(motion["v"])}
-    first = place.receiver.receive_exchange(example(still, standing)).record
-    assert first.state == "decoded"
-    run = example(moving, motion)
-    with pytest.raises(ConflictError, match=f"recordings set-aside {first.digest[:12]}"):
-        place.receiver.receive_exchange(run)
-    with place.storage.read() as unit:
-        assert len(unit.chunks.list(None, None, None, 10)) == 1
-    RecordingCorrections(place.storage, CountingClock()).set_aside(first.digest, Author("kim", "the other is right"))
-    assert place.receiver.receive_exchange(run).windows_changed == 6
 
 
 def test_logs_and_exchanges_do_not_share_windows(place: Received, motion: Mapping[str, FloatArray]) -> None:

@@ -30,6 +30,7 @@ from ingest.canopen import TIME_ID
 from ingest.catalogue import default_catalogue
 from ingest.frames import from_owned_arrays, take
 from ingest.logs import write_blf
+from ingest.logs.processes import stop_server
 from ingest.receiver import ChunkReceipt, Receiver
 from ingest.span_commit import SpanChanges
 
@@ -323,3 +324,20 @@ def test_a_vehicle_whose_windows_cannot_be_made_again_keeps_no_other_waiting(
     assert receiver_on(registered, tmp_path, clock).reassembler.work_off() == SpanChanges(new=4)
     with registered.read() as unit:
         assert unit.quarantine.held() == []
+
+
+def test_a_recording_whose_format_needs_an_extra_waits_for_it(
+    registered: SqlStorage, tmp_path: Path, clock: SetClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "hidden").mkdir()
+    (tmp_path / "hidden" / "asammdf.py").write_text("raise ImportError('not installed')")
+    path = tmp_path / f"{VEHICLE}__1.mf4"
+    path.write_bytes(b"MDF     4.10" + bytes(200))
+    with monkeypatch.context() as without:
+        without.setenv("PYTHONPATH", str(tmp_path / "hidden"))  # the process that reads looks here first
+        stop_server()
+        receiver_on(registered, tmp_path, clock).receive_file(path, VEHICLE)
+        stop_server()
+    assert states(registered) == [(ChunkState.STORED, ReasonCode.WAITS_FOR_EXTRA)]
+    list(receiver_on(registered, tmp_path, clock).decode_stored())
+    assert states(registered) == [(ChunkState.REJECTED, ReasonCode.LOG_DAMAGED)]  # read now, and no MF4 file inside
