@@ -109,8 +109,16 @@ class _ObjectReader:
         return contents[at:]
 
     def compare_with_header(self) -> None:
-        """Count what the header says otherwise; writers do not agree on which objects they count."""
+        """Count what the header says otherwise; writers do not agree on which objects they count.
+
+        Raises
+        ------
+        LogFileError
+            There is no object at all where the header says that there are.
+        """
         said = self.header.objects
+        if said and not self.objects:
+            raise self._error(f"holds no object, the header at byte 32 says {said}")
         stop_ns = self.header.stop_ns
         disagrees = said > self.objects + self.containers
         if stop_ns and self.frames:

@@ -266,6 +266,18 @@ BROKEN: dict[str, tuple[Callable[[], bytes], str]] = {
         lambda: file_bytes(container_bytes(GOOD)).replace(struct.pack("<2H", 2025, 6), b"\1\0\x63\0"),
         "no date",
     ),
+    "a container that is none": (
+        lambda: file_bytes(container_bytes(GOOD)[:12] + b"\x0b" + container_bytes(GOOD)[13:]),
+        "holds no object, the header at byte 32 says 1",
+    ),
+    "identifier out of range": (
+        lambda: file_bytes(container_bytes(object_bytes(1, struct.pack("<HBBL8s", 1, 0, 8, 0x800, b"12345678")))),
+        "identifier 0x800 is out of range",
+    ),
+    "a year without a clock": (
+        lambda: file_bytes(container_bytes(GOOD)).replace(struct.pack("<2H", 2025, 6), struct.pack("<2H", 6120, 6)),
+        "a time beyond this age: 6120",
+    ),
     "empty file": (lambda: b"", "is no BLF log"),
     "text": (lambda: b"hello, this is no log\n" * 50, "is no BLF log"),
     "header only": (lambda: b"LOGG" + bytes(20), "is no BLF file"),
@@ -295,6 +307,18 @@ def test_every_truncation_is_seen(tmp_path: Path, suffix: str) -> None:
         with pytest.raises(LogFileError) as caught:
             (read_blf_here if suffix == ".blf" else read_log)(path)
         assert caught.value.file == str(path)
+
+
+def test_a_header_that_disagrees_with_the_contents_is_counted(tmp_path: Path) -> None:
+    path = tmp_path / "disagrees.blf"
+    write_recording(path, some_frames())
+    content = bytearray(path.read_bytes())
+    assert read_content(path).counts == {}
+    for at, value in ((32, 502), (56 + 12, 59)):  # more objects than there are, with their container; another stop
+        changed = bytearray(content)
+        changed[at : at + 2] = struct.pack("<H", value)
+        path.write_bytes(changed)
+        assert read_content(path).counts == {"header_disagrees": 1}
 
 
 def test_a_file_that_was_appended_to_is_refused(tmp_path: Path) -> None:
