@@ -20,7 +20,7 @@ from estimation.values.suspension import SuspensionFinding
 from estimation.values.track import AlignmentRecord, TrackAlignment, TrackLayout, TrackReport, TrackSectionRecord
 from estimation.values.track_epochs import EpochMember, EpochNews, TrackEpoch
 from estimation.values.trend import TrendRecord
-from estimation.values.windows import Window, WindowPosition, WindowRecord, WindowState
+from estimation.values.windows import MileageReading, Window, WindowPosition, WindowRecord, WindowState
 from estimation.vehicle.class_on_file import ClassOnFile
 
 
@@ -203,6 +203,14 @@ class Quarantine(Protocol):
     def put(self, item: Quarantined) -> None: ...
 
 
+class Plausibility(Protocol):
+    """Which windows have a mileage that is not believed."""
+
+    def unjudged(self) -> Sequence[str]: ...
+    def readings(self, wheelset: str) -> Sequence[MileageReading]: ...
+    def judge(self, wheelset: str, implausible: Mapping[int, Reason]) -> int: ...
+
+
 class RecordedTimes(Protocol):
     """Our clock on what is stored: results from the time when it was ahead count as recorded now."""
 
@@ -236,6 +244,8 @@ class UnitOfWork(Protocol):
     def jobs(self) -> JobRuns: ...
     @property
     def quarantine(self) -> Quarantine: ...
+    @property
+    def plausibility(self) -> Plausibility: ...
     @property
     def recorded_times(self) -> RecordedTimes: ...
 

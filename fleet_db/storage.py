@@ -24,6 +24,7 @@ from fleet_db.stores.feed_branches import FeedBranchStore
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.idempotency import IdempotencyStore
 from fleet_db.stores.jobs import JobRunStore
+from fleet_db.stores.plausibility import PlausibilityStore
 from fleet_db.stores.quarantine import QuarantineStore
 from fleet_db.stores.raw_marks import RawMarkStore
 from fleet_db.stores.recorded_times import RecordedTimeStore
@@ -73,6 +74,7 @@ class SqlUnitOfWork:
     alerts: AlertStore = field(init=False)
     feed_branches: FeedBranchStore = field(init=False)
     jobs: JobRunStore = field(init=False)
+    plausibility: PlausibilityStore = field(init=False)
     recorded_times: RecordedTimeStore = field(init=False)
     idempotency: IdempotencyStore = field(init=False)
 
@@ -97,6 +99,7 @@ class SqlUnitOfWork:
         self.trends = TrendStore(connection)
         self.suspensions = SuspensionStore(connection)
         self.alerts = AlertStore(connection, self.writing, self.changes)
+        self.plausibility = PlausibilityStore(connection, self.windows)
         self.recorded_times = RecordedTimeStore(connection)
         self.feed_branches = FeedBranchStore(connection)
         self.jobs = JobRunStore(connection, self.owner)

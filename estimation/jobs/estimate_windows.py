@@ -24,6 +24,7 @@ from estimation.jobs.steps.failed_windows import (
 )
 from estimation.jobs.steps.load_window import load_window, partner_digest
 from estimation.jobs.steps.lost_windows import assemble_if_lost
+from estimation.jobs.steps.plausibility import judge_mileages
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.window_motion import NO_ALIGNMENT
@@ -41,6 +42,7 @@ def run(context: JobContext) -> Mapping[str, int]:
     """Estimate every pending window; each batch is committed together."""
     settings = context.settings.estimation
     counts: Counter[str] = Counter(estimated=0, refused=0, changed_meanwhile=0)
+    counts["mileages_judged_otherwise"] = judge_mileages(context)
     isolation = Isolation(context, "estimate_windows")
     let_due_wait_again(context, isolation)
     with context.storage.write() as unit:
@@ -168,6 +170,8 @@ def _compute(
 
 
 def _outcome(unit: UnitOfWork, work: _Work) -> BinTable | Reason:
+    if work.record.implausible is not None:
+        return work.record.implausible
     if isinstance(work.assumed, Reason):
         return work.assumed
     parameters = work.assumed.windows

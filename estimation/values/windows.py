@@ -131,3 +131,24 @@ class WindowRecord:
     reason: Reason | None
     content_digest: str  # sha256 of the samples; the same content again changes nothing
     recorded_ns: int
+    implausible: Reason | None = None  # why its mileage is not believed
+
+
+@dataclass(frozen=True, slots=True)
+class MileageReading:
+    """The mileage of a wheelset at the start of a window, and what speaks against it by itself.
+
+    Attributes
+    ----------
+    start_ns
+        Vehicle time.
+    mileage_km
+        Of the wheelset since new.
+    odometer_excess_m
+        By how much the change of the odometer within the window differs from the integral of the speed beyond what is
+        allowed, m; 0 where it does not.
+    """
+
+    start_ns: int
+    mileage_km: float
+    odometer_excess_m: float = 0.0

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String, false, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.windows import WindowState
 from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Real, ReasonCodeColumn, one_of
 
 PENDING = text("state = 'pending'")
+UNJUDGED = text("judged = 0")
+UNJUDGED_POSTGRESQL = text("NOT judged")
 
 
 class WindowRow(Base):
-    """One window. A quality number that is not known is null; the samples are in the file of ``content_digest``."""
+    """One window. A quality number that is not known is null; the samples are in the file of ``content_digest``.
+
+    ``implausible`` is why its mileage is not believed; ``judged`` whether that was looked at since it was stored.
+    """
 
     __tablename__ = "windows"
     __table_args__ = (
@@ -20,6 +25,7 @@ class WindowRow(Base):
         CheckConstraint("length_ns > 0", name="length_positive"),
         Index(None, "track_section", "start_ns"),
         Index("ix_windows_pending", "wheelset", "start_ns", sqlite_where=PENDING, postgresql_where=PENDING),
+        Index("ix_windows_unjudged", "wheelset", sqlite_where=UNJUDGED, postgresql_where=UNJUDGED_POSTGRESQL),
     )
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
@@ -47,3 +53,7 @@ class WindowRow(Base):
     content_digest: Mapped[Digest]
     sample_bytes: Mapped[Count]
     recorded_ns: Mapped[Nanoseconds]
+    odometer_excess_m: Mapped[Real] = mapped_column(server_default=text("0"))
+    implausible: Mapped[Name | None]
+    implausible_code: Mapped[ReasonCodeColumn | None]
+    judged: Mapped[bool] = mapped_column(server_default=false())

@@ -84,6 +84,7 @@ class WindowStore:
             "content_digest": digest,
             "sample_bytes": self.files.save(window, digest),
             "recorded_ns": recorded_ns,
+            "judged": False,
         }
         if found.content_digest is None:
             # another transaction may have stored it since the look-up
@@ -254,7 +255,7 @@ class WindowStore:
     def _set_mileage(self, window: Window, before_km: float, mileage_km: float) -> bool:
         if before_km == mileage_km:
             return False
-        values = {"wheelset": window.wheelset, "start_ns": window.start_ns, "mileage_km": mileage_km}
+        values = {"wheelset": window.wheelset, "start_ns": window.start_ns, "mileage_km": mileage_km, "judged": False}
         replace(self.connection, WINDOWS, values)
         self.changes.note(window.wheelset)
         return True
@@ -319,7 +320,19 @@ def to_window_record(row: Row[Any]) -> WindowRecord:
         reason=stored_reason(row),
         content_digest=row.content_digest,
         recorded_ns=row.recorded_ns,
+        implausible=implausible_reason(row),
     )
+
+
+def implausible_reason(row: Any) -> Reason | None:  # noqa: ANN401 - a row of windows, whatever was selected
+    """Return why the mileage of a row of windows is not believed; None where it is.
+
+    Parameters
+    ----------
+    row
+        With the columns ``implausible`` and ``implausible_code``.
+    """
+    return None if row.implausible_code is None else Reason(ReasonCode(row.implausible_code), row.implausible)
 
 
 def _hunting(row: Row[Any]) -> Hunting:

@@ -15,6 +15,7 @@ from estimation.values.windows import ACCELERATIONS
 from ingest.align.clock import TIME_REACH_NS, AlignCounts, TickedValues
 from ingest.catalogue import ACCELERATION, EMERGENCY, MOTION, POSITION, STATUS, VEHICLE_NODE, Catalogue
 from ingest.codec import MessageValues
+from ingest.plausibility.vehicle_motion import odometer_excess, possible_motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,6 +216,7 @@ class GridMotion:
     section: IntArray  # (n,) number
     position_quality: FloatArray  # (n,) 0 to 1, 0 where unknown
     odometer_m: float  # at the first grid point
+    odometer_excess_m: float = 0.0  # by which odometer and speed differ beyond what they may
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,6 +226,9 @@ class VehicleMotion:
     interval_ns: int
     motion: Track  # speed, odometer
     position: Track  # track section, distance, quality
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "motion", Track(self.motion.tick, possible_motion(self.motion.values)))
 
     def on_grid(self, first_tick: int, count: int) -> GridMotion:
         """Return the motion at ``count`` sampling instants from ``first_tick``."""
@@ -242,7 +247,9 @@ class VehicleMotion:
         section[known] = where.values[before[known], 0].astype(np.int64)
         quality[known] = np.nan_to_num(where.values[before[known], 2], nan=0.0)
         forward = np.where(slope < 0.0, -1.0, 1.0)
-        return GridMotion(speed, distance, forward, section, quality, self._odometer(moved))
+        inside = (moved.tick >= 0) & (moved.tick < count)
+        excess = odometer_excess(moved.tick[inside], moved.values[inside], self.interval_ns * 1e-9, reach)
+        return GridMotion(speed, distance, forward, section, quality, self._odometer(moved), excess)
 
     def _odometer(self, moved: Track) -> float:
         """Return the odometer at tick 0 of ``moved``, from the frame with both values nearest to it; NaN without."""

@@ -68,6 +68,7 @@ class MountedWindow:
 
     window: Window
     mounting: Mounting
+    odometer_excess_m: float = 0.0  # by which odometer and speed differ beyond what they may
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +199,7 @@ def _window(
         odometer_m=motion.odometer_m,
         quality=_quality(node, span, extent, motion, valid, slot),
     )
-    return MountedWindow(window, mounting)
+    return MountedWindow(window, mounting, motion.odometer_excess_m)
 
 
 def _section_and_distance(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlalchemy as sa
 from alembic import op
 
 revision: str = "0013"
@@ -14,7 +15,18 @@ TABLES = ("geometry_estimates", "trends")
 
 
 def upgrade() -> None:
-    """Add the indexes by which results are found that were stored while our clock was ahead."""
+    """Add what is known of the mileage of windows, and indexes by recorded time."""
+    op.add_column("windows", sa.Column("odometer_excess_m", sa.Double(), server_default=sa.text("0"), nullable=False))
+    op.add_column("windows", sa.Column("implausible", sa.Text(), nullable=True))
+    op.add_column("windows", sa.Column("implausible_code", sa.String(64), nullable=True))
+    op.add_column("windows", sa.Column("judged", sa.Boolean(), server_default=sa.false(), nullable=False))
+    op.create_index(
+        "ix_windows_unjudged",
+        "windows",
+        ["wheelset"],
+        sqlite_where=sa.text("judged = 0"),
+        postgresql_where=sa.text("NOT judged"),
+    )
     for table in TABLES:
         op.create_index(op.f(f"ix_{table}_recorded_ns"), table, ["recorded_ns"])
 
@@ -23,3 +35,6 @@ def downgrade() -> None:
     """Remove them."""
     for table in TABLES:
         op.drop_index(op.f(f"ix_{table}_recorded_ns"), table)
+    op.drop_index("ix_windows_unjudged", "windows")
+    for column in ("judged", "implausible_code", "implausible", "odometer_excess_m"):
+        op.drop_column("windows", column)

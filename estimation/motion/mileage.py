@@ -1,0 +1,137 @@
+"""Which mileages of a wheelset can be believed: against its mounting, against speed and time, against each other.
+
+Within one mounting the mileage grows with time, and not faster than the vehicle can run. The largest set of windows of
+which that holds is believed. A few others (a garbled recording) are left out of it. Where the odometer fell and did not
+come back it was exchanged or reset: what was before is believed, and nothing after until the mounting is registered
+anew. The verdict depends on the set of windows, not on their order of arrival.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import Mounting
+from estimation.values.windows import MileageReading
+
+NANOSECONDS = 1_000_000_000
+MOST_KM = 1e8  # of a wheelset; the registry takes no more either
+SLACK_KM = 50.0  # of readings and times that people enter
+FASTER = 1.25  # times the greatest speed on file that a vehicle may run
+PAUSE_NS = 1800 * NANOSECONDS  # between windows that begins a new journey
+ALIKE = 2  # journeys that agree with each other are no garbled recording, but an odometer
+
+
+def implausible_mileages(
+    readings: Sequence[MileageReading], mounting: Mounting, max_speed_m_s: float
+) -> Mapping[int, Reason]:
+    """Return by start of window why its mileage is not believed; those that are not in it are.
+
+    Parameters
+    ----------
+    readings
+        Of the windows of one mounting, in any order.
+    mounting
+        The mounting.
+    max_speed_m_s
+        Of its vehicle, on file.
+    """
+    km_per_ns = FASTER * max_speed_m_s / 1000.0 / NANOSECONDS
+    found: dict[int, Reason] = {}
+    left = []
+    for reading in sorted(readings, key=lambda one: one.start_ns):
+        reason = _alone(reading, mounting, km_per_ns)
+        if reason is None:
+            left.append(reading)
+        else:
+            found[reading.start_ns] = reason
+    believed = {reading.start_ns for reading in _believed(left, km_per_ns)}
+    out_of_line = Reason(
+        ReasonCode.ODOMETER_IMPLAUSIBLE,
+        "the odometer does not go with that of the vehicle's other windows: it fell, or rose faster than it can",
+    )
+    return found | {one.start_ns: out_of_line for one in left if one.start_ns not in believed}
+
+
+def _alone(reading: MileageReading, mounting: Mounting, km_per_ns: float) -> Reason | None:
+    """Return what speaks against a reading by itself and beside its mounting."""
+    mileage = reading.mileage_km
+    text = ""
+    run = mileage - mounting.wheelset_mileage_km
+    farthest = SLACK_KM + km_per_ns * (reading.start_ns - mounting.from_ns)
+    if not np.isfinite(mileage) or abs(mileage) > MOST_KM:
+        text = f"a mileage of {mileage:g} km is none of a wheelset"
+    elif run < -SLACK_KM:
+        text = f"the odometer is {-run:,.0f} km below its reading at the mounting"
+    elif run > farthest:
+        text = f"the wheelset would have run {run:,.0f} km since its mounting, {farthest:,.0f} km are possible"
+    elif reading.odometer_excess_m > 0.0:
+        text = f"odometer and speed differ by {reading.odometer_excess_m:,.0f} m more than they may"
+    return Reason(ReasonCode.ODOMETER_IMPLAUSIBLE, text) if text else None
+
+
+def _believed(readings: Sequence[MileageReading], km_per_ns: float) -> Sequence[MileageReading]:
+    """Return the readings, in order of time, that are believed of those in order of time."""
+    if all(_follows(*pair, km_per_ns) for pair in pairwise(readings)):
+        return readings
+    chain = _longest_chain(readings, km_per_ns)
+    before = [one for one in readings if one.start_ns < chain[0].start_ns]
+    if before and _journeys(_longest_chain(before, km_per_ns)) >= ALIKE:
+        return _believed(before, km_per_ns)
+    members = {one.start_ns for one in chain}
+    run: list[MileageReading] = []  # in a row that are not in the chain
+    for at, reading in enumerate(readings):
+        if reading.start_ns not in members:
+            run.append(reading)
+            continue
+        tail = _led_here([*run, reading], km_per_ns)
+        if run and tail[0].start_ns > chain[0].start_ns and _journeys(tail[:-1]) >= ALIKE:
+            return _believed(readings[: at + 1 - len(tail)], km_per_ns)  # another odometer, that caught up
+        run = []
+    return chain
+
+
+def _led_here(readings: Sequence[MileageReading], km_per_ns: float) -> Sequence[MileageReading]:
+    """Return the last readings of which each follows the one before; the last alone where it does not."""
+    first = len(readings) - 1
+    while first and _follows(readings[first - 1], readings[first], km_per_ns):
+        first -= 1
+    return readings[first:]
+
+
+def _follows(first: MileageReading, second: MileageReading, km_per_ns: float) -> bool:
+    """Whether the vehicle can have run from one reading to a later one."""
+    run = second.mileage_km - first.mileage_km
+    return 0.0 <= run <= km_per_ns * (second.start_ns - first.start_ns)
+
+
+def _longest_chain(readings: Sequence[MileageReading], km_per_ns: float) -> list[MileageReading]:
+    """Return the most readings of which each follows the one before; of several such the one that ends first.
+
+    A follows B where neither the mileage nor what was not run of the possible distance falls: in the order of the one,
+    that is a longest non-decreasing run of the other.
+    """
+    origin = readings[0].start_ns
+    not_run = [km_per_ns * (one.start_ns - origin) - one.mileage_km for one in readings]
+    order = sorted(range(len(readings)), key=lambda i: (readings[i].mileage_km, not_run[i]))
+    least: list[float] = []  # not_run of the last of the best chain of each length
+    last: list[int] = []
+    previous: dict[int, int] = {}
+    for i in order:
+        at = bisect_right(least, not_run[i])
+        if at:
+            previous[i] = last[at - 1]
+        least[at : at + 1] = [not_run[i]]
+        last[at : at + 1] = [i]
+    chain = [last[-1]]
+    while chain[-1] in previous:
+        chain.append(previous[chain[-1]])
+    return [readings[i] for i in reversed(chain)]
+
+
+def _journeys(readings: Sequence[MileageReading]) -> int:
+    return bool(readings) + sum(second.start_ns - first.start_ns > PAUSE_NS for first, second in pairwise(readings))

@@ -1,0 +1,76 @@
+"""Which windows have a mileage that is not believed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, func, select, update
+
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import MileageReading, WindowState
+from fleet_db.models import WindowRow
+from fleet_db.rows import table_of
+from fleet_db.stores.windows import WindowStore, implausible_reason
+
+WINDOWS = table_of(WindowRow)
+
+
+@dataclass(frozen=True, slots=True)
+class PlausibilityStore:
+    """Implements ``estimation.storage.Plausibility``."""
+
+    connection: Connection
+    windows: WindowStore
+
+    def note_odometer(self, wheelset: str, start_ns: int, excess_m: float) -> None:
+        """Store by how much the odometer of a window differs from its speed, beyond what it may, m."""
+        self.connection.execute(
+            update(WINDOWS)
+            .where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
+            .where(WINDOWS.c.odometer_excess_m != excess_m)
+            .values(odometer_excess_m=excess_m, judged=False)
+        )
+
+    def unjudged(self) -> Sequence[str]:
+        """Return the wheelsets with windows that were stored, or have another mileage, since they were judged."""
+        statement = select(WINDOWS.c.wheelset).where(~WINDOWS.c.judged).distinct().order_by(WINDOWS.c.wheelset)
+        return list(self.connection.scalars(statement))
+
+    def readings(self, wheelset: str) -> Sequence[MileageReading]:
+        """Return the mileages of all windows of a wheelset, oldest first."""
+        statement = select(WINDOWS.c.start_ns, WINDOWS.c.mileage_km, WINDOWS.c.odometer_excess_m)
+        rows = self.connection.execute(statement.where(WINDOWS.c.wheelset == wheelset).order_by(WINDOWS.c.start_ns))
+        return [MileageReading(*row) for row in rows]
+
+    def judge(self, wheelset: str, implausible: Mapping[int, Reason]) -> int:
+        """Store which windows of a wheelset have a mileage that is not believed, by start; return how many changed.
+
+        They are refused; those that are believed again wait to be estimated.
+        """
+        standing = select(WINDOWS.c.start_ns, WINDOWS.c.implausible, WINDOWS.c.implausible_code, WINDOWS.c.judged)
+        changed = 0
+        for row in self.connection.execute(standing.where(WINDOWS.c.wheelset == wheelset)).all():
+            reason, before = implausible.get(row.start_ns), implausible_reason(row)
+            if row.judged and reason == before:
+                continue
+            of_window = update(WINDOWS).where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == row.start_ns)
+            text, code = (None, None) if reason is None else (reason.text, reason.code.value)
+            self.connection.execute(of_window.values(implausible=text, implausible_code=code, judged=True))
+            if reason is not None:
+                self.windows.mark(wheelset, row.start_ns, WindowState.REFUSED, reason)
+            elif before is not None:
+                self.windows.mark(wheelset, row.start_ns, WindowState.PENDING)
+            changed += reason != before
+        return changed
+
+    def left_out(self, wheelset: str, from_ns: int) -> Mapping[ReasonCode, int]:
+        """Return how many windows of a wheelset that start at or after a time were refused, by code."""
+        statement = (
+            select(WINDOWS.c.reason_code, func.count())
+            .where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns >= from_ns)
+            .where(WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code.is_not(None))
+            .group_by(WINDOWS.c.reason_code)
+            .order_by(WINDOWS.c.reason_code)
+        )
+        return {ReasonCode(code): int(count) for code, count in self.connection.execute(statement)}
