@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from pydantic import Field, JsonValue
 
@@ -75,6 +75,9 @@ class Geometry(Representation):
     equivalent_conicity_at_3_mm_1: Uncertain = Field(
         description="What limits are compared with; where the motion does not cover 3 mm extrapolated, see `reason`."
     )
+    windows_left_out: dict[ReasonCode, int] | None = Field(
+        description="Windows since the last reprofiling that were refused, by reason, as of now; null with `as_of`."
+    )
     conicity_by_amplitude: list[ConicityAtAmplitude]
     nonlinearity_parameter_per_mm: Uncertain
     zero_crossing_mm: Uncertain = Field(description="Lateral displacement at which both rolling radii are equal.")
@@ -92,8 +95,16 @@ def _column(values: BinValues, scale: float) -> BinColumn:
     )
 
 
-def geometry(record: GeometryRecord) -> Geometry:
-    """Return the representation of a geometry estimate."""
+def geometry(record: GeometryRecord, left_out: Mapping[ReasonCode, int] | None = None) -> Geometry:
+    """Return the representation of a geometry estimate.
+
+    Parameters
+    ----------
+    record
+        The estimate.
+    left_out
+        Windows that were refused, by reason; None where that is not known of the time of the record.
+    """
     found = record.geometry
     own = f"/v1/wheelsets/{segment(record.wheelset)}"
     return Geometry(
@@ -111,6 +122,7 @@ def geometry(record: GeometryRecord) -> Geometry:
         equivalent_conicity_1=uncertain(found.equivalent_conicity),
         equivalent_conicity_amplitude_mm=finite(found.reported_amplitude, MM),
         equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
+        windows_left_out=None if left_out is None else dict(left_out),
         conicity_by_amplitude=[
             ConicityAtAmplitude(amplitude_mm=float(amplitude) * MM, equivalent_conicity_1=uncertain(conicity))
             for amplitude, conicity in zip(found.amplitude, found.conicity, strict=True)

@@ -42,7 +42,8 @@ def run(context: JobContext) -> Mapping[str, int]:
     """Estimate every pending window; each batch is committed together."""
     settings = context.settings.estimation
     counts: Counter[str] = Counter(estimated=0, refused=0, changed_meanwhile=0)
-    counts["mileages_judged_otherwise"] = judge_mileages(context)
+    if judged := judge_mileages(context):
+        counts["mileages_judged"] = judged
     isolation = Isolation(context, "estimate_windows")
     let_due_wait_again(context, isolation)
     with context.storage.write() as unit:

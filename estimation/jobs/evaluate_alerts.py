@@ -10,6 +10,7 @@ from estimation.alerts.fleet_alerts import in_flood, opened, refreshed
 from estimation.alerts.identity import IdentityEvent
 from estimation.alerts.life_cycle import close, transition
 from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rules.data_quality import DataQualityRule
 from estimation.alerts.rules.evaluation import findings, superseded
 from estimation.alerts.rules.hunting import HuntingRule
 from estimation.alerts.rules.identity import IdentityRule
@@ -233,7 +234,11 @@ def _facts(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> Wheels
 
 
 def _windows_wanted(book: RuleBook) -> int:
-    return max(book.rule(SensorFaultRule).latest_windows, book.rule(HuntingRule).latest_windows)
+    return max(
+        book.rule(SensorFaultRule).latest_windows,
+        book.rule(HuntingRule).latest_windows,
+        book.rule(DataQualityRule).latest_windows,
+    )
 
 
 def _latest_windows(unit: UnitOfWork, serial: str, since_ns: int, wanted: int) -> Sequence[WindowRecord]:

@@ -12,6 +12,7 @@ from typing import Annotated, TypeVar
 from annotated_types import Interval
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
+from estimation.alerts.rules.data_quality import DataQualityRule
 from estimation.alerts.rules.hunting import HuntingRule
 from estimation.alerts.rules.identity import IdentityRule
 from estimation.alerts.rules.limit_forecast import LimitForecastRule
@@ -32,6 +33,7 @@ ALERT_RULES: tuple[type[AlertRule], ...] = (
     IdentityRule,
     HuntingRule,
     SuspensionChangeRule,
+    DataQualityRule,
 )
 
 

@@ -118,6 +118,12 @@ RANGES: dict[str, dict[str, Range]] = {
         "parameters.common_creep_std": Range(0.001, 1.0),
         "parameters.own_creep_std": Range(0.001, 1.0),
     },
+    "data_quality": {
+        **DELAYS,
+        "latest_windows": Range(1, 1000, whole=True),
+        "raise_windows": WINDOWS,
+        "minimum_windows": WINDOWS,
+    },
     "alarm_flood": {"more_than": WINDOWS, "within_hours": Range(0.01, 87_600.0)},
 }  # fmt: skip
 

@@ -1,0 +1,82 @@
+"""Rule: the newest windows of a wheelset have a mileage that cannot be believed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from annotated_types import Interval
+
+from estimation.alerts.rules.rule import (
+    AlertRule,
+    WheelsetFacts,
+    WindowCount,
+    measured_until,
+    newest_windows,
+    too_few_windows,
+    unknown_evidence,
+)
+from estimation.values.alerts import Finding, Severity
+from estimation.values.windows import WindowRecord
+
+
+@dataclass(frozen=True, slots=True)
+class DataQualityRule(AlertRule):
+    """Several of the newest windows are left out because what the vehicle sent contradicts itself or the registry."""
+
+    kind: ClassVar[str] = "data_quality"
+    limit_unit: ClassVar[str] = "windows"
+    relations: ClassVar[Sequence[tuple[str, str, str]]] = (("raise_windows", "<=", "latest_windows"),)
+
+    latest_windows: Annotated[int, Interval(ge=1, le=1000)] = 10
+    raise_windows: WindowCount = 2
+    minimum_windows: WindowCount = 3  # behind "the data are good again"
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
+        """Return the finding of the newest windows of the mounting."""
+        mounting = facts.wheelset.mounting
+        if mounting is None:
+            return None
+        return data_quality_finding(self, facts.wheelset.serial, facts.windows, mounting.from_ns)
+
+
+def data_quality_finding(
+    rule: DataQualityRule, wheelset: str, windows: Sequence[WindowRecord], measured_ns: int
+) -> Finding:
+    """Return the finding of the newest windows on what is implausible.
+
+    Parameters
+    ----------
+    rule
+        Counts of windows.
+    wheelset
+        Serial.
+    windows
+        Windows of the mounting in service, any order; the newest ``rule.latest_windows`` are looked at.
+    measured_ns
+        Used where there is no window.
+    """
+    latest = newest_windows(windows, rule.latest_windows)
+    reasons = Counter(window.implausible.code.value for window in latest if window.implausible is not None)
+    found = reasons.total()
+    unknown = None if found else too_few_windows(len(latest), rule.minimum_windows)
+    return Finding(
+        wheelset=wheelset,
+        kind=DataQualityRule.kind,
+        breached=None if unknown else found >= rule.raise_windows,
+        cleared=None if unknown else not found,
+        severity=Severity.WARNING,
+        probability=None,
+        evidence={
+            "implausible_windows": found,
+            "windows": len(latest),
+            "reasons": {code: reasons[code] for code in sorted(reasons)},
+            **unknown_evidence(unknown),
+        },
+        action="check_odometer",
+        raise_limit=float(rule.raise_windows),
+        clear_limit=0.0,
+        measured_ns=measured_until(latest, measured_ns),
+    )
