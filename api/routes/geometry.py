@@ -21,8 +21,6 @@ from fleet_db.keeping.retention import Kept
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 _TABLE: dict[int | str, dict[str, Any]] = {200: {"content": {CSV: {"schema": {"type": "string"}}}}}
 
-FIRST_NS = -(2**63)
-
 
 @router.get("/{serial}/geometry", response_model=geometry.Geometry, responses={**described(404, 410), **_TABLE})
 def get_geometry(
@@ -36,14 +34,12 @@ def get_geometry(
     """Return the wheelset's bin table and the conicity that follows; as `text/csv`, the bin table alone."""
     not_in_the_future(as_of, services.clock.now_ns())
     with services.storage.read() as unit:
-        wheelset = unit.registry.wheelset(serial)
+        unit.registry.wheelset(serial)
         not_purged(as_of, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
         found = unit.geometries.current(serial, as_of)
-        since_ns = max((one.at_ns for one in wheelset.reprofilings), default=FIRST_NS)
-        left_out = unit.plausibility.left_out(serial, since_ns) if as_of is None else None
     if found is None:
         raise NotFoundError("geometry yet of wheelset", serial)
-    body = geometry.geometry(found, left_out)
+    body = geometry.geometry(found)
     return answer_table(request, body, accepted, geometry.table(body))
 
 

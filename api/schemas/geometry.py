@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from pydantic import Field, JsonValue
 
@@ -10,7 +10,7 @@ from api.schemas.common import Links, Representation, Uncertain, finite, finite_
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
-from estimation.values.geometry import COMBINATIONS, BinStatus, BinValues, GeometryRecord
+from estimation.values.geometry import COMBINATIONS, LEFT_OUT, BinStatus, BinValues, GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of, text_of
 
@@ -75,8 +75,8 @@ class Geometry(Representation):
     equivalent_conicity_at_3_mm_1: Uncertain = Field(
         description="What limits are compared with; where the motion does not cover 3 mm extrapolated, see `reason`."
     )
-    windows_left_out: dict[ReasonCode, int] | None = Field(
-        description="Windows since the last reprofiling that were refused, by reason, as of now; null with `as_of`."
+    windows_left_out: dict[str, int] | None = Field(
+        description="Windows since the last reprofiling that were refused, by reason; null in estimates of before."
     )
     conicity_by_amplitude: list[ConicityAtAmplitude]
     nonlinearity_parameter_per_mm: Uncertain
@@ -95,16 +95,8 @@ def _column(values: BinValues, scale: float) -> BinColumn:
     )
 
 
-def geometry(record: GeometryRecord, left_out: Mapping[ReasonCode, int] | None = None) -> Geometry:
-    """Return the representation of a geometry estimate.
-
-    Parameters
-    ----------
-    record
-        The estimate.
-    left_out
-        Windows that were refused, by reason; None where that is not known of the time of the record.
-    """
+def geometry(record: GeometryRecord) -> Geometry:
+    """Return the representation of a geometry estimate."""
     found = record.geometry
     own = f"/v1/wheelsets/{segment(record.wheelset)}"
     return Geometry(
@@ -122,7 +114,7 @@ def geometry(record: GeometryRecord, left_out: Mapping[ReasonCode, int] | None =
         equivalent_conicity_1=uncertain(found.equivalent_conicity),
         equivalent_conicity_amplitude_mm=finite(found.reported_amplitude, MM),
         equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
-        windows_left_out=None if left_out is None else dict(left_out),
+        windows_left_out=_left_out(record),
         conicity_by_amplitude=[
             ConicityAtAmplitude(amplitude_mm=float(amplitude) * MM, equivalent_conicity_1=uncertain(conicity))
             for amplitude, conicity in zip(found.amplitude, found.conicity, strict=True)
@@ -149,6 +141,13 @@ def geometry(record: GeometryRecord, left_out: Mapping[ReasonCode, int] | None =
             },
         },
     )
+
+
+def _left_out(record: GeometryRecord) -> dict[str, int] | None:
+    stored = record.parameters.get(LEFT_OUT)
+    if not isinstance(stored, dict):
+        return None
+    return {code: count for code, count in stored.items() if isinstance(count, int)}
 
 
 def _bins(record: GeometryRecord) -> Bins:

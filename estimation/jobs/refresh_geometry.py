@@ -29,7 +29,7 @@ from estimation.motion.parameters import WindowParameters
 from estimation.storage import UnitOfWork
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters, bin_parameters
-from estimation.values.geometry import BinTable, GeometryRecord, WheelsetGeometry
+from estimation.values.geometry import LEFT_OUT, BinTable, GeometryRecord, WheelsetGeometry
 from estimation.values.identity import IdentityChange
 from estimation.values.json_value import JsonValue
 from estimation.values.motion import Motion
@@ -136,7 +136,10 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
         assumed = _assumed(near[-1], classes)
         used = _of_class(near, assumed, classes)
         against = contradiction(refused, [entry[0] for entry in used])
-        records.append(_record(unit, newest[0], None, used, context, assumed, against))
+        record = _record(unit, newest[0], None, used, context, assumed, against)
+        left_out = unit.plausibility.left_out(serial, newest[0].from_ns)
+        counted: dict[str, JsonValue] = {code.value: count for code, count in left_out.items()}
+        records.append(replace(record, parameters={**record.parameters, LEFT_OUT: counted}))
     return records
 
 

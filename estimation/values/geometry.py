@@ -63,6 +63,9 @@ class BinStatus(StrEnum):
     UNOBSERVABLE = "unobservable"  # from the data
 
 
+LEFT_OUT = "windows_left_out"
+"""Key among the parameters of a current geometry: windows since the last reprofiling that were refused, by reason."""
+
 COMBINATIONS = (
     "rolling_radius_sum",
     "rolling_radius_difference",
