@@ -76,7 +76,7 @@ class Geometry(Representation):
         description="What limits are compared with; where the motion does not cover 3 mm extrapolated, see `reason`."
     )
     windows_left_out: dict[str, int] | None = Field(
-        description="Windows since the last reprofiling that were refused, by reason; null in estimates of before."
+        description="Windows since the last reprofiling that are not believed, by reason; null in older estimates."
     )
     conicity_by_amplitude: list[ConicityAtAmplitude]
     nonlinearity_parameter_per_mm: Uncertain

@@ -64,7 +64,7 @@ class BinStatus(StrEnum):
 
 
 LEFT_OUT = "windows_left_out"
-"""Key among the parameters of a current geometry: windows since the last reprofiling that were refused, by reason."""
+"""Key among the parameters of a current geometry: windows since the last reprofiling not believed, by reason."""
 
 COMBINATIONS = (
     "rolling_radius_sum",

@@ -65,12 +65,12 @@ class PlausibilityStore:
         return changed
 
     def left_out(self, wheelset: str, from_ns: int) -> Mapping[ReasonCode, int]:
-        """Return how many windows of a wheelset that start at or after a time were refused, by code."""
+        """Return how many windows of a wheelset that start at or after a time are not believed, by code."""
         statement = (
-            select(WINDOWS.c.reason_code, func.count())
+            select(WINDOWS.c.implausible_code, func.count())
             .where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns >= from_ns)
-            .where(WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code.is_not(None))
-            .group_by(WINDOWS.c.reason_code)
-            .order_by(WINDOWS.c.reason_code)
+            .where(WINDOWS.c.implausible_code.is_not(None))
+            .group_by(WINDOWS.c.implausible_code)
+            .order_by(WINDOWS.c.implausible_code)
         )
         return {ReasonCode(code): int(count) for code, count in self.connection.execute(statement)}
