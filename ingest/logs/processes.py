@@ -166,18 +166,19 @@ def read_in_process(
     """
     modules = form.modules if form.messages is None else ("can", *form.modules)
     request = json.dumps({"path": str(path.absolute()), "limits": asdict(limits), "modules": modules}).encode()
-    with ExitStack() as stack:
-        try:
+    try:
+        with ExitStack() as stack:
             files = [stack.enter_context(TemporaryFile(prefix="treadwatch-log-")) for _ in COLUMNS]
             lines = _ask(request, [file.fileno() for file in files], limits.wall_s + PATIENCE_S, path)
-        except OSError as error:
-            raise passing_fault(error, path) from error
-        if cost is not None and "signal" in lines[-1]:
-            cost(ReadCost(lines[-1]["cpu_s"], lines[-1]["memory_bytes"]))
-        answer = _judged(lines, limits, path)
-        columns = _columns(files, int(answer["frames"]), path)
-    batch = FrameBatch(str(answer["channel"]), *columns)
-    return LogContent(batch, answer["counts"])
+            if cost is not None and "signal" in lines[-1]:
+                cost(ReadCost(lines[-1]["cpu_s"], lines[-1]["memory_bytes"]))
+            answer = _judged(lines, limits, path)
+            columns = _columns(files, int(answer["frames"]), path)
+    except OSError as error:
+        if isinstance(error, TimeoutError):
+            stop_server()  # it is stuck: the next file gets a new one
+        raise passing_fault(error, path) from error
+    return LogContent(FrameBatch(str(answer["channel"]), *columns), answer["counts"])
 
 
 def _ask(request: bytes, files: Sequence[int], seconds: float, path: Path) -> list[dict[str, Any]]:

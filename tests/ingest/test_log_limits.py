@@ -250,6 +250,17 @@ def test_no_space_for_the_frames_is_a_passing_fault(tmp_path: Path, monkeypatch:
         read_log(path)
 
 
+def test_a_server_that_is_stuck_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written(tmp_path / "good.blf", frames(500))
+    read_log(path)
+    os.kill(descendants(os.getpid())[0], signal.SIGSTOP)
+    with monkeypatch.context() as patch:
+        patch.setattr("ingest.logs.processes.PATIENCE_S", 0.0)
+        with pytest.raises(PassingFaultError, match="no answer"):
+            read_log(path, ReadLimits(wall_s=0.3))
+    assert len(read_log(path)) == 500
+
+
 def test_no_process_to_be_had_is_a_passing_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = written(tmp_path / "good.blf", frames(500))
     stop_server()
