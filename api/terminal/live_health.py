@@ -29,6 +29,7 @@ COUNTERS: Mapping[str, str] = MappingProxyType(
     {
         "frames_received": "Frames taken off the bus.",
         "frames_unreadable": "Frames left out because they are none of a classic CAN bus.",
+        "frames_spooled": "Frames that reached the disk.",
         "frames_dropped": "Frames of this vehicle that were dropped, also before this start.",
         "pieces_stored": "Pieces that have their receipt.",
         "pieces_rejected": "Pieces that were stored and rejected.",

@@ -124,6 +124,7 @@ class Spooling:
         if self._piece_begun is None:
             self._piece_begun, self._piece_bytes = time.monotonic(), 0
         self._piece_bytes += len(self._frames)
+        self._status.frames_spooled += len(self._frames) // FRAME_BYTES
         self._frames, self._dropped = b"", 0
         if self._status.spool_fault is not None:
             self._reports.say("frames reach the spool again")

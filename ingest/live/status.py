@@ -18,8 +18,8 @@ class LiveStatus:
     ----------
     bus_fault, spool_fault, raw_fault, database_fault
         What is wrong with the bus, the disk of the spool, the raw store and the database; None while they work.
-    frames_received, frames_unreadable
-        Since the start; the unreadable ones are no classic CAN frames.
+    frames_received, frames_unreadable, frames_spooled
+        Since the start; the unreadable ones are no classic CAN frames, the spooled ones are on the disk.
     frames_dropped
         Of this vehicle, also before the start.
     buffered_bytes, spool_bytes, pieces_waiting, pieces_aside
@@ -38,6 +38,7 @@ class LiveStatus:
     database_fault: str | None = "not asked yet"
     frames_received: int = 0
     frames_unreadable: int = 0
+    frames_spooled: int = 0
     frames_dropped: int = 0
     buffered_bytes: int = 0
     spool_bytes: int = 0

@@ -33,6 +33,8 @@ class Deployment:
             folder.mkdir(exist_ok=True)
         with socket.create_server(("127.0.0.1", 0)) as probe:
             self.port = probe.getsockname()[1]
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            self.health_port = probe.getsockname()[1]
         group = f"239.74.{random.randint(1, 254)}.{random.randint(1, 254)}"  # noqa: S311 - no secret
         # another PostgreSQL, free ports, and windows short enough for a test
         self.replaced = {
@@ -52,6 +54,7 @@ class Deployment:
         arguments = [{"239.74.163.2": group}.get(part, part) for part in command.arguments]
         if "--chunk-seconds" in arguments:
             arguments[arguments.index("--chunk-seconds") + 1] = str(WINDOW_S)
+            arguments[arguments.index("--health-port") + 1] = str(self.health_port)
         needed = command.environment and self.replaced
         return ServiceCommand(command.name, arguments, command.environment | dict(needed))
 
@@ -116,6 +119,7 @@ def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment) -> 
             return _eventually(lambda: _asked(client, path, wanted), processes, deployment)
 
         eventually("/readyz", lambda body: body["status"] == "ok")
+        _eventually(lambda: _receiver_is_ready(deployment), processes, deployment)
         windows = eventually("/v1/wheelsets/LIVE-1/windows", lambda body: len(body["items"]) >= 1)["items"]
         assert windows[0]["vehicle"] == "L-1"
         assert windows[0]["track_section"] == "LIVE-5"
@@ -144,6 +148,15 @@ def _asked(client: httpx.Client, path: str, wanted: Callable[[Any], bool]) -> An
     if response.status_code != 200:
         return None
     return response.json() if wanted(response.json()) else None
+
+
+def _receiver_is_ready(deployment: Deployment) -> bool | None:
+    """Ask as the health check of the service does, on the port of this machine."""
+    check = services({"POSTGRES_PASSWORD": "unused"})["receiver"]["healthcheck"]["test"]
+    port = services({"POSTGRES_PASSWORD": "unused"})["receiver"]["command"][-1]
+    asked = [part.replace(f":{port}/", f":{deployment.health_port}/") for part in check[1:]]
+    done = subprocess.run([sys.executable, *asked[1:]], capture_output=True, check=False)
+    return True if done.returncode == 0 else None
 
 
 def _eventually(
