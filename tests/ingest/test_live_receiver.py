@@ -159,6 +159,12 @@ def test_a_database_that_goes_away_is_waited_for(tmp_path: Path) -> None:
         assert live.status.frames_dropped == live.status.pieces_rejected == live.status.pieces_aside == 0
 
 
+def test_no_commit_is_acknowledged_that_a_crash_of_the_server_undoes(postgres_url: str) -> None:
+    url = f"{postgres_url}{'&' if '?' in postgres_url else '?'}options=-csynchronous_commit%3Doff"
+    with closing(SqlStorage(database_engine(url), Path())) as storage, storage.read() as unit:
+        assert unit.connection.exec_driver_sql("SHOW synchronous_commit").scalar_one() == "on"
+
+
 def assert_each_once(stored: FrameBatch, sent: FrameBatch) -> None:
     """Compare frames as sets, each as often as it is there; python-can's stamps are seconds in double precision."""
     as_received = replace(sent, t_ns=np.rint(sent.t_ns / 1e9 * 1e9).astype(np.int64))
