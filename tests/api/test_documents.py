@@ -15,7 +15,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_every_setting_is_described_with_its_default() -> None:
-    rows = re.findall(r"^\| `(TREADWATCH_\w+)` \| (.*?) \|", (DOCS / "operations.md").read_text(), re.MULTILINE)
+    rows = re.findall(r"^\| `(TREADWATCH_\w+)` \| (.*?) \|", (DOCS / "settings.md").read_text(), re.MULTILINE)
     assert {name for name, _ in rows} == {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
     for name, shown in rows:
         default = Settings.model_fields[name.removeprefix(PREFIX).lower()].default
@@ -35,7 +35,11 @@ def test_every_reason_code_has_a_meaning_and_a_remedy() -> None:
     assert {code for code in ReasonCode if not re.search(rf"^\|.*`{code}`", pages, re.MULTILINE)} == set()
 
 
-@pytest.mark.parametrize("measure", re.findall(r"`(treadwatch_\w+)`", (DOCS / "operations.md").read_text()))
+MEASURES = "".join((DOCS / name).read_text() for name in ("operations.md", "http-service.md"))
+
+
+@pytest.mark.parametrize("measure", re.findall(r"`(treadwatch_\w+)`", MEASURES))
 def test_every_measure_that_is_described_exists(measure: str) -> None:
-    source = (Path(__file__).parents[2] / "api" / "metrics.py").read_text()
+    folder = Path(__file__).parents[2] / "api"
+    source = "".join((folder / name).read_text() for name in ("metrics.py", "connections.py"))
     assert f'"{measure.removesuffix("_total")}"' in source

@@ -114,10 +114,8 @@ def test_a_database_that_was_restored_by_hand_is_found_out_too(
 ) -> None:
     before = polling("original")
     _, at_copy = before.poll(None)
-    (tmp_path / "copy").mkdir()
     with original.write():  # nobody writes meanwhile
-        for file in (tmp_path / "original").glob("treadwatch.sqlite*"):
-            shutil.copyfile(file, tmp_path / "copy" / file.name)
+        shutil.copytree(tmp_path / "original", tmp_path / "copy")
     api_fleet.raised(original, "WS-020", KIND)
     _, newer = before.poll(at_copy)
     with opened(tmp_path / "copy") as storage:
