@@ -36,6 +36,18 @@ class RawStore:
             raise ParameterError(f"{suffix!r} is no plain file ending", field="suffix")
         return self.directory / digest[:2] / f"{digest}{suffix}"
 
+    def size(self, digest: str, suffix: str) -> int:
+        """Return the size of a recording, bytes.
+
+        Raises
+        ------
+        PassingFaultError
+            Its file cannot be reached.
+        """
+        path = self.path(digest, suffix)
+        with passing_faults(path):
+            return path.stat().st_size
+
     def put_bytes(self, data: bytes, suffix: str) -> str:
         """Store ``data`` durably; return its digest. The same bytes again change nothing.
 

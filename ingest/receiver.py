@@ -306,7 +306,7 @@ class Receiver:
             digest=digest,
             vehicle=vehicle,
             suffix=suffix,
-            size_bytes=self._raw.path(digest, suffix).stat().st_size,
+            size_bytes=self._raw.size(digest, suffix),
             state=ChunkState.STORED,
             reason=None,
             first_ns=None,
