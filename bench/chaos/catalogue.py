@@ -13,6 +13,7 @@ def parts() -> tuple[ChaosPart, ...]:
     return (
         ChaosPart("kills", "ingest, estimate, schedule and serve killed while recordings come in", 500, 4, _kills),
         ChaosPart("ingests", "two to eight ingests of one vehicle at once, on both databases", 100, 2, _ingests),
+        ChaosPart("outages", "the database away for 1 s to 5 min, disks that are full", 8, 1, _outages),
         ChaosPart("connections", "clients that open connections and do not use them", 1000, 300, _connections),
         ChaosPart("mutations", "log files are damaged, so many of each format, and read", 100_000, 40, _mutations),
         ChaosPart("registry", "mistakes in the registry, made at random and corrected", 50, 2, _registry),
@@ -27,6 +28,12 @@ def _kills(settings: ChaosSettings) -> Iterator[BenchRow]:
 
 def _ingests(settings: ChaosSettings) -> Iterator[BenchRow]:
     from bench.chaos.ingests import rows  # noqa: PLC0415 - only when it runs
+
+    return rows(settings)
+
+
+def _outages(settings: ChaosSettings) -> Iterator[BenchRow]:
+    from bench.chaos.outages import rows  # noqa: PLC0415 - only when it runs
 
     return rows(settings)
 

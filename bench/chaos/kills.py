@@ -17,6 +17,7 @@ from pathlib import Path
 
 import httpx
 
+from api import logs
 from api.factory import create_server, job_context, open_store, process_name, scheduled_jobs
 from api.settings import Settings
 from bench.chaos.part import ChaosSettings
@@ -108,12 +109,13 @@ def estimate(settings: Settings) -> None:
                 run_job(job, job_context(settings, owned), JobTrigger.CLI)
 
 
-def schedule(settings: Settings) -> None:
-    """Run the jobs on schedule until the process ends."""
+def schedule(settings: Settings, every_s: float = 0.2) -> None:
+    """Run the jobs on schedule until the process ends, each every ``every_s`` seconds."""
+    logs.configure(settings)
     with closing(open_store(settings)) as storage:
         jobs = scheduled_jobs(settings)
         serve_jobs(
-            job_context(settings, storage), jobs, threading.Event(), holder=process_name(), every_s=lambda _: 0.2
+            job_context(settings, storage), jobs, threading.Event(), holder=process_name(), every_s=lambda _: every_s
         )
 
 

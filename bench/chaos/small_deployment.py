@@ -183,7 +183,8 @@ def faults(settings: Settings, storage: SqlStorage) -> list[str]:
     wrong = [
         str(finding) for finding in check_deep(storage, lambda _done, _total: None).findings if not finding.harmless
     ]
-    wrong += [f"orphaned: {path}" for path in orphans(storage, 0.0) if path.parts[0] == settings.raw_dir.name]
+    left = [path for path in orphans(storage, 0.0) if not path.name.startswith(".incoming-")]  # the purge takes those
+    wrong += [f"orphaned: {path}" for path in left if path.parts[0] == settings.raw_dir.name]
     with storage.read() as unit:
         windows = [(w.wheelset, w.start_ns) for axle in (1, 2) for w in unit.windows.list(f"WS-{axle}")]
         runs = unit.jobs.page(None, None, 1000)
