@@ -10,7 +10,6 @@ import numpy as np
 
 from estimation.errors import ConflictError, StorageError
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import VehicleRecord
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.clock import (
@@ -46,6 +45,7 @@ from ingest.recordings import (
     decoded_beside,
     waiting_beside,
 )
+from ingest.span_assembly import SpanAssembly, registry_lookup
 
 OWN_TIME = "own_time"
 """Key among the counts of a receipt: 1 where the recording has a TIME frame of its own, else 0."""
@@ -70,42 +70,6 @@ def needed_range(first_ns: int, last_ns: int, length_ns: int) -> tuple[int, int,
     from_ns = first // length_ns * length_ns - CONTEXT_NS
     to_ns = (last // length_ns + 1) * length_ns + CONTEXT_NS
     return first, last, from_ns, to_ns
-
-
-@dataclass(frozen=True, slots=True)
-class SpanAssembly:
-    """The windows of a vehicle that overlap a span of its clock, and everything that went into them.
-
-    Attributes
-    ----------
-    vehicle
-        Code.
-    from_ns, to_ns
-        Start of the first window of the span, end of its last.
-    sources
-        Digests of the recordings.
-    lookup
-        The registry.
-    windows
-        All that recordings and registry give in the span, but for those of ``kept``.
-    kept
-        Spans in which a recording cannot be read any more: what is stored of them stays.
-    counts
-        What was left out.
-    """
-
-    vehicle: str
-    from_ns: int
-    to_ns: int
-    sources: frozenset[str]
-    lookup: RegistryLookup
-    windows: tuple[MountedWindow, ...]
-    kept: tuple[Span, ...]
-    counts: Mapping[str, int]
-
-    def keeps(self, start_ns: int, length_ns: int) -> bool:
-        """Whether what is stored of a window stays, because a recording of it cannot be read."""
-        return any(first < start_ns + length_ns and last >= start_ns for first, last in self.kept)
 
 
 @dataclass(frozen=True, slots=True)
@@ -328,25 +292,6 @@ def _span(recording: Recording, aligned: Iterable[AlignedFrames]) -> Span | None
         return None
     beside = (part.times.at(*recording.recorder_ns) for part in aligned)
     return recording.vehicle_ns or next((span for span in beside if span is not None), None)
-
-
-def registry_lookup(unit: SqlUnitOfWork, vehicle: VehicleRecord, from_ns: int, to_ns: int) -> RegistryLookup:
-    """Return what the registry contains of a vehicle over a span of its clock.
-
-    Parameters
-    ----------
-    unit
-        An open transaction.
-    vehicle
-        The vehicle.
-    from_ns, to_ns
-        The span, its end excluded.
-    """
-    return RegistryLookup(
-        vehicle,
-        tuple(unit.registry.mountings_on(vehicle.code, from_ns, to_ns)),
-        {section.number: section.code for section in unit.tracks.sections()},
-    )
 
 
 def _receipt_after(record: ChunkRecord, recording: Recording, span: Span | None) -> ChunkRecord:

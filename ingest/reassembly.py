@@ -17,9 +17,10 @@ from estimation.storage import Clock
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.stale_spans import StaleSpan
 from ingest.align.clock import CONTEXT_NS
-from ingest.assembly import Assembler, SpanAssembly
+from ingest.assembly import Assembler
 from ingest.held import HeldVehicles
 from ingest.recordings import Span
+from ingest.span_assembly import SpanAssembly
 from ingest.span_commit import NO_CHANGES, SpanChanges, commit, still_so
 
 MOST_FRAMES = 1_000_000

@@ -9,7 +9,8 @@ from estimation.values.reasons import ReasonCode
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.windows import MountedWindow
-from ingest.assembly import Assembler, SpanAssembly, registry_lookup
+from ingest.assembly import Assembler
+from ingest.span_assembly import SpanAssembly, registry_lookup
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,66 @@
+"""The windows of a vehicle over a span of its clock, and what they were made from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from estimation.values.registry import VehicleRecord
+from fleet_db.storage import SqlUnitOfWork
+from ingest.align.windows import MountedWindow, RegistryLookup
+from ingest.recordings import Span
+
+
+@dataclass(frozen=True, slots=True)
+class SpanAssembly:
+    """The windows of a vehicle that overlap a span of its clock, and everything that went into them.
+
+    Attributes
+    ----------
+    vehicle
+        Code.
+    from_ns, to_ns
+        Start of the first window of the span, end of its last.
+    sources
+        Digests of the recordings.
+    lookup
+        The registry.
+    windows
+        All that recordings and registry give in the span, but for those of ``kept``.
+    kept
+        Spans in which a recording cannot be read any more: what is stored of them stays.
+    counts
+        What was left out.
+    """
+
+    vehicle: str
+    from_ns: int
+    to_ns: int
+    sources: frozenset[str]
+    lookup: RegistryLookup
+    windows: tuple[MountedWindow, ...]
+    kept: tuple[Span, ...]
+    counts: Mapping[str, int]
+
+    def keeps(self, start_ns: int, length_ns: int) -> bool:
+        """Whether what is stored of a window stays, because a recording of it cannot be read."""
+        return any(first < start_ns + length_ns and last >= start_ns for first, last in self.kept)
+
+
+def registry_lookup(unit: SqlUnitOfWork, vehicle: VehicleRecord, from_ns: int, to_ns: int) -> RegistryLookup:
+    """Return what the registry contains of a vehicle over a span of its clock.
+
+    Parameters
+    ----------
+    unit
+        An open transaction.
+    vehicle
+        The vehicle.
+    from_ns, to_ns
+        The span, its end excluded.
+    """
+    return RegistryLookup(
+        vehicle,
+        tuple(unit.registry.mountings_on(vehicle.code, from_ns, to_ns)),
+        {section.number: section.code for section in unit.tracks.sections()},
+    )
