@@ -89,7 +89,7 @@ WRONG: Mapping[str, tuple[Change, str]] = {
     "X-BACK": (_turned, "axes_reversed"),
     "X-CRAWL": (
         message(kinds.MOTION, kinds.VEHICLE_NODE, crawling),
-        "not_moving",
+        "odometer_implausible",
     ),
     "X-SHORT": (first_seconds, "interrupted"),
 }
