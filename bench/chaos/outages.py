@@ -39,7 +39,7 @@ SECONDS = 45.0
 LONGEST_S = 300.0
 BACK_WITHIN_S = 30.0
 DISK = "4m"
-PLACES = ("raw", "windows", "database")
+PLACES = {"sqlite": ("raw", "windows", "database"), "postgresql": ("raw", "windows")}
 
 
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
@@ -47,10 +47,10 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     lengths = np.geomspace(1.0, LONGEST_S if settings.size > 1 else 1.0, settings.size)
     with databases(settings.folder) as both:
         yield from _database_away(both, [float(length) for length in lengths])
-        for kind, place in [(kind, place) for kind in ("sqlite", "postgresql") for place in PLACES]:
-            if (kind, place) != ("postgresql", "database"):
+        short = settings.size == 1
+        for kind in ("sqlite",) if short else ("sqlite", "postgresql"):
+            for place in ("windows",) if short else PLACES[kind]:
                 yield _disk_full(both, kind, place)
-        for kind in ("sqlite", "postgresql"):
             yield _not_mounted(both, kind)
 
 
