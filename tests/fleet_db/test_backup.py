@@ -220,6 +220,7 @@ def test_one_at_a_time(full: SqlStorage, tmp_path: Path) -> None:
 
 def test_by_command(treadwatch: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("TREADWATCH_DATA_DIR", str(tmp_path / "data"))
+    monkeypatch.setenv("TREADWATCH_WINDOW_LENGTH_S", str(make.LENGTH // make.SECOND))
     url = f"sqlite:///{tmp_path / 'data' / 'treadwatch.sqlite'}"
     upgrade(url)
     with closing(SqlStorage(database_engine(url), tmp_path / "data")) as storage:
