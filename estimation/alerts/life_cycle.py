@@ -65,7 +65,8 @@ def transition(
         The alert is closed, or of another wheelset or kind.
     """
     if open_alert is None:
-        return _opened(finding, fleet, delays or AlertDelays()) if finding.breached else None
+        opens = finding.breached if finding.stands is None else finding.stands
+        return _opened(finding, fleet, delays or AlertDelays()) if opens else None
     _must_be_open(open_alert)
     if (open_alert.wheelset, open_alert.kind) != (finding.wheelset, finding.kind):
         raise ConflictError("the finding is not about this alert", kind="alert", key=str(open_alert.alert_id))
@@ -75,7 +76,7 @@ def transition(
 
 
 def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
-    at_once = delays.on_evaluations <= 1
+    at_once = delays.on_evaluations <= 1 or finding.stands is True  # its delays have run in vehicle time
     counters: dict[str, JsonValue] = {
         "on_evaluations": delays.on_evaluations,
         "off_evaluations": delays.off_evaluations,
@@ -89,7 +90,7 @@ def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
         wheelset=finding.wheelset,
         kind=finding.kind,
         severity=finding.severity,
-        condition=Condition.ACTIVE if at_once else Condition.PENDING,
+        condition=_first_condition(finding) if at_once else Condition.PENDING,
         opened_ns=finding.measured_ns,
         last_seen_ns=finding.measured_ns,
         occurrence_count=1,
@@ -102,11 +103,15 @@ def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
     return Transition(alert, (AlertEventKind.RAISED,) if at_once else ())
 
 
+def _first_condition(finding: Finding) -> Condition:
+    return Condition.UNKNOWN if finding.breached is None else Condition.ACTIVE
+
+
 def _pending(alert: Alert, finding: Finding) -> Transition | None:
     """Count a breach towards the on-delay; without one the alert ends before it was published."""
     if finding.breached is None or not _is_news(alert, finding):
         return None
-    if not finding.breached:
+    if not (finding.breached if finding.stands is None else finding.stands):
         gone = replace(
             alert,
             condition=Condition.CLEARED,
@@ -116,18 +121,20 @@ def _pending(alert: Alert, finding: Finding) -> Transition | None:
         )
         return _changed(alert, gone, ())
     seen = _seen_again(alert, finding)
-    if seen.occurrence_count < _delay(alert, "on_evaluations"):
+    if finding.stands is None and seen.occurrence_count < _delay(alert, "on_evaluations"):
         return _changed(alert, seen, ())
     return _changed(alert, replace(seen, condition=Condition.ACTIVE), (AlertEventKind.RAISED,))
 
 
 def _raised(alert: Alert, stored: Alert, finding: Finding) -> Transition | None:
+    if finding.stands is False:
+        return _cleared(stored, _refreshed(alert, finding), finding)
     if finding.breached is None:
         after = _unknown(alert, finding)
     elif finding.breached:
         after = _seen_again(alert, finding) if _is_news(alert, finding) else _refreshed(alert, finding)
         after = replace(_counted(after, finding, clear_seen=0), condition=Condition.ACTIVE)
-    elif finding.cleared:
+    elif finding.cleared and finding.stands is None:
         return _clearing(alert, stored, finding)
     else:  # between the limits: still true, not seen again
         after = replace(_counted(_refreshed(alert, finding), finding, clear_seen=0), condition=Condition.ACTIVE)
@@ -147,8 +154,12 @@ def _clearing(alert: Alert, stored: Alert, finding: Finding) -> Transition | Non
     after = _counted(_refreshed(alert, finding), finding, clear_seen=seen)
     if seen < _delay(alert, "off_evaluations"):
         return updated(stored, replace(after, condition=Condition.ACTIVE))
+    return _cleared(stored, after, finding)
+
+
+def _cleared(stored: Alert, alert: Alert, finding: Finding) -> Transition | None:
     after = replace(
-        after,
+        alert,
         condition=Condition.CLEARED,
         cleared_ns=finding.measured_ns,
         closed_ns=finding.measured_ns,

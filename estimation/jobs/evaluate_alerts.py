@@ -16,6 +16,7 @@ from estimation.alerts.rules.hunting import HuntingRule
 from estimation.alerts.rules.identity import IdentityRule
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.alerts.rules.sensor_fault import SensorFaultRule
+from estimation.alerts.rules.standing import LOOK_BACK
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule
 from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
@@ -234,11 +235,8 @@ def _facts(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> Wheels
 
 
 def _windows_wanted(book: RuleBook) -> int:
-    return max(
-        book.rule(SensorFaultRule).latest_windows,
-        book.rule(HuntingRule).latest_windows,
-        book.rule(DataQualityRule).latest_windows,
-    )
+    of_windows = (book.rule(SensorFaultRule).latest_windows, book.rule(HuntingRule).latest_windows)
+    return max(LOOK_BACK * max(of_windows), book.rule(DataQualityRule).latest_windows)
 
 
 def _latest_windows(unit: UnitOfWork, serial: str, since_ns: int, wanted: int) -> Sequence[WindowRecord]:

@@ -74,7 +74,10 @@ class AlertEventKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The result of one rule for one wheelset at one time; ``breached`` is None where the data do not decide."""
+    """The result of one rule for one wheelset at one time; ``breached`` is None where the data do not decide.
+
+    ``stands`` is whether an alert stands by all data in vehicle time; where None, evaluations are counted.
+    """
 
     wheelset: str
     kind: str  # of the rule
@@ -87,6 +90,7 @@ class Finding:
     raise_limit: float | None
     clear_limit: float | None
     measured_ns: int
+    stands: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 from annotated_types import Interval
@@ -21,6 +21,7 @@ from estimation.alerts.rules.rule import (
     too_few_windows,
     unknown_evidence,
 )
+from estimation.alerts.rules.standing import stands
 from estimation.values.alerts import Finding, Severity
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowRecord
@@ -49,7 +50,13 @@ class SensorFaultRule(AlertRule):
         mounting = facts.wheelset.mounting
         if mounting is None:
             return None
-        return sensor_fault_finding(self, facts.wheelset.serial, facts.windows, mounting.from_ns)
+
+        def find(windows: Sequence[WindowRecord]) -> Finding:
+            return sensor_fault_finding(self, facts.wheelset.serial, windows, mounting.from_ns)
+
+        suspect = any(faulty(self, window) for window in facts.windows)
+        standing = suspect and stands(find, facts.windows, self.latest_windows, self.delays)
+        return replace(find(facts.windows), stands=standing)
 
 
 def faulty(rule: SensorFaultRule, window: WindowRecord) -> str:
