@@ -16,6 +16,7 @@ def parts() -> tuple[ChaosPart, ...]:
         ChaosPart("outages", "the database away for 1 s to 5 min, disks that are full", 8, 1, _outages),
         ChaosPart("connections", "clients that open connections and do not use them", 1000, 300, _connections),
         ChaosPart("mutations", "log files are damaged, so many of each format, and read", 100_000, 40, _mutations),
+        ChaosPart("orders", "windows in any order and in pieces, half of the rounds with late ones", 200, 2, _orders),
         ChaosPart("registry", "mistakes in the registry, made at random and corrected", 50, 2, _registry),
     )
 
@@ -46,6 +47,12 @@ def _connections(settings: ChaosSettings) -> Iterator[BenchRow]:
 
 def _mutations(settings: ChaosSettings) -> Iterator[BenchRow]:
     from bench.chaos.mutations import rows  # noqa: PLC0415 - only when it runs
+
+    return rows(settings)
+
+
+def _orders(settings: ChaosSettings) -> Iterator[BenchRow]:
+    from bench.chaos.orders import rows  # noqa: PLC0415 - only when it runs
 
     return rows(settings)
 

@@ -23,7 +23,7 @@ from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, contradic
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.replay import TabulatedWindow, replayed
 from estimation.jobs.steps.rolling_radius import radius_contradicted
-from estimation.jobs.steps.running_mileage import running_mileage
+from estimation.jobs.steps.running_mileage import mean_mileage, running_mileage
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.parameters import WindowParameters
 from estimation.storage import UnitOfWork
@@ -123,8 +123,13 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     turned = [mounting for mounting in unit.registry.mountings(serial) if mounting.reversed]
     for baseline in baselines(unit.registry.wheelset(serial)):
         index = _running(unit.tables.index(serial, baseline.from_ns, baseline.to_ns))
+        digests = unit.tables.digests(serial, baseline.from_ns, baseline.to_ns)
         entries = _apart(
-            [_mounted(entry, turned) for entry in index if entry[1] == classes.table_key(entry[0].vehicle, serial)],
+            [
+                _marked(entry, turned, digests)
+                for entry in index
+                if entry[1] == classes.table_key(entry[0].vehicle, serial)
+            ],
             change,
         )
         records += _intervals(unit, serial, baseline, entries, context, classes, refused)
@@ -208,12 +213,13 @@ def _of_class(entries: Sequence[_Entry], assumed: Assumed, classes: ClassLookup)
     return [entry for entry in entries if _assumed(entry, classes).digest == assumed.digest]
 
 
-def _mounted(entry: _Entry, turned: Sequence[Mounting]) -> _Entry:
-    """Return the entry with its key saying that the wheelset was mounted the other way round, where it was."""
+def _marked(entry: _Entry, turned: Sequence[Mounting], digests: Mapping[int, str]) -> _Entry:
+    """Return the entry with its key saying which table it is, and whether the wheelset was the other way round."""
     at_ns = entry[0].start_ns
+    key = " ".join((entry[1], *([digests[at_ns]] if at_ns in digests else ())))
     if any(m.from_ns <= at_ns and (m.to_ns is None or at_ns < m.to_ns) for m in turned):
-        return entry[0], f"{entry[1]} reversed", entry[2]
-    return entry
+        key = f"{key} reversed"
+    return entry[0], key, entry[2]
 
 
 def _apart(entries: Sequence[_Entry], change: IdentityChange | None) -> list[_Entry]:
@@ -312,7 +318,7 @@ def _record(
         wheelset=windows[0].wheelset,
         baseline=baseline.number,
         interval=interval,
-        mileage_km=_mean_mileage(windows, half_life_km),
+        mileage_km=mean_mileage(windows, half_life_km),
         from_ns=windows[0].start_ns,
         to_ns=windows[-1].start_ns + windows[-1].length_ns,
         geometry=geometry,
@@ -400,10 +406,3 @@ def _weighted_motions(
     windows = [TabulatedWindow(record, version) for record, _, version in entries]
     for record, moved in replayed(unit, windows, parameters):
         yield 1.0 if half_life_km is None else 0.5 ** ((newest - record.mileage_km) / half_life_km), moved
-
-
-def _mean_mileage(windows: Sequence[WindowRecord], half_life_km: float | None) -> float:
-    """Return the mean mileage, weighted as forgetting weights the windows."""
-    newest = windows[-1].mileage_km
-    weights = [1.0 if half_life_km is None else 0.5 ** ((newest - w.mileage_km) / half_life_km) for w in windows]
-    return sum(weight * w.mileage_km for weight, w in zip(weights, windows, strict=True)) / sum(weights)

@@ -10,7 +10,10 @@ from fleet_db.models.base import Base, Count, Digest, Nanoseconds, Packed, Real,
 
 
 class WindowBinTableRow(Base):
-    """The sufficient statistics of one window, packed; ``window_digest`` identifies the content."""
+    """The sufficient statistics of one window, packed; ``window_digest`` identifies the content of the window.
+
+    ``content_digest`` is of the table itself, null of one from before it was kept.
+    """
 
     __tablename__ = "window_bin_tables"
     __table_args__ = (
@@ -23,6 +26,7 @@ class WindowBinTableRow(Base):
     window_digest: Mapped[Digest]
     parameter_key: Mapped[str] = mapped_column(String(128))
     samples: Mapped[Count]
+    content_digest: Mapped[Digest | None]
     packed: Mapped[Packed]
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,6 +43,7 @@ class BinTableStore:
         if content_digest(self.connection, wheelset, start_ns) != window_digest:
             key = f"{wheelset}@{start_ns}"
             raise ConflictError(f"window {key} was replaced while it was estimated", kind="window", key=key)
+        packed = pack_bin_table(table)
         values = {
             "wheelset": wheelset,
             "start_ns": start_ns,
@@ -49,7 +51,8 @@ class BinTableStore:
             "window_digest": window_digest,
             "parameter_key": table.parameter_key,
             "samples": int(table.samples),
-            "packed": pack_bin_table(table),
+            "content_digest": hashlib.sha256(packed).hexdigest(),
+            "packed": packed,
         }
         if upsert(self.connection, TABLES, values):
             self.changes.note(wheelset)
@@ -76,6 +79,12 @@ class BinTableStore:
         statement = _selected(select(WINDOWS, TABLES.c.parameter_key, TABLES.c.track_version), wheelset, from_ns, to_ns)
         rows = self.connection.execute(statement)
         return [(to_window_record(row), row.parameter_key, row.track_version) for row in rows]
+
+    def digests(self, wheelset: str, from_ns: int, to_ns: int | None) -> Mapping[int, str]:
+        """Return by start of the window the digest of each table; of one from before digests were kept there is none."""
+        columns = select(TABLES.c.start_ns, TABLES.c.content_digest)
+        rows = self.connection.execute(_selected(columns, wheelset, from_ns, to_ns))
+        return {row.start_ns: row.content_digest for row in rows if row.content_digest is not None}
 
     def stream(
         self, wheelset: str, from_ns: int, to_ns: int | None

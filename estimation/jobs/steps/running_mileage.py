@@ -45,6 +45,21 @@ def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
     return found
 
 
+def mean_mileage(windows: Sequence[WindowRecord], half_life_km: float | None) -> float:
+    """Return the mean mileage, weighted as forgetting weights the windows.
+
+    Parameters
+    ----------
+    windows
+        Oldest first, with running mileages.
+    half_life_km
+        Of forgetting; None for none.
+    """
+    newest = windows[-1].mileage_km
+    weights = [1.0 if half_life_km is None else 0.5 ** ((newest - w.mileage_km) / half_life_km) for w in windows]
+    return sum(weight * w.mileage_km for weight, w in zip(weights, windows, strict=True)) / sum(weights)
+
+
 def _most_km(seconds: float) -> float:
     """Return how far a vehicle can have run in some time."""
     return FASTEST_KM_S * min(seconds, HOUR_S) + MOST_KM_DAY * seconds / DAY_S

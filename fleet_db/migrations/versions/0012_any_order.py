@@ -57,11 +57,13 @@ def upgrade() -> None:
     op.create_index(op.f("ix_track_epoch_windows_section_epoch"), "track_epoch_windows", ["section", "epoch"])
     op.create_index(op.f("ix_windows_track_section_start_ns"), "windows", ["track_section", "start_ns"])
     op.add_column("track_versions", sa.Column("superseded_ns", sa.BigInteger(), nullable=True))
+    op.add_column("window_bin_tables", sa.Column("content_digest", sa.String(length=64), nullable=True))
     op.add_column("suspension_findings", sa.Column("epoch", sa.Integer(), nullable=True))
 
 
 def downgrade() -> None:
     op.drop_column("suspension_findings", "epoch")
+    op.drop_column("window_bin_tables", "content_digest")
     op.drop_column("track_versions", "superseded_ns")
     op.drop_index(op.f("ix_windows_track_section_start_ns"), table_name="windows")
     op.drop_index(op.f("ix_track_epoch_windows_section_epoch"), table_name="track_epoch_windows")

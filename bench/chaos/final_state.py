@@ -1,0 +1,72 @@
+"""What a deployment knows at rest, as one digest for each kind: without times of recording and numbers of versions."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+
+from sqlalchemy import text
+
+from estimation.alerts.rules.hunting import HuntingRule
+from estimation.alerts.rules.sensor_fault import SensorFaultRule
+from estimation.values.alerts import Alert
+from fleet_db.packed_values import pack_geometry, pack_trend
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
+
+ROWS = {
+    "windows": "SELECT wheelset, start_ns, state, reason_code, reason, content_digest, mileage_km FROM windows",
+    "positions": (
+        "SELECT wheelset, start_ns, content_digest, offset_m, scale, middle_m, reason_code, reason"
+        " FROM window_positions"
+    ),
+    "bin tables": "SELECT wheelset, start_ns, parameter_key, packed FROM window_bin_tables",
+    "alignments in force": (
+        "SELECT e.section, e.number, e.windows, e.survey_code, e.survey, a.content_digest, b.content_digest"
+        " FROM track_epochs e"
+        " LEFT JOIN track_alignments a ON a.section = e.section AND a.version = e.version"
+        " LEFT JOIN track_alignments b ON b.section = e.section AND b.version = e.same_since"
+    ),
+    "suspension": "SELECT vehicle, section, from_ns, to_ns, ratio, ratio_std FROM suspension_findings",
+}
+
+ON_WINDOWS = (SensorFaultRule.kind, HuntingRule.kind)
+"""Alerts that stand by all windows in vehicle time; the others count evaluations with newer data."""
+
+
+def final_state(storage: SqlStorage) -> Mapping[str, str]:
+    """Return a digest for each kind of what is stored.
+
+    Parameters
+    ----------
+    storage
+        Whose jobs have nothing left to do.
+    """
+    with storage.read() as unit:
+        found = {name: [repr(tuple(row)) for row in unit.connection.execute(text(sql))] for name, sql in ROWS.items()}
+        found["geometries"] = list(_geometries(unit))
+        found["trends"] = list(_trends(unit))
+        alerts = unit.alerts.all_open()
+        found["alerts on windows"] = [_listed(alert) for alert in alerts if alert.kind in ON_WINDOWS]
+        found["alerts on estimates"] = [_listed(alert) for alert in alerts if alert.kind not in ON_WINDOWS]
+    return {name: hashlib.sha256("\n".join(sorted(rows)).encode()).hexdigest()[:16] for name, rows in found.items()}
+
+
+def _listed(alert: Alert) -> str:
+    return repr((alert.kind, alert.fleet, alert.wheelset, alert.condition.value, alert.severity.value))
+
+
+def _geometries(unit: SqlUnitOfWork) -> Iterator[str]:
+    """Yield the geometries that hold, the current one of each wheelset and those of its intervals."""
+    for wheelset in unit.registry.wheelsets():
+        current = unit.geometries.current(wheelset.serial)
+        for record in [*unit.geometries.intervals(wheelset.serial), *([] if current is None else [current])]:
+            if record.geometry.windows:
+                key = (record.wheelset, record.baseline, record.interval, record.mileage_km, record.from_ns)
+                yield repr((*key, hashlib.sha256(pack_geometry(record.geometry)).hexdigest()))
+
+
+def _trends(unit: SqlUnitOfWork) -> Iterator[str]:
+    for wheelset in unit.registry.wheelsets():
+        latest = unit.trends.latest(wheelset.serial)
+        if latest is not None:
+            yield repr((wheelset.serial, latest.baseline, hashlib.sha256(pack_trend(latest.trend)).hexdigest()))
