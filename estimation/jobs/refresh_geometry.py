@@ -19,6 +19,7 @@ from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.baselines import Baseline, baselines
 from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, contradiction
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.replay import TabulatedWindow, replayed
@@ -36,30 +37,12 @@ from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason
-from estimation.values.registry import Mounting, WheelsetRecord
+from estimation.values.registry import Mounting
 from estimation.values.windows import WindowRecord
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 _STALE_AT_ONCE = 10_000
 REMEMBERED_HALF_LIVES = 20.0  # a weight of one in a million
-
-
-@dataclass(frozen=True, slots=True)
-class Baseline:
-    """The life of a profile between two reprofilings, ``[from_ns, to_ns)``."""
-
-    number: int
-    from_ns: int
-    to_ns: int | None
-    mileage_km: float  # of the wheelset at its begin
-
-
-def baselines(wheelset: WheelsetRecord) -> list[Baseline]:
-    """Return the baselines of a wheelset, oldest first; number 0 begins when it was new."""
-    turned = sorted(wheelset.reprofilings, key=lambda item: item.at_ns)
-    starts = [(0, 0.0), *((item.at_ns, item.mileage_km) for item in turned)]
-    ends: list[int | None] = [item.at_ns for item in turned] + [None]
-    return [Baseline(i, a, b, km) for i, ((a, km), b) in enumerate(zip(starts, ends, strict=True))]
 
 
 def run(context: JobContext) -> Mapping[str, int]:

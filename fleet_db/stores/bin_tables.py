@@ -81,7 +81,7 @@ class BinTableStore:
         return [(to_window_record(row), row.parameter_key, row.track_version) for row in rows]
 
     def digests(self, wheelset: str, from_ns: int, to_ns: int | None) -> Mapping[int, str]:
-        """Return by start of the window the digest of each table; of one from before digests were kept there is none."""
+        """Return the digest of each table by start of its window; older tables may have none."""
         columns = select(TABLES.c.start_ns, TABLES.c.content_digest)
         rows = self.connection.execute(_selected(columns, wheelset, from_ns, to_ns))
         return {row.start_ns: row.content_digest for row in rows if row.content_digest is not None}
