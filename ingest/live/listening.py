@@ -33,6 +33,7 @@ REOPENED_AFTER_S = 60.0
 UNREADABLE_IN_A_ROW = 1000
 """Frames that cannot be read are those of others; so many one after the other are a fault of the bus."""
 
+DRAINED_FOR_S = 1.0
 LOSSES_EVERY_S = 0.5
 
 _SO_MEMINFO, _MEMINFO = 55, struct.Struct("9I")  # linux/sock_diag.h
@@ -121,9 +122,12 @@ class Listening:
     def _receive(self, bus: can.BusABC, losses: _Losses) -> str | None:
         """Take frames until the bus fails (return why), was silent for long, or an end is requested."""
         opened_at, unreadable = time.monotonic(), 0
-        while not self._ending.is_set():
+        leave_at = float("inf")  # once an end is requested, what waits in the socket is taken
+        while time.monotonic() < leave_at:
+            if self._ending.is_set():
+                leave_at = min(leave_at, time.monotonic() + DRAINED_FOR_S)
             try:
-                message = bus.recv(PATIENCE_S)
+                message = bus.recv(0.0 if self._ending.is_set() else PATIENCE_S)
                 frame = None if message is None else packed(message)
             except Exception as error:  # noqa: BLE001 - whatever python-can raises, other frames are to be received
                 unreadable += 1
@@ -135,7 +139,9 @@ class Listening:
             if frame is not None:
                 unreadable = 0
                 self._take(frame)
-            elif self._silent() > REOPENED_AFTER_S and time.monotonic() - opened_at > REOPENED_AFTER_S:
+            elif self._ending.is_set() or (
+                self._silent() > REOPENED_AFTER_S and time.monotonic() - opened_at > REOPENED_AFTER_S
+            ):
                 return None
         return None
 

@@ -1,0 +1,208 @@
+"""The live receiver killed, or without its database, while a vehicle transmits; on both databases."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Event, Thread
+
+import numpy as np
+
+from api.factory import open_store
+from api.settings import Settings
+from bench.chaos.part import ChaosSettings
+from bench.chaos.small_deployment import PASSWORD, Databases, databases, faults, until
+from bench.report import BenchRow
+from fleet_db.raw import RawStore
+from fleet_db.receipts import ChunkState
+from ingest.bus import open_bus, send
+from ingest.dropped_frames import OVERFLOW_ID, count_dropped
+from ingest.frames import FrameBatch, concatenate, take
+from ingest.logs import read_log
+from tests.ingest.vehicle_bus import VEHICLE, Run
+
+CHANNEL = "239.74.163.91"
+PATIENCE_S = 120.0
+SECOND_NS = 1_000_000_000
+OUTAGES_S = (1.0, 4.0, 15.0, 60.0, 300.0)
+SHORT = 4
+"""Kills up to which the run is short: on one database, with one outage of a second."""
+
+
+@dataclass
+class _Round:
+    """One deployment with its receiver, and what was transmitted to it."""
+
+    settings: Settings
+    log: Path
+    process: subprocess.Popen[bytes] | None = None
+    sent: list[FrameBatch] = field(default_factory=list)
+    sent_ns: list[int] = field(default_factory=list)
+    away_ns: list[tuple[int, int]] = field(default_factory=list)  # no process received
+
+    def start(self) -> None:
+        arguments = ["ingest", "--interface", "udp_multicast", "--channel", CHANNEL, "--vehicle", VEHICLE]
+        environment = os.environ | {
+            "TREADWATCH_DATABASE_URL": self.settings.url,
+            "TREADWATCH_DATA_DIR": str(self.settings.data_dir),
+            "TREADWATCH_WINDOW_LENGTH_S": f"{self.settings.window_length_s:g}",
+        }
+        before = self.said().count("listening")
+        with self.log.open("ab") as log:
+            self.process = subprocess.Popen(  # noqa: S603 - our own command
+                [sys.executable, "-c", "from api.cli import main; main()", *arguments, "--chunk-seconds", "1"],
+                env=environment,
+                stdout=log,
+                stderr=log,
+            )
+        assert until(lambda: self.said().count("listening") > before, PATIENCE_S) is not None, self.said()
+
+    def kill(self) -> None:
+        """Kill the receiver and start it again; what is transmitted meanwhile reaches nobody."""
+        assert self.process is not None
+        self.process.send_signal(signal.SIGKILL)
+        begin = time.time_ns()
+        self.process.wait()
+        self.start()
+        self.away_ns.append((begin, time.time_ns()))
+
+    def end(self) -> None:
+        assert self.process is not None
+        until(lambda: not any(self.spool()), PATIENCE_S)
+        self.process.terminate()
+        self.process.wait(PATIENCE_S)
+
+    def said(self) -> str:
+        return self.log.read_text() if self.log.exists() else ""
+
+    def spool(self) -> list[Path]:
+        return [path for path in (self.settings.spool_dir / VEHICLE).glob("*.*") if path.stat().st_size]
+
+
+@contextmanager
+def _transmitting(one: _Round) -> Iterator[None]:
+    """Transmit without an end, a fifth of a second at a time; every payload is known by its batch."""
+    stop = Event()
+
+    def transmit() -> None:
+        with open_bus("udp_multicast", CHANNEL) as bus:
+            while not stop.is_set():
+                begin_ns = time.time_ns() // SECOND_NS * SECOND_NS
+                batch = Run(seconds=1.0, start_ns=begin_ns, seed=len(one.sent)).frames()
+                one.sent_ns.append(time.time_ns())
+                one.sent.append(batch)
+                send(bus, batch)
+
+    thread = Thread(target=transmit)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
+    """Yield what kills and outages cost a live receiver.
+
+    Parameters
+    ----------
+    settings
+        ``size`` is the number of kills; more than a few come with outages of up to 5 min.
+    """
+    draw = random.Random(settings.seed)  # noqa: S311 - no secret
+    with databases(settings.folder) as both:
+        kinds = ("sqlite", "postgresql")
+        for kind in kinds if settings.size > SHORT else kinds[settings.seed % 2 :][:1]:
+            yield _kills(both, kind, settings, draw)
+        for seconds in OUTAGES_S if settings.size > SHORT else OUTAGES_S[:1]:
+            yield _outage(both, settings, seconds)
+
+
+def _kills(both: Databases, kind: str, settings: ChaosSettings, draw: random.Random) -> BenchRow:
+    one = _Round(both.new(kind), settings.folder / f"kills-{kind}.log")
+    kills = settings.size if settings.size <= SHORT else settings.size // 2
+    one.start()
+    with _transmitting(one):
+        for _ in range(kills):
+            time.sleep(draw.uniform(0.3, 3.0))
+            one.kill()
+        time.sleep(1.5)
+    one.end()
+    return _row(f"{kind}: {kills} kills of the receiver", both, one)
+
+
+def _outage(both: Databases, settings: ChaosSettings, seconds: float) -> BenchRow:
+    one = _Round(both.new("postgresql"), settings.folder / f"outage-{seconds:g}.log")
+    one.start()
+    with _transmitting(one):
+        time.sleep(2.0)
+        both.server.stop()
+        time.sleep(seconds)
+        both.server.start()
+        time.sleep(2.0)
+    one.end()
+    return _row(f"postgresql: away {seconds:g} s", both, one)
+
+
+def _row(what: str, both: Databases, one: _Round) -> BenchRow:
+    """Compare what was transmitted with what has a receipt."""
+    with closing(open_store(one.settings)) as storage:
+        wrong = faults(one.settings, storage)
+        with storage.read() as unit:
+            records = [record for state in ChunkState for record in unit.chunks.with_state(state, limit=100_000)]
+        raw = RawStore(one.settings.raw_dir)
+        stored = concatenate([read_log(raw.path(record.digest, record.suffix)) for record in records])
+    dropped = count_dropped(stored)
+    ours = stored.arbitration_id != OVERFLOW_ID
+    doubled, lost_s, lost = _compared(one, stored.t_ns[ours], _keys(stored))
+    lost = max(lost - dropped, 0)
+    left, told = len(one.spool()), PASSWORD in one.said()
+    both.drop(one.settings)
+    total = sum(map(len, one.sent))
+    measured = (
+        f"{total:,} frames sent, {int(ours.sum()):,} stored; lost while a receiver listened {lost:,}, before a kill at "
+        f"most {lost_s:.2f} s; dropped and counted {dropped:,}, doubled {doubled}, torn or orphaned {len(wrong)}, "
+        f"pieces left {left}"
+    )
+    met = doubled == left == lost == len(wrong) == 0 and not told and lost_s <= 1.0
+    return BenchRow(what, measured, "0 lost but the last second before a kill, 0 doubled, 0 torn, 0 left", met)
+
+
+def _compared(one: _Round, stored_ns: np.ndarray, keys: np.ndarray) -> tuple[int, float, int]:
+    """Return frames stored twice, the longest time lost before a kill, s, and frames lost although they were received.
+
+    A frame belongs to a kill when it was sent within the last two seconds before it or before the next receiver
+    listened.
+    """
+    found = Counter(keys.tolist())
+    wanted = Counter(key for batch in one.sent for key in _keys(batch).tolist())
+    doubled = sum((found - wanted).values())
+    missing = wanted - found
+    lost = 0
+    before_kill_s = 0.0
+    last = {begin: stored_ns[stored_ns < begin].max(initial=0) for begin, _ in one.away_ns}
+    for begin, newest in last.items():
+        if newest:
+            before_kill_s = max(before_kill_s, (begin - newest) / SECOND_NS)
+    for sent_ns, batch in zip(one.sent_ns, one.sent, strict=True):
+        at_ns = sent_ns + batch.t_ns - batch.t_ns[0]
+        away = np.zeros(len(batch), dtype=bool)
+        for begin, end in one.away_ns:
+            away |= (at_ns > begin - 2 * SECOND_NS) & (at_ns < end + SECOND_NS // 2)
+        lost += sum(missing[key] > 0 for key in _keys(take(batch, ~away)).tolist())
+    return doubled, before_kill_s, lost
+
+
+def _keys(batch: FrameBatch) -> np.ndarray:
+    """Return the payloads of the acceleration frames, which are drawn: no two are the same."""
+    return np.ascontiguousarray(batch.data[np.isin(batch.arbitration_id, (0x181, 0x182))]).view("<u8").ravel()
