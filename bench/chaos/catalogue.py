@@ -37,6 +37,8 @@ def _ingests(settings: ChaosSettings) -> Iterator[BenchRow]:
 def _outages(settings: ChaosSettings) -> Iterator[BenchRow]:
     from bench.chaos.outages import rows  # noqa: PLC0415 - only when it runs
 
+    return rows(settings)
+
 
 def _live(settings: ChaosSettings) -> Iterator[BenchRow]:
     from bench.chaos.live import rows  # noqa: PLC0415 - only when it runs
