@@ -46,7 +46,8 @@ def _refresh(context: JobContext, wheelset: WheelsetRecord) -> str:
     with context.storage.read() as unit:
         limit = _limit(unit, wheelset, context.settings.rules)
         change = identity_change(unit, wheelset.serial)
-        records = since_change(unit.geometries.intervals(wheelset.serial, baseline), change)
+        known = since_change(unit.geometries.intervals(wheelset.serial, baseline), change)
+        records = [record for record in known if record.geometry.windows]  # others were followed by empty ones
         latest = unit.trends.latest(wheelset.serial)
     if limit is None:
         return "without_limit"

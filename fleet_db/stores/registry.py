@@ -269,8 +269,8 @@ class RegistryStore:
         self.changes.note(record.wheelset)
         for vehicle, from_ns, to_ns in changed_spans(was, now):
             StaleSpanStore(self.connection).add(vehicle, from_ns, to_ns, f"mounting of wheelset {record.wheelset}")
-        if now is not None and (was is None or was.reversed is not now.reversed):
-            Again(self.connection, self.changes, recorded_ns).mounting(now.wheelset, now.from_ns, now.to_ns)
+            # windows that stay as they are may be of a mounting with another way round now
+            Again(self.connection, self.changes, recorded_ns).mounting(record.wheelset, from_ns, to_ns)
         if was is not None and now is not None:
             key = RecordKey(RecordKind.MOUNTING, was.wheelset, was.from_ns)
             self._note_change(key, asdict(was), recorded_ns)
