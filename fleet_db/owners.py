@@ -50,7 +50,13 @@ def living(connection: Connection, tokens: Collection[int]) -> frozenset[int]:
 
 
 def remove_dead(connection: Connection) -> frozenset[int]:
-    """Remove the owners that are gone and return those that are alive; in a writing transaction."""
+    """Remove the owners that are gone and return those that are alive.
+
+    Parameters
+    ----------
+    connection
+        In a writing transaction.
+    """
     tokens = connection.execute(select(OWNERS.c.token)).scalars().all()
     alive = living(connection, tokens)
     for token in set(tokens) - alive:
@@ -59,14 +65,34 @@ def remove_dead(connection: Connection) -> frozenset[int]:
 
 
 def remove(connection: Connection, token: int) -> None:
-    """Remove an owner: from here on it can commit nothing. Waits for what it is committing."""
+    """Remove an owner: from here on it can commit nothing. Waits for what it is committing.
+
+    Parameters
+    ----------
+    connection
+        In a writing transaction.
+    token
+        Of the owner.
+    """
     connection.execute(delete(OWNERS).where(OWNERS.c.token == token))
     if connection.dialect.name == "sqlite":
         lock_file(connection.engine, token).unlink(missing_ok=True)
 
 
 def add(connection: Connection, kind: JobTrigger, holder: str, now_ns: int) -> int:
-    """Add an owner and return its token; a scheduler takes over from the one before, whose lock it holds by now."""
+    """Add an owner and return its token; a scheduler takes over from the one before, whose lock it holds by now.
+
+    Parameters
+    ----------
+    connection
+        In a writing transaction.
+    kind
+        What its process is.
+    holder
+        Host and process, for messages.
+    now_ns
+        Our time, ns UTC.
+    """
     if kind is JobTrigger.SCHEDULE:
         for token in connection.execute(select(OWNERS.c.token).where(OWNERS.c.kind == kind.value)).scalars().all():
             remove(connection, token)
@@ -76,6 +102,15 @@ def add(connection: Connection, kind: JobTrigger, holder: str, now_ns: int) -> i
 
 def check_claim(connection: Connection, token: int, holder: str) -> None:
     """Raise unless the owner still has its row; nobody removes it before this transaction ends.
+
+    Parameters
+    ----------
+    connection
+        In the transaction that is to be committed.
+    token
+        Of the owner.
+    holder
+        Host and process, for messages.
 
     Raises
     ------
@@ -88,19 +123,41 @@ def check_claim(connection: Connection, token: int, holder: str) -> None:
 
 
 def has_claim(connection: Connection, token: int) -> bool:
-    """Return whether the owner still has its row."""
+    """Return whether the owner still has its row.
+
+    Parameters
+    ----------
+    connection
+        In any transaction.
+    token
+        Of the owner.
+    """
     return connection.execute(select(OWNERS.c.token).where(OWNERS.c.token == token)).first() is not None
 
 
 def lock_file(engine: Engine, token: int) -> Path:
-    """Return the file that an owner locks, beside an SQLite database."""
+    """Return the file that an owner locks, beside an SQLite database.
+
+    Parameters
+    ----------
+    engine
+        Of the database.
+    token
+        Of the owner.
+    """
     file = Path(str(engine.url.database))
     return file.with_name(f"{file.name}.owner-{token}")
 
 
 @contextmanager
 def file_owner_lock(path: Path) -> Iterator[None]:
-    """Hold the lock file of an owner."""
+    """Hold the lock file of an owner.
+
+    Parameters
+    ----------
+    path
+        The file.
+    """
     with locked_file(path) as locked:
         assert locked  # a token is used once
         try:

@@ -47,6 +47,8 @@ class RecordingCorrections:
     def retry(self, digest: str, author: Author) -> ChunkRecord:
         """Let a rejected recording, or one in quarantine, be decoded again; return its receipt.
 
+        It counts as received now: one that was ahead of our clock is not any more once the clock is right.
+
         Raises
         ------
         NotFoundError
@@ -91,6 +93,8 @@ class RecordingCorrections:
             if before.purged_ns is not None and action is not RecordingAction.SET_ASIDE:
                 raise _conflict(before, "has no raw bytes any more: they were purged")
             after = _after(before, action, vehicle or before.vehicle)
+            if action is RecordingAction.RETRY:  # our clock may have been behind at its receipt
+                after = replace(after, received_ns=max(before.received_ns, self.clock.now_ns()))
             _make_stale(unit, before, after, action)
             unit.chunks.update(after)
             held = unit.quarantine.get(SubjectKind.RECORDING, before.digest, STAGE)

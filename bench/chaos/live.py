@@ -166,7 +166,7 @@ def _row(what: str, both: Databases, one: _Round) -> BenchRow:
     ours = stored.arbitration_id != OVERFLOW_ID
     doubled, lost_s, lost = _compared(one, stored.t_ns[ours], _keys(stored))
     lost = max(lost - dropped, 0)
-    left, told = len(one.spool()), PASSWORD in one.said()
+    left, leaked = len(one.spool()), PASSWORD in one.said()
     both.drop(one.settings)
     total = sum(map(len, one.sent))
     measured = (
@@ -174,7 +174,7 @@ def _row(what: str, both: Databases, one: _Round) -> BenchRow:
         f"most {lost_s:.2f} s; dropped and counted {dropped:,}, doubled {doubled}, torn or orphaned {len(wrong)}, "
         f"pieces left {left}"
     )
-    met = doubled == left == lost == len(wrong) == 0 and not told and lost_s <= 1.0
+    met = doubled == left == lost == len(wrong) == 0 and not leaked and lost_s <= 1.0
     return BenchRow(what, measured, "0 lost but the last second before a kill, 0 doubled, 0 torn, 0 left", met)
 
 

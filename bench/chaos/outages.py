@@ -177,7 +177,7 @@ def _compared(broken: Settings, alone: Settings, paths: Sequence[Path]) -> list[
 def _send_until_stored(settings: Settings, path: Path) -> None:
     """Send a recording as a depot does: until it has its receipt."""
     while True:
-        with suppress(Exception):  # the database is away; nobody was told that anything is stored
+        with suppress(Exception):  # the database is away; nothing was reported as stored
             if any(isinstance(outcome, ChunkReceipt) for outcome in ingest(settings, [path])):
                 return
         time.sleep(0.2)

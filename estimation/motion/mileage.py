@@ -3,7 +3,7 @@
 Within one mounting the mileage grows with time, and not faster than the vehicle can run. The largest set of windows of
 which that holds is believed. A few others (a garbled recording) are left out of it. Where the odometer fell and did not
 come back it was exchanged or reset: what was before is believed, and nothing after until the mounting is registered
-anew. The verdict depends on the set of windows, not on their order of arrival.
+again. The verdict depends on the set of windows, not on their order of arrival.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ SETTINGS, CHUNKS = table_of(StoredSettingRow), table_of(ChunkRow)
 
 @dataclass(frozen=True, slots=True)
 class StoredSettingStore:
-    """Settings by name, in one transaction."""
+    """Settings and their values, in one transaction."""
 
     connection: Connection
 

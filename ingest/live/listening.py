@@ -76,7 +76,7 @@ class Listening:
         self._reports = reports
         self._ending = threading.Event()
         self._delays = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S)
-        self._heard_at = time.monotonic()
+        self._last_frame_at = time.monotonic()
         self.refused: ParameterError | None = None
 
     def end(self) -> None:
@@ -149,7 +149,7 @@ class Listening:
         self._buffer.add(frame)
         self._status.frames_received += 1
         self._status.last_frame_s = time.time()
-        self._heard_at = time.monotonic()
+        self._last_frame_at = time.monotonic()
         if self._status.silent_since_s is not None:
             self._status.silent_since_s = None
             self._reports.say("frames come again")
@@ -157,7 +157,7 @@ class Listening:
 
     def _silent(self) -> float:
         """Return how long no frame has come, s, and say it once when it is long."""
-        silent_s = time.monotonic() - self._heard_at
+        silent_s = time.monotonic() - self._last_frame_at
         if silent_s > SILENT_S and self._status.silent_since_s is None:
             self._status.silent_since_s = time.time() - silent_s
             self._reports.say(f"no frame for {SILENT_S:g} s: the bus is silent", bad=True)

@@ -62,7 +62,7 @@ def test_reads_are_answered_while_writers_wait_for_a_stuck_one(
         assert min(post.result(LONG_S).status_code for post in posts) == 202
 
 
-def test_a_request_that_cannot_write_in_time_is_told_when_to_come_back(
+def test_a_request_that_cannot_write_in_time_gets_a_time_to_come_back(
     settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("api.writer_slots.PATIENCE_S", 0.05)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
+from ingest.corrections import Author, RecordingCorrections
 from ingest.frames import FrameBatch, concatenate
 from ingest.logs import write_blf
 from ingest.plausibility.vehicle_clock import (
@@ -88,3 +90,36 @@ def good_piece(earlier_ns: int, seed: int) -> FrameBatch:
     start_ns = RECEIVED_NS - 7200 * SECOND_NS - earlier_ns
     offset = 5 * SECOND_NS + earlier_ns - (20 * SECOND_NS if earlier_ns else 0)
     return Run(seconds=10.0, start_ns=start_ns, recorder_offset_ns=offset, seed=seed).frames()
+
+
+@dataclass
+class SetClock:
+    now: int
+
+    def now_ns(self) -> int:
+        return self.now
+
+
+def test_a_recording_that_our_slow_clock_refused_is_decoded_once_it_is_right(
+    sqlite_storage: SqlStorage, tmp_path: Path
+) -> None:
+    with sqlite_storage.write() as unit:
+        register(unit)
+    clock = SetClock(RECEIVED_NS - 400 * DAY_NS)
+    raw = RawStore(tmp_path / "raw")
+    receiver = Receiver(sqlite_storage, raw, default_catalogue(), clock, window_length_s=10.0)
+    path = tmp_path / f"{VEHICLE}__good.blf"
+    write_blf(path, Run(start_ns=RECEIVED_NS - 3600 * SECOND_NS).frames())
+    with pytest.raises(LogFileError, match="days ahead"):
+        receiver.receive_file(path, VEHICLE)
+    corrections = RecordingCorrections(sqlite_storage, clock)
+    with sqlite_storage.read() as unit:
+        digest = unit.chunks.with_state(ChunkState.REJECTED)[0].digest
+    for now, state in ((clock.now, ChunkState.REJECTED), (RECEIVED_NS, ChunkState.DECODED)):
+        clock.now = now
+        corrections.retry(digest, Author("j.smith", "the clock is right"))
+        list(receiver.decode_stored())
+        with sqlite_storage.read() as unit:
+            found = unit.chunks.get(digest)
+        assert found is not None
+        assert found.state is state

@@ -61,7 +61,7 @@ def test_geometries_become_trends_and_a_repeat_changes_nothing(storage: Storage)
     register(storage, "W1", "W2")
     wear(storage, "W1", 40)
     first, _ = run_jobs(storage, 40.5)
-    assert first.counts == {"wheelsets": 2, "refreshed": 2, "unchanged": 0, "without_limit": 0}
+    assert first.counts == {"wheelsets": 2, "refreshed": 2, "unchanged": 0, "without_limit": 0, "quarantined": 0}
     with storage.read() as unit:
         worn, unseen = unit.trends.latest("W1"), unit.trends.latest("W2")
     assert worn is not None
