@@ -7,17 +7,22 @@ def schedule() -> None:
     """Run the jobs on schedule until asked to stop; refused where another scheduler is at work on the database."""
     import threading
     from contextlib import closing
+    from functools import partial
 
     from api import logs
     from api.factory import job_context, open_store, process_name, scheduled_jobs, upkeep_jobs
     from api.settings import load_settings
+    from api.starting import once_the_database_answers
     from estimation.jobs.scheduler import serve_jobs, stop_on_signals
 
     settings = load_settings()
     logs.configure(settings)
     stopping = threading.Event()
     stop_on_signals(stopping)
-    with closing(open_store(settings)) as storage:
+    opened = once_the_database_answers(partial(open_store, settings), settings, stopping)
+    if opened is None:
+        return
+    with closing(opened) as storage:
         context = job_context(settings, storage)
         jobs = (*scheduled_jobs(settings), *upkeep_jobs(settings))
         serve_jobs(context, jobs, stopping, holder=process_name())

@@ -14,14 +14,20 @@ def serve(
 ) -> None:
     """Serve the REST API; its documentation is on /docs."""
     import signal
+    import threading
+    from functools import partial
 
     from api import logs
     from api.factory import create_server
     from api.settings import load_settings
+    from api.starting import once_the_database_answers
 
     settings = load_settings(host=host, port=port)
     logs.configure(settings)
+    stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):  # the server hands its signal on when it has stopped
-        signal.signal(number, lambda _number, _frame: None)
+        signal.signal(number, lambda _number, _frame: stopping.set())
     with logs.in_background():
-        create_server(settings).run()
+        server = once_the_database_answers(partial(create_server, settings), settings, stopping)
+        if server is not None:
+            server.run()

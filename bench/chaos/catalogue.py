@@ -14,7 +14,7 @@ def parts() -> tuple[ChaosPart, ...]:
         ChaosPart("kills", "ingest, estimate, schedule and serve killed while recordings come in", 500, 4, _kills),
         ChaosPart("ingests", "two to eight ingests of one vehicle at once, on both databases", 100, 2, _ingests),
         ChaosPart("outages", "the database away for 1 s to 5 min, disks that are full", 8, 1, _outages),
-        ChaosPart("live", "a live receiver is killed, or its database is away for up to 5 min", 100, 1, _live),
+        ChaosPart("live", "a live receiver is killed, its database away for up to 5 min, its disk full", 100, 1, _live),
         ChaosPart("connections", "clients that open connections and do not use them", 1000, 300, _connections),
         ChaosPart("mutations", "log files are damaged, so many of each format, and read", 100_000, 40, _mutations),
         ChaosPart("orders", "windows in any order and in pieces, half of the rounds with late ones", 200, 2, _orders),

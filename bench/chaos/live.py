@@ -1,9 +1,10 @@
-"""The live receiver killed, or without its database, while a vehicle transmits; on both databases."""
+"""The live receiver killed, without its database or its disk, while a vehicle transmits; on both databases."""
 
 from __future__ import annotations
 
 import os
 import random
+import resource
 import signal
 import subprocess
 import sys
@@ -33,9 +34,17 @@ from tests.ingest.vehicle_bus import VEHICLE, Run
 CHANNEL = "239.74.163.91"
 PATIENCE_S = 120.0
 SECOND_NS = 1_000_000_000
+KINDS = ("sqlite", "postgresql")
 OUTAGES_S = (1.0, 4.0, 15.0, 60.0, 300.0)
+FULL_S = 12.0
+FULL_BYTES = 20
+"""On a full disk no file gets longer than this."""
+
+LOST_S = 1.0
+"""What was received so long before a kill may be lost."""
+
 SHORT = 4
-"""Kills up to which the run is short: on one database, with one outage of a second."""
+"""Kills up to which the run is short: all of them while the one database is away, and nothing is timed."""
 
 
 @dataclass
@@ -117,20 +126,39 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     Parameters
     ----------
     settings
-        ``size`` is the number of kills; more than a few come with outages of up to 5 min.
+        ``size`` is the number of kills; more than a few come with outages of up to 5 min and full disks.
     """
     draw = random.Random(settings.seed)  # noqa: S311 - no secret
     with databases(settings.folder) as both:
-        kinds = ("sqlite", "postgresql")
-        for kind in kinds if settings.size > SHORT else kinds[settings.seed % 2 :][:1]:
+        if settings.size <= SHORT:
+            yield _kills_without_database(both, settings)
+            return
+        for kind in KINDS:
             yield _kills(both, kind, settings, draw)
-        for seconds in OUTAGES_S if settings.size > SHORT else OUTAGES_S[:1]:
+        for seconds in OUTAGES_S:
             yield _outage(both, settings, seconds)
+        for kind in KINDS:
+            yield _full_disk(both, kind, settings)
+
+
+def _kills_without_database(both: Databases, settings: ChaosSettings) -> BenchRow:
+    one = _Round(both.new("postgresql"), settings.folder / "kills-without-database.log")
+    one.start()
+    with _transmitting(one):
+        time.sleep(1.0)
+        both.server.stop()
+        for _ in range(settings.size):
+            time.sleep(3.0)
+            one.kill()
+        both.server.start()
+        time.sleep(1.0)
+    one.end()
+    return _row(f"postgresql: {settings.size} kills while it is away", both, one, timed=False)
 
 
 def _kills(both: Databases, kind: str, settings: ChaosSettings, draw: random.Random) -> BenchRow:
     one = _Round(both.new(kind), settings.folder / f"kills-{kind}.log")
-    kills = settings.size if settings.size <= SHORT else settings.size // 2
+    kills = settings.size // 2
     one.start()
     with _transmitting(one):
         for _ in range(kills):
@@ -154,7 +182,23 @@ def _outage(both: Databases, settings: ChaosSettings, seconds: float) -> BenchRo
     return _row(f"postgresql: away {seconds:g} s", both, one)
 
 
-def _row(what: str, both: Databases, one: _Round) -> BenchRow:
+def _full_disk(both: Databases, kind: str, settings: ChaosSettings) -> BenchRow:
+    """Let the receiver write nothing for a while: no spool, no recording, no file of SQLite."""
+    one = _Round(both.new(kind), settings.folder / f"full-{kind}.log")
+    one.start()
+    assert one.process is not None
+    with _transmitting(one):
+        time.sleep(2.0)
+        before = resource.prlimit(one.process.pid, resource.RLIMIT_FSIZE)
+        resource.prlimit(one.process.pid, resource.RLIMIT_FSIZE, (FULL_BYTES, before[1]))
+        time.sleep(FULL_S)
+        resource.prlimit(one.process.pid, resource.RLIMIT_FSIZE, before)
+        time.sleep(2.0)
+    one.end()
+    return _row(f"{kind}: disk full for {FULL_S:g} s", both, one)
+
+
+def _row(what: str, both: Databases, one: _Round, *, timed: bool = True) -> BenchRow:
     """Compare what was transmitted with what has a receipt."""
     with closing(open_store(one.settings)) as storage:
         wrong = faults(one.settings, storage)
@@ -174,7 +218,7 @@ def _row(what: str, both: Databases, one: _Round) -> BenchRow:
         f"most {lost_s:.2f} s; dropped and counted {dropped:,}, doubled {doubled}, torn or orphaned {len(wrong)}, "
         f"pieces left {left}"
     )
-    met = doubled == left == lost == len(wrong) == 0 and not leaked and lost_s <= 1.0
+    met = doubled == left == lost == len(wrong) == 0 and not leaked and (lost_s <= LOST_S or not timed)
     return BenchRow(what, measured, "0 lost but the last second before a kill, 0 doubled, 0 torn, 0 left", met)
 
 

@@ -114,7 +114,7 @@ def test_a_wrong_setting_is_named_and_its_value_is_not_repeated(
 
 def test_an_unreachable_database_is_one_line_without_its_password(treadwatch: Run, tmp_path: Path) -> None:
     url = f"postgresql://user:hunter2@/db?host={tmp_path}"
-    line = refused(treadwatch("serve", database_url=url, data_dir=str(tmp_path)))
+    line = refused(treadwatch("estimate", database_url=url, data_dir=str(tmp_path)))
     assert "hunter2" not in line
 
 

@@ -9,6 +9,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
@@ -74,26 +76,63 @@ def test_requests_are_refused_quickly_and_logged_once(server: PostgresServer, tm
     assert re.search(r"again \d\d times in \d+ s: StorageError", service.log)
 
 
-def test_the_scheduler_leaves_no_password_either(server: PostgresServer, tmp_path: Path) -> None:
+@contextmanager
+def scheduler_process(server: PostgresServer, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
+    """Run a scheduler; yield it and its log."""
     environment = {
         **os.environ,
         "PYTHONPATH": str(ROOT),
-        "TREADWATCH_DATA_DIR": str(tmp_path),
+        "TREADWATCH_DATA_DIR": str(folder),
         "TREADWATCH_DATABASE_URL": with_password(server),
         "TREADWATCH_JOBS_EVERY_S": "0.2",
     }
-    log = tmp_path / "scheduler.log"
+    log = folder / "scheduler.log"
     with log.open("wb") as written:
-        scheduler = subprocess.Popen([sys.executable, "-c", COMMAND, "schedule"], env=environment, stderr=written)
+        process = subprocess.Popen([sys.executable, "-c", COMMAND, "schedule"], env=environment, stderr=written)
     try:
-        wait_for("scheduler", log)
-        server.stop()
-        wait_for("failed", log)
+        yield process, log
     finally:
-        scheduler.terminate()
-        scheduler.wait(60)
+        process.terminate()
+        process.wait(60)
+
+
+def test_the_scheduler_leaves_no_password_either(server: PostgresServer, tmp_path: Path) -> None:
+    try:
+        with scheduler_process(server, tmp_path) as (_, log):
+            wait_for("scheduler", log)
+            server.stop()
+            wait_for("failed", log)
+    finally:
         server.start()
     assert without_password(log.read_text())
+
+
+WAITS = "the start waits for the database"
+
+
+def test_a_service_that_starts_while_the_database_is_away_waits_for_it(server: PostgresServer, tmp_path: Path) -> None:
+    served = tmp_path / "service.log"
+    served.touch()
+
+    def bring_back() -> None:
+        wait_for(WAITS, served)
+        server.start()
+
+    server.stop()
+    try:
+        with scheduler_process(server, tmp_path) as (_, log), ThreadPoolExecutor(1) as beside:
+            wait_for(WAITS, log)
+            back = beside.submit(bring_back)
+            with service_process(tmp_path, with_password(server)) as service:  # it listens
+                assert httpx.get(f"{service.url}/readyz").status_code == 200
+            back.result()
+            wait_for("scheduler started with", log)
+    finally:
+        if server.process is None:
+            server.start()
+    for text in (served.read_text(), log.read_text()):
+        assert text.count(WAITS) == text.count("the database answers") == 1
+        assert without_password(text)
 
 
 def wait_for(word: str, log: Path) -> None:

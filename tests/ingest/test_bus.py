@@ -14,6 +14,7 @@ import can
 import numpy as np
 import pytest
 from live_listening import eventually, frames_in, listening_to
+from multicast import GROUP, multicast_problem
 from vehicle_bus import SECOND_NS, Run
 
 from estimation.errors import ParameterError
@@ -25,28 +26,7 @@ from ingest.live.buffer import FrameBuffer
 from ingest.live.records import FRAME_BYTES, pack_frame
 from ingest.live.status import LiveStatus, Reports
 
-GROUP = "239.74.163.77"
 PORT = 43_117
-
-
-def multicast_problem() -> str:
-    """Why there is no multicast here; empty where there is."""
-    try:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
-            receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            receiver.bind(("", 0))
-            receiver.setsockopt(
-                socket.IPPROTO_IP,
-                socket.IP_ADD_MEMBERSHIP,
-                socket.inet_aton(GROUP) + socket.inet_aton("0.0.0.0"),  # noqa: S104 - any interface
-            )
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-                sender.sendto(b"?", (GROUP, receiver.getsockname()[1]))
-            receiver.settimeout(2.0)
-            receiver.recv(1)
-    except OSError as error:
-        return f"no multicast on this machine: {error}"
-    return ""
 
 
 @pytest.fixture(params=["virtual", "udp_multicast"])

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from test_bus import GROUP, multicast_problem
+from multicast import GROUP, multicast_problem
 from typer.testing import CliRunner
 from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
 

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live_listening import eventually
+from multicast import GROUP, multicast_problem
 from postgres_server import PostgresServer, stoppable_server
-from test_bus import GROUP, multicast_problem
 from test_live_spool import packed
 from test_receiver import CountingClock
 from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
