@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import psycopg
 import pytest
-from sqlalchemy import delete, select, update
+from sqlalchemy import delete, event, select, update
 from vehicle_bus import OFFSETS_M, SECOND_NS, START_NS, VEHICLE, Run, register
 
-from estimation.errors import PassingFaultError
+from estimation.errors import PassingFaultError, StorageError
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
 from estimation.values.reasons import ReasonCode
@@ -202,6 +203,44 @@ def test_a_raw_file_that_cannot_be_read_is_not_rejected(
     (decoded,) = receiver_on(registered, tmp_path, clock).decode_stored()
     assert isinstance(decoded, ChunkReceipt)
     assert states(registered) == [(ChunkState.DECODED, None)]
+
+
+END_OTHERS = """SELECT pg_terminate_backend(pid) FROM pg_stat_activity
+WHERE datname = current_database() AND pid <> pg_backend_pid() AND backend_type = 'client backend'"""
+
+
+def test_a_database_that_breaks_off_anywhere_in_decoding_is_a_fault_that_passes(
+    postgres_storage: SqlStorage, postgres_url: str, tmp_path: Path, clock: SetClock
+) -> None:
+    with postgres_storage.write() as unit:
+        register(unit)
+    receiver = receiver_on(postgres_storage, tmp_path, clock)
+    broken = statements = 0
+    break_at: int | None = None
+
+    def count(*_: object) -> None:
+        nonlocal statements
+        statements += 1
+        if statements == break_at:
+            with psycopg.connect(postgres_url, autocommit=True) as other:
+                other.execute(END_OTHERS)
+
+    event.listen(postgres_storage.engine, "before_cursor_execute", count)
+    for number in range(4):
+        record, _ = receiver.keep(recording(tmp_path, number).read_bytes(), ".blf", VEHICLE, "a")
+        statements, break_at = 0, 1 + 11 * number
+        (outcome,) = receiver.decode([record])
+        broken += statements >= break_at
+        if isinstance(outcome, ChunkReceipt):
+            assert outcome.record.reason is not None
+            assert outcome.record.reason.code is ReasonCode.WAITS_FOR_STORAGE
+        else:
+            assert isinstance(outcome, StorageError)
+        break_at = None
+        (again,) = receiver_on(postgres_storage, tmp_path, clock).decode_stored()  # at once
+        assert isinstance(again, ChunkReceipt)
+        assert (again.record.digest, again.record.state) == (record.digest, ChunkState.DECODED)
+    assert broken == 4
 
 
 def of_1984(folder: Path) -> Path:
