@@ -23,7 +23,7 @@ from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 LENGTH = 2800.0
 SECONDS, WINDOW_S = 120, 40
 VISITS, EVENT = 4, 2  # visits of a thousand kilometres, and the first one after the mistake
-VISIT_NS = 10**13
+VISIT_NS = 10**14
 WHEELS = {  # cone, unevenness of the left tread in 1/m, speed in m/s
     "A": (0.10, 20.0, 21.0),
     "B": (0.16, 0.0, 19.0),

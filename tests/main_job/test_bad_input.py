@@ -174,7 +174,7 @@ def _then_one_jumps(among: Deployment, jumping: Sequence[Edited]) -> None:
     assert "the position jumps once against the speed, by 30.0 m" in windows[1]["reason"]
     for serial, now in geometries(among).items():
         first, second = before[serial]["equivalent_conicity_1"], now["equivalent_conicity_1"]
-        assert first["status"] == second["status"]
+        assert second["status"] in {first["status"], "estimated"}, serial  # its sound windows place more of the others
         if first["value"] is not None:
             assert abs(first["value"] - second["value"]) < 2.0 * first["std"]
 

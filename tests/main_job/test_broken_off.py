@@ -65,7 +65,7 @@ def test_a_killed_job_leaves_nothing_half_written_and_the_next_run_completes(
 ) -> None:
     for deployed in (fleet, second_fleet):
         deployed.receive(report.recordings[:3])
-    killed(fleet, storage_url, "estimate_windows", 5)  # its begin, its queue, and the third window
+    killed(fleet, storage_url, "estimate_windows", 7)  # its owner, begin, mileages and queue, and the third window
     said, tabled = estimated(fleet)
     assert said == tabled
     assert len(said) == 2
@@ -182,6 +182,7 @@ def test_windows_are_estimated_again_on_a_new_alignment_and_with_other_parameter
         track = unit.tracks.alignment("T-3")
         assert track is not None
         unit.tracks.add_alignment(replace(track, alignment=1.001 * track.alignment))
+    succeeded(fleet, "refresh_alignment")
     again = run(fleet, "estimate_windows").counts
     assert (again["requeued"], again["estimated"]) == (6, 6)
     succeeded(fleet, "refresh_geometry")

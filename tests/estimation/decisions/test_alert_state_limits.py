@@ -211,6 +211,7 @@ def test_old_numbers_are_never_read_as_the_present_state() -> None:
     assert breached(facts_of(windows=faults, trend=trend, geometry=uneven)) == {
         "sensor_fault": True,
         "no_data": False,
+        "data_quality": False,
         "conicity_limit": None,
         "limit_forecast": None,
         "wheel_asymmetry": None,

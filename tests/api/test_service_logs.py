@@ -73,7 +73,7 @@ def test_an_error_is_written_without_variables_and_then_counted(configured: Conf
     assert "ValueError: inner" in text
     assert "raise ValueError(message)" in text  # the line of the code
     assert "local_variable = " not in text
-    assert re.search(r"again 59 times in \d s: StorageError from ValueError at .*test_logs\.py:\d+", text)
+    assert re.search(r"again 59 times in \d s: StorageError from ValueError at .*test_service_logs\.py:\d+", text)
 
 
 @pytest.mark.parametrize("form", ["json", "text"])
@@ -109,7 +109,7 @@ def test_a_trace_is_bounded(configured: Configured) -> None:
     trace = short_trace(error)
     assert len(trace) <= TRACE_CHARACTERS
     assert trace.startswith("estimation.errors.StorageError: the database failed\n")
-    assert trace.count("test_logs.py") < 20
+    assert trace.count("test_service_logs.py") < 20
     first = ValueError("first")
     second = ValueError("second")
     first.__cause__, second.__cause__ = second, first
