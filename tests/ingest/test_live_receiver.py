@@ -130,7 +130,7 @@ def spooled(live: Live, content: bytes, spool_bytes: int = 1 << 20) -> None:
 
 
 def test_every_frame_of_a_bus_has_its_receipt_once(live: Live) -> None:
-    batch = Run(seconds=4.0).frames()
+    batch = Run(seconds=2.0).frames()
     with live.running(), transmitting(live.channel) as transmit:
         transmit(batch)
         eventually(lambda: live.status.frames_received == len(batch))
@@ -147,8 +147,8 @@ def test_a_database_that_goes_away_is_waited_for(tmp_path: Path) -> None:
             with storage.write() as unit:
                 register(unit)
             live = Live(storage, tmp_path / "live", f"away-{os.getpid()}")
-            whole = Run(seconds=6.0).frames()
-            parts = [replace_frames(whole, slice(at, at + 1000)) for at in range(0, len(whole), 1000)]
+            whole = Run(seconds=3.0).frames()
+            parts = [replace_frames(whole, slice(at, at + 500)) for at in range(0, len(whole), 500)]
             with live.running(), transmitting(live.channel) as transmit:
                 outage(live, server, transmit, parts)
             assert_each_once(live.frames(), whole)
@@ -351,7 +351,7 @@ def test_a_killed_receiver_leaves_what_the_next_one_stores(sqlite_url: str, tmp_
         with command(folder, sqlite_url, "--health-port", str(port)) as process:
             until_said(process, "listening to udp_multicast")
             with open_bus("udp_multicast", GROUP) as bus:
-                sent = send(bus, Run(seconds=2.0).frames())
+                sent = send(bus, Run(seconds=1.0).frames())
             eventually(lambda: arrived(port) == sent)
             received = int(measure(port, "frames_received_total"))
             eventually(lambda: measure(port, "frames_spooled_total") == received)
