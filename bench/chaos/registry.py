@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +14,14 @@ import numpy as np
 from api.factory import job_context, receiver, scheduled_jobs
 from api.settings import Settings
 from bench.chaos.part import ChaosSettings
+from bench.chaos.registry_mistakes import MISTAKES, RESTORED
 from bench.report import BenchRow
 from estimation.jobs.job import run_job
-from estimation.values.registry import Mounting, Reprofiling
 from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.migrate import upgrade
 from fleet_db.packed_values import pack_bin_table, pack_geometry, pack_trend
-from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.session import database_engine
-from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.registry_history import RecordKey
+from fleet_db.storage import SqlStorage
 from ingest.receiver import Receiver
 from ingest.registry_file import load_registry
 from ingest.simulator.fleet import FleetReport, run_fleet
@@ -82,16 +81,12 @@ serial = "C-B"
 initial_wear_mm = 2.4
 initial_mileage_km = 250000.0
 """
-SECTION, VEHICLE = "C-3", "C-1"
 WINDOW_S = 30.0
-HOUR_NS = 3_600_000_000_000
 AFTERWARDS_NS = 1_710_500_000_000_000_000
 """Our time, some days behind the last campaign."""
 
 FOUND_LATE = 0.8
 """Share of the mistakes that are found after they have had their effect."""
-
-UNDONE = Decision("chaos", "a mistake")
 
 
 @dataclass(slots=True)
@@ -106,9 +101,6 @@ class StandingClock:
         return self.at_ns
 
 
-Undo = Callable[[SqlUnitOfWork], None]
-
-
 @dataclass(frozen=True)
 class Deployment:
     """A database with its files, on which everything runs for real."""
@@ -118,7 +110,6 @@ class Deployment:
     clock: StandingClock
     receiver: Receiver
     registry: Path
-    counts: dict[str, int] = field(default_factory=dict)
 
     def to_rest(self) -> None:
         """Run all jobs twice: alerts follow what the first run found."""
@@ -145,18 +136,26 @@ def deployment(folder: Path, report: FleetReport) -> Deployment:
         What the simulator wrote.
     """
     folder.mkdir()
-    url = f"sqlite:///{folder / 'treadwatch.sqlite3'}"
-    upgrade(url)
-    settings = Settings(data_dir=folder, database_url=url, window_length_s=WINDOW_S, _env_file=None)
-    storage = SqlStorage(database_engine(url), folder, class_of_package)
-    clock = StandingClock(AFTERWARDS_NS)
-    found = Deployment(settings, storage, clock, receiver(settings, storage, clock), report.registry)
+    upgrade(_url(folder))
+    found = _opened(folder, report.registry, AFTERWARDS_NS)
     found.load()
     found.receiver.reassembler.work_off()
     for item in report.recordings:
         found.receiver.receive_file(item.path, item.vehicle)
     found.to_rest()
     return found
+
+
+def _opened(folder: Path, registry: Path, now_ns: int) -> Deployment:
+    url = _url(folder)
+    settings = Settings(data_dir=folder, database_url=url, window_length_s=WINDOW_S, _env_file=None)
+    storage = SqlStorage(database_engine(url), folder, class_of_package)
+    clock = StandingClock(now_ns)
+    return Deployment(settings, storage, clock, receiver(settings, storage, clock), registry)
+
+
+def _url(folder: Path) -> str:
+    return f"sqlite:///{folder / 'treadwatch.sqlite3'}"
 
 
 def derived(storage: SqlStorage) -> Mapping[str, object]:
@@ -201,142 +200,91 @@ def _digest(blob: bytes) -> str:
     return hashlib.sha256(blob).hexdigest()
 
 
-def _mounting(unit: SqlUnitOfWork, serial: str) -> Mounting:
-    return unit.registry.mountings(serial)[0]
-
-
-def _void(kind: RecordKind, subject: str, at_ns: int | None = None) -> Undo:
-    return lambda unit: void(unit, RecordKey(kind, subject, at_ns))
-
-
-def void(unit: SqlUnitOfWork, key: RecordKey) -> None:
-    """Void a record."""
-    unit.corrections.void(key, UNDONE)
-
-
-def swapped(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:  # noqa: ARG001 - as every mistake
-    """Enter two wheelsets under each other's name; the right file puts it right."""
-    first, second = _mounting(unit, "C-A"), _mounting(unit, "C-B")
-    unit.registry.add_mountings([replace(first, axle=second.axle), replace(second, axle=first.axle)])
-    return []
-
-
-def turned_round(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
-    """Enter a wheelset the other way round."""
-    was = _mounting(unit, str(rng.choice(["C-A", "C-B"])))
-    unit.registry.add_mounting(replace(was, reversed=not was.reversed))
-    return []
-
-
-def other_mileage(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
-    """Enter another mileage of a wheelset."""
-    was = _mounting(unit, str(rng.choice(["C-A", "C-B"])))
-    unit.registry.add_mounting(
-        replace(was, wheelset_mileage_km=was.wheelset_mileage_km + float(rng.integers(1, 90000)))
-    )
-    return []
-
-
-def ended_early(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
-    """End a mounting between two campaigns, and mount the wheelset again at the wrong axle."""
-    was = _mounting(unit, str(rng.choice(["C-A", "C-B"])))
-    end_ns = was.from_ns + int(rng.integers(1, 40)) * 24 * HOUR_NS
-    unit.registry.add_mounting(replace(was, to_ns=end_ns))
-    other = replace(was, from_ns=end_ns, reversed=bool(rng.integers(2)))
-    unit.registry.add_mounting(other)
-    return [_void(RecordKind.MOUNTING, other.wheelset, end_ns)]
-
-
-def forgotten(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
-    """Take a mounting out that was right."""
-    was = _mounting(unit, str(rng.choice(["C-A", "C-B"])))
-    key = RecordKey(RecordKind.MOUNTING, was.wheelset, was.from_ns)
-    void(unit, key)
-    return [lambda unit: _restored(unit, key)]
-
-
-def never_reprofiled(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
-    """Enter a reprofiling that never was."""
-    was = _mounting(unit, str(rng.choice(["C-A", "C-B"])))
-    at_ns = was.from_ns + int(rng.integers(1, 40)) * 24 * HOUR_NS
-    unit.registry.add_reprofiling(Reprofiling(was.wheelset, at_ns, was.wheelset_mileage_km + 15_000.0))
-    return [_void(RecordKind.REPROFILING, was.wheelset, at_ns)]
-
-
-def other_radius(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
-    """Enter another nominal radius."""
-    was = unit.registry.wheelset(str(rng.choice(["C-A", "C-B"])))
-    unit.registry.add_wheelset(replace(was, nominal_radius_m=was.nominal_radius_m - 0.02, mounting=None), 1)
-    return []
-
-
-def other_offsets(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
-    """Enter axles at other places."""
-    was = unit.registry.vehicle(VEHICLE)
-    moved = tuple(offset + float(rng.uniform(0.5, 3.0)) for offset in was.axle_offsets_m)
-    unit.registry.add_vehicle(replace(was, axle_offsets_m=moved), 1)
-    return []
-
-
-def other_number(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
-    """Enter the section under another number."""
-    unit.tracks.add_section(replace(unit.tracks.section(SECTION), number=int(rng.integers(100, 999))))
-    return []
-
-
-def no_section(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:  # noqa: ARG001 - as every mistake
-    """Void the section."""
-    key = RecordKey(RecordKind.SECTION, SECTION)
-    void(unit, key)
-    return [lambda unit: _restored(unit, key)]
-
-
-def _restored(unit: SqlUnitOfWork, key: RecordKey) -> None:
-    unit.corrections.restore(key, UNDONE)
-
-
-MISTAKES = (
-    swapped,
-    never_reprofiled,
-    turned_round,
-    other_mileage,
-    ended_early,
-    forgotten,
-    other_radius,
-    other_offsets,
-    other_number,
-    no_section,
-)
-
-
 @dataclass(frozen=True, slots=True)
 class Corrected:
-    """A mistake, whether it showed before it was corrected (None where no job ran), and what is not as it was."""
+    """A round: the mistake, whether it showed before it was corrected (None: no job ran), what is not as never made."""
 
+    number: int
     name: str
     showed: bool | None
     wrong: tuple[str, ...]
 
+    def __str__(self) -> str:
+        """Return the round with what is wrong."""
+        return f"round {self.number}: {', '.join(self.wrong)}"
 
-def _mistaken(found: Deployment, size: int, seed: int, expected: Mapping[str, object]) -> Iterator[Corrected]:
-    """Make mistakes and correct them."""
-    rng = np.random.default_rng(seed)
-    for number in range(size):
-        mistake = MISTAKES[number % len(MISTAKES)]
-        with found.storage.write() as unit:
-            undo = mistake(unit, rng)
-        showed = None
-        if rng.random() < FOUND_LATE:
-            found.to_rest()
-            showed = derived(found.storage) != expected
-        with found.storage.write() as unit:
-            for step in undo:
-                step(unit)
-        found.load()
+
+def differing(expected: Mapping[str, object], now: Mapping[str, object]) -> tuple[str, ...]:
+    """Return the names of what is derived and not the same.
+
+    Parameters
+    ----------
+    expected, now
+        What :func:`derived` returned of two deployments.
+    """
+    return tuple(sorted(name for name in expected.keys() | now.keys() if expected.get(name) != now.get(name)))
+
+
+def corrected(found: Deployment, number: int, rng: np.random.Generator, expected: Mapping[str, object]) -> Corrected:
+    """Make one mistake, correct it, and return what is not as before.
+
+    Parameters
+    ----------
+    found
+        A deployment at rest.
+    number
+        Of the round, from 0; it decides which mistake.
+    rng
+        The rest is drawn from it.
+    expected
+        What is derived where it was never made.
+    """
+    mistake = MISTAKES[number % len(MISTAKES)]
+    with found.storage.write() as unit:
+        undo = mistake(unit, rng)
+    showed = None
+    if rng.random() < FOUND_LATE:
         found.to_rest()
-        now = derived(found.storage)
-        wrong = tuple(name for name, value in expected.items() if now[name] != value)
-        yield Corrected(mistake.__name__, showed, wrong)
+        showed = bool(differing(expected, derived(found.storage)))
+    with found.storage.write() as unit:
+        for step in undo:
+            step(unit)
+    if mistake not in RESTORED:
+        found.load()
+    found.to_rest()
+    return Corrected(number, mistake.__name__, showed, differing(expected, derived(found.storage)))
+
+
+def rounds(settings: ChaosSettings, report: FleetReport) -> Iterator[Corrected]:
+    """Make mistakes one after another; one that leaves something wrong is followed by another deployment.
+
+    Parameters
+    ----------
+    settings
+        Number of mistakes, seed and folder.
+    report
+        What the simulator wrote.
+    """
+    never = settings.folder / "never"
+    reference = deployment(never, report)
+    with closing(reference.storage):
+        expected = derived(reference.storage)
+    for number in range(settings.size):
+        if not number:
+            found = _copied(reference, settings.folder / "mistaken-0")
+        rng = np.random.default_rng((settings.seed, number))
+        one = corrected(found, number, rng, expected)
+        yield one
+        if one.wrong:
+            found.storage.close()
+            found = _copied(reference, settings.folder / f"mistaken-{number + 1}")
+    found.storage.close()
+
+
+def _copied(reference: Deployment, folder: Path) -> Deployment:
+    """Return a deployment with the files and the database of another, which is closed."""
+    shutil.copytree(reference.settings.data_dir, folder)
+    return _opened(folder, reference.registry, reference.clock.at_ns)
 
 
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
@@ -350,14 +298,17 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     scenario = settings.folder / "scenario.toml"
     scenario.write_text(SCENARIO, encoding="utf-8")
     report = run_fleet(load_scenario(scenario), settings.folder / "recordings", workers=1)
-    found = deployment(settings.folder / "mistaken", report)
-    with closing(found.storage):
-        expected = derived(found.storage)
-        outcomes = list(_mistaken(found, settings.size, settings.seed, expected))
-    wrong = [f"{one.name}: {', '.join(one.wrong)}" for one in outcomes if one.wrong]
+    outcomes = list(rounds(settings, report))
     late = [one for one in outcomes if one.showed is not None]
-    silent = [one.name for one in late if not one.showed]
-    shown = f"{len(late) - len(silent)} of {len(late)}" + "".join(f"; {name}" for name in silent)
+    silent = [f"round {one.number}, {one.name}" for one in late if not one.showed]
+    shown = "; ".join((f"{len(late) - len(silent)} of {len(late)}", *silent))
     yield BenchRow("mistakes that showed before they were corrected", shown, "all", not silent)
-    measured = f"{len(outcomes) - len(wrong)} of {len(outcomes)} as never made" + "".join(f"; {one}" for one in wrong)
-    yield BenchRow("mistakes in the registry, corrected", measured, "all as never made", not wrong)
+    for name in dict.fromkeys(one.name for one in outcomes):
+        yield _row(f"corrected: {name}", [one for one in outcomes if one.name == name])
+    yield _row("mistakes in the registry, corrected", outcomes)
+
+
+def _row(what: str, outcomes: Sequence[Corrected]) -> BenchRow:
+    wrong = [one for one in outcomes if one.wrong]
+    measured = f"{len(outcomes) - len(wrong)} of {len(outcomes)} as never made"
+    return BenchRow(what, "; ".join((measured, *map(str, wrong))), "all as never made", not wrong)
