@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pytest
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, wear
@@ -78,6 +79,25 @@ def test_geometries_become_trends_and_a_repeat_changes_nothing(storage: Storage)
         unit.geometries.put(geometry_record("W1", 41, 41, 0.27))
     third, _ = run_jobs(storage, 41.5)
     assert (third.counts["refreshed"], third.counts["unchanged"]) == (1, 1)
+
+
+def test_intervals_that_were_followed_by_empty_ones_are_as_if_they_had_never_been(storage: Storage) -> None:
+    register(storage, "W1")
+    wear(storage, "W1", 40)
+    run_jobs(storage, 40.5)
+    wrong = geometry_record("W1", 41, 41, 0.9)
+    gone = replace(wrong, geometry=replace(wrong.geometry, windows=0), input_digest="none", recorded_ns=2)
+    digests = []
+    for record in (None, wrong, gone):
+        with storage.write() as unit:
+            if record is not None:
+                unit.geometries.put(record)
+        run_jobs(storage, 41.5)
+        with storage.read() as unit:
+            latest = unit.trends.latest("W1")
+        assert latest is not None
+        digests.append(latest.input_digest)
+    assert digests[1] != digests[0] == digests[2]
 
 
 def test_worn_wheels_raise_alerts_once(storage: Storage) -> None:
