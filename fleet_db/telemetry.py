@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,8 @@ class WindowFiles:
         blob = pack_window(window)
         path = self.path(digest)
         with passing_faults(path):
+            with suppress(FileNotFoundError):
+                os.utime(path)  # no purge takes it for an orphan before its row is committed
             if not self.has(digest, len(blob)):
                 write_atomically(path, blob, durable=False)
         return len(blob)

@@ -15,9 +15,7 @@ from fleet_db.keeping.orphans import orphans
 from fleet_db.models import (
     AlertEventRow,
     AlertRow,
-    GeometryRow,
     TrackAlignmentRow,
-    WheelsetBinRow,
     WindowBinTableRow,
     WindowPositionRow,
     WindowRow,
@@ -26,7 +24,6 @@ from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)
-GEOMETRIES, BINS = table_of(GeometryRow), table_of(WheelsetBinRow)
 ALERTS, EVENTS, ALIGNMENTS = table_of(AlertRow), table_of(AlertEventRow), table_of(TrackAlignmentRow)
 OF_TABLE = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
 
@@ -83,7 +80,7 @@ def check_deep(storage: SqlStorage, progress: Callable[[int, int], None]) -> Dee
         The database or a file cannot be read now.
     """
     with storage.read() as unit:
-        findings = [*_database(unit.connection), *_rows(unit.connection)]
+        findings = [*_database(unit.connection), *_rows(unit.connection), *_bins(unit)]
         packed, rows = _packed(unit)
         files = list(kept_files(unit.connection))
     findings += packed
@@ -128,21 +125,14 @@ def _rows(connection: Connection) -> Iterator[Finding]:
     )
     for row in connection.execute(without):
         yield Finding("rows", f"window {row.wheelset}@{row.start_ns}", "counts as estimated without a bin table")
-    yield from _not_newest(connection)
     yield from _alerts(connection)
 
 
-def _not_newest(connection: Connection) -> Iterator[Finding]:
-    """Yield wheelsets whose bins are of another geometry than the newest current one."""
-    order = (GEOMETRIES.c.baseline.desc(), GEOMETRIES.c.geometry_id.desc())
-    place = func.row_number().over(partition_by=GEOMETRIES.c.wheelset, order_by=order).label("place")
-    columns = (GEOMETRIES.c.wheelset, GEOMETRIES.c.geometry_id, place)
-    current = select(*columns).where(GEOMETRIES.c.baseline_interval.is_(None))
-    newest = current.subquery()
-    same = and_(newest.c.wheelset == BINS.c.wheelset, newest.c.place == 1)
-    wrong = select(BINS.c.wheelset).join(newest, same).where(BINS.c.geometry_id != newest.c.geometry_id)
-    for wheelset in connection.scalars(wrong.distinct()):
-        yield Finding("rows", f"bins of wheelset {wheelset}", "are not of its newest geometry")
+def _bins(unit: SqlUnitOfWork) -> Iterator[Finding]:
+    """Yield wheelsets whose bins are of another geometry than the current one."""
+    for wheelset in unit.registry.wheelsets():
+        if not unit.geometries.bins_are_current(wheelset.serial):
+            yield Finding("rows", f"bins of wheelset {wheelset.serial}", "are not of its current geometry")
 
 
 def _alerts(connection: Connection) -> Iterator[Finding]:

@@ -40,6 +40,26 @@ def orphans(storage: SqlStorage, least_age_s: float = LEAST_AGE_S) -> list[Path]
     return [path for path in files if path.name.partition(".")[0] not in known[path.parts[0]]]
 
 
+def unlink_old(path: Path, least_age_s: float) -> int | None:
+    """Delete a file unless it has been written or used again since it was found; return its size, None if it stays.
+
+    Parameters
+    ----------
+    path
+        The file.
+    least_age_s
+        Age that it must have now.
+    """
+    try:
+        found = path.stat()
+        if found.st_mtime > time.time() - least_age_s:
+            return None
+        path.unlink()
+    except FileNotFoundError:
+        return None
+    return found.st_size
+
+
 def _old_files(data_dir: Path, least_age_s: float) -> Iterator[Path]:
     """Yield the files that have not been changed for a while; by the clock of the file system and this machine."""
     before = time.time() - least_age_s

@@ -11,7 +11,7 @@ from sqlalchemy import Column, ColumnElement, Connection, and_, delete, exists, 
 from estimation.values.runs import JobOutcome
 from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.kept_files import RAW
-from fleet_db.keeping.orphans import LEAST_AGE_S, orphans
+from fleet_db.keeping.orphans import LEAST_AGE_S, orphans, unlink_old
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.models import GeometryRow, IdempotencyRow, JobRunRow, PurgeRow, TrackReportRow, TrendRow
 from fleet_db.raw import RawStore
@@ -190,10 +190,8 @@ def _purge_orphans(storage: SqlStorage, before_ns: int, now_ns: int) -> Purged:
     for path in orphans(storage, age_s):
         if path.parts[0] == RAW and not path.name.startswith(".") and path.stem not in gone:
             continue
-        file = storage.data_dir / path
-        size += file.stat().st_size
-        file.unlink(missing_ok=True)
-        items += 1
+        found = unlink_old(storage.data_dir / path, age_s)
+        size, items = size + (found or 0), items + (found is not None)
     purged = Purged(Kept.ORPHANED_FILES, items, size)
     if items:
         with storage.write() as unit:

@@ -155,11 +155,21 @@ class GeometryStore:
         )
         return self.connection.execute(statement).first()
 
+    def bins_are_current(self, wheelset: str) -> bool:
+        """Whether the plain rows of bins are those of the current geometry."""
+        row = self._current(wheelset, None)
+        return row is None or row.geometry_id == self._shown(wheelset)
+
+    def _shown(self, wheelset: str) -> int | None:
+        found: int | None = self.connection.scalar(
+            select(BINS.c.geometry_id).where(BINS.c.wheelset == wheelset).limit(1)
+        )
+        return found
+
     def _show_bins(self, wheelset: str) -> None:
         """Let the plain rows of bins be those of the current geometry."""
         row = self._current(wheelset, None)
-        shown = self.connection.scalar(select(BINS.c.geometry_id).where(BINS.c.wheelset == wheelset).limit(1))
-        if row is not None and row.geometry_id != shown:
+        if row is not None and row.geometry_id != self._shown(wheelset):
             _replace_bins(self.connection, wheelset, row.geometry_id, _record(row).geometry)
 
 

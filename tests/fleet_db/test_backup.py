@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import sqlalchemy
 import stored_values as make
 from full_storage import RECORDING, contents, fill
 from in_process_command import Run
@@ -21,6 +22,7 @@ from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.manifest import read_manifest
 from fleet_db.keeping.restore import CAUSE, restore
 from fleet_db.migrate import upgrade
+from fleet_db.models import WheelsetBinRow
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 
@@ -210,6 +212,18 @@ def test_a_backup_of_an_older_version_is_brought_to_this_one(
     shutil.rmtree(tmp_path / "restored")
     with pytest.raises(InputError, match="of a newer version"):
         restore(target_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+
+
+def test_a_baseline_that_was_emptied_is_no_damage(full: SqlStorage) -> None:
+    """As after a reprofiling that was entered by mistake and voided."""
+    empty = replace(make.geometry_record(9).geometry, windows=0)
+    with full.write() as unit:
+        unit.geometries.put(make.geometry_record(8, baseline=1))
+        unit.geometries.put(make.geometry_record(9, baseline=1, geometry=empty))
+    assert check_deep(full, quietly).findings == ()
+    with full.engine.begin() as connection:
+        connection.execute(sqlalchemy.update(WheelsetBinRow).values(geometry_id=2))
+    assert [finding.subject for finding in check_deep(full, quietly).findings] == ["bins of wheelset WS-1"]
 
 
 def test_one_at_a_time(full: SqlStorage, tmp_path: Path) -> None:

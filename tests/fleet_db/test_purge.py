@@ -14,7 +14,7 @@ from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.keeping import purge as purge_module
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.exclusive import keeping_alone
-from fleet_db.keeping.orphans import LEAST_AGE_S, orphans
+from fleet_db.keeping.orphans import LEAST_AGE_S, orphans, unlink_old
 from fleet_db.keeping.purge import Purged, purge, purged_before
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.models import PurgeRow
@@ -115,6 +115,24 @@ def test_files_of_replaced_windows_go(fleet: SqlStorage) -> None:
     assert [path.name for path in orphans(fleet)] == [f"{lost}.blf"]  # a recording is never an orphan to delete
     with fleet.read() as unit:
         assert make.same(unit.windows.load("WS-1", make.START), make.window(0, seed=5))
+
+
+def test_a_file_that_a_window_takes_up_again_is_young(fleet: SqlStorage) -> None:
+    """Between its content's being used again and the commit of its row no purge deletes it."""
+    window = make.window(0)
+    with fleet.write() as unit:
+        unit.windows.put(window, 100.0, 1)
+        unit.windows.put(make.window(0, seed=5), 100.0, 2)
+    for path in fleet.data_dir.rglob("*.window"):
+        os.utime(path, (1e9, 1e9))
+    (orphan,) = orphans(fleet)
+    with fleet.write() as unit:
+        unit.windows.put(window, 100.0, 3)
+        assert unlink_old(fleet.data_dir / orphan, LEAST_AGE_S) is None
+    with fleet.read() as unit:
+        assert make.same(unit.windows.load("WS-1", make.START), window)
+    assert unlink_old(fleet.data_dir / orphan, -60.0) is not None
+    assert unlink_old(fleet.data_dir / orphan, -60.0) is None
 
 
 def test_raw_files_of_old_recordings_go_and_their_receipts_stay(fleet: SqlStorage) -> None:
