@@ -77,11 +77,20 @@ def committed_document() -> dict[str, Any]:
     return found
 
 
-def build_app(services: Services, limits: HttpLimits | None = None) -> FastAPI:
-    """Return the app that answers with these services, within these limits or the usual ones."""
+def build_app(services: Services | None, limits: HttpLimits | None = None) -> FastAPI:
+    """Return the app that answers with these services, within these limits or the usual ones.
+
+    Parameters
+    ----------
+    services
+        None while the database is waited for: all but ``/healthz`` and ``/metrics`` is refused until ``state.services``
+        is set.
+    limits
+        Of time.
+    """
     app = describe()
     registry = CollectorRegistry(auto_describe=False)
-    registry.register(StoredMeasures(services.storage, services.jobs))
+    registry.register(StoredMeasures(lambda: app.state.services))
     app.state.services = services
     app.state.registry = registry
     app.openapi_schema = committed_document()
@@ -92,9 +101,10 @@ def build_app(services: Services, limits: HttpLimits | None = None) -> FastAPI:
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
-    services: Services = app.state.services
-    if services.one_reader:
+    if app.state.services is not None and app.state.services.one_reader:  # an embedded one is never waited for
         anyio.to_thread.current_default_thread_limiter().total_tokens = EMBEDDED_THREADS
     yield
-    await anyio.to_thread.run_sync(services.runner.close)
-    services.close()
+    services: Services | None = app.state.services
+    if services is not None:
+        await anyio.to_thread.run_sync(services.runner.close)
+        services.close()

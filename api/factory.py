@@ -6,14 +6,17 @@ import os
 import socket
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING
 
 from api.retention_file import load_retention
 from api.rules_file import load_rules
 from api.settings import PREFIX, Settings
+from api.starting import once_the_database_answers
 from estimation.alerts.rules.book import RuleBook
 from estimation.errors import ParameterError
 from estimation.jobs.catalogue import ALL_JOBS
@@ -39,7 +42,11 @@ if TYPE_CHECKING:
     import uvicorn
     from fastapi import FastAPI
 
+    from api.services import Services
 
+
+AT_ONCE_S = 1.0
+"""A database server that answers within this time is there before the REST API listens."""
 WRITERS = 16
 """Requests that write at once on a database server; the others are left for those that read."""
 
@@ -202,31 +209,34 @@ def _job_receiver(settings: Settings, context: JobContext) -> Receiver:
     return receiver(settings, _sql_storage(context), context.clock)
 
 
-def create_app(settings: Settings) -> FastAPI:
-    """Return the REST application of this deployment; refuses where :func:`open_store` or :func:`job_context` do."""
+def open_services(settings: Settings) -> Services:
+    """Return what the routes work with; refuses where :func:`open_store` or :func:`job_context` do."""
     # the receiver and the scheduler are built in this module too and do not wait for the web framework
-    from api.app import build_app  # noqa: PLC0415 - the same
-    from api.http_limits import limits_of  # noqa: PLC0415 - the same
     from api.job_runner import JobRunner  # noqa: PLC0415 - the same
     from api.services import Services  # noqa: PLC0415 - the same
     from api.writer_slots import PATIENCE_S, WriterSlots  # noqa: PLC0415 - the same
 
     storage = replace(open_store(settings), patience_s=PATIENCE_S)
     context = job_context(settings, storage)
-    one_reader = settings.url.startswith("sqlite")
-    return build_app(
-        Services(
-            storage=storage,
-            clock=context.clock,
-            jobs={job.name: job for job in (*scheduled_jobs(settings), *upkeep_jobs(settings))},
-            runner=JobRunner(context, storage, process_name()),
-            check=partial(check_head, storage.engine),
-            close=storage.close,
-            writers=WriterSlots(1 if one_reader else WRITERS, PATIENCE_S),
-            one_reader=one_reader,
-        ),
-        limits_of(settings),
+    one_reader = not settings.on_server
+    return Services(
+        storage=storage,
+        clock=context.clock,
+        jobs={job.name: job for job in (*scheduled_jobs(settings), *upkeep_jobs(settings))},
+        runner=JobRunner(context, storage, process_name()),
+        check=partial(check_head, storage.engine),
+        close=storage.close,
+        writers=WriterSlots(1 if one_reader else WRITERS, PATIENCE_S),
+        one_reader=one_reader,
     )
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """Return the REST application of this deployment; refuses where :func:`open_services` does."""
+    from api.app import build_app  # noqa: PLC0415 - the same
+    from api.http_limits import limits_of  # noqa: PLC0415 - the same
+
+    return build_app(open_services(settings), limits_of(settings))
 
 
 def create_server(settings: Settings) -> uvicorn.Server:
@@ -234,3 +244,43 @@ def create_server(settings: Settings) -> uvicorn.Server:
     from api.http_server import http_server  # noqa: PLC0415 - the same
 
     return http_server(create_app(settings), settings)
+
+
+def serve(settings: Settings, stopping: Event) -> None:
+    """Serve the REST application until a signal; it listens while the server of its database is away.
+
+    Parameters
+    ----------
+    settings
+        Of the deployment.
+    stopping
+        Set by the handlers of signals that come while nothing is served.
+
+    Raises
+    ------
+    InputError, MigrationError, StorageError
+        As :func:`open_services`, where no wait helps; also later, once the database answers.
+    """
+    from api.app import build_app  # noqa: PLC0415 - the same
+    from api.http_limits import limits_of  # noqa: PLC0415 - the same
+    from api.http_server import http_server  # noqa: PLC0415 - the same
+
+    with ThreadPoolExecutor(1, "start") as beside:
+        opening = beside.submit(once_the_database_answers, partial(open_services, settings), settings, stopping)
+        wait([opening], timeout=AT_ONCE_S if settings.on_server else None)
+        app = build_app(None, limits_of(settings))
+        server = http_server(app, settings)
+        opening.add_done_callback(partial(_join, app, server))
+        try:
+            if not server.should_exit:
+                server.run()
+        finally:
+            stopping.set()
+        opening.result()
+
+
+def _join(app: FastAPI, server: uvicorn.Server, opening: Future[Services | None]) -> None:
+    """Let the app answer with what was opened; end the server where nothing was."""
+    app.state.services = None if opening.exception() else opening.result()
+    if app.state.services is None:
+        server.should_exit = True

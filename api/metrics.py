@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import logging
 from collections import Counter as Tally
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from api.services import Services
 from estimation.errors import TreadwatchError
-from estimation.jobs.job import Job
 from estimation.values.alerts import AlertScope
 from estimation.values.windows import WindowState
-from fleet_db.storage import SqlStorage
 
 _log = logging.getLogger(__name__)
 
@@ -39,9 +38,8 @@ class RequestMeasures:
 class StoredMeasures(Collector):
     """Measures read from the database when they are scraped; only ``treadwatch_database_up`` while it is down."""
 
-    def __init__(self, storage: SqlStorage, jobs: Mapping[str, Job]) -> None:
-        self._storage = storage
-        self._jobs = jobs
+    def __init__(self, services: Callable[[], Services | None]) -> None:
+        self._services = services
 
     def describe(self) -> Iterable[Metric]:
         """Return nothing, so that registering does not ask the database."""
@@ -51,40 +49,45 @@ class StoredMeasures(Collector):
         """Return the measures of now."""
         up = GaugeMetricFamily("treadwatch_database_up", "Whether the database answers.")
         measures: list[Metric] = []
+        services = self._services()
         try:
-            measures = [self._windows(), self._alerts(), *self._runs()]
+            if services is not None:
+                measures = [_windows(services), _alerts(services), *_runs(services)]
         except TreadwatchError as error:
             _log.warning("the database does not answer: %s", error)
         up.add_metric([], 1.0 if measures else 0.0)
         return [up, *measures]
 
-    def _windows(self) -> Metric:
-        family = GaugeMetricFamily("treadwatch_windows", "Windows by state.", labels=["state"])
-        with self._storage.read() as unit:
-            counts = unit.windows.counts()
-        for state in WindowState:
-            family.add_metric([state.value], counts.get(state.value, 0))
-        return family
 
-    def _alerts(self) -> Metric:
-        labels = ["fleet", "kind", "severity"]
-        family = GaugeMetricFamily("treadwatch_alerts_open", "Open alerts.", labels=labels)
-        with self._storage.read() as unit:
-            of_wheelsets = [alert for alert in unit.alerts.all_open() if alert.scope is AlertScope.WHEELSET]
-            found = Tally((alert.fleet, alert.kind, alert.severity.value) for alert in of_wheelsets)
-        for key, count in sorted(found.items()):
-            family.add_metric(list(key), count)
-        return family
+def _windows(services: Services) -> Metric:
+    family = GaugeMetricFamily("treadwatch_windows", "Windows by state.", labels=["state"])
+    with services.storage.read() as unit:
+        counts = unit.windows.counts()
+    for state in WindowState:
+        family.add_metric([state.value], counts.get(state.value, 0))
+    return family
 
-    def _runs(self) -> list[Metric]:
-        started = GaugeMetricFamily(
-            "treadwatch_job_last_start_timestamp_seconds", "Start of the last run.", labels=["job", "outcome"]
-        )
-        took = GaugeMetricFamily("treadwatch_job_last_duration_seconds", "Duration of the last run.", labels=["job"])
-        with self._storage.read() as unit:
-            last = [run for name in self._jobs for run in unit.jobs.page(name, None, 1)]
-        for run in last:
-            started.add_metric([run.job, run.outcome], run.started_ns / 1e9)
-            if run.finished_ns is not None:
-                took.add_metric([run.job], (run.finished_ns - run.started_ns) / 1e9)
-        return [started, took]
+
+def _alerts(services: Services) -> Metric:
+    labels = ["fleet", "kind", "severity"]
+    family = GaugeMetricFamily("treadwatch_alerts_open", "Open alerts.", labels=labels)
+    with services.storage.read() as unit:
+        of_wheelsets = [alert for alert in unit.alerts.all_open() if alert.scope is AlertScope.WHEELSET]
+        found = Tally((alert.fleet, alert.kind, alert.severity.value) for alert in of_wheelsets)
+    for key, count in sorted(found.items()):
+        family.add_metric(list(key), count)
+    return family
+
+
+def _runs(services: Services) -> list[Metric]:
+    started = GaugeMetricFamily(
+        "treadwatch_job_last_start_timestamp_seconds", "Start of the last run.", labels=["job", "outcome"]
+    )
+    took = GaugeMetricFamily("treadwatch_job_last_duration_seconds", "Duration of the last run.", labels=["job"])
+    with services.storage.read() as unit:
+        last = [run for name in services.jobs for run in unit.jobs.page(name, None, 1)]
+    for run in last:
+        started.add_metric([run.job, run.outcome], run.started_ns / 1e9)
+        if run.finished_ns is not None:
+            took.add_metric([run.job], (run.finished_ns - run.started_ns) / 1e9)
+    return [started, took]

@@ -18,6 +18,8 @@ from api.metrics import RequestMeasures
 from api.problems import ProblemError, from_error, problem_response
 
 ALWAYS_ANSWERED = "/healthz"
+WITHOUT_DATABASE = (ALWAYS_ANSWERED, "/metrics")
+"""What is answered before the database has answered for the first time."""
 OTHER = "other"
 _METHODS = frozenset(HTTPMethod)
 _IDENTITY = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
@@ -108,8 +110,11 @@ class RequestContextMiddleware:
         Raises
         ------
         ProblemError
-            503: too many requests are being answered, or there was no answer in time.
+            503: the database has not answered since the start, too many requests are being answered, or there was no
+            answer in time.
         """
+        if scope["app"].state.services is None and scope["path"] not in WITHOUT_DATABASE:
+            raise _waits_for_database()
         if self._running >= REQUESTS and scope["path"] != ALWAYS_ANSWERED:
             detail = f"{REQUESTS} requests are being answered; try again"
             raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "1"})
@@ -130,6 +135,11 @@ class RequestContextMiddleware:
         self._running -= 1
         if not task.cancelled():
             task.exception()  # whoever still waits for the task has it; a late one is of no interest any more
+
+
+def _waits_for_database() -> ProblemError:
+    detail = "the database has not answered since the start of the service"
+    return ProblemError(503, "not-ready", detail, headers={"Retry-After": "5"}, reason_code="waits_for_database")
 
 
 def _refuse_large_head(scope: Scope) -> None:

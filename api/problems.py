@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
-from typing import Any
+from typing import Any, Literal
 
 import orjson
 from fastapi import FastAPI, Request, Response
@@ -59,6 +59,9 @@ class Problem(BaseModel):
     detail: str | None = Field(default=None, examples=["no wheelset 'WS-9999'"])
     instance: str | None = Field(default=None, examples=["/v1/wheelsets/WS-9999"])
     errors: list[ProblemItem] | None = None
+    reason_code: Literal["waits_for_database"] | None = Field(
+        default=None, description="What is waited for, where the service has not had its database since its start."
+    )
     next_cursor: str | None = Field(default=None, description="Cursor with which to go on.")
     next: str | None = Field(default=None, description="Path with which to go on.", examples=["/v1/alerts/feed"])
 
@@ -82,6 +85,7 @@ class ProblemError(Exception):
         errors: Sequence[ProblemItem] = (),
         headers: Mapping[str, str] = {},
         go_on: GoOn | None = None,
+        reason_code: Literal["waits_for_database"] | None = None,
     ) -> None:
         self.status = status
         self.kind = kind
@@ -89,6 +93,7 @@ class ProblemError(Exception):
         self.errors = list(errors)
         self.headers = dict(headers)
         self.go_on = go_on
+        self.reason_code = reason_code
         super().__init__(detail)
 
 
@@ -101,6 +106,7 @@ def problem_response(request: Request, error: ProblemError) -> Response:
         detail=error.detail or None,
         instance=request.scope.get("path"),
         errors=error.errors or None,
+        reason_code=error.reason_code,
         next_cursor=None if error.go_on is None else error.go_on.cursor,
         next=None if error.go_on is None else error.go_on.path,
     )

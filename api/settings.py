@@ -99,6 +99,11 @@ class Settings(BaseSettings):
         return f"sqlite:///{(self.data_dir / 'treadwatch.sqlite').resolve()}"
 
     @property
+    def on_server(self) -> bool:
+        """Whether the database is on a server, which may be away for a while."""
+        return not self.url.startswith("sqlite")
+
+    @property
     def catalogue_files(self) -> tuple[Path, ...]:
         """Mapping files of buses of one's own."""
         return tuple(Path(name) for name in (self.catalogues or "").split(os.pathsep) if name)

@@ -45,7 +45,7 @@ def once_the_database_answers(make: Callable[[], Service], settings: Settings, s
         except MigrationError:
             raise
         except StorageError as error:
-            if settings.url.startswith("sqlite"):
+            if not settings.on_server:
                 raise
             if not waited:
                 _log.warning("the start waits for the database: %s", error)

@@ -15,12 +15,9 @@ def serve(
     """Serve the REST API; its documentation is on /docs."""
     import signal
     import threading
-    from functools import partial
 
-    from api import logs
-    from api.factory import create_server
+    from api import factory, logs
     from api.settings import load_settings
-    from api.starting import once_the_database_answers
 
     settings = load_settings(host=host, port=port)
     logs.configure(settings)
@@ -28,6 +25,4 @@ def serve(
     for number in (signal.SIGINT, signal.SIGTERM):  # the server hands its signal on when it has stopped
         signal.signal(number, lambda _number, _frame: stopping.set())
     with logs.in_background():
-        server = once_the_database_answers(partial(create_server, settings), settings, stopping)
-        if server is not None:
-            server.run()
+        factory.serve(settings, stopping)

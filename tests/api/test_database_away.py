@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
+import psycopg
 import pytest
 from in_process_command import Run
 from postgres_server import PostgresServer, stoppable_server
@@ -65,10 +66,7 @@ def test_requests_are_refused_quickly_and_logged_once(server: PostgresServer, tm
             )
         finally:
             server.start()
-        for _ in range(100):
-            if client.get("/readyz").status_code == 200:
-                break
-            time.sleep(0.05)
+        eventually_ready(client)
         assert client.get("/v1/fleets").status_code == 200
     assert without_password(service.log)
     assert len(while_away) < 32_000
@@ -111,28 +109,68 @@ WAITS = "the start waits for the database"
 
 
 def test_a_service_that_starts_while_the_database_is_away_waits_for_it(server: PostgresServer, tmp_path: Path) -> None:
-    served = tmp_path / "service.log"
-    served.touch()
-
-    def bring_back() -> None:
-        wait_for(WAITS, served)
-        server.start()
-
     server.stop()
     try:
-        with scheduler_process(server, tmp_path) as (_, log), ThreadPoolExecutor(1) as beside:
+        with (
+            scheduler_process(server, tmp_path) as (_, log),
+            service_process(tmp_path, with_password(server)) as service,
+        ):
             wait_for(WAITS, log)
-            back = beside.submit(bring_back)
-            with service_process(tmp_path, with_password(server)) as service:  # it listens
-                assert httpx.get(f"{service.url}/readyz").status_code == 200
-            back.result()
+            wait_for(WAITS, service.file)
+            with httpx.Client(base_url=service.url, timeout=30.0) as client:
+                assert client.get("/healthz").status_code == 200
+                assert "treadwatch_database_up 0.0" in client.get("/metrics").text
+                for refused in map(client.get, ("/readyz", "/v1/fleets", "/nothing")):
+                    assert refused.status_code == 503
+                    assert refused.headers["content-type"] == "application/problem+json"
+                    assert refused.json()["reason_code"] == "waits_for_database"
+                    assert refused.headers["retry-after"]
+                server.start()
+                wait_for("the database answers", service.file)
+                eventually_ready(client)
+                assert client.get("/v1/fleets").status_code == 200
+                assert "treadwatch_database_up 1.0" in client.get("/metrics").text
             wait_for("scheduler started with", log)
     finally:
         if server.process is None:
             server.start()
-    for text in (served.read_text(), log.read_text()):
+    for text in (service.log, log.read_text()):
         assert text.count(WAITS) == text.count("the database answers") == 1
         assert without_password(text)
+
+
+def test_a_service_that_waits_ends_on_a_signal(server: PostgresServer, tmp_path: Path) -> None:
+    server.stop()
+    try:
+        with service_process(tmp_path, with_password(server)) as service:
+            wait_for(WAITS, service.file)
+            service.process.terminate()
+            assert service.process.wait(30) in (0, -signal.SIGTERM)
+    finally:
+        server.start()
+
+
+def test_a_database_that_answers_and_cannot_be_used_ends_the_service(server: PostgresServer, tmp_path: Path) -> None:
+    with psycopg.connect(server.url, autocommit=True) as connection:
+        connection.execute("CREATE DATABASE empty")
+    server.stop()
+    try:
+        with service_process(tmp_path, server.url.replace("/postgres?", "/empty?")) as service:
+            wait_for(WAITS, service.file)
+            server.start()
+            assert service.process.wait(30) == 2
+    finally:
+        if server.process is None:
+            server.start()
+    assert "treadwatch db upgrade" in service.log.splitlines()[-1]
+
+
+def eventually_ready(client: httpx.Client) -> None:
+    for _ in range(200):
+        if client.get("/readyz").status_code == 200:
+            return
+        time.sleep(0.05)
+    pytest.fail("never ready")
 
 
 def wait_for(word: str, log: Path) -> None:
