@@ -29,6 +29,7 @@ from fleet_db.keeping.retention import Retention
 from fleet_db.raw import RawStore
 from fleet_db.revisions import check_head
 from fleet_db.session import database_engine
+from fleet_db.silent_server import ServerLimits
 from fleet_db.storage import SqlStorage
 from ingest.assemble_windows import assemble_windows
 from ingest.catalogue import default_catalogue
@@ -84,7 +85,10 @@ def open_store(settings: Settings) -> SqlStorage:
     StorageError
         The database cannot be reached.
     """
-    storage = SqlStorage(database_engine(settings.url), settings.data_dir, class_of_package)
+    limits = ServerLimits(
+        settings.database_connect_timeout_s, settings.database_silence_s, settings.database_statement_timeout_s
+    )
+    storage = SqlStorage(database_engine(settings.url, limits), settings.data_dir, class_of_package)
     try:
         check_head(storage.engine)
         with storage.read() as unit:

@@ -45,6 +45,9 @@ class Settings(BaseSettings):
     spool_mb, spool_memory_mb
         How many megabytes of a live bus may wait for their receipt on the disk, and in memory while the disk takes
         nothing; of each vehicle.
+    database_connect_timeout_s, database_silence_s, database_statement_timeout_s
+        How long a database server may take to accept a connection, to say anything before it is asked whether it is
+        there, and for one statement, in seconds.
     shutdown_timeout_s
         How long running requests and jobs may take to finish after SIGTERM, in seconds.
     max_connections
@@ -71,6 +74,9 @@ class Settings(BaseSettings):
     catalogues: str | None = None
     spool_mb: int = Field(default=1024, ge=1)
     spool_memory_mb: int = Field(default=64, ge=1)
+    database_connect_timeout_s: int = Field(default=5, ge=2, le=60)
+    database_silence_s: float = Field(default=10.0, ge=1.0, le=600.0)
+    database_statement_timeout_s: float = Field(default=600.0, ge=1.0, le=86_400.0)
     shutdown_timeout_s: int = Field(default=10, ge=1, le=600)
     max_connections: int = Field(default=1000, ge=1, le=100_000)
     header_timeout_s: float = Field(default=10.0, gt=0.0, le=600.0)

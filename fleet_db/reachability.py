@@ -50,10 +50,17 @@ class Reachability:
             self._failure, self._trying = (self.clock(), message), False
 
 
-def guard_connecting(engine: Engine) -> None:
+def guard_connecting(engine: Engine, open_connection: Callable[..., Any]) -> None:
     """Let the attempts of this engine to connect go through one :class:`Reachability`.
 
     The message of an attempt that failed is passed on without the password.
+
+    Parameters
+    ----------
+    engine
+        Of a database server.
+    open_connection
+        Of the driver; gets its parameters.
     """
     reachability = Reachability()
 
@@ -63,7 +70,7 @@ def guard_connecting(engine: Engine) -> None:
         if refusal is not None:
             raise failure(refusal)
         try:
-            connection = dialect.connect(*positional, **named)
+            connection = open_connection(*positional, **named)
         except dialect.loaded_dbapi.Error as error:
             message = str(error)
             if named.get("password"):

@@ -20,32 +20,29 @@ from sqlalchemy.pool import ConnectionPoolEntry
 
 from estimation.errors import ConflictError, ParameterError, StorageError
 from fleet_db.reachability import guard_connecting
+from fleet_db.silent_server import ServerLimits, WatchedConnection
 
 BUSY_TIMEOUT_MS = 30_000
 BEGIN_OPTION = "sqlite_begin"
 IMMEDIATE = {BEGIN_OPTION: "BEGIN IMMEDIATE"}
 POOL_TIMEOUT_S = 10.0
 """How long a thread waits for one of the connections of its process, in seconds."""
-CONNECTING = {
-    "connect_timeout": 5,  # s
-    "keepalives_idle": 10,  # s; these four notice a peer that went without a word
-    "keepalives_interval": 5,  # s
-    "keepalives_count": 3,
-    "tcp_user_timeout": 20_000,  # ms
-}
 POSTGRESQL = ("postgresql", "postgresql+psycopg")
+UNLIMITED = ServerLimits()
 SQLITE = ("sqlite", "sqlite+pysqlite")
 
 to_json = partial(json.dumps, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
 
 
-def database_engine(url: str) -> Engine:
+def database_engine(url: str, limits: ServerLimits = UNLIMITED) -> Engine:
     """Return an engine; nothing is connected yet.
 
     Parameters
     ----------
     url
         ``sqlite:////absolute/path/treadwatch.sqlite3`` or ``postgresql://user@host/database``.
+    limits
+        Of a server; without those of a deployment a statement may take as long as it takes.
 
     Raises
     ------
@@ -59,7 +56,7 @@ def database_engine(url: str) -> Engine:
     if parsed.drivername in SQLITE:
         return _sqlite_engine(parsed)
     if parsed.drivername in POSTGRESQL:
-        return _postgresql_engine(parsed)
+        return _postgresql_engine(parsed, limits)
     raise ParameterError(f"names {parsed.drivername!r}; known are sqlite and postgresql", field="database_url")
 
 
@@ -110,7 +107,7 @@ def _begin_sqlite(connection: Connection) -> None:
     connection.exec_driver_sql(connection.get_execution_options().get(BEGIN_OPTION, "BEGIN"))
 
 
-def _postgresql_engine(url: URL) -> Engine:
+def _postgresql_engine(url: URL, limits: ServerLimits) -> Engine:
     if "@" in (url.host or ""):  # the rest of a password, which messages about the host would repeat
         raise ParameterError("has an @ in its password: write it as %40", field="database_url")
     engine = sqlalchemy.create_engine(
@@ -118,20 +115,22 @@ def _postgresql_engine(url: URL) -> Engine:
         pool_pre_ping=True,
         pool_size=10,
         pool_timeout=POOL_TIMEOUT_S,
-        connect_args=CONNECTING,
+        connect_args=limits.options(),
         json_serializer=to_json,
     )
-    guard_connecting(engine)
-    event.listen(engine, "connect", _prepare_postgresql)
+    guard_connecting(engine, partial(WatchedConnection.open, limits))
+    event.listen(engine, "connect", partial(_prepare_postgresql, limits))
     return engine
 
 
-def _prepare_postgresql(connection: Any, _entry: ConnectionPoolEntry) -> None:  # noqa: ANN401 - the driver's own type
-    """Let no server acknowledge a commit that it may still lose when it crashes."""
+def _prepare_postgresql(limits: ServerLimits, connection: Any, _entry: ConnectionPoolEntry) -> None:  # noqa: ANN401 - the driver's own type
+    """Let no server acknowledge a commit that it may still lose when it crashes, or work on what nobody waits for."""
     with connection.cursor() as cursor:
         cursor.execute(
             "SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = 'off'"
         )
+        if limits.statement_s is not None:
+            cursor.execute("SELECT set_config('statement_timeout', %s, false)", [str(round(1000 * limits.statement_s))])
     connection.commit()
 
 

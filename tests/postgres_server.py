@@ -52,6 +52,21 @@ class PostgresServer:
             self.process.wait(30)
             self.process = None
 
+    @contextmanager
+    def frozen(self) -> Iterator[None]:
+        """Let it do nothing meanwhile: its connections stay, and it accepts none."""
+        assert self.process is not None
+        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        os.kill(self.process.pid, signal.SIGSTOP)
+        stopped = [self.process.pid, *map(int, children.read_text().split())]
+        try:
+            for number in stopped[1:]:
+                os.kill(number, signal.SIGSTOP)
+            yield
+        finally:
+            for number in stopped:
+                os.kill(number, signal.SIGCONT)
+
 
 @contextmanager
 def running_server() -> Iterator[str]:
