@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from estimation.errors import InputError, ParameterError
+from estimation.errors import InputError, ParameterError, PassingFaultError
 from fleet_db.atomic_files import sync_directory, write_atomically
 from fleet_db.passing import passing_faults
 
@@ -48,8 +48,22 @@ class RawStore:
         with passing_faults(path):
             return path.stat().st_size
 
+    def check(self, digest: str, suffix: str) -> None:
+        """Read a recording and compare it with its digest.
+
+        Raises
+        ------
+        PassingFaultError
+            Its file cannot be reached, or holds something else: a copy of it can be put there, or received again.
+        """
+        path = self.path(digest, suffix)
+        with passing_faults(path):
+            whole = _digest_of(path) == digest
+        if not whole:
+            raise PassingFaultError("is damaged: its content has another digest", file=path)
+
     def put_bytes(self, data: bytes, suffix: str) -> str:
-        """Store ``data`` durably; return its digest. The same bytes again change nothing.
+        """Store ``data`` durably; return its digest. The same bytes again change nothing, but heal a damaged file.
 
         Raises
         ------
@@ -59,7 +73,7 @@ class RawStore:
         digest = hashlib.sha256(data).hexdigest()
         path = self.path(digest, suffix)
         with passing_faults(path):
-            if not _whole(path, len(data)):
+            if not _whole(path, digest):
                 write_atomically(path, data, durable=True)
         return digest
 
@@ -85,14 +99,13 @@ class RawStore:
                     os.fsync(target.fileno())
                     target.seek(0)
                     digest = hashlib.file_digest(target, "sha256").hexdigest()
-                    size = target.seek(0, os.SEEK_END)
-                self._move(copy, self.path(digest, source.suffix.lower()), size)
+                self._move(copy, self.path(digest, source.suffix.lower()), digest)
             finally:
                 copy.unlink(missing_ok=True)
         return digest
 
-    def _move(self, copy: Path, path: Path, size: int) -> None:
-        if _whole(path, size):
+    def _move(self, copy: Path, path: Path, digest: str) -> None:
+        if _whole(path, digest):
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         copy.replace(path)
@@ -109,5 +122,11 @@ def _pieces(source: Path) -> Iterator[bytes]:
         raise InputError(f"cannot be read ({error.strerror})", file=source) from error
 
 
-def _whole(path: Path, size: int) -> bool:
-    return path.is_file() and path.stat().st_size == size
+def _whole(path: Path, digest: str) -> bool:
+    """Whether a file is there with the content of this digest; one that is damaged is written again."""
+    return path.is_file() and _digest_of(path) == digest
+
+
+def _digest_of(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

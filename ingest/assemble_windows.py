@@ -11,6 +11,7 @@ from estimation.jobs.job import Job, JobContext
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.held import HeldRecordings
+from ingest.lost_recordings import missing
 from ingest.receiver import ChunkReceipt, Receiver
 
 NAME = "assemble_windows"
@@ -32,8 +33,9 @@ def assemble_windows(
         with storage_of(context).read() as unit:
             counts["spans"] = len(unit.stale_spans.all())
             waiting = list(unit.chunks.of_known_vehicles())
+            looked_for = missing(unit)
         waiting += HeldRecordings(storage_of(context), context.clock).due()
-        if not counts["spans"] and not waiting:
+        if not counts["spans"] and not waiting and not looked_for:
             return counts
         receiver = receiver_of(context)
         receipts = [one.record for one in receiver.decode(waiting) if isinstance(one, ChunkReceipt)]

@@ -92,7 +92,7 @@ class Assembler:
         waiting = list(waiting_beside(unit, record.vehicle, recording))
         beside = list(waiting)
         if recording.vehicle_ns is None:
-            beside += decoded_beside(unit, record.vehicle, recording)
+            beside += decoded_beside(unit, record.vehicle, recording.digest, recording.recorder_ns)
         loaded = {other.digest: self.recordings.load_neighbour(other) for other in beside}
         aligned = align_recordings([recording, *loaded.values()])
         coming = [(record, recording), *((other, loaded[other.digest]) for other in waiting)]
@@ -154,8 +154,8 @@ class Assembler:
         found = {other.digest: other for other in (*decoded, *coming)}
         for source in list(found.values()):
             if not self._has_own_time(source):  # its place is known by those beside it
-                recording = self.recordings.load_neighbour(source)
-                found |= {other.digest: other for other in decoded_beside(unit, vehicle, recording)}
+                beside = decoded_beside(unit, vehicle, source.digest, self._recorder_ns(source))
+                found |= {other.digest: other for other in beside}
         return [found[digest] for digest in sorted(found)]
 
     def assemble(
@@ -194,14 +194,16 @@ class Assembler:
         end = -(-span[1] // self.length_ns) * self.length_ns
         sources = self.sources(unit, vehicle, (first, end), coming)
         lookup = registry_lookup(unit, on_file, first, end)
-        loaded, kept = self._loaded(sources, keep_unreadable=keep_unreadable)
+        loaded, unreadable = self._loaded(sources, keep_unreadable=keep_unreadable)
+        kept = tuple(span for source in unreadable for span in extent(source))
+        lost = tuple(source for source in unreadable if source.purged_ns is None)
         windows: list[MountedWindow] = []
         counts: Counter[str] = Counter()
         for of_kind in _by_kind(sources, loaded):
             made, left_out = self._windows(of_kind, lookup, (first, end))
             windows += made
             counts.update(left_out)
-        spared = SpanAssembly(vehicle, first, end, frozenset(r.digest for r in sources), lookup, (), kept, counts)
+        spared = SpanAssembly(vehicle, first, end, frozenset(r.digest for r in sources), lookup, (), kept, lost, counts)
         return replace(spared, windows=tuple(w for w in windows if not spared.keeps(w.window.start_ns, self.length_ns)))
 
     def _has_own_time(self, source: ChunkRecord) -> bool:
@@ -209,23 +211,28 @@ class Assembler:
             return bool(source.counts[OWN_TIME])
         return self.recordings.load_neighbour(source).vehicle_ns is not None
 
+    def _recorder_ns(self, source: ChunkRecord) -> Span:
+        if RECORDER_FIRST in source.counts:
+            return source.counts[RECORDER_FIRST], source.counts[RECORDER_LAST]
+        return self.recordings.load_neighbour(source).recorder_ns
+
     def _loaded(
         self, sources: Sequence[ChunkRecord], *, keep_unreadable: bool
-    ) -> tuple[dict[str, Recording], tuple[Span, ...]]:
-        """Return the recordings by digest, and the spans of those that cannot be read."""
+    ) -> tuple[dict[str, Recording], tuple[ChunkRecord, ...]]:
+        """Return the recordings by digest, and the receipts of those that cannot be read."""
         loaded: dict[str, Recording] = {}
-        kept: list[Span] = []
+        unreadable: list[ChunkRecord] = []
         for source in sources:
             if source.purged_ns is not None:
-                kept += _extent(source)
+                unreadable.append(source)
                 continue
             try:
                 loaded[source.digest] = self.recordings.load_neighbour(source)
             except StorageError:
                 if not keep_unreadable or not self.recordings.raw.directory.is_dir():
                     raise
-                kept += _extent(source)
-        return loaded, tuple(kept)
+                unreadable.append(source)
+        return loaded, tuple(unreadable)
 
     def _windows(
         self, recordings: Sequence[Recording], lookup: RegistryLookup, span: Span
@@ -279,8 +286,14 @@ def _check_one_kind(vehicle: str, suffix: str, sources: Iterable[ChunkRecord]) -
         raise ConflictError(f"{reason}: {other.digest[:12]}", kind="chunk", key=other.digest)
 
 
-def _extent(source: ChunkRecord) -> list[Span]:
-    """Return the span in which a recording changes windows; nothing where it has no place."""
+def extent(source: ChunkRecord) -> list[Span]:
+    """Return the span in which a recording changes windows; nothing where it has no place.
+
+    Parameters
+    ----------
+    source
+        Its receipt.
+    """
     if source.first_ns is None or source.last_ns is None:
         return []
     return [(source.first_ns - CONTEXT_NS, source.last_ns + CONTEXT_NS)]

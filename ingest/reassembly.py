@@ -19,6 +19,7 @@ from fleet_db.stores.stale_spans import StaleSpan
 from ingest.align.clock import CONTEXT_NS
 from ingest.assembly import Assembler
 from ingest.held import HeldVehicles
+from ingest.lost_recordings import LostRecordings
 from ingest.recordings import Span
 from ingest.span_assembly import SpanAssembly
 from ingest.span_commit import NO_CHANGES, SpanChanges, commit, still_so
@@ -53,6 +54,11 @@ class Reassembler:
     assembler: Assembler
     clock: Clock
 
+    @property
+    def lost(self) -> LostRecordings:
+        """Recordings that were missing when windows were to be made of them again."""
+        return LostRecordings(self.storage, self.assembler.recordings.raw, self.clock)
+
     def reassemble(self, vehicle: str, from_ns: int | None, to_ns: int | None) -> SpanChanges:
         """Make the windows of a vehicle in ``[from_ns, to_ns)`` again, and all that is stale of it; None is open.
 
@@ -86,6 +92,7 @@ class Reassembler:
             The one vehicle failed; or raw recordings or database cannot be reached, after all others are done. What is
             left stays stale.
         """
+        self.lost.look(vehicle)
         with self.storage.read() as unit:
             spans = unit.stale_spans.all(vehicle)
         changes, done = NO_CHANGES, 0
@@ -144,8 +151,9 @@ class Reassembler:
 
     def _commit(self, unit: SqlUnitOfWork, assembly: SpanAssembly, spans: Sequence[StaleSpan]) -> SpanChanges:
         unit.stale_spans.advance(spans, assembly.to_ns)
-        if assembly.kept:
-            _log.warning("vehicle %s: %d recordings cannot be read any more", assembly.vehicle, len(assembly.kept))
+        if assembly.lost:
+            _log.warning("vehicle %s: %d recordings cannot be read any more", assembly.vehicle, len(assembly.lost))
+            self.lost.note(unit, assembly.lost)
         return commit(unit, assembly, self.clock.now_ns(), verify=True)
 
     def _next_piece(self, unit: SqlUnitOfWork, vehicle: str, span: Span) -> Span | None:

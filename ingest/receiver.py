@@ -21,7 +21,7 @@ from fleet_db.raw import RawStore
 from fleet_db.raw_mark import check_raw_store, stored_mark
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from ingest.assembly import Assembler
+from ingest.assembly import Assembler, extent
 from ingest.catalogue import Catalogue
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.bundle import write_bundle
@@ -267,14 +267,18 @@ class Receiver:
             self._mark = check_raw_store(self._storage, self._raw, self._clock.now_ns())
 
     def _healed(self, record: ChunkRecord) -> int:
-        """Make the windows of a decoded recording again where a file of theirs is lost; return how many changed."""
+        """Make the windows of a decoded recording again where a file of theirs, or its own, was lost.
+
+        Return how many changed.
+        """
         if record.first_ns is None or record.last_ns is None:
             return 0
         from_ns, to_ns = record.first_ns - self._assembler.length_ns, record.last_ns + 1
         with self._storage.read() as unit:
             windows = unit.assembled.of_vehicle(record.vehicle, from_ns, to_ns)
-            if all(unit.assembled.intact(window, verify=False) for window in windows):
-                return 0
+            intact = all(unit.assembled.intact(window, verify=False) for window in windows)
+        if intact and not self.reassembler.lost.waits(record):
+            return 0
         return self.reassembler.reassemble(record.vehicle, record.first_ns, to_ns).windows
 
     def _bus_of(self, vehicle: str) -> Catalogue:
@@ -323,6 +327,8 @@ class Receiver:
             if found is not None and found.purged_ns is not None:  # its bytes are there again
                 found = replace(found, purged_ns=None)
                 unit.chunks.update(found)
+                for from_ns, to_ns in extent(found):  # what changed meanwhile has not reached its windows
+                    unit.stale_spans.add(found.vehicle, from_ns, to_ns + 1, f"recording {digest[:12]}: received again")
         assert found is not None
         if found.vehicle != vehicle:
             raise ConflictError(

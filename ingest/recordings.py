@@ -106,10 +106,11 @@ class Recordings:
         LogFileError
             Its file is no log that can be read.
         PassingFaultError
-            Its file is missing, or cannot be read now.
+            Its file is missing, holds something else, or cannot be read now.
         """
         kept = self._kept.get(record.digest)
         if kept is None or not (kept.rows or kept.catalogue is self.catalogue_of(record.vehicle)):
+            self.raw.check(record.digest, record.suffix)
             self.keep(self.read(self.raw.path(record.digest, record.suffix), record.digest, record.vehicle))
         self._kept.move_to_end(record.digest)
         return self._kept[record.digest]
@@ -172,11 +173,12 @@ def waiting_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> S
     """
     if recording.rows:
         return []
-    return [other for other in unit.chunks.waiting_for_time(vehicle) if _beside(other, recording)]
+    own = recording.digest, recording.recorder_ns
+    return [other for other in unit.chunks.waiting_for_time(vehicle) if _beside(other, *own)]
 
 
-def decoded_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> Sequence[ChunkRecord]:
-    """Return the receipts of decoded recordings whose recorder stamps touch a recording.
+def decoded_beside(unit: SqlUnitOfWork, vehicle: str, digest: str, recorder_ns: Span) -> Sequence[ChunkRecord]:
+    """Return the receipts of decoded recordings whose recorder stamps touch those of a recording.
 
     Parameters
     ----------
@@ -184,16 +186,18 @@ def decoded_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> S
         An open transaction.
     vehicle
         Code of the vehicle.
-    recording
-        The recording.
+    digest
+        Of the recording.
+    recorder_ns
+        Its first and last stamp.
     """
     decoded = unit.chunks.overlapping(vehicle, *ALWAYS)
-    return [r for r in decoded if r.purged_ns is None and _beside(r, recording)]
+    return [r for r in decoded if r.purged_ns is None and _beside(r, digest, recorder_ns)]
 
 
-def _beside(record: ChunkRecord, recording: Recording) -> bool:
-    first, last = recording.recorder_ns
-    if record.digest == recording.digest or RECORDER_FIRST not in record.counts:
+def _beside(record: ChunkRecord, digest: str, recorder_ns: Span) -> bool:
+    first, last = recorder_ns
+    if record.digest == digest or RECORDER_FIRST not in record.counts:
         return False
     return (
         record.counts[RECORDER_FIRST] <= last + TIME_REACH_NS and record.counts[RECORDER_LAST] >= first - TIME_REACH_NS

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from estimation.values.registry import VehicleRecord
+from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.windows import MountedWindow, RegistryLookup
 from ingest.recordings import Span
@@ -29,6 +30,8 @@ class SpanAssembly:
         All that recordings and registry give in the span, but for those of ``kept``.
     kept
         Spans in which a recording cannot be read any more: what is stored of them stays.
+    lost
+        Receipts of those whose raw file is lost or damaged, and was not purged.
     counts
         What was left out.
     """
@@ -40,6 +43,7 @@ class SpanAssembly:
     lookup: RegistryLookup
     windows: tuple[MountedWindow, ...]
     kept: tuple[Span, ...]
+    lost: tuple[ChunkRecord, ...]
     counts: Mapping[str, int]
 
     def keeps(self, start_ns: int, length_ns: int) -> bool:

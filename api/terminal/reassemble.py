@@ -12,6 +12,7 @@ from api.factory import SystemClock, open_store
 from api.settings import load_settings
 from api.terminal.ingest import changes_line
 from estimation.errors import ParameterError
+from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS
 from ingest.receiver import ChunkReceipt
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -25,11 +26,12 @@ def reassemble_and_report(vehicle: str, begin: datetime | None, end: datetime | 
     NotFoundError
         The registry does not know the vehicle.
     ParameterError
-        The end is not after the begin.
+        The end is not after the begin, or a time is outside the years that can be stored.
     StorageError
         The raw recordings or the database cannot be reached.
     """
-    if begin is not None and end is not None and end <= begin:
+    from_ns, to_ns = _nanoseconds(begin, "--from"), _nanoseconds(end, "--to")
+    if from_ns is not None and to_ns is not None and to_ns <= from_ns:
         raise ParameterError("is not after --from", field="--to")
     settings = load_settings()
     console = Console(stderr=True)
@@ -40,12 +42,16 @@ def reassemble_and_report(vehicle: str, begin: datetime | None, end: datetime | 
         for outcome in receiver.decode(waiting):
             if not isinstance(outcome, ChunkReceipt):
                 console.print(f"not decoded: {outcome}", highlight=False, soft_wrap=True)
-        changes = receiver.reassembler.reassemble(vehicle, _nanoseconds(begin), _nanoseconds(end))
+        changes = receiver.reassembler.reassemble(vehicle, from_ns, to_ns)
     Console().print(f"vehicle {vehicle}: {changes_line(changes)}", highlight=False, soft_wrap=True)
 
 
-def _nanoseconds(moment: datetime | None) -> int | None:
+def _nanoseconds(moment: datetime | None, field: str) -> int | None:
+    """Return a time as ns since 1970; one without a zone is UTC."""
     if moment is None:
         return None
     since = (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)) - EPOCH
-    return (since.days * 86_400_000_000 + since.seconds * 1_000_000 + since.microseconds) * 1000
+    found = (since.days * 86_400_000_000 + since.seconds * 1_000_000 + since.microseconds) * 1000
+    if not EARLIEST_NS <= found <= LATEST_NS:
+        raise ParameterError(f"{moment.year} is outside the years that can be stored; leave it out", field=field)
+    return found

@@ -18,6 +18,7 @@ from estimation.values.quarantine import Quarantined, SubjectKind
 from estimation.values.reasons import ReasonCode
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from ingest.corrections import Author, RecordingCorrections, receipt_of
+from ingest.held import STAGE
 from ingest.receiver import ChunkReceipt, Receiver
 
 DIGITS = 12
@@ -166,7 +167,7 @@ def retry_and_report(kind: SubjectKind | None, key: str | None) -> None:
     with closing(open_store(settings)) as storage:
         with storage.write() as unit:
             found = unit.quarantine.retry(kind, key)
-        own = [item.key for item in found if item.kind is SubjectKind.RECORDING]
+        own = [item.key for item in found if item.kind is SubjectKind.RECORDING and item.stage == STAGE]
         failed = _decode(factory.receiver(settings, storage, clock), own)
     typer.echo(f"{len(own)} recordings tried now, {len(found) - len(own)} others at the next run of their job")
     _report(failed)
