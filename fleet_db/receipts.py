@@ -35,6 +35,12 @@ class ChunkRecord:
     received_ns: int
     recorded_ns: int
     purged_ns: int | None = None  # our time at which its raw bytes were deleted; its windows stay as they are
+    clock_checked_ns: int | None = None  # our time against which the vehicle's is checked where received_ns was wrong
+
+    @property
+    def our_ns(self) -> int:
+        """Our time at which the vehicle had made it."""
+        return self.received_ns if self.clock_checked_ns is None else self.clock_checked_ns
 
 
 @dataclass(frozen=True, slots=True)

@@ -324,7 +324,7 @@ def _receipt_after(record: ChunkRecord, recording: Recording, span: Span | None)
     if span is None and recording.frames:
         return replace(record, reason=WAITING)
     first_ns, last_ns = span or (None, None)
-    verdict = None if span is None else clock_verdict(*span, record.received_ns)
+    verdict = None if span is None else clock_verdict(*span, record.our_ns)
     if verdict is not None:
         return replace(record, state=ChunkState.REJECTED, reason=verdict)
     return replace(record, state=ChunkState.DECODED, reason=None, first_ns=first_ns, last_ns=last_ns)

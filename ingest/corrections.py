@@ -44,10 +44,11 @@ class RecordingCorrections:
     storage: SqlStorage
     clock: Clock
 
-    def retry(self, digest: str, author: Author) -> ChunkRecord:
+    def retry(self, digest: str, author: Author, *, our_clock_was_behind: bool = False) -> ChunkRecord:
         """Let a rejected recording, or one in quarantine, be decoded again; return its receipt.
 
-        It counts as received now: one that was ahead of our clock is not any more once the clock is right.
+        The time of receipt stays. What was ahead of it remains so, however late it is tried again, unless our clock
+        was wrong then: the vehicle's is checked against that of now in this case.
 
         Raises
         ------
@@ -56,7 +57,7 @@ class RecordingCorrections:
         ConflictError
             It is decoded, or set aside, or its raw bytes were purged.
         """
-        return self._correct(digest, RecordingAction.RETRY, author)
+        return self._correct(digest, RecordingAction.RETRY, author, our_clock_was_behind=our_clock_was_behind)
 
     def set_aside(self, digest: str, author: Author) -> ChunkRecord:
         """Let a recording count for no window; return its receipt. Raises as :meth:`retry`."""
@@ -80,7 +81,15 @@ class RecordingCorrections:
         """
         return self._correct(digest, RecordingAction.MOVE, author, vehicle)
 
-    def _correct(self, digest: str, action: RecordingAction, author: Author, vehicle: str | None = None) -> ChunkRecord:
+    def _correct(
+        self,
+        digest: str,
+        action: RecordingAction,
+        author: Author,
+        vehicle: str | None = None,
+        *,
+        our_clock_was_behind: bool = False,
+    ) -> ChunkRecord:
         with self.storage.write() as unit:
             before = receipt_of(unit, digest)
             for code in sorted({before.vehicle, vehicle or before.vehicle}):
@@ -93,8 +102,8 @@ class RecordingCorrections:
             if before.purged_ns is not None and action is not RecordingAction.SET_ASIDE:
                 raise _conflict(before, "has no raw bytes any more: they were purged")
             after = _after(before, action, vehicle or before.vehicle)
-            if action is RecordingAction.RETRY:  # our clock may have been behind at its receipt
-                after = replace(after, received_ns=max(before.received_ns, self.clock.now_ns()))
+            if our_clock_was_behind:
+                after = replace(after, clock_checked_ns=self.clock.now_ns())
             _make_stale(unit, before, after, action)
             unit.chunks.update(after)
             held = unit.quarantine.get(SubjectKind.RECORDING, before.digest, STAGE)

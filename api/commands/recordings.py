@@ -39,11 +39,19 @@ def show_recording(digest: _Digest) -> None:
 
 
 @recordings.command("retry")
-def retry_recording(digest: _Digest, *, why: _Why = "", actor: _Actor = "") -> None:
-    """Decode a recording again that was rejected, or that failed before."""
+def retry_recording(
+    digest: _Digest,
+    *,
+    clock_was_behind: Annotated[
+        bool, typer.Option("--clock-was-behind", help="Our clock was behind at its receipt, and is right now.")
+    ] = False,
+    why: _Why = "",
+    actor: _Actor = "",
+) -> None:
+    """Decode a recording again that was rejected, or that failed before; its time of receipt stays."""
     from api.terminal.recordings import correct_and_report
 
-    correct_and_report(RecordingAction.RETRY, digest, actor, why)
+    correct_and_report(RecordingAction.RETRY, digest, actor, why, our_clock_was_behind=clock_was_behind)
 
 
 @recordings.command("set-aside")

@@ -73,6 +73,7 @@ def recording_text(digest: str) -> str:
         ("bytes", str(record.size_bytes)),
         ("vehicle", record.vehicle),
         ("received", to_rfc3339(record.received_ns)),
+        ("clock checked", "" if record.clock_checked_ns is None else to_rfc3339(record.clock_checked_ns)),
         ("span", " ".join(_times(record))),
         ("frames", str(record.frames)),
         ("state", record.state.value),
@@ -83,7 +84,15 @@ def recording_text(digest: str) -> str:
     return "\n".join([_columns(rows), *map(_change_line, changes)])
 
 
-def correct_and_report(action: RecordingAction, digest: str, actor: str, why: str, vehicle: str | None = None) -> None:
+def correct_and_report(
+    action: RecordingAction,
+    digest: str,
+    actor: str,
+    why: str,
+    vehicle: str | None = None,
+    *,
+    our_clock_was_behind: bool = False,
+) -> None:
     """Correct a recording, decode what has to be, make the windows again, and print how it stands.
 
     Parameters
@@ -96,6 +105,8 @@ def correct_and_report(action: RecordingAction, digest: str, actor: str, why: st
         Who, by default the user of the system, and why.
     vehicle
         That it is moved to.
+    our_clock_was_behind
+        When it was received: for one that is tried again.
 
     Raises
     ------
@@ -115,7 +126,7 @@ def correct_and_report(action: RecordingAction, digest: str, actor: str, why: st
         if vehicle is not None:
             record = corrections.move(before.digest, vehicle, author)
         elif action is RecordingAction.RETRY:
-            record = corrections.retry(before.digest, author)
+            record = corrections.retry(before.digest, author, our_clock_was_behind=our_clock_was_behind)
         elif action is RecordingAction.SET_ASIDE:
             record = corrections.set_aside(before.digest, author)
         else:

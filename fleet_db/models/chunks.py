@@ -36,3 +36,4 @@ class ChunkRow(Base):
     received_ns: Mapped[Nanoseconds]
     recorded_ns: Mapped[Nanoseconds]
     purged_ns: Mapped[Nanoseconds | None]
+    clock_checked_ns: Mapped[Nanoseconds | None]

@@ -39,7 +39,8 @@ class RecordedTimeStore:
         if all(found is None or found <= now_ns for found in newest):
             return 0
         measured = select(func.max(CHUNKS.c.last_ns)).where(
-            CHUNKS.c.state == ChunkState.DECODED.value, CHUNKS.c.last_ns <= CHUNKS.c.received_ns + DAY_NS
+            CHUNKS.c.state == ChunkState.DECODED.value,
+            CHUNKS.c.last_ns <= func.coalesce(CHUNKS.c.clock_checked_ns, CHUNKS.c.received_ns) + DAY_NS,
         )
         if now_ns < (self.connection.scalar(measured) or 0) - MOST_BEHIND_NS:
             return 0

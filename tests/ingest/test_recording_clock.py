@@ -115,11 +115,29 @@ def test_a_recording_that_our_slow_clock_refused_is_decoded_once_it_is_right(
     corrections = RecordingCorrections(sqlite_storage, clock)
     with sqlite_storage.read() as unit:
         digest = unit.chunks.with_state(ChunkState.REJECTED)[0].digest
-    for now, state in ((clock.now, ChunkState.REJECTED), (RECEIVED_NS, ChunkState.DECODED)):
+    received_ns = clock.now
+    for now, behind, state in (
+        (received_ns, True, ChunkState.REJECTED),  # it still is
+        (
+            RECEIVED_NS,
+            False,
+            ChunkState.REJECTED,
+        ),  # nobody says that ours was wrong: time alone makes nothing plausible
+        (RECEIVED_NS, True, ChunkState.DECODED),
+    ):
         clock.now = now
-        corrections.retry(digest, Author("j.smith", "the clock is right"))
+        corrections.retry(digest, Author("j.smith", "the clock is right"), our_clock_was_behind=behind)
         list(receiver.decode_stored())
         with sqlite_storage.read() as unit:
             found = unit.chunks.get(digest)
+            last = unit.recording_changes.list(digest)[-1]
         assert found is not None
         assert found.state is state
+        assert found.received_ns == received_ns  # the receipt stays as it was given
+        assert last.recorded_ns == now
+    assert found.clock_checked_ns == RECEIVED_NS
+    corrections.set_aside(digest, Author("j.smith", "a test"))
+    corrections.restore(digest, Author("j.smith", "none"))
+    list(receiver.decode_stored())
+    with sqlite_storage.read() as unit:
+        assert [record.digest for record in unit.chunks.with_state(ChunkState.DECODED)] == [digest]
