@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from made_once import made_once
 from paper_class import paper_class
 from smooth_wheelset import SmoothTable, alignment, mems_windows, track
 from test_bad_input_jobs import run_jobs
@@ -18,12 +22,17 @@ from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, Whe
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
+from fleet_db.session import database_engine
+from fleet_db.storage import SqlStorage
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 
 LENGTH = 2800.0
 SECONDS, WINDOW_S = 120, 40
 VISITS, EVENT = 4, 2  # visits of a thousand kilometres, and the first one after the mistake
 VISIT_NS = 10**14
+FILE = "treadwatch.sqlite3"
+Lives = Mapping[str, Sequence[Sequence[Window]]]
+Continued = Callable[[Path, Lives], Storage]
 WHEELS = {  # cone, unevenness of the left tread in 1/m, speed in m/s
     "A": (0.10, 20.0, 21.0),
     "B": (0.16, 0.0, 19.0),
@@ -74,8 +83,8 @@ def known() -> TrackAlignment:
     return replace(full, **(cut | {"alignment_std": np.full(int(part.sum()), 0.05e-3)}))
 
 
-def deployed(storage: Storage, lives: Mapping[str, Sequence[Sequence[Window]]], *, recorded: bool) -> None:
-    """Register, with the track on file or not, then put the windows of every visit and run the jobs after each."""
+def registered(storage: Storage, *, recorded: bool) -> None:
+    """Register the wheelsets, each on a vehicle of its own, with the track on file or not."""
     with storage.write() as unit:
         unit.registry.add_vehicle_class(paper_class("metro"), 1)
         unit.registry.add_fleet(FleetRecord("F", "Fleet"))
@@ -86,13 +95,16 @@ def deployed(storage: Storage, lives: Mapping[str, Sequence[Sequence[Window]]], 
             unit.registry.add_vehicle(VehicleRecord(name, "F", "metro", 1, 40.0, (0.0,)))
             unit.registry.add_wheelset(WheelsetRecord(name, "F", "P8", 0.45, None))
             unit.registry.add_mounting(Mounting(name, name, 1, 0, None, 0.0, 0.0))
-    for number in range(VISITS):
+
+
+def visited(storage: Storage, lives: Lives, numbers: Iterable[int]) -> None:
+    """Put the windows of these visits, and run the jobs after each."""
+    for number in numbers:
         with storage.write() as unit:
             for name, visits in lives.items():
                 for window in visits[number]:
                     unit.windows.put(replace(window, wheelset=name, vehicle=name), 1000.0 * number + 500.0, 1)
         run_jobs(storage)
-    run_jobs(storage)
 
 
 def valid_windows() -> dict[str, list[tuple[Window, ...]]]:
@@ -119,11 +131,44 @@ def recorded(request: pytest.FixtureRequest) -> bool:
     return found
 
 
+def kind(*, recorded: bool) -> str:
+    return "recorded" if recorded else "found"
+
+
 @pytest.fixture(scope="module")
-def without(new_sqlite_storage: Callable[[], Storage], recorded: bool) -> Storage:  # noqa: FBT001 - a fixture
-    storage = new_sqlite_storage()
-    deployed(storage, valid_windows(), recorded=recorded)
-    return storage
+def continued(
+    migrated_sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory, *, recorded: bool
+) -> Iterator[Continued]:
+    """Yield what goes on from the visits before the mistake, which all have in common, with those behind it."""
+
+    def until_the_event(folder: Path) -> None:
+        shutil.copyfile(migrated_sqlite_file, folder / FILE)
+        with closing(SqlStorage(database_engine(f"sqlite:///{folder / FILE}"), folder)) as storage:
+            registered(storage, recorded=recorded)
+            visited(storage, valid_windows(), range(EVENT))
+
+    common = made_once(tmp_path_factory, f"identity-{kind(recorded=recorded)}", until_the_event)
+    made: list[SqlStorage] = []
+
+    def go_on(folder: Path, lives: Lives) -> Storage:
+        shutil.copytree(common, folder, dirs_exist_ok=True)
+        made.append(SqlStorage(database_engine(f"sqlite:///{folder / FILE}"), folder))
+        visited(made[-1], lives, range(EVENT, VISITS))
+        run_jobs(made[-1])
+        return made[-1]
+
+    yield go_on
+    for storage in made:
+        storage.close()
+
+
+@pytest.fixture(scope="module")
+def without(continued: Continued, tmp_path_factory: pytest.TempPathFactory, *, recorded: bool) -> Iterator[Storage]:
+    """Yield the state without a mistake, to read."""
+    name = f"identity-{kind(recorded=recorded)}-without"
+    folder = made_once(tmp_path_factory, name, lambda folder: continued(folder, valid_windows()))
+    with closing(SqlStorage(database_engine(f"sqlite:///{folder / FILE}"), folder)) as storage:
+        yield storage
 
 
 def same_curve(first: WheelsetGeometry, second: WheelsetGeometry, within: float) -> bool:
@@ -156,40 +201,40 @@ def test_nothing_is_said_against_those_who_are_what_they_are(without: Storage, *
 
 
 def test_two_swapped_wheelsets_are_reported_and_not_averaged(
-    sqlite_storage: Storage, without: Storage, *, recorded: bool
+    continued: Continued, without: Storage, tmp_path: Path, *, recorded: bool
 ) -> None:
     lives = valid_windows()
     lives["A"], lives["B"] = (lives[one][:EVENT] + lives[other][EVENT:] for one, other in (("A", "B"), ("B", "A")))
-    deployed(sqlite_storage, lives, recorded=recorded)
-    assert mistakes(sqlite_storage) == {"A": ("swapped", "B"), "B": ("swapped", "A")}
+    storage = continued(tmp_path, lives)
+    assert mistakes(storage) == {"A": ("swapped", "B"), "B": ("swapped", "A")}
     for one, other in (("A", "B"), ("B", "A")):
-        now = current(sqlite_storage, one)
+        now = current(storage, one)
         assert now.windows == (VISITS - EVENT) * SECONDS // WINDOW_S
         assert same_curve(now, current(without, other), 0.03e-3)  # whole, not a mixture
-        with sqlite_storage.read() as unit:
+        with storage.read() as unit:
             kinds = {alert.kind for alert in unit.alerts.all_open(one)}
             trend = unit.trends.latest(one)
         assert not kinds & {"conicity_limit", "limit_forecast", "wheel_asymmetry"}
         assert trend is not None
         assert len(trend.trend.value) == VISITS - EVENT
-    as_they_were(sqlite_storage, without, "C", "D", recorded=recorded)
+    as_they_were(storage, without, "C", "D", recorded=recorded)
 
 
 def test_a_wheelset_turned_round_is_reported_and_as_before_when_that_is_on_file(
-    sqlite_storage: Storage, without: Storage, *, recorded: bool
+    continued: Continued, without: Storage, tmp_path: Path, *, recorded: bool
 ) -> None:
     lives = valid_windows()
     lives["A"] = [visit("A", number, turned=number >= EVENT) for number in range(VISITS)]
-    deployed(sqlite_storage, lives, recorded=recorded)
-    assert mistakes(sqlite_storage) == {"A": ("reversed", None)}
-    turned = current(sqlite_storage, "A")
+    storage = continued(tmp_path, lives)
+    assert mistakes(storage) == {"A": ("reversed", None)}
+    turned = current(storage, "A")
     assert not same_curve(turned, current(without, "A"), 0.03e-3)
-    as_they_were(sqlite_storage, without, "B", "C", "D", recorded=recorded)
-    with sqlite_storage.write() as unit:  # what the workshop had not written down
+    as_they_were(storage, without, "B", "C", "D", recorded=recorded)
+    with storage.write() as unit:  # what the workshop had not written down
         then = (EVENT + 1) * VISIT_NS
         unit.registry.add_mounting(Mounting("A", "A", 1, 0, then, 0.0, 0.0))
         unit.registry.add_mounting(Mounting("A", "A", 1, then, None, 2500.0, 2500.0, reversed=True))
-    run_jobs(sqlite_storage)
-    run_jobs(sqlite_storage)
-    assert mistakes(sqlite_storage) == {}
-    assert same_curve(current(sqlite_storage, "A"), current(without, "A"), 0.03e-3)
+    run_jobs(storage)
+    run_jobs(storage)
+    assert mistakes(storage) == {}
+    assert same_curve(current(storage, "A"), current(without, "A"), 0.03e-3)
