@@ -170,7 +170,7 @@ def _eventually(
         assert time.monotonic() < until, deployment.logs()
         for name, process in processes.items():
             assert process.poll() is None, f"{name} has ended\n{deployment.logs()}"
-        time.sleep(0.25)
+        time.sleep(1.0)  # a look costs a process or a request, beside services that start
 
 
 def _second_scheduler(deployment: Deployment) -> subprocess.CompletedProcess[str]:

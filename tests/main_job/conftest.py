@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tiny_fleet import SCENARIO, Deployment, deployment
+from tiny_fleet import SCENARIO, Deployment, deployment, recorded_once
 
-from ingest.simulator.fleet import FleetReport, run_fleet
+from ingest.simulator.fleet import FleetReport
 from ingest.simulator.scenario_file import load_scenario
 
 
@@ -23,7 +23,7 @@ def scenario_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def report(scenario_file: Path, tmp_path_factory: pytest.TempPathFactory) -> FleetReport:
     """Return the recordings of the tiny fleet, in the order of their campaigns."""
-    return run_fleet(load_scenario(scenario_file), tmp_path_factory.mktemp("recordings"), workers=1)
+    return recorded_once(tmp_path_factory, load_scenario(scenario_file))
 
 
 @pytest.fixture

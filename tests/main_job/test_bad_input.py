@@ -13,12 +13,12 @@ from typing import Any
 import httpx
 import pytest
 from bad_recordings import JUMPING, STANDING, WRONG, Edited, edited, registry_with
-from tiny_fleet import Deployment, deployment
+from tiny_fleet import Deployment, deployment, recorded_once
 
 from api.demo.service import free_port, serving_api
 from api.demo.track import track_lines
 from api.factory import create_app
-from ingest.simulator.fleet import FleetReport, Recording, run_fleet
+from ingest.simulator.fleet import FleetReport, Recording
 from ingest.simulator.scenario_file import load_scenario
 
 HEAD = """\
@@ -74,7 +74,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> FleetReport:
         text += "".join(WHEELSET.format(serial=f"{code}{axle}", wear=d) for axle, d in enumerate(depths, start=1))
     path = tmp_path_factory.mktemp("scenario") / "bad.toml"
     path.write_text(text)
-    return run_fleet(load_scenario(path), tmp_path_factory.mktemp("recordings"), workers=1)
+    return recorded_once(tmp_path_factory, load_scenario(path))
 
 
 Deploy = Callable[[Path], Deployment]

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tiny_fleet import Deployment, deployment, true_conicity
+from tiny_fleet import Deployment, deployment, recorded_once, true_conicity
 
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.track import AlignmentSource
 from ingest.simulator.campaign import scenario_track, vehicle_run
-from ingest.simulator.fleet import FleetReport, run_fleet
+from ingest.simulator.fleet import FleetReport
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
 
@@ -77,7 +77,7 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
 
 @pytest.fixture(scope="module")
 def report(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> FleetReport:
-    return run_fleet(scenario, tmp_path_factory.mktemp("recordings"), workers=1)
+    return recorded_once(tmp_path_factory, scenario)
 
 
 @pytest.fixture

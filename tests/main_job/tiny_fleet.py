@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -10,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+from made_once import made_once
 from sqlalchemy import select
 
 from api.factory import job_context, raw_store
@@ -25,7 +28,8 @@ from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
 from ingest.receiver import Receiver
 from ingest.registry_file import load_registry
-from ingest.simulator.fleet import FleetReport, Recording
+from ingest.simulator.fleet import FleetReport, Recording, run_fleet
+from ingest.simulator.scenario import Scenario
 
 WORN, DEAD = "T-WORN", "T-DEAD"
 SCENARIO = f"""\
@@ -129,6 +133,17 @@ class Deployment:
         """Put the clock an hour behind the last of the recordings."""
         ends = [record.last_ns for record in self.receive(recordings)]
         self.clock.at_ns = max(self.clock.at_ns, *(end + HOUR_NS for end in ends if end is not None))
+
+
+def recorded_once(factory: pytest.TempPathFactory, scenario: Scenario) -> FleetReport:
+    """Return the recordings of a scenario, simulated once for all test processes."""
+
+    def simulate(folder: Path) -> None:
+        (folder / "report").write_bytes(pickle.dumps(run_fleet(scenario, folder / "recordings", workers=1)))
+
+    folder = made_once(factory, f"fleet-{scenario.name}", simulate)
+    report: FleetReport = pickle.loads((folder / "report").read_bytes())  # noqa: S301 - written by simulate
+    return report
 
 
 def deployment(url: str, directory: Path, report: FleetReport) -> Deployment:
