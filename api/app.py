@@ -26,6 +26,7 @@ from api.routes import (
     geometry,
     health,
     jobs,
+    quarantine,
     tracks,
     vehicle_classes,
     vehicles,
@@ -33,7 +34,7 @@ from api.routes import (
 )
 from api.services import Services
 
-RESOURCES = (fleets, vehicles, vehicle_classes, wheelsets, geometry, alerts, alert_actions, jobs, tracks)
+RESOURCES = (fleets, vehicles, vehicle_classes, wheelsets, geometry, alerts, alert_actions, jobs, tracks, quarantine)
 # Multi-row reads of SQLite slow each other down in threads: one thread to read, one that may wait to write.
 EMBEDDED_THREADS = 2
 COMMITTED = "openapi.json"  # beside this file; a test compares it with the routes

@@ -13,6 +13,7 @@ from prometheus_client.registry import Collector
 from api.services import Services
 from estimation.errors import TreadwatchError
 from estimation.values.alerts import AlertScope
+from estimation.values.quarantine import TRIED_AGAIN, SubjectKind
 from estimation.values.windows import WindowState
 
 _log = logging.getLogger(__name__)
@@ -52,7 +53,7 @@ class StoredMeasures(Collector):
         services = self._services()
         try:
             if services is not None:
-                measures = [_windows(services), _alerts(services), *_runs(services)]
+                measures = [_windows(services), _alerts(services), *_runs(services), _quarantined(services)]
         except TreadwatchError as error:
             _log.warning("the database does not answer: %s", error)
         up.add_metric([], 1.0 if measures else 0.0)
@@ -65,6 +66,17 @@ def _windows(services: Services) -> Metric:
         counts = unit.windows.counts()
     for state in WindowState:
         family.add_metric([state.value], counts.get(state.value, 0))
+    return family
+
+
+def _quarantined(services: Services) -> Metric:
+    labels = ["kind", "reason_code"]
+    family = GaugeMetricFamily("treadwatch_quarantined", "What failed by itself and waits.", labels=labels)
+    with services.storage.read() as unit:
+        counts = unit.quarantine.counts()
+    for kind in SubjectKind:
+        for code in sorted({*TRIED_AGAIN, *(code for of, code in counts if of is kind)}):
+            family.add_metric([kind.value, code.value], counts.get((kind, code), 0))
     return family
 
 

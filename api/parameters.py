@@ -9,15 +9,15 @@ from fastapi import Path, Query
 from api.problems import ProblemError, ProblemItem
 from api.times import Moment, to_rfc3339
 
-_CODE = r"^[^\x00-\x1f\x7f]{1,64}$"
+CODE = r"^[^\x00-\x1f\x7f]{1,64}$"
 _INT64_MAX = 2**63 - 1
 
-Code = Annotated[str, Path(pattern=_CODE, examples=["demo"])]
-Serial = Annotated[str, Path(pattern=_CODE, description="Serial of the wheelset.", examples=["WS-0001"])]
+Code = Annotated[str, Path(pattern=CODE, examples=["demo"])]
+Serial = Annotated[str, Path(pattern=CODE, description="Serial of the wheelset.", examples=["WS-0001"])]
 Number = Annotated[int, Path(ge=1, le=_INT64_MAX, examples=[1])]
-FleetFilter = Annotated[str | None, Query(pattern=_CODE, description="Only of this fleet.")]
-VehicleFilter = Annotated[str | None, Query(pattern=_CODE, description="Only what runs under this vehicle now.")]
-WheelsetFilter = Annotated[str | None, Query(pattern=_CODE, description="Only of this wheelset.")]
+FleetFilter = Annotated[str | None, Query(pattern=CODE, description="Only of this fleet.")]
+VehicleFilter = Annotated[str | None, Query(pattern=CODE, description="Only what runs under this vehicle now.")]
+WheelsetFilter = Annotated[str | None, Query(pattern=CODE, description="Only of this wheelset.")]
 AsOf = Annotated[
     Moment | None,
     Query(description="The result as recorded at this time; reproducible.", examples=["2026-01-31T12:00:00Z"]),

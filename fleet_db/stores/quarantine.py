@@ -6,14 +6,16 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, select, update
+from sqlalchemy import ColumnElement, Connection, Row, String, and_, cast, func, or_, select, tuple_, update
 
 from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
 from estimation.values.reasons import ReasonCode
-from fleet_db.models import QuarantineRow
+from fleet_db.models import ChunkRow, QuarantineRow, WindowRow
 from fleet_db.rows import table_of, upsert
 
-ITEMS = table_of(QuarantineRow)
+ITEMS, CHUNKS, WINDOWS = table_of(QuarantineRow), table_of(ChunkRow), table_of(WindowRow)
+Place = tuple[str, str, str]
+"""Kind, key and stage."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +41,48 @@ class QuarantineStore:
         """Return what is or was held, at most ``limit``, by last failure."""
         return self._items(select(ITEMS).limit(limit))
 
+    def page(
+        self,
+        *,
+        kind: SubjectKind | None,
+        state: QuarantineState | None,
+        code: ReasonCode | None,
+        vehicle: str | None,
+        after: Place | None,
+        limit: int,
+    ) -> Sequence[Quarantined]:
+        """Return at most ``limit`` items behind a place, by kind, key and stage.
+
+        Parameters
+        ----------
+        kind, state, code
+            Only these.
+        vehicle
+            Only recordings and windows of this vehicle, and itself.
+        after
+            Of the last item of the page before.
+        limit
+            How many.
+        """
+        chosen = [
+            column == value.value
+            for column, value in ((ITEMS.c.kind, kind), (ITEMS.c.state, state), (ITEMS.c.code, code))
+            if value is not None
+        ]
+        place = (ITEMS.c.kind, ITEMS.c.key, ITEMS.c.stage)
+        if vehicle is not None:
+            chosen.append(_of_vehicle(vehicle))
+        if after is not None:
+            chosen.append(tuple_(*place) > tuple_(*after))
+        statement = select(ITEMS).where(*chosen).order_by(*place).limit(limit)
+        return [_item(row) for row in self.connection.execute(statement)]
+
+    def counts(self) -> dict[tuple[SubjectKind, ReasonCode], int]:
+        """Return how many are held, by kind and code."""
+        columns = (ITEMS.c.kind, ITEMS.c.code)
+        statement = select(*columns, func.count()).where(ITEMS.c.state == QuarantineState.HELD.value).group_by(*columns)
+        return {(SubjectKind(kind), ReasonCode(code)): int(n) for kind, code, n in self.connection.execute(statement)}
+
     def put(self, item: Quarantined) -> None:
         """Keep a failure, or its end."""
         plain = {"kind": item.kind.value, "code": item.code.value, "state": item.state.value}
@@ -56,6 +100,17 @@ class QuarantineStore:
     def _items(self, statement: Any) -> Sequence[Quarantined]:  # noqa: ANN401 - a select of any shape
         ordered = statement.order_by(ITEMS.c.last_ns, ITEMS.c.kind, ITEMS.c.key, ITEMS.c.stage)
         return [_item(row) for row in self.connection.execute(ordered)]
+
+
+def _of_vehicle(vehicle: str) -> ColumnElement[bool]:
+    recordings = select(CHUNKS.c.digest).where(CHUNKS.c.vehicle == vehicle)
+    window_key = WINDOWS.c.wheelset + "@" + cast(WINDOWS.c.start_ns, String)
+    windows = select(window_key).where(WINDOWS.c.vehicle == vehicle)
+    return or_(
+        and_(ITEMS.c.kind == SubjectKind.VEHICLE.value, ITEMS.c.key == vehicle),
+        and_(ITEMS.c.kind == SubjectKind.RECORDING.value, ITEMS.c.key.in_(recordings)),
+        and_(ITEMS.c.kind == SubjectKind.WINDOW.value, ITEMS.c.key.in_(windows)),
+    )
 
 
 def _item(row: Row[Any]) -> Quarantined:

@@ -11,6 +11,7 @@ from estimation.storage import Storage
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobOutcome, JobTrigger
@@ -51,6 +52,33 @@ def measured(at_ns: int) -> MeasuredProfiles:
     y = np.linspace(-0.07, 0.06, 8)
     left, right = (Profile("wheel", name, y, -y / 20.0, np.full(8, -0.05)) for name in ("left", "=right"))
     return MeasuredProfiles(WHEELSETS[0], at_ns, 5000.5, left, right, 0.125e-3)
+
+
+def quarantined() -> list[Quarantined]:
+    """Return what failed: keys with slashes, messages with folders, two stages of one wheelset."""
+    failed = Quarantined(
+        kind=SubjectKind.WHEELSET,
+        key=WHEELSETS[0],
+        stage="refresh_geometry",
+        code=ReasonCode.PROCESSING_FAILED,
+        error="ValueError: no",
+        inputs="1",
+        first_ns=RECORDED,
+        last_ns=RECORDED + DAY,
+        due_ns=RECORDED + DAY + 240 * SECOND,
+        attempts=2,
+    )
+    window_key = f"{WHEELSETS[0]}@{window(3).start_ns}"
+    waits = replace(failed, stage="ingest", code=ReasonCode.WAITS_FOR_STORAGE)
+    return [
+        failed,
+        replace(failed, stage="refresh_trends", state=QuarantineState.RESOLVED),
+        replace(failed, kind=SubjectKind.WINDOW, key=window_key, stage="estimate_windows"),
+        replace(failed, kind=SubjectKind.WINDOW, key=f"{WHEELSETS[1]}@7", stage="estimate_windows"),
+        replace(failed, kind=SubjectKind.SECTION, key="A/B", stage="refresh_alignment"),
+        replace(failed, kind=SubjectKind.VEHICLE, key="V-0", stage="assemble_windows", code=ReasonCode.CONFLICT),
+        replace(waits, kind=SubjectKind.RECORDING, key="ab" * 32, error="/data/raw/ab/cd.blf: No space left on device"),
+    ]
 
 
 def window(index: int, serial: str = WHEELSETS[0]) -> Window:
@@ -239,6 +267,12 @@ def suspension_findings() -> list[SuspensionFinding]:
     return [suspension_finding(vehicle, day, ratio) for vehicle, day, ratio in ratios]
 
 
+def put_quarantined(storage: Storage) -> None:
+    with storage.write() as unit:
+        for item in quarantined():
+            unit.quarantine.put(item)
+
+
 def populate(storage: Storage) -> None:
     """Store everything."""
     with storage.write() as unit:
@@ -285,6 +319,7 @@ def populate(storage: Storage) -> None:
     for serial in WHEELSETS[:10]:
         raised(storage, serial, fleet="alpha" if int(serial[-1]) % 2 == 0 else "=beta")
     raised(storage, WHEELSETS[0], "no_data")
+    put_quarantined(storage)
     for number in range(7):
         with storage.write() as unit:
             run = unit.jobs.start("estimate_windows", JobTrigger.SCHEDULE, RECORDED + number)

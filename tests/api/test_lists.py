@@ -31,6 +31,8 @@ LISTS = [
     "/v1/alerts?condition=active&fleet=%3Dbeta",
     "/v1/jobs",
     "/v1/jobs/estimate_windows/runs",
+    "/v1/quarantine",
+    "/v1/quarantine?kind=window",
     "/v1/track-sections",
     "/v1/track-sections/S-3/alignments",
 ]

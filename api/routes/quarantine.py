@@ -1,0 +1,63 @@
+"""What failed by itself and is kept apart."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+
+from api import cursors
+from api.answers import DEFAULT_LIMIT, Cursor, Limit, answer_page, operation
+from api.parameters import CODE
+from api.problems import described
+from api.schemas import quarantine
+from api.schemas.common import Page
+from api.services import ServicesDep
+from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
+from estimation.values.reasons import ReasonCode
+from fleet_db.stores.quarantine import Place
+
+router = APIRouter(prefix="/v1/quarantine", tags=["quarantine"])
+Kind = Annotated[SubjectKind | None, Query(description="Only of this kind.")]
+InState = Annotated[QuarantineState | None, Query(description="Only in this state; `held` is what waits.")]
+OfCode = Annotated[ReasonCode | None, Query(description="Only with this reason code.")]
+OfVehicle = Annotated[
+    str | None, Query(pattern=CODE, description="Only recordings and windows of this vehicle, and the vehicle itself.")
+]
+PARTS = 3
+
+
+@router.get("", response_model=Page[quarantine.QuarantinedItem], responses=described(400))
+def list_quarantine(
+    request: Request,
+    services: ServicesDep,
+    kind: Kind = None,
+    state: InState = None,
+    reason_code: OfCode = None,
+    vehicle: OfVehicle = None,
+    cursor: Cursor = None,
+    limit: Limit = DEFAULT_LIMIT,
+) -> Response:
+    """List what failed by itself, by kind, key and stage; held, and resolved by a later success."""
+    filters = {"kind": kind, "state": state, "reason_code": reason_code, "vehicle": vehicle}
+    after = _place(cursors.decode_text(operation(request), filters, cursor))
+    with services.storage.read() as unit:
+        rows = unit.quarantine.page(
+            kind=kind, state=state, code=reason_code, vehicle=vehicle, after=after, limit=limit + 1
+        )
+    return answer_page(request, filters, limit, rows, _key, quarantine.quarantined)
+
+
+def _key(item: Quarantined) -> str:
+    """Return kind, stage and key as one text; the first two have no slash."""
+    return f"{item.kind}/{item.stage}/{item.key}"
+
+
+def _place(key: str | None) -> Place | None:
+    if key is None:
+        return None
+    parts = key.split("/", PARTS - 1)
+    if len(parts) != PARTS:
+        raise cursors.refused("this is no cursor of this list")
+    kind, stage, subject = parts
+    return kind, subject, stage
