@@ -37,6 +37,8 @@ WANDERING = 0.3  # of the bend's standard deviation
 SMALLEST_STD = 1e-3  # in median standard deviations: a better point cannot make the others count for nothing
 JITTER = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
 ROUNDS = 25
+LOOKED_AT = 240  # distances up to the horizon at which a limit may have been reached
+NEARLY = 1e-9  # of a probability, far more than rounding: what comes as near is computed again by itself
 SHARE_TOLERANCE = 1e-7  # far below what a result shows
 
 
@@ -113,12 +115,21 @@ class WearCurve:
 
         if short(0.0) >= 0.0:
             return 0.0
-        before = 0.0
-        for distance in horizon * np.linspace(0.0, 1.0, 241)[1:] ** 2:
-            if short(float(distance)) >= 0.0:
-                return float(brentq(short, before, float(distance), xtol=1e-6 * horizon))
-            before = float(distance)
+        distances = horizon * np.linspace(0.0, 1.0, LOOKED_AT + 1) ** 2
+        for i in np.flatnonzero(self._above_after(distances, limit) >= probability - NEARLY):
+            before, distance = float(distances[i - 1]), float(distances[i])
+            if i > 0 and short(distance) >= 0.0:
+                return float(brentq(short, before, distance, xtol=1e-6 * horizon))
         return None
+
+    def _above_after(self, distances: FloatArray, limit: float) -> FloatArray:
+        """Return the probability of a level above ``limit`` after each of the distances, but for rounding."""
+        damped = self.span * _damped(distances / self.span)
+        effect = np.column_stack([np.ones(len(distances)), distances, damped])
+        mean = effect @ np.stack([self.level, self.slope, self.damped])
+        variance = np.einsum("di,mij,dj->dm", effect, self.covariance, effect, optimize=True)
+        variance += np.outer(distances**3 / 3.0, self.wandering**2)
+        return np.asarray(ndtr((mean - limit) / np.sqrt(variance)) @ self.weight)
 
 
 @dataclass(frozen=True, slots=True)

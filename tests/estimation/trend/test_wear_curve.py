@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.optimize import brentq
 
 from bench.wear_histories import History, histories
 from estimation.trend import wear_curve
@@ -129,6 +130,32 @@ def test_the_crossing_of_a_line_known_exactly_is_where_geometry_puts_it() -> Non
         assert curve.reaches(18.0, p, 1e4) == pytest.approx(500.0, rel=0.01)
     assert curve.reaches(12.0, 0.9, 1e4) == 0.0
     assert curve.reaches(1000.0, 0.5, 1e4) is None
+
+
+def first_above(curve: WearCurve, limit: float, probability: float, horizon: float) -> float | None:
+    """Return where the limit is reached, looking at one distance after the other."""
+
+    def short(distance: float) -> float:
+        return curve.level_after(distance).above(limit) - probability
+
+    before = 0.0
+    for distance in (horizon * np.linspace(0.0, 1.0, 241) ** 2).tolist():
+        if short(distance) >= 0.0:
+            return float(brentq(short, before, distance, xtol=1e-6 * horizon)) if distance else 0.0
+        before = distance
+    return None
+
+
+def test_looking_at_all_distances_at_once_finds_what_one_after_the_other_finds() -> None:
+    found = []
+    for history in histories(5, 30):
+        curve = fitted(history)
+        for probability in (0.1, 0.5, 0.9):
+            for horizon in (0.3 * history.ahead, 10.0 * history.ahead):
+                reached = curve.reaches(history.level_ahead, probability, horizon)
+                assert reached == first_above(curve, history.level_ahead, probability, horizon)
+                found.append(reached)
+    assert 0 < sum(reached is None for reached in found) < len(found)
 
 
 def test_quantiles_of_the_crossing_agree_with_draws_of_lines() -> None:
