@@ -24,6 +24,7 @@ from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.receipts import EstimatedAgain
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.registry import RegistryStore
+from fleet_db.stores.section_numbers import free_numbers
 from ingest.input_file import InputFile, Location, read_json
 from ingest.profiles.wheel_profile import read_wheel_profile
 from ingest.registry_classes import RunningWheelset, check_classes, check_vehicles, check_wheelsets, read_classes
@@ -106,6 +107,7 @@ def load_registry(path: Path, unit_of_work: SqlUnitOfWork, recorded_ns: int) -> 
         contents.measured_profiles,
         lambda one: registry.add_measured_profiles(one, recorded_ns),
     )
+    free_numbers(unit_of_work.connection, contents.sections, recorded_ns)
     _store(path, "track_sections", contents.sections, lambda one: tracks.add_section(one, recorded_ns))
     _store(path, "track_sections", contents.alignments, lambda known: _add_alignment(unit_of_work, known))
     _store(path, "track_sections", contents.layouts, lambda layout: _add_layout(unit_of_work, layout))

@@ -34,6 +34,7 @@ from estimation.values.geometry import BinTable
 from estimation.values.quantities import Status
 from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import Mounting
 from estimation.values.track import AlignmentRecord, AlignmentSource, Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import WindowPosition, WindowRecord, WindowState
 
@@ -76,8 +77,13 @@ class _Work:
     position: WindowPosition | None
     assumed: Assumed | Reason  # of the vehicle
     partner: str | None  # digest of the window on the other axle of the bogie
-    mounted_reversed: bool = False
+    mounting: Mounting | None = None  # at the begin of the window
     layout: TrackLayout | None = None
+
+    @property
+    def mounted_reversed(self) -> bool:
+        """Whether the wheelset is mounted the other way round."""
+        return self.mounting is not None and self.mounting.reversed
 
 
 _Outcome = tuple[_Work, BinTable | Reason]
@@ -160,11 +166,12 @@ def _compute(
 
         def computed(record: WindowRecord) -> _Outcome:
             position = unit.tracks.position(record.wheelset, record.start_ns)
-            turned = _turned(unit, record)
             section = record.track_section
             assumed = classes.assumed(record.vehicle, record.wheelset)
             partner = _partner(unit, record, assumed)
-            work = _Work(record, alignment(record), position, assumed, partner, turned, layout(section))
+            work = _Work(
+                record, alignment(record), position, assumed, partner, _mounting(unit, record), layout(section)
+            )
             return work, _outcome(unit, work)
 
         return [attempted(computed, record) for record in unit.windows.ready(settings.batch, waiting)]
@@ -228,15 +235,13 @@ def _changed(unit: UnitOfWork, work: _Work, classes: ClassLookup) -> bool:
         unit.tracks.position(record.wheelset, record.start_ns) != work.position
         or _layout_version(unit, record.track_section) != (work.layout.version if work.layout is not None else None)
         or assumed != work.assumed
-        or _turned(unit, record) != work.mounted_reversed
+        or _mounting(unit, record) != work.mounting
         or _partner(unit, record, assumed) != work.partner
     )
 
 
-def _turned(unit: UnitOfWork, record: WindowRecord) -> bool:
-    """Whether the wheelset of a window is mounted the other way round."""
-    mounting = unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
-    return mounting is not None and mounting.reversed
+def _mounting(unit: UnitOfWork, record: WindowRecord) -> Mounting | None:
+    return unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
 
 
 def _partner(unit: UnitOfWork, record: WindowRecord, assumed: Assumed | Reason) -> str | None:

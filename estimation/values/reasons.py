@@ -54,6 +54,10 @@ class ReasonCode(StrEnum):
         "frame_unknown",
         "The yaw of the bogie frame is not known: the other node of the bogie has no window. Check its sensors.",
     )
+    MOUNTING_DIFFERS = (
+        "mounting_differs",
+        "The registry has another wheelset there by now. The window is made again once its recording can be read.",
+    )
     ODOMETER_IMPLAUSIBLE = (
         "odometer_implausible",
         "The odometer contradicts speed, mounting or other windows. Where it was exchanged, register a new mounting.",

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, func, insert, select, update
+from sqlalchemy import Connection, Row, delete, insert, select
 
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.json_value import JsonValue
@@ -25,6 +25,7 @@ from fleet_db.stores.measured_profiles import stored_measurement
 from fleet_db.stores.mountings import delete_mounting, mountings_of
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
+from fleet_db.stores.section_numbers import give_up_number
 from fleet_db.stores.tracks import TrackStore
 
 REPROFILINGS, MEASURED, SECTIONS = table_of(ReprofilingRow), table_of(MeasuredProfilesRow), table_of(TrackSectionRow)
@@ -152,9 +153,7 @@ class CorrectionStore:
 
     def _void_section(self, key: RecordKey) -> _Values:
         record = self.tracks.section(key.subject)
-        lowest = self.connection.scalar(select(func.min(SECTIONS.c.number))) or 0
-        given_up = {"number": min(lowest, 0) - 1}  # a number that is on no bus
-        self.connection.execute(update(SECTIONS).where(SECTIONS.c.code == key.subject).values(**given_up))
+        give_up_number(self.connection, key.subject)
         self.tracks.renumbered(key.subject)
         return asdict(record)
 

@@ -72,7 +72,7 @@ class Again:
         return self._windows((f"wheelset {serial}",), WINDOWS.c.wheelset == serial)
 
     def mounting(self, serial: str, from_ns: int, to_ns: int | None) -> None:
-        """Let the windows of a wheelset over some time wait again.
+        """Let the windows of a wheelset that overlap some time wait again.
 
         Parameters
         ----------
@@ -81,7 +81,7 @@ class Again:
         from_ns, to_ns
             Of the mounting.
         """
-        within = and_(WINDOWS.c.wheelset == serial, WINDOWS.c.start_ns >= from_ns)
+        within = and_(WINDOWS.c.wheelset == serial, WINDOWS.c.start_ns + WINDOWS.c.length_ns > from_ns)
         self._wait(within if to_ns is None else and_(within, WINDOWS.c.start_ns < to_ns))
 
     def _windows(self, names: tuple[str, ...], chosen: ColumnElement[bool]) -> EstimatedAgain:

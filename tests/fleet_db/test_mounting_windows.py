@@ -25,12 +25,17 @@ def end(unit: SqlUnitOfWork) -> None:
     unit.registry.add_mounting(replace(make.MOUNTING, to_ns=make.START + make.LENGTH))
 
 
+def end_within(unit: SqlUnitOfWork) -> None:
+    unit.registry.add_mounting(replace(make.MOUNTING, to_ns=make.START + make.LENGTH // 2))
+
+
 def enter_again(unit: SqlUnitOfWork) -> None:
     unit.registry.add_mounting(make.MOUNTING)
 
 
 @pytest.mark.parametrize(
-    ("change", "expected"), [(enter_again, [DONE, DONE]), (end, [DONE, WAITS]), (void, [WAITS, WAITS])]
+    ("change", "expected"),
+    [(enter_again, [DONE, DONE]), (end, [DONE, WAITS]), (end_within, [WAITS, WAITS]), (void, [WAITS, WAITS])],
 )
 def test_windows_wait_whose_mounting_is_another_now_and_no_others(
     fleet: SqlStorage, change: Callable[[SqlUnitOfWork], None], expected: list[WindowState]

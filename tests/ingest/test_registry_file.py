@@ -112,6 +112,25 @@ BAD: list[tuple[Callable[[Content], object], str, str]] = [
 ]
 
 
+def test_sections_may_exchange_their_numbers(storage: SqlStorage, tmp_path: Path) -> None:
+    def registered(**numbers: int) -> Path:
+        track = {"name": "", "rail_profile": "56E1", "rail_inclination": 0.05, "nominal_gauge_mm": 1435, "length_m": 9}
+        sections = [{"code": code, "number": number, **track, "name": code} for code, number in numbers.items()]
+        path = tmp_path / "sections.json"
+        path.write_text(json.dumps({"format": "treadwatch-registry-1", "track_sections": sections}))
+        return path
+
+    load(storage, registered(A=1, B=2, C=3))
+    load(storage, registered(A=2, B=1))
+    with storage.read() as unit:
+        assert {one.code: one.number for one in unit.tracks.sections()} == {"A": 2, "B": 1, "C": 3}
+        assert [(event.action, event.record["number"]) for event in unit.registry_history.list("A")] == [("changed", 1)]
+    with pytest.raises(InputError, match="'C' already has number 3"):
+        load(storage, registered(A=1, B=3))
+    with storage.read() as unit:
+        assert {one.code: one.number for one in unit.tracks.sections()} == {"A": 2, "B": 1, "C": 3}
+
+
 @pytest.mark.parametrize(("edit", "field", "words"), BAD)
 def test_a_bad_field_is_named_and_nothing_is_stored(
     sqlite_storage: SqlStorage, registry: Path, edit: Callable[[Content], object], field: str, words: str

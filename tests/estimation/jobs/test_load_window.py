@@ -17,7 +17,9 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import VehicleClass
+from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.registry_history import RecordKey
 
 SECOND = 1_000_000_000
 BOGIE_CLASS = of_bogie(2.5e6)
@@ -119,3 +121,42 @@ def test_a_damaged_window_of_the_other_axle_is_one_of_the_file(sqlite_storage: S
     file.unlink()
     with pytest.raises(DamagedError, match=file.name):
         why(sqlite_storage)
+
+
+@pytest.mark.parametrize(
+    ("from_s", "to_s", "there"),
+    [(0, None, "wheelset W2"), (0, 60, "no wheelset"), (61, None, "no wheelset"), (0, 61, "no wheelset")],
+)
+def test_a_window_of_a_wheelset_that_did_not_run_there_is_not_used(
+    sqlite_storage: SqlStorage, from_s: int, to_s: int | None, there: str
+) -> None:
+    register(sqlite_storage, [window(1)])
+    serial = "W2" if there == "wheelset W2" else "W1"
+    with sqlite_storage.write() as unit:
+        for axle in (1, 2):
+            unit.corrections.void(RecordKey(RecordKind.MOUNTING, f"W{axle}", 0), Decision("ada", "wrong", 1))
+        end_ns = None if to_s is None else to_s * SECOND
+        unit.registry.add_mounting(Mounting(serial, "V", 1, from_s * SECOND, end_ns, 0.0, 0.0))
+    found = loaded(sqlite_storage, PAPER_CLASS)
+    assert isinstance(found, Reason)
+    assert found.code is ReasonCode.MOUNTING_DIFFERS
+    assert f"has {there} at axle 1" in found.text
+
+
+def test_a_mounting_needs_to_cover_what_was_measured_and_not_all_of_the_window(sqlite_storage: SqlStorage) -> None:
+    valid = np.zeros(500, dtype=bool)
+    valid[260:300] = True  # from 61.04 s on
+    part = window(1, valid=valid)
+    register(sqlite_storage, [part])
+    with sqlite_storage.write() as unit:
+        unit.corrections.void(RecordKey(RecordKind.MOUNTING, "W1", 0), Decision("ada", "wrong", 1))
+        unit.registry.add_mounting(Mounting("W1", "V", 1, 61 * SECOND, 61_500_000_000, 0.0, 0.0))
+    assert isinstance(loaded(sqlite_storage, PAPER_CLASS), Window)
+
+
+def test_the_window_that_the_other_wheelset_has_elsewhere_is_no_partner(sqlite_storage: SqlStorage) -> None:
+    register(sqlite_storage, [window(1)])
+    with sqlite_storage.write() as unit:
+        unit.registry.add_vehicle(VehicleRecord("X", "F", "bogie", 2, 40.0, (1.0, 3.5)))
+        unit.windows.put(window(2, vehicle="X"), 10.0, 1)
+    assert "has no window of this time of wheelset W2" in why(sqlite_storage)
