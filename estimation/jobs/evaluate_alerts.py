@@ -20,6 +20,7 @@ from estimation.alerts.rules.standing import LOOK_BACK
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule
 from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.steps.first_axles import at_first_axles
 from estimation.jobs.steps.identities import new_events
 from estimation.jobs.steps.suspension import changes_by_wheelset
 from estimation.storage import UnitOfWork
@@ -159,6 +160,7 @@ class _Found:
 
     identity: IdentityEvent | None
     suspension: SuspensionChange | None
+    rejected: Mapping[str, int]  # recordings of its vehicle, by reason code
 
 
 @dataclass(slots=True)
@@ -167,10 +169,11 @@ class _Compared:
 
     identities: Mapping[str, IdentityEvent] = field(default_factory=dict)
     suspensions: Mapping[str, SuspensionChange] = field(default_factory=dict)
+    rejected: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
     def of(self, serial: str) -> _Found:
         """Return what was found of one wheelset."""
-        return _Found(self.identities.get(serial), self.suspensions.get(serial))
+        return _Found(self.identities.get(serial), self.suspensions.get(serial), self.rejected.get(serial, {}))
 
 
 def _compared(context: JobContext, isolation: Isolation) -> _Compared:
@@ -180,6 +183,8 @@ def _compared(context: JobContext, isolation: Isolation) -> _Compared:
         compared.identities = new_events(unit, unit.registry.wheelsets(), rules.rule(IdentityRule).parameters)
     with isolation.alone(SubjectKind.FLEET, "comparison of suspensions"), context.storage.read() as unit:
         compared.suspensions = changes_by_wheelset(unit, rules.rule(SuspensionChangeRule).parameters)
+    with isolation.alone(SubjectKind.FLEET, "rejected recordings"), context.storage.read() as unit:
+        compared.rejected = at_first_axles(unit, unit.plausibility.rejected())
     return compared
 
 
@@ -189,7 +194,7 @@ def _evaluate(
     """Store what changes on the open alerts of a wheelset; return the events of that, and what is to be raised."""
     book, now_ns = context.settings.rules, context.clock.now_ns()
     stored = _facts(unit, unit.registry.wheelset(serial), book)
-    facts = replace(stored, identity=found.identity, suspension=found.suspension)
+    facts = replace(stored, identity=found.identity, suspension=found.suspension, rejected_recordings=found.rejected)
     events: list[AlertEventKind] = []
     to_raise: list[Transition] = []
     ended = superseded(facts, book)

@@ -1,4 +1,4 @@
-"""Which windows have a mileage that is not believed."""
+"""Which windows have a mileage that is not believed, and which recordings were rejected."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from sqlalchemy import Connection, func, select, update
 
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import MileageReading, WindowState
-from fleet_db.models import WindowRow
+from fleet_db.models import ChunkRow, WindowRow
+from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
 from fleet_db.stores.windows import WindowStore, implausible_reason
 
-WINDOWS = table_of(WindowRow)
+WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,3 +75,12 @@ class PlausibilityStore:
             .order_by(WINDOWS.c.implausible_code)
         )
         return {ReasonCode(code): int(count) for code, count in self.connection.execute(statement)}
+
+    def rejected(self) -> Mapping[str, Mapping[str, int]]:
+        """Return how many recordings are rejected, by vehicle and by reason code."""
+        columns = (CHUNKS.c.vehicle, CHUNKS.c.reason_code)
+        statement = select(*columns, func.count()).where(CHUNKS.c.state == ChunkState.REJECTED.value)
+        found: dict[str, dict[str, int]] = {}
+        for vehicle, code, count in self.connection.execute(statement.group_by(*columns).order_by(*columns)):
+            found.setdefault(vehicle, {})[code or ReasonCode.OTHER.value] = int(count)
+        return found

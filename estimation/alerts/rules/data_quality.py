@@ -1,10 +1,11 @@
-"""Rule: the newest windows of a wheelset have a mileage that cannot be believed."""
+"""Rule: the newest windows of a wheelset have a mileage that cannot be believed, or recordings were rejected."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Annotated, ClassVar
 
 from annotated_types import Interval
@@ -21,10 +22,12 @@ from estimation.alerts.rules.rule import (
 from estimation.values.alerts import Finding, Severity
 from estimation.values.windows import WindowRecord
 
+NOTHING_REJECTED: Mapping[str, int] = MappingProxyType({})
+
 
 @dataclass(frozen=True, slots=True)
 class DataQualityRule(AlertRule):
-    """Several of the newest windows are left out because what the vehicle sent contradicts itself or the registry."""
+    """What the vehicle sent contradicts itself or the registry: several of the newest windows, or a whole recording."""
 
     kind: ClassVar[str] = "data_quality"
     limit_unit: ClassVar[str] = "windows"
@@ -39,13 +42,32 @@ class DataQualityRule(AlertRule):
         mounting = facts.wheelset.mounting
         if mounting is None:
             return None
-        return data_quality_finding(self, facts.wheelset.serial, facts.windows, mounting.from_ns)
+        alone = any(
+            alert.kind == self.kind
+            and alert.evidence.get("rejected_recordings")
+            and not alert.evidence["implausible_windows"]
+            for alert in facts.open_alerts
+        )
+        return data_quality_finding(
+            self,
+            facts.wheelset.serial,
+            facts.windows,
+            mounting.from_ns,
+            rejected=facts.rejected_recordings,
+            of_recordings_alone=alone,
+        )
 
 
 def data_quality_finding(
-    rule: DataQualityRule, wheelset: str, windows: Sequence[WindowRecord], measured_ns: int
+    rule: DataQualityRule,
+    wheelset: str,
+    windows: Sequence[WindowRecord],
+    measured_ns: int,
+    *,
+    rejected: Mapping[str, int] = NOTHING_REJECTED,
+    of_recordings_alone: bool = False,
 ) -> Finding:
-    """Return the finding of the newest windows on what is implausible.
+    """Return the finding of the newest windows on what is implausible, and of what was rejected.
 
     Parameters
     ----------
@@ -57,6 +79,11 @@ def data_quality_finding(
         Windows of the mounting in service, any order; the newest ``rule.latest_windows`` are looked at.
     measured_ns
         Used where there is no window.
+    rejected
+        Recordings of the vehicle that are rejected, by reason code: one stands for an alert until it is decoded or set
+        aside.
+    of_recordings_alone
+        Whether the open alert is of rejected recordings and no window: it ends with the last of them.
     """
     latest = newest_windows(windows, rule.latest_windows)
     reasons = Counter(window.implausible.code.value for window in latest if window.implausible is not None)
@@ -65,18 +92,21 @@ def data_quality_finding(
     return Finding(
         wheelset=wheelset,
         kind=DataQualityRule.kind,
-        breached=None if unknown else found >= rule.raise_windows,
-        cleared=None if unknown else not found,
+        breached=True if rejected else None if unknown else found >= rule.raise_windows,
+        cleared=False if rejected else None if unknown else not found,
         severity=Severity.WARNING,
         probability=None,
         evidence={
             "implausible_windows": found,
             "windows": len(latest),
             "reasons": {code: reasons[code] for code in sorted(reasons)},
+            "rejected_recordings": sum(rejected.values()),
+            "rejected_reasons": {code: rejected[code] for code in sorted(rejected)},
             **unknown_evidence(unknown),
         },
-        action="check_odometer",
+        action="check_recordings" if rejected else "check_odometer",
         raise_limit=float(rule.raise_windows),
         clear_limit=0.0,
         measured_ns=measured_until(latest, measured_ns),
+        stands=True if rejected else False if of_recordings_alone and not found else None,
     )

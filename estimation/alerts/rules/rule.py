@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
@@ -54,6 +54,7 @@ class WheelsetFacts:
     open_alerts: Sequence[Alert] = ()
     identity: IdentityEvent | None = None  # since the last identity change
     suspension: SuspensionChange | None = None  # of its vehicle, where its alert stands at this wheelset
+    rejected_recordings: Mapping[str, int] = field(default_factory=dict)  # of its vehicle, by code, as the one before
     not_assessable_reason: Reason | None = None  # why the data do not show how the wheelset is now
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from estimation.jobs.job import JobContext
+from estimation.jobs.steps.first_axles import at_first_axles
 from estimation.storage import UnitOfWork
 from estimation.track.panel.stiffness_ratio import PRIOR_STD
 from estimation.track.update import AlignmentUpdate
@@ -82,10 +83,4 @@ def changes_by_wheelset(unit: UnitOfWork, parameters: SuspensionParameters) -> M
     changes = suspension_changes(unit.suspensions.newest(parameters.recent + parameters.most_past), parameters)
     if not changes:
         return {}
-    first: dict[str, tuple[int, str]] = {}
-    for wheelset in unit.registry.wheelsets():
-        mounting = wheelset.mounting
-        if mounting is not None:
-            here = (mounting.axle, wheelset.serial)
-            first[mounting.vehicle] = min(here, first.get(mounting.vehicle, here))
-    return {first[code][1]: change for code, change in changes.items() if code in first}
+    return at_first_axles(unit, changes)

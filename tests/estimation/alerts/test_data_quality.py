@@ -41,3 +41,21 @@ def test_two_implausible_windows_of_the_newest_ten_raise_and_none_clears(
     reasons = {"odometer_implausible": windows[-10:].count("b")} if "b" in windows[-10:] else {}
     assert found.evidence["reasons"] == reasons
     assert found.measured_ns == (60 * len(windows) if windows else 7)
+
+
+@pytest.mark.parametrize("windows", ["", "g", "gggg", "b"])
+def test_one_rejected_recording_raises_at_once_whatever_the_windows_show(windows: str) -> None:
+    records = [replace(GOOD if kind == "g" else BAD, start_ns=60 * at) for at, kind in enumerate(windows)]
+    found = data_quality_finding(DataQualityRule(), "WS-1", records, 7, rejected={"log_damaged": 2, "other": 1})
+    assert (found.breached, found.cleared, found.stands) == (True, False, True)
+    assert found.evidence["rejected_recordings"] == 3
+    assert found.evidence["rejected_reasons"] == {"log_damaged": 2, "other": 1}
+    assert found.action == "check_recordings"
+
+
+@pytest.mark.parametrize(("windows", "stands"), [("", False), ("g", False), ("gggg", False), ("b", None), ("bb", None)])
+def test_an_alert_of_recordings_alone_ends_with_them(windows: str, *, stands: bool | None) -> None:
+    records = [replace(GOOD if kind == "g" else BAD, start_ns=60 * at) for at, kind in enumerate(windows)]
+    found = data_quality_finding(DataQualityRule(), "WS-1", records, 7, of_recordings_alone=True)
+    assert found.stands is stands
+    assert found.action == "check_odometer"
