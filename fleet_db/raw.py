@@ -62,6 +62,14 @@ class RawStore:
         if not whole:
             raise PassingFaultError("is damaged: its content has another digest", file=path)
 
+    def fault(self, digest: str, suffix: str) -> PassingFaultError | None:
+        """Return what is wrong with the file of a recording; None where it is whole."""
+        try:
+            self.check(digest, suffix)
+        except PassingFaultError as fault:
+            return fault
+        return None
+
     def put_bytes(self, data: bytes, suffix: str) -> str:
         """Store ``data`` durably; return its digest. The same bytes again change nothing, but heal a damaged file.
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from estimation.errors import ConflictError, StorageError
+from estimation.errors import ConflictError, LogFileError, StorageError
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlUnitOfWork
@@ -194,7 +194,7 @@ class Assembler:
         end = -(-span[1] // self.length_ns) * self.length_ns
         sources = self.sources(unit, vehicle, (first, end), coming)
         lookup = registry_lookup(unit, on_file, first, end)
-        loaded, unreadable = self._loaded(sources, keep_unreadable=keep_unreadable)
+        loaded, unreadable, again = self._loaded(sources, keep_unreadable=keep_unreadable)
         kept = tuple(span for source in unreadable for span in extent(source))
         lost = tuple(source for source in unreadable if source.purged_ns is None)
         windows: list[MountedWindow] = []
@@ -203,7 +203,9 @@ class Assembler:
             made, left_out = self._windows(of_kind, lookup, (first, end))
             windows += made
             counts.update(left_out)
-        spared = SpanAssembly(vehicle, first, end, frozenset(r.digest for r in sources), lookup, (), kept, lost, counts)
+        spared = SpanAssembly(
+            vehicle, first, end, frozenset(r.digest for r in sources), lookup, (), kept, lost, again, counts
+        )
         return replace(spared, windows=tuple(w for w in windows if not spared.keeps(w.window.start_ns, self.length_ns)))
 
     def _has_own_time(self, source: ChunkRecord) -> bool:
@@ -218,21 +220,33 @@ class Assembler:
 
     def _loaded(
         self, sources: Sequence[ChunkRecord], *, keep_unreadable: bool
-    ) -> tuple[dict[str, Recording], tuple[ChunkRecord, ...]]:
-        """Return the recordings by digest, and the receipts of those that cannot be read."""
+    ) -> tuple[dict[str, Recording], tuple[ChunkRecord, ...], tuple[ChunkRecord, ...]]:
+        """Return the recordings by digest, and the receipts of the unreadable and of those to be decoded again."""
         loaded: dict[str, Recording] = {}
         unreadable: list[ChunkRecord] = []
+        again: list[ChunkRecord] = []
         for source in sources:
             if source.purged_ns is not None:
                 unreadable.append(source)
                 continue
             try:
-                loaded[source.digest] = self.recordings.load_neighbour(source)
-            except StorageError:
+                recording = self.recordings.load_neighbour(source)
+            except StorageError as error:
                 if not keep_unreadable or not self.recordings.raw.directory.is_dir():
                     raise
-                unreadable.append(source)
-        return loaded, tuple(unreadable)
+                if isinstance(error.__cause__, LogFileError):
+                    again.append(source)
+                elif self.recordings.raw.fault(source.digest, source.suffix) is None:
+                    raise  # memory, processes or an extra are missing: it can be read later
+                else:
+                    unreadable.append(source)
+            else:
+                moved = recording.vehicle_ns not in {None, (source.first_ns, source.last_ns)}
+                if moved:
+                    again.append(source)
+                else:
+                    loaded[source.digest] = recording
+        return loaded, tuple(unreadable), tuple(again)
 
     def _windows(
         self, recordings: Sequence[Recording], lookup: RegistryLookup, span: Span

@@ -15,9 +15,9 @@ from estimation.values.quarantine import SubjectKind, resolved
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.stores.decoded_again import STAGE
 from ingest.align.clock import CONTEXT_NS, TIME_REACH_NS
 from ingest.assembly import OWN_TIME, WAITING
-from ingest.held import STAGE
 from ingest.recordings import ALWAYS, RECORDER_FIRST, RECORDER_LAST
 
 ALLOWED = {

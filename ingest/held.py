@@ -14,9 +14,9 @@ from estimation.values.quarantine import Quarantined, SubjectKind, resolved
 from estimation.values.reasons import Reason
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.decoded_again import STAGE
 from fleet_db.stores.stale_spans import StaleSpan
 
-STAGE = "ingest"
 ASSEMBLY = "assemble_windows"
 
 _log = logging.getLogger(__name__)

@@ -33,7 +33,8 @@ class LostRecordings:
     def note(self, unit: SqlUnitOfWork, lost: Iterable[ChunkRecord]) -> None:
         """Keep that recordings were missing, in the transaction that stores what could be made without them."""
         for record in lost:
-            fault = self._fault(record) or PassingFaultError("could not be read when windows were made again")
+            came = PassingFaultError("could not be read when windows were made again")
+            fault = self.raw.fault(record.digest, record.suffix) or came
             _hold(unit, record, fault, self.clock.now_ns())
 
     def waits(self, record: ChunkRecord) -> bool:
@@ -57,7 +58,7 @@ class LostRecordings:
             if record is None or record.state is not ChunkState.DECODED or record.purged_ns is not None:
                 self._resolve(item)  # it counts for no window, or will be decoded as a whole
             elif record.vehicle == vehicle or (vehicle is None and not item.waits(record.vehicle, now_ns)):
-                fault = self._fault(record)
+                fault = self.raw.fault(record.digest, record.suffix)
                 if fault is None:
                     self._resolve(item, record)
                 else:
@@ -71,13 +72,6 @@ class LostRecordings:
                 for from_ns, to_ns in extent(record):
                     unit.stale_spans.add(record.vehicle, from_ns, to_ns + 1, f"recording {record.digest[:12]}: {CAUSE}")
             unit.quarantine.put(resolved(item))
-
-    def _fault(self, record: ChunkRecord) -> PassingFaultError | None:
-        try:
-            self.raw.check(record.digest, record.suffix)
-        except PassingFaultError as fault:
-            return fault
-        return None
 
 
 def missing(unit: SqlUnitOfWork) -> list[Quarantined]:

@@ -15,9 +15,10 @@ from estimation.failures import first_line
 from estimation.jobs.isolation import fails_alone
 from estimation.storage import Clock
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.stores.decoded_again import decode_again
 from fleet_db.stores.stale_spans import StaleSpan
 from ingest.align.clock import CONTEXT_NS
-from ingest.assembly import Assembler
+from ingest.assembly import Assembler, extent
 from ingest.held import HeldVehicles
 from ingest.lost_recordings import LostRecordings
 from ingest.recordings import Span
@@ -32,6 +33,7 @@ MOST_RECORDINGS = 500
 
 ATTEMPTS_BESIDE_OTHERS = 3
 ASKED = "asked for"
+OTHER_BUS = "was decoded with another bus than its vehicle has now"
 
 _log = logging.getLogger(__name__)
 
@@ -154,6 +156,11 @@ class Reassembler:
         if assembly.lost:
             _log.warning("vehicle %s: %d recordings cannot be read any more", assembly.vehicle, len(assembly.lost))
             self.lost.note(unit, assembly.lost)
+        for record in assembly.again:
+            cause = f"recording {record.digest[:12]}: {OTHER_BUS}"
+            for first_ns, last_ns in extent(record):
+                unit.stale_spans.add(record.vehicle, first_ns, last_ns + 1, cause)
+            decode_again(unit.connection, record, OTHER_BUS, self.clock.now_ns())
         return commit(unit, assembly, self.clock.now_ns(), verify=True)
 
     def _next_piece(self, unit: SqlUnitOfWork, vehicle: str, span: Span) -> Span | None:

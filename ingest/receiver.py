@@ -248,6 +248,7 @@ class Receiver:
             record, changed = self._decode(record, read_or_raise(recording))
         except LogFileError as error:
             self._reject(record, error)
+            self._held.release(record.digest)
             raise LogFileError(error.reason, file=path or error.file, line=error.line) from error
         except NotFoundError:
             raise  # its receipt says so

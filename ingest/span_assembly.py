@@ -32,6 +32,9 @@ class SpanAssembly:
         Spans in which a recording cannot be read any more: what is stored of them stays.
     lost
         Receipts of those whose raw file is lost or damaged, and was not purged.
+    again
+        Receipts of recordings that the vehicle's bus, another one now, places elsewhere than when they were decoded, or
+        cannot read.
     counts
         What was left out.
     """
@@ -44,6 +47,7 @@ class SpanAssembly:
     windows: tuple[MountedWindow, ...]
     kept: tuple[Span, ...]
     lost: tuple[ChunkRecord, ...]
+    again: tuple[ChunkRecord, ...]
     counts: Mapping[str, int]
 
     def keeps(self, start_ns: int, length_ns: int) -> bool:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 
 from estimation.errors import DamagedError, ParameterError
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.stores.decoded_again import decode_undecoded
 from ingest.catalogue import Catalogue
 from ingest.own_bus.bus import OwnBus
 from ingest.own_bus.choice import BusChoice
@@ -22,6 +23,7 @@ OTHERS = ""
 """Stands for the classes without a bus of their own."""
 
 SECOND_NS = 1_000_000_000
+CHANGED = "the catalogue of its bus has changed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +89,7 @@ def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) ->
             found = (_stored_buses(unit) or {}) if unit.settings.in_use() else {}
             changed = _changed(found, given)
             if found:
-                _make_stale(unit, changed, frozenset({*found, *given}))
+                _make_stale(unit, changed, frozenset({*found, *given}), now_ns)
             found |= {name: given[name] for name in changed}
             unit.settings.put(LENGTH, str(length_ns), now_ns)
             unit.settings.put(BUSES, _to_json(found), now_ns)
@@ -111,14 +113,21 @@ def _changed(found: Mapping[str, StoredBus], given: Mapping[str, StoredBus]) -> 
     return [name for name, bus in given.items() if found.get(name) != bus and (bus.own or name not in kept)]
 
 
-def _make_stale(unit: SqlUnitOfWork, changed: Iterable[str], named: frozenset[str]) -> None:
-    for name in changed:
-        for fleet in unit.registry.fleets() if name == OTHERS else ():
-            for vehicle in unit.registry.vehicles_page(fleet.code, None, 1_000_000):
-                if vehicle.vehicle_class not in named:
-                    unit.stale_spans.add(vehicle.code, None, None, "the catalogue of its bus has changed")
-        for vehicle in unit.registry.vehicles_of_class(name) if name != OTHERS else ():
-            unit.stale_spans.add(vehicle.code, None, None, "the catalogue of its bus has changed")
+def _make_stale(unit: SqlUnitOfWork, changed: Iterable[str], named: frozenset[str], now_ns: int) -> None:
+    for vehicle in sorted({code for name in changed for code in _vehicles(unit, name, named)}):
+        unit.stale_spans.add(vehicle, None, None, CHANGED)
+        decode_undecoded(unit.connection, vehicle, CHANGED, now_ns)
+
+
+def _vehicles(unit: SqlUnitOfWork, name: str, named: frozenset[str]) -> Iterator[str]:
+    """Yield the vehicles of a class, or of all that have no bus of their own."""
+    if name != OTHERS:
+        yield from (vehicle.code for vehicle in unit.registry.vehicles_of_class(name))
+        return
+    for fleet in unit.registry.fleets():
+        for vehicle in unit.registry.vehicles_page(fleet.code, None, 1_000_000):
+            if vehicle.vehicle_class not in named:
+                yield vehicle.code
 
 
 def _stored_length(unit: SqlUnitOfWork) -> int | None:

@@ -17,8 +17,8 @@ from estimation.errors import TreadwatchError
 from estimation.values.quarantine import Quarantined, SubjectKind
 from estimation.values.reasons import ReasonCode
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
+from fleet_db.stores.decoded_again import STAGE
 from ingest.corrections import Author, RecordingCorrections, receipt_of
-from ingest.held import STAGE
 from ingest.receiver import ChunkReceipt, Receiver
 
 DIGITS = 12

@@ -24,6 +24,7 @@ from fleet_db.models import (
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of, upsert
+from fleet_db.stores.decoded_again import decode_undecoded
 from fleet_db.stores.estimated_again import Again
 from fleet_db.stores.measured_profiles import measured_profiles_of, store_measured_profiles, stored_measurement
 from fleet_db.stores.mountings import (
@@ -182,6 +183,9 @@ class RegistryStore:
             StaleSpanStore(self.connection).add(record.code, None, None, cause)
         if was is None or was.vehicle_class == record.vehicle_class:
             return NOTHING_AGAIN
+        decode_undecoded(
+            self.connection, record.code, f"vehicle {record.code} is of another class now", recorded_ns or 0
+        )
         before, after = self.vehicle_class(was.vehicle_class), self.vehicle_class(record.vehicle_class)
         return Again(self.connection, self.changes, recorded_ns).class_changed([record.code], before, after)
 

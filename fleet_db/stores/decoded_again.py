@@ -1,0 +1,66 @@
+"""Recordings that are decoded as if they had just been received, because their vehicle has another bus."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from sqlalchemy import Connection
+
+from estimation.errors import ConflictError
+from estimation.failures import after_failure
+from estimation.values.quarantine import SubjectKind
+from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.stores.chunks import ChunkStore
+from fleet_db.stores.quarantine import QuarantineStore
+
+STAGE = "ingest"
+MOST = 1_000_000
+UNDECODED = (
+    (ChunkState.REJECTED, ReasonCode.LOG_DAMAGED),
+    (ChunkState.REJECTED, ReasonCode.CLOCK_IMPLAUSIBLE),
+    (ChunkState.STORED, ReasonCode.WAITS_FOR_TIME),
+)
+"""What becomes of a recording that is read with a wrong bus."""
+
+
+def decode_again(connection: Connection, record: ChunkRecord, why: str, now_ns: int) -> None:
+    """Let a recording be decoded at the next run of the job or ingest.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    record
+        Its receipt.
+    why
+        For people.
+    now_ns
+        Our time.
+    """
+    error = ConflictError(why, kind="recording", key=record.digest)
+    item = after_failure(None, (SubjectKind.RECORDING, record.digest, STAGE), record.vehicle, error, now_ns)
+    QuarantineStore(connection).put(item)
+    reason = Reason(item.code, item.error)
+    again = replace(record, state=ChunkState.STORED, reason=reason, first_ns=None, last_ns=None)
+    ChunkStore(connection).update(again)
+
+
+def decode_undecoded(connection: Connection, vehicle: str, why: str, now_ns: int) -> None:
+    """Let the recordings of a vehicle be decoded again that were rejected, or wait for a time.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    vehicle
+        Code.
+    why
+        For people.
+    now_ns
+        Our time.
+    """
+    for state, code in UNDECODED:
+        for record in ChunkStore(connection).list(state, vehicle, code, MOST):
+            if record.purged_ns is None:
+                decode_again(connection, record, why, now_ns)
