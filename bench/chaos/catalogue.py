@@ -14,6 +14,7 @@ def parts() -> tuple[ChaosPart, ...]:
         ChaosPart("kills", "ingest, estimate, schedule and serve killed while recordings come in", 500, 4, _kills),
         ChaosPart("ingests", "two to eight ingests of one vehicle at once, on both databases", 100, 2, _ingests),
         ChaosPart("outages", "the database away for 1 s to 5 min, disks that are full", 8, 1, _outages),
+        ChaosPart("clock", "the clock of the server 400 days ahead or an hour behind for a while", 4, 1, _clock),
         ChaosPart("live", "a live receiver is killed, its database away for up to 5 min, its disk full", 100, 1, _live),
         ChaosPart("connections", "clients that open connections and do not use them", 1000, 300, _connections),
         ChaosPart("mutations", "log files are damaged, so many of each format, and read", 100_000, 40, _mutations),
@@ -36,6 +37,12 @@ def _ingests(settings: ChaosSettings) -> Iterator[BenchRow]:
 
 def _outages(settings: ChaosSettings) -> Iterator[BenchRow]:
     from bench.chaos.outages import rows  # noqa: PLC0415 - only when it runs
+
+    return rows(settings)
+
+
+def _clock(settings: ChaosSettings) -> Iterator[BenchRow]:
+    from bench.chaos.clock import rows  # noqa: PLC0415 - only when it runs
 
     return rows(settings)
 

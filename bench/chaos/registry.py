@@ -10,6 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import psycopg
+import sqlalchemy
+from psycopg import sql
 
 from api.factory import job_context, receiver, scheduled_jobs
 from api.settings import Settings
@@ -27,6 +30,7 @@ from ingest.registry_file import load_registry
 from ingest.simulator.fleet import FleetReport, run_fleet
 from ingest.simulator.scenario_file import load_scenario
 from ingest.vehicle_class_file import class_of_package
+from tests.postgres_server import PostgresServer, stoppable_server
 
 SCENARIO = """\
 name = "registry"
@@ -85,6 +89,9 @@ WINDOW_S = 30.0
 AFTERWARDS_NS = 1_710_500_000_000_000_000
 """Our time, some days behind the last campaign."""
 
+SHORT = 4
+"""Up to so many mistakes no PostgreSQL server is started for them."""
+
 FOUND_LATE = 0.8
 """Share of the mistakes that are found after they have had their effect."""
 
@@ -125,19 +132,21 @@ class Deployment:
             load_registry(self.registry, unit, self.clock.now_ns())
 
 
-def deployment(folder: Path, report: FleetReport) -> Deployment:
+def deployment(folder: Path, url: str, report: FleetReport) -> Deployment:
     """Return a deployment that knows the registry, with the recordings of a fleet received and estimated.
 
     Parameters
     ----------
     folder
         Its own.
+    url
+        Its empty database.
     report
         What the simulator wrote.
     """
     folder.mkdir()
-    upgrade(_url(folder))
-    found = _opened(folder, report.registry, AFTERWARDS_NS)
+    upgrade(url)
+    found = _opened(folder, url, report.registry, AFTERWARDS_NS)
     found.load()
     found.receiver.reassembler.work_off()
     for item in report.recordings:
@@ -146,15 +155,15 @@ def deployment(folder: Path, report: FleetReport) -> Deployment:
     return found
 
 
-def _opened(folder: Path, registry: Path, now_ns: int) -> Deployment:
-    url = _url(folder)
+def _opened(folder: Path, url: str, registry: Path, now_ns: int) -> Deployment:
     settings = Settings(data_dir=folder, database_url=url, window_length_s=WINDOW_S, _env_file=None)
     storage = SqlStorage(database_engine(url), folder, class_of_package)
     clock = StandingClock(now_ns)
     return Deployment(settings, storage, clock, receiver(settings, storage, clock), registry)
 
 
-def _url(folder: Path) -> str:
+def sqlite_url(folder: Path) -> str:
+    """Return the URL of the SQLite database in a folder."""
     return f"sqlite:///{folder / 'treadwatch.sqlite3'}"
 
 
@@ -255,36 +264,54 @@ def corrected(found: Deployment, number: int, rng: np.random.Generator, expected
     return Corrected(number, mistake.__name__, showed, differing(expected, derived(found.storage)))
 
 
-def rounds(settings: ChaosSettings, report: FleetReport) -> Iterator[Corrected]:
+def rounds(
+    settings: ChaosSettings, numbers: Sequence[int], report: FleetReport, server: PostgresServer | None = None
+) -> Iterator[Corrected]:
     """Make mistakes one after another; one that leaves something wrong is followed by another deployment.
 
     Parameters
     ----------
     settings
-        Number of mistakes, seed and folder.
+        Seed and folder, which is made.
+    numbers
+        Of the rounds.
     report
         What the simulator wrote.
+    server
+        Where the databases are; without one they are SQLite files.
     """
+    settings.folder.mkdir()
     never = settings.folder / "never"
-    reference = deployment(never, report)
+    reference = deployment(never, _new_database(never, server, "template0"), report)
     with closing(reference.storage):
         expected = derived(reference.storage)
-    for number in range(settings.size):
-        if not number:
-            found = _copied(reference, settings.folder / "mistaken-0")
+    for number in numbers:
+        if number == numbers[0]:
+            found = _copied(reference, settings.folder / "mistaken-0", server)
         rng = np.random.default_rng((settings.seed, number))
         one = corrected(found, number, rng, expected)
         yield one
         if one.wrong:
             found.storage.close()
-            found = _copied(reference, settings.folder / f"mistaken-{number + 1}")
+            found = _copied(reference, settings.folder / f"mistaken-{number + 1}", server)
     found.storage.close()
 
 
-def _copied(reference: Deployment, folder: Path) -> Deployment:
+def _copied(reference: Deployment, folder: Path, server: PostgresServer | None) -> Deployment:
     """Return a deployment with the files and the database of another, which is closed."""
     shutil.copytree(reference.settings.data_dir, folder)
-    return _opened(folder, reference.registry, reference.clock.at_ns)
+    return _opened(folder, _new_database(folder, server, "never"), reference.registry, reference.clock.at_ns)
+
+
+def _new_database(folder: Path, server: PostgresServer | None, template: str) -> str:
+    """Return the URL of the database of a folder; on a server it is made from a template."""
+    if server is None:
+        return sqlite_url(folder)
+    names = sql.Identifier(folder.name), sql.Identifier(template)
+    with psycopg.connect(server.url, autocommit=True) as connection:
+        connection.execute(sql.SQL("CREATE DATABASE {} TEMPLATE {}").format(*names))
+    url = sqlalchemy.make_url(server.url).set(drivername="postgresql", database=folder.name)
+    return url.render_as_string(hide_password=False)
 
 
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
@@ -293,19 +320,26 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     Parameters
     ----------
     settings
-        ``size`` is the number of mistakes.
+        ``size`` is the number of mistakes, half of them on each database; few are made on SQLite alone.
     """
     scenario = settings.folder / "scenario.toml"
     scenario.write_text(SCENARIO, encoding="utf-8")
     report = run_fleet(load_scenario(scenario), settings.folder / "recordings", workers=1)
-    outcomes = list(rounds(settings, report))
+    half = settings.size if settings.size <= SHORT else settings.size // 2
+    outcomes = list(rounds(replace(settings, folder=settings.folder / "sqlite"), range(half), report))
+    if half < settings.size:
+        apart = replace(settings, folder=settings.folder / "postgresql")
+        with stoppable_server() as server:
+            outcomes += rounds(apart, range(half, settings.size), report, server)
     late = [one for one in outcomes if one.showed is not None]
     silent = [f"round {one.number}, {one.name}" for one in late if not one.showed]
     shown = "; ".join((f"{len(late) - len(silent)} of {len(late)}", *silent))
     yield BenchRow("mistakes that showed before they were corrected", shown, "all", not silent)
     for name in dict.fromkeys(one.name for one in outcomes):
         yield _row(f"corrected: {name}", [one for one in outcomes if one.name == name])
-    yield _row("mistakes in the registry, corrected", outcomes)
+    yield _row("mistakes in the registry, corrected, sqlite", outcomes[:half])
+    if half < settings.size:
+        yield _row("mistakes in the registry, corrected, postgresql", outcomes[half:])
 
 
 def _row(what: str, outcomes: Sequence[Corrected]) -> BenchRow:

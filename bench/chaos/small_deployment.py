@@ -29,7 +29,7 @@ from fleet_db.storage import SqlStorage
 from ingest.frames import take
 from ingest.logs import write_blf
 from ingest.vehicle_class_file import shipped_class
-from tests.ingest.vehicle_bus import VEHICLE, Run, register
+from tests.ingest.vehicle_bus import START_NS, VEHICLE, Run, register
 from tests.postgres_server import SAFE, PostgresServer, stoppable_server
 
 WINDOW_S = 10.0
@@ -95,7 +95,7 @@ def _database(url: str, name: str) -> str:
 PASSWORD = "not-for-the-log-4711"  # noqa: S105 - the server trusts everybody; it is looked for in the logs
 
 
-def recordings(folder: Path, cuts: Sequence[float], seconds: float) -> list[Path]:
+def recordings(folder: Path, cuts: Sequence[float], seconds: float, start_ns: int = START_NS) -> list[Path]:
     """Write one journey of the vehicle as recordings that follow each other.
 
     Parameters
@@ -106,8 +106,10 @@ def recordings(folder: Path, cuts: Sequence[float], seconds: float) -> list[Path
         Where it is cut, as shares of its frames.
     seconds
         Its length.
+    start_ns
+        When it begins, ns UTC.
     """
-    frames = Run(seconds=seconds).frames()
+    frames = Run(seconds=seconds, start_ns=start_ns).frames()
     edges = [0, *sorted(round(cut * len(frames)) for cut in cuts), len(frames)]
     folder.mkdir(parents=True, exist_ok=True)
     paths = []

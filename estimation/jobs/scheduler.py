@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import signal
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -34,6 +35,9 @@ _log = logging.getLogger(__name__)
 
 CHECK_S = 1.0
 """How often the scheduler looks whether it still is the one of its database."""
+
+STEP_NS = 30_000_000_000
+"""Between two looks the clock may differ by so much from the time that has passed; beyond it somebody has set it."""
 
 FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0
 """Between attempts to reach a database that is away; each is twice the one before."""
@@ -103,8 +107,13 @@ def _serve_while_owned(
     scheduler = build_scheduler(replace(context, stopping=over.is_set), jobs, every_s or _default_interval)
     scheduler.start()
     _log.info("scheduler started with %s", ", ".join(job.name for job in jobs))
+    looked_ns = context.clock.now_ns(), time.monotonic_ns()
     try:
         while not stop_event.wait(CHECK_S):
+            before_ns, looked_ns = looked_ns, (context.clock.now_ns(), time.monotonic_ns())
+            if clock_was_set(looked_ns[0] - before_ns[0], looked_ns[1] - before_ns[1]):
+                _log.warning("the clock of this server was set: all jobs are due now")
+                _make_due(scheduler, jobs)
             if not owned.holds():
                 _log.warning(
                     "the scheduler has lost its lock: the database was away, or another scheduler has taken over"
@@ -114,6 +123,24 @@ def _serve_while_owned(
         over.set()
         scheduler.shutdown(wait=True)
         _log.info("scheduler stopped")
+
+
+def clock_was_set(wall_ns: int, passed_ns: int) -> bool:
+    """Return whether the clock went another way than the time that has passed.
+
+    Parameters
+    ----------
+    wall_ns, passed_ns
+        Between two looks, by the clock and by a clock that nobody can set, ns.
+    """
+    return abs(wall_ns - passed_ns) > STEP_NS
+
+
+def _make_due(scheduler: BackgroundScheduler, jobs: Sequence[Job]) -> None:
+    """Let all jobs be due now, in their order: what was due by a clock that was ahead might never come."""
+    first = datetime.now(UTC)
+    for place, job in enumerate(jobs):
+        scheduler.modify_job(job.name, next_run_time=first + timedelta(milliseconds=place))
 
 
 def build_scheduler(context: JobContext, jobs: Sequence[Job], every_s: Callable[[Job], float]) -> BackgroundScheduler:

@@ -11,14 +11,14 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event, Semaphore, Thread
 
 import pytest
 from wheelset_life import SetClock
 
 from estimation.errors import AlreadyRunningError, StorageError
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.scheduler import build_scheduler, serve_jobs
+from estimation.jobs.scheduler import build_scheduler, clock_was_set, serve_jobs
 from estimation.jobs.settings import JobSettings
 from estimation.storage import OwnedStorage, Storage, UnitOfWork
 from estimation.values.runs import JobRun, JobTrigger
@@ -53,14 +53,19 @@ def lines_until(process: subprocess.Popen[str], wanted: str) -> list[str]:
 
 
 @contextmanager
-def serving(storage: Storage, jobs: Sequence[Job], interval_s: float = 3600.0) -> Iterator[Event]:
+def serving(
+    storage: Storage, jobs: Sequence[Job], interval_s: float = 3600.0, clock: SetClock | None = None
+) -> Iterator[Event]:
     """Run a scheduler in a thread; what it raised is raised at the end."""
     stop, raised = Event(), list[BaseException]()
 
     def serve() -> None:
         try:
             serve_jobs(
-                JobContext(storage, SetClock(7), "test", JobSettings()), jobs, stop, every_s=lambda _job: interval_s
+                JobContext(storage, clock or SetClock(7), "test", JobSettings()),
+                jobs,
+                stop,
+                every_s=lambda _job: interval_s,
             )
         except BaseException as error:  # noqa: BLE001 - handed to the test's own thread
             raised.append(error)
@@ -159,6 +164,24 @@ def test_a_hundred_missed_runs_become_one_and_none_is_dropped_for_being_late(sql
     scheduler.shutdown(wait=True)
     (run,) = runs_of(sqlite_storage, "late")
     assert (run.outcome, run.trigger) == ("succeeded", "schedule")
+
+
+@pytest.mark.parametrize("ahead_s", [-3600.0, 400 * 86_400.0])
+def test_jobs_are_due_again_when_the_clock_of_the_server_is_set(sqlite_storage: Storage, ahead_s: float) -> None:
+    clock, worked = SetClock(1_700_000_000_000_000_000), Semaphore(0)
+    with serving(sqlite_storage, [job("hourly", worked.release)], clock=clock):
+        assert worked.acquire(timeout=PATIENCE_S)
+        clock.at_ns += round(ahead_s * 1e9)
+        assert worked.acquire(timeout=PATIENCE_S)
+
+
+@pytest.mark.parametrize(
+    ("wall_s", "passed_s", "found"), [(30.9, 1, False), (31.1, 1, True), (-28.9, 1, False), (-29.1, 1, True)]
+)
+def test_a_clock_was_set_when_it_differs_by_more_than_30_s_from_the_time_that_passed(
+    wall_s: float, passed_s: float, *, found: bool
+) -> None:
+    assert clock_was_set(round(wall_s * 1e9), round(passed_s * 1e9)) is found
 
 
 def test_a_job_that_is_due_again_while_it_runs_waits_for_itself(sqlite_storage: Storage) -> None:
