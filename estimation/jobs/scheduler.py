@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import signal
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -37,7 +36,7 @@ CHECK_S = 1.0
 """How often the scheduler looks whether it still is the one of its database."""
 
 STEP_NS = 30_000_000_000
-"""Between two looks the clock may differ by so much from the time that has passed; beyond it somebody has set it."""
+"""Between two looks the clock may go so much more or less than :data:`CHECK_S`; beyond it somebody has set it."""
 
 FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0
 """Between attempts to reach a database that is away; each is twice the one before."""
@@ -107,12 +106,12 @@ def _serve_while_owned(
     scheduler = build_scheduler(replace(context, stopping=over.is_set), jobs, every_s or _default_interval)
     scheduler.start()
     _log.info("scheduler started with %s", ", ".join(job.name for job in jobs))
-    looked_ns = context.clock.now_ns(), time.monotonic_ns()
+    looked_ns = context.clock.now_ns()
     try:
         while not stop_event.wait(CHECK_S):
-            before_ns, looked_ns = looked_ns, (context.clock.now_ns(), time.monotonic_ns())
-            if clock_was_set(looked_ns[0] - before_ns[0], looked_ns[1] - before_ns[1]):
-                _log.warning("the clock of this server was set: all jobs are due now")
+            before_ns, looked_ns = looked_ns, context.clock.now_ns()
+            if clock_was_set(looked_ns - before_ns):
+                _log.warning("the clock went by %g s in a second: all jobs are due now", (looked_ns - before_ns) / 1e9)
                 _make_due(scheduler, jobs)
             if not owned.holds():
                 _log.warning(
@@ -125,15 +124,15 @@ def _serve_while_owned(
         _log.info("scheduler stopped")
 
 
-def clock_was_set(wall_ns: int, passed_ns: int) -> bool:
-    """Return whether the clock went another way than the time that has passed.
+def clock_was_set(passed_ns: int) -> bool:
+    """Return whether somebody has set the clock, or this process stood still, since the look before.
 
     Parameters
     ----------
-    wall_ns, passed_ns
-        Between two looks, by the clock and by a clock that nobody can set, ns.
+    passed_ns
+        Between two looks of the scheduler by the clock, ns; the interval itself is :data:`CHECK_S`.
     """
-    return abs(wall_ns - passed_ns) > STEP_NS
+    return abs(passed_ns - CHECK_S * 1e9) > STEP_NS
 
 
 def _make_due(scheduler: BackgroundScheduler, jobs: Sequence[Job]) -> None:
