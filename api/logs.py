@@ -43,6 +43,7 @@ def configure(settings: Settings) -> None:
     handler.setFormatter(_formatter(settings, shared))
     logging.basicConfig(handlers=[handler], level=settings.log_level.upper(), force=True)
     logging.captureWarnings(capture=True)
+    logging.getLogger("apscheduler.scheduler").setLevel(logging.ERROR)  # the scheduler of the jobs reports its warnings
     for name in CHATTY:
         logging.getLogger(name).setLevel(logging.WARNING)
     structlog.configure(

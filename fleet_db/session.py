@@ -108,7 +108,7 @@ def _begin_sqlite(connection: Connection) -> None:
 
 
 def _postgresql_engine(url: URL, limits: ServerLimits) -> Engine:
-    if "@" in (url.host or ""):  # the rest of a password, which messages about the host would repeat
+    if "@" in f"{url.host}{url.database}":  # the rest of a password, which messages about host and name would repeat
         raise ParameterError("has an @ in its password: write it as %40", field="database_url")
     engine = sqlalchemy.create_engine(
         url.set(drivername="postgresql+psycopg"),

@@ -192,7 +192,14 @@ def test_a_command_refuses_without_the_password(
 
 
 @pytest.mark.parametrize(
-    "address", ["me:S3same@öffne@host/db", "me:S3same-öffne@host:S3same/db", "me:S3same@host:x/db", "me:S3same"]
+    "address",
+    [
+        "me:S3same@öffne@host/db",
+        "me:S3same-öffne@host:S3same/db",
+        "me:S3same@host:x/db",
+        "me:S3same",
+        "me:a@S3same/b@host/db",
+    ],
 )
 def test_an_address_that_cannot_be_used_is_not_repeated(address: str) -> None:
     with pytest.raises(ParameterError) as refused:
