@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -46,6 +47,8 @@ from ingest.live.status import LiveStatus, Reports
 from ingest.live.storing import Stores
 from ingest.logs import read_log
 from ingest.receiver import ChunkReceipt, Receiver
+
+PAGE = Path(__file__).parents[2] / "docs" / "live-receiver.md"
 
 
 @dataclass
@@ -309,16 +312,19 @@ def test_health_and_metrics_have_a_port_of_their_own(live: Live) -> None:
             assert 'treadwatch_live_up{what="spool"} 0.0' in get(port, "/metrics")[1]
             assert json.loads(get(port, "/readyz")[1])["faults"] == {"spool": "no space"}
             live.status.spool_fault = None
-        described = (Path(__file__).parents[2] / "docs" / "live-receiver.md").read_text()
+        described = PAGE.read_text()
         for line in text.splitlines():
             if not line.startswith("#") and "_created" not in line:
                 assert f"`{line.split('{')[0].split(' ')[0]}" in described, line
 
 
 @contextmanager
-def command(folder: Path, database: str, *more: str) -> Iterator[subprocess.Popen[str]]:
-    """Run the command on the multicast bus; the process is killed at the end."""
-    arguments = ["ingest", "--interface", "udp_multicast", "--channel", GROUP, "--vehicle", VEHICLE, *more]
+def command(folder: Path, database: str, port: int) -> Iterator[subprocess.Popen[str]]:
+    """Run the command of the page, on the multicast bus; the process is killed at the end."""
+    (line,) = re.findall(r"^ {4}treadwatch (.+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    here = {"socketcan": "udp_multicast", "can0": GROUP, "L-1": VEHICLE, "8001": str(port)}
+    arguments = [here.get(word, word) for word in line.split()]
+    assert {"udp_multicast", GROUP, VEHICLE, str(port)} <= {*arguments}
     environment = os.environ | {"TREADWATCH_DATABASE_URL": database, "TREADWATCH_DATA_DIR": str(folder)}
     process = subprocess.Popen(
         [sys.executable, "-c", "from api.cli import main; main()", *arguments],
@@ -348,7 +354,7 @@ def test_a_killed_receiver_leaves_what_the_next_one_stores(sqlite_url: str, tmp_
             register(unit)
         with socket.create_server(("127.0.0.1", 0)) as probe:
             port = probe.getsockname()[1]
-        with command(folder, sqlite_url, "--health-port", str(port)) as process:
+        with command(folder, sqlite_url, port) as process:
             until_said(process, "listening to udp_multicast")
             with open_bus("udp_multicast", GROUP) as bus:
                 sent = send(bus, Run(seconds=1.0).frames())
@@ -357,7 +363,7 @@ def test_a_killed_receiver_leaves_what_the_next_one_stores(sqlite_url: str, tmp_
             eventually(lambda: measure(port, "frames_spooled_total") == received)
             os.kill(process.pid, signal.SIGKILL)
             process.wait(60.0)
-        with command(folder, sqlite_url) as process:
+        with command(folder, sqlite_url, port) as process:
             until_said(process, "frames stored")
             process.send_signal(signal.SIGTERM)
             assert process.wait(60.0) == 0

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from in_process_command import Run
+from page_place import Place
 from tiny_fleet import SCENARIO, Deployment, deployment, recorded_once
 
 from ingest.simulator.fleet import FleetReport
@@ -42,3 +44,9 @@ def second_fleet(migrated_sqlite_file: Path, tmp_path: Path, report: FleetReport
     found = deployment(f"sqlite:///{file}", tmp_path / "second", report)
     yield found
     found.storage.close()
+
+
+@pytest.fixture
+def place(tmp_path: Path, report: FleetReport, treadwatch: Run) -> Place:
+    """Return a folder with a registry and one recording, as the pages have them."""
+    return Place(tmp_path, report, treadwatch)
