@@ -33,7 +33,8 @@ CONTEXT_NS = 12_000_000_000
 status frames count, and the gaps that are interpolated."""
 
 RATE_TOLERANCE = 0.25
-RATE_SYNCS = 50
+RATE_SYNCS = 250
+"""A second of a bus: of fewer, the stamps can be those of a receiver that was held up and then read all at once."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from typing import Any
 import httpx
 import pytest
 from compose_file import ServiceCommand, mounts, native, services
+from in_process_command import Done, Run
 
 PATIENCE_S = 300.0
 COMMAND = Path(sys.executable).with_name("treadwatch")
@@ -58,19 +59,11 @@ class Deployment:
         needed = command.environment and self.replaced
         return ServiceCommand(command.name, arguments, command.environment | dict(needed))
 
-    def once(self, name: str) -> None:
-        """Run a service that ends."""
+    def once(self, run: Run, name: str) -> Done:
+        """Run a service that ends, in this process."""
         command = self.commands[name]
-        done = subprocess.run(
-            [COMMAND, *command.arguments],
-            env=_environment(command.environment),
-            cwd=self.directory,
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE_S,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
+        environment = {key.removeprefix("TREADWATCH_").lower(): value for key, value in command.environment.items()}
+        return run(*command.arguments, **environment)
 
     @contextmanager
     def running(self, name: str) -> Iterator[subprocess.Popen[bytes]]:
@@ -107,9 +100,10 @@ def deployment(empty_postgres_url: str, tmp_path: Path) -> Deployment:
 
 
 @pytest.mark.usefixtures("live_bus")
-def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment) -> None:
-    deployment.once("migrate")
-    deployment.once("registry")
+def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment, treadwatch: Run) -> None:
+    for name in ("migrate", "registry"):
+        done = deployment.once(treadwatch, name)
+        assert done.returncode == 0, done.stderr
     with ExitStack() as stack:
         client = stack.enter_context(httpx.Client(base_url=f"http://127.0.0.1:{deployment.port}", timeout=30.0))
         processes = {name: stack.enter_context(deployment.running(name)) for name in ("api", "scheduler", "receiver")}
@@ -133,7 +127,7 @@ def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment) -> 
         for job in eventually("/v1/jobs", lambda body: all(item["last_run"] for item in body["items"]))["items"]:
             assert job["last_run"]["trigger"] == "schedule"
             assert job["last_run"]["error"] is None
-        second = _second_scheduler(deployment)
+        second = deployment.once(treadwatch, "scheduler")
         assert second.returncode == 2
         assert "another scheduler is already running" in second.stderr
     for name in ("scheduler", "receiver", "simulated-fleet"):
@@ -173,31 +167,9 @@ def _eventually(
         time.sleep(1.0)  # a look costs a process or a request, beside services that start
 
 
-def _second_scheduler(deployment: Deployment) -> subprocess.CompletedProcess[str]:
-    command = deployment.commands["scheduler"]
-    return subprocess.run(
-        [COMMAND, *command.arguments],
-        env=_environment(command.environment),
-        cwd=deployment.directory,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-
-
-def test_nothing_starts_on_a_database_that_is_not_migrated(deployment: Deployment) -> None:
+def test_nothing_starts_on_a_database_that_is_not_migrated(deployment: Deployment, treadwatch: Run) -> None:
     for name in ("api", "scheduler", "receiver"):
-        command = deployment.commands[name]
-        refused = subprocess.run(
-            [COMMAND, *command.arguments],
-            env=_environment(command.environment),
-            cwd=deployment.directory,
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE_S,
-            check=False,
-        )
+        refused = deployment.once(treadwatch, name)
         assert refused.returncode == 2
         assert refused.stderr.strip().splitlines()[-1].endswith("run: treadwatch db upgrade")
         assert "Traceback" not in refused.stderr

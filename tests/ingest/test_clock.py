@@ -232,6 +232,18 @@ def test_a_recording_of_another_rate_is_refused() -> None:
         check_sync_rate(batch, 1_000_000)
 
 
+@pytest.mark.parametrize(("seconds", "refused"), [(1.0, False), (1.02, True)])
+def test_what_a_receiver_took_out_of_its_socket_at_once_shows_no_rate(seconds: float, *, refused: bool) -> None:
+    """A piece of a live bus can be all of that: its stamps are when it was read."""
+    batch = Run(seconds=seconds).frames()
+    at_once = replace(batch, t_ns=START_NS + np.arange(len(batch)) * 50_000)
+    if refused:
+        with pytest.raises(LogFileError, match="SYNC comes every"):
+            check_sync_rate(at_once, INTERVAL_NS)
+    else:
+        check_sync_rate(at_once, INTERVAL_NS)
+
+
 def with_time(batch: FrameBatch, numbers: list[int], vehicle_ns: int, step_ns: int = SECOND_NS) -> FrameBatch:
     """Return the batch with some of its TIME frames showing another time, a step later each."""
     data = batch.data.copy()

@@ -1,0 +1,125 @@
+"""What has changed under the epochs of a section, and which windows are to be estimated on another version."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+import stored_values as make
+
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.track_epochs import OPEN_NS, EpochMember, EpochNews, FoldState, TrackEpoch
+from estimation.values.windows import WindowPosition, WindowState
+from fleet_db.storage import SqlStorage
+from fleet_db.stores.track_epochs import BY_ALIGNMENT
+
+NOTHING = EpochNews(None, frozenset())
+FIRST, SECOND, THIRD = (make.START + number * make.LENGTH for number in range(3))
+
+
+def put_epoch(
+    storage: SqlStorage, number: int, starts: Sequence[int], version: int | None, same_since: int | None
+) -> None:
+    epoch = TrackEpoch(
+        "S-7", number, "before", "digest", OPEN_NS, len(starts), waits=False, after=FoldState(version, same_since),
+        report=1, recorded_ns=1,
+    )  # fmt: skip
+    with storage.write() as unit:
+        records = [one for one in unit.windows.list("WS-1") if one.start_ns in starts]
+        unit.epochs.put(epoch, [EpochMember(record, "context", "assumed") for record in records])
+
+
+@pytest.fixture
+def epochs(fleet: SqlStorage) -> SqlStorage:
+    """Return a store with an epoch of two windows, placed, and one of a third."""
+    with fleet.write() as unit:
+        for number in range(3):
+            window = make.window(number)
+            unit.windows.put(window, 10.0, 1)
+        for record in unit.windows.list("WS-1")[:2]:
+            unit.tracks.put_position(WindowPosition("WS-1", record.start_ns, record.content_digest, 1))
+    put_epoch(fleet, 1, (FIRST, SECOND), 1, 1)
+    put_epoch(fleet, 2, (THIRD,), 2, 1)
+    return fleet
+
+
+def news(storage: SqlStorage) -> EpochNews:
+    with storage.read() as unit:
+        return unit.epochs.news("S-7")
+
+
+def test_nothing_is_new_while_nothing_changes(epochs: SqlStorage) -> None:
+    assert news(epochs) == NOTHING
+    with epochs.read() as unit:
+        assert unit.epochs.news("S-8") == NOTHING
+
+
+def test_a_window_that_comes_is_news_from_its_start(epochs: SqlStorage) -> None:
+    with epochs.write() as unit:
+        unit.windows.put(make.window(4), 10.0, 2)
+        unit.windows.put(make.window(3, track_section=None), 10.0, 2)  # of no section
+    assert news(epochs) == EpochNews(make.START + 4 * make.LENGTH, frozenset())
+
+
+@pytest.mark.parametrize(("seed", "mileage_km", "vehicle"), [(1, 10.0, "V-1"), (0, 11.0, "V-1"), (0, 10.0, "V-2")])
+def test_a_window_with_other_content_mileage_or_vehicle_is_news(
+    epochs: SqlStorage, seed: int, mileage_km: float, vehicle: str
+) -> None:
+    with epochs.write() as unit:
+        unit.windows.put(make.window(1, seed=seed, vehicle=vehicle), mileage_km, 2)
+    assert news(epochs).from_ns == SECOND
+
+
+@pytest.mark.parametrize("change", [{"track_section": "S-8"}, {"track_section": None}])
+def test_a_window_that_is_of_another_section_now_is_news_of_the_one_that_had_it(
+    epochs: SqlStorage, change: dict[str, str | None]
+) -> None:
+    with epochs.write() as unit:
+        unit.tracks.add_section(replace(make.SECTION, code="S-8", number=8))
+        unit.windows.put(make.window(1, **change), 10.0, 2)
+    assert news(epochs).from_ns == SECOND
+
+
+def test_epochs_whose_positions_were_forgotten_are_named(epochs: SqlStorage) -> None:
+    with epochs.write() as unit:
+        unit.tracks.forget_position("WS-1", SECOND)
+        unit.tracks.forget_position("WS-1", THIRD)  # had none
+    assert news(epochs) == EpochNews(None, frozenset({1}))
+
+
+def test_epochs_that_have_lost_a_window_to_another_are_named(epochs: SqlStorage) -> None:
+    put_epoch(epochs, 2, (SECOND, THIRD), 2, 1)
+    assert news(epochs) == EpochNews(None, frozenset({1}))
+
+
+def estimated(storage: SqlStorage, start_ns: int, version: int | None) -> None:
+    with storage.write() as unit:
+        (record,) = (one for one in unit.windows.list("WS-1") if one.start_ns == start_ns)
+        unit.tables.put("WS-1", start_ns, make.bin_table(), version, record.content_digest)
+        unit.windows.mark("WS-1", start_ns, WindowState.ESTIMATED)
+
+
+def outdated(storage: SqlStorage) -> Sequence[tuple[str, int]]:
+    with storage.read() as unit:
+        return unit.epochs.outdated()
+
+
+def test_windows_are_outdated_on_another_version_than_that_of_their_epoch_or_the_chain(epochs: SqlStorage) -> None:
+    assert outdated(epochs) == []  # none is estimated
+    for start_ns, version in ((FIRST, 1), (SECOND, 2), (THIRD, 1)):
+        estimated(epochs, start_ns, version)
+    assert outdated(epochs) == [("WS-1", SECOND), ("WS-1", THIRD)]
+    put_epoch(epochs, 2, (THIRD,), 2, 2)  # from now on version 1 differs materially
+    assert outdated(epochs) == [("WS-1", FIRST), ("WS-1", THIRD)]
+    with epochs.read() as unit:
+        assert [unit.epochs.alignment_version("WS-1", at, 7) for at in (FIRST, SECOND, THIRD, 5)] == [2, 2, 2, 7]
+
+
+@pytest.mark.parametrize("code", [*BY_ALIGNMENT, ReasonCode.FILE_DAMAGED])
+def test_windows_that_another_alignment_may_admit_are_outdated(epochs: SqlStorage, code: ReasonCode) -> None:
+    with epochs.write() as unit:
+        for start_ns, version in ((FIRST, 1), (SECOND, None)):
+            unit.windows.mark("WS-1", start_ns, WindowState.REFUSED, Reason(code, "so"))
+            unit.epochs.note_refused("WS-1", start_ns, version)
+    assert outdated(epochs) == ([("WS-1", SECOND)] if code in BY_ALIGNMENT else [])
