@@ -30,7 +30,7 @@ ROWS = {
 }
 
 ON_WINDOWS = (SensorFaultRule.kind, HuntingRule.kind)
-"""Alerts that stand by all windows in vehicle time; the others count evaluations with newer data."""
+"""Alerts that stand by all windows in vehicle time; those on estimates stand by all intervals of mileage."""
 
 
 def final_state(storage: SqlStorage) -> Mapping[str, str]:
@@ -45,7 +45,8 @@ def final_state(storage: SqlStorage) -> Mapping[str, str]:
         found = {name: [repr(tuple(row)) for row in unit.connection.execute(text(sql))] for name, sql in ROWS.items()}
         found["geometries"] = list(_geometries(unit))
         found["trends"] = list(_trends(unit))
-        alerts = unit.alerts.all_open()
+        alerts = [alert for alert in unit.alerts.all_open() if alert.wheelset is not None]
+        found["fleet alerts"] = [_listed(alert) for alert in unit.alerts.all_open() if alert.wheelset is None]
         found["alerts on windows"] = [_listed(alert) for alert in alerts if alert.kind in ON_WINDOWS]
         found["alerts on estimates"] = [_listed(alert) for alert in alerts if alert.kind not in ON_WINDOWS]
     return {name: hashlib.sha256("\n".join(sorted(rows)).encode()).hexdigest()[:16] for name, rows in found.items()}

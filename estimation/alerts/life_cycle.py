@@ -91,7 +91,7 @@ def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
         kind=finding.kind,
         severity=finding.severity,
         condition=_first_condition(finding) if at_once else Condition.PENDING,
-        opened_ns=finding.measured_ns,
+        opened_ns=finding.measured_ns if finding.since_ns is None else finding.since_ns,
         last_seen_ns=finding.measured_ns,
         occurrence_count=1,
         probability=finding.probability,
@@ -145,7 +145,10 @@ def _unknown(alert: Alert, finding: Finding) -> Alert:
     """Keep the numbers that raised it, with the reason why they are no longer known."""
     why = {name: finding.evidence.get(name) for name in ("unknown_because", "unknown_because_code")}
     evidence = {**alert.evidence, **why}
-    return replace(alert, condition=Condition.UNKNOWN, evidence=evidence)
+    after = replace(alert, condition=Condition.UNKNOWN, evidence=evidence)
+    if finding.stands is None:
+        return after
+    return replace(after, severity=finding.severity, action=finding.action)  # of the newest data that decide
 
 
 def _clearing(alert: Alert, stored: Alert, finding: Finding) -> Transition | None:

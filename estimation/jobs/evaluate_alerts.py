@@ -20,14 +20,17 @@ from estimation.alerts.rules.standing import LOOK_BACK
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule
 from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.first_axles import at_first_axles
-from estimation.jobs.steps.identities import new_events
-from estimation.jobs.steps.suspension import changes_by_wheelset
+from estimation.jobs.steps.identities import identity_change, new_events
+from estimation.jobs.steps.suspension import shown_by_wheelset
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Transition
+from estimation.values.geometry import GeometryRecord
+from estimation.values.identity import since_change
 from estimation.values.quarantine import SubjectKind
 from estimation.values.registry import WheelsetRecord
-from estimation.values.suspension import SuspensionChange
+from estimation.values.suspension import SuspensionShown
 from estimation.values.windows import WindowRecord
 
 
@@ -159,7 +162,7 @@ class _Found:
     """What was found of a wheelset beside the others of its fleet."""
 
     identity: IdentityEvent | None
-    suspension: SuspensionChange | None
+    suspension: SuspensionShown | None
     rejected: Mapping[str, int]  # recordings of its vehicle, by reason code
 
 
@@ -168,7 +171,7 @@ class _Compared:
     """What was found of the wheelsets beside the others of their fleets."""
 
     identities: Mapping[str, IdentityEvent] = field(default_factory=dict)
-    suspensions: Mapping[str, SuspensionChange] = field(default_factory=dict)
+    suspensions: Mapping[str, SuspensionShown] = field(default_factory=dict)
     rejected: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
     def of(self, serial: str) -> _Found:
@@ -182,7 +185,7 @@ def _compared(context: JobContext, isolation: Isolation) -> _Compared:
     with isolation.alone(SubjectKind.FLEET, "comparison of identities"), context.storage.read() as unit:
         compared.identities = new_events(unit, unit.registry.wheelsets(), rules.rule(IdentityRule).parameters)
     with isolation.alone(SubjectKind.FLEET, "comparison of suspensions"), context.storage.read() as unit:
-        compared.suspensions = changes_by_wheelset(unit, rules.rule(SuspensionChangeRule).parameters)
+        compared.suspensions = shown_by_wheelset(unit, rules.rule(SuspensionChangeRule))
     with isolation.alone(SubjectKind.FLEET, "rejected recordings"), context.storage.read() as unit:
         compared.rejected = at_first_axles(unit, unit.plausibility.rejected())
     return compared
@@ -193,7 +196,7 @@ def _evaluate(
 ) -> tuple[list[AlertEventKind], list[Transition]]:
     """Store what changes on the open alerts of a wheelset; return the events of that, and what is to be raised."""
     book, now_ns = context.settings.rules, context.clock.now_ns()
-    stored = _facts(unit, unit.registry.wheelset(serial), book)
+    stored = _facts(unit, unit.registry.wheelset(serial), context.settings)
     facts = replace(stored, identity=found.identity, suspension=found.suspension, rejected_recordings=found.rejected)
     events: list[AlertEventKind] = []
     to_raise: list[Transition] = []
@@ -224,7 +227,7 @@ def _save(unit: UnitOfWork, change: Transition, now_ns: int, note: str) -> Seque
     return change.events
 
 
-def _facts(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> WheelsetFacts:
+def _facts(unit: UnitOfWork, wheelset: WheelsetRecord, settings: JobSettings) -> WheelsetFacts:
     mounting = wheelset.mounting
     alerts: Sequence[Alert] = unit.alerts.all_open(wheelset.serial)
     if mounting is None:
@@ -234,14 +237,23 @@ def _facts(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> Wheels
         vehicle=unit.registry.vehicle(mounting.vehicle),
         geometry=unit.geometries.current(wheelset.serial),
         trend=unit.trends.latest(wheelset.serial),
-        windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, _windows_wanted(book)),
+        windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, _windows_wanted(settings.rules)),
+        intervals=_intervals(unit, wheelset, mounting.from_ns),
         open_alerts=alerts,
+        trend_parameters=settings.trend,
     )
 
 
+def _intervals(unit: UnitOfWork, wheelset: WheelsetRecord, since_ns: int) -> Sequence[GeometryRecord]:
+    stored = unit.geometries.intervals(wheelset.serial, len(wheelset.reprofilings))
+    known = since_change(stored, identity_change(unit, wheelset.serial))
+    held = [record for record in known if record.geometry.windows and record.to_ns > since_ns]
+    return sorted(held, key=lambda record: record.to_ns)
+
+
 def _windows_wanted(book: RuleBook) -> int:
-    of_windows = (book.rule(SensorFaultRule).latest_windows, book.rule(HuntingRule).latest_windows)
-    return max(LOOK_BACK * max(of_windows), book.rule(DataQualityRule).latest_windows)
+    rules = (book.rule(SensorFaultRule), book.rule(HuntingRule), book.rule(DataQualityRule))
+    return LOOK_BACK * max(rule.latest_windows for rule in rules)
 
 
 def _latest_windows(unit: UnitOfWork, serial: str, since_ns: int, wanted: int) -> Sequence[WindowRecord]:

@@ -7,7 +7,7 @@ friction is a standard deviation, large where a vehicle was alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -66,11 +66,36 @@ def suspension_changes(
     parameters
         What counts as now, and what friction may do.
     """
+    newest = ((code, next(changes, None)) for code, changes in suspension_histories(findings, parameters).items())
+    return {code: change for code, change in newest if change is not None}
+
+
+def suspension_histories(
+    findings: Sequence[SuspensionFinding], parameters: SuspensionParameters | None = None
+) -> dict[str, Iterator[SuspensionChange]]:
+    """Return by vehicle how its ratio had changed after each of its findings, newest first.
+
+    Computed as far as read. The other vehicles are as they are known now: late data of theirs count, too.
+
+    Parameters
+    ----------
+    findings
+        Of all vehicles that share sections, in any order.
+    parameters
+        What counts as now, and what friction may do.
+    """
     p = parameters or SuspensionParameters()
     by_vehicle = _by_vehicle(findings, p)
     sections = _by_section(by_vehicle)
-    enough = {code: s for code, s in by_vehicle.items() if s.past >= p.least_past and len(s.level) > s.past}
-    return {code: _change(code, series, sections, p) for code, series in enough.items()}
+    return {code: _history(code, series, sections, p) for code, series in by_vehicle.items()}
+
+
+def _history(
+    code: str, series: _Series, sections: Mapping[str, _Section], p: SuspensionParameters
+) -> Iterator[SuspensionChange]:
+    for count in range(len(series.findings), p.least_past + p.recent - 1, -1):
+        known = _Series(series.findings[:count], series.level[:count], series.variance[:count], count - p.recent)
+        yield _change(code, known, sections, p)
 
 
 def _by_vehicle(findings: Sequence[SuspensionFinding], p: SuspensionParameters) -> dict[str, _Series]:

@@ -76,7 +76,8 @@ class AlertEventKind(StrEnum):
 class Finding:
     """The result of one rule for one wheelset at one time; ``breached`` is None where the data do not decide.
 
-    ``stands`` is whether an alert stands by all data in vehicle time; where None, evaluations are counted.
+    ``stands`` is whether an alert stands by all data in vehicle time; where None, evaluations are counted. ``since_ns``
+    is when it was raised by them.
     """
 
     wheelset: str
@@ -91,6 +92,7 @@ class Finding:
     clear_limit: float | None
     measured_ns: int
     stands: bool | None = None
+    since_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,3 +34,12 @@ class SuspensionChange:
     recent: int
     others: int  # vehicles on the same sections at the same time
     recent_ns: int  # end of the newest
+
+
+@dataclass(frozen=True, slots=True)
+class SuspensionShown:
+    """What all passes of a vehicle show: the newest change, and whether an alert stands and since when."""
+
+    newest: SuspensionChange | None  # None where too few findings are known
+    stands: bool
+    since_ns: int | None = None

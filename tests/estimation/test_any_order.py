@@ -46,9 +46,9 @@ def played(storage: SqlStorage, pieces: Sequence[Sequence[Window]]) -> dict[str,
 
 
 def at_rest(storage: SqlStorage) -> dict[str, str]:
-    """Return the state but for the alerts that count evaluations."""
+    """Return the state but for the fleet alerts, which group alerts by the times at which they opened."""
     assert counts(storage, "refresh_alignment")["unchanged"] == 1
-    return {name: digest for name, digest in final_state(storage).items() if name != "alerts on estimates"}
+    return {name: digest for name, digest in final_state(storage).items() if name != "fleet alerts"}
 
 
 def test_windows_in_pieces_late_and_out_of_order_give_the_state_of_all_at_once(

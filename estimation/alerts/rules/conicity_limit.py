@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 
+from estimation.alerts.rules.intervals import with_standing
 from estimation.alerts.rules.rule import (
     AlertRule,
     Probability,
@@ -100,8 +101,12 @@ class ConicityLimitRule(AlertRule):
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
         """Return the finding on the limit, by the conicity at 3 mm.
 
-        It is that of the fitted trend, or of the current geometry where no trend is comparable with the limit.
+        It is that of the fitted trend, or of the current geometry where no trend is comparable with the limit. An
+        alert stands by all intervals of mileage.
         """
+        return with_standing(self._find, facts, self.delays)
+
+    def _find(self, facts: WheelsetFacts) -> Finding | None:
         limit = None if facts.vehicle is None else self.limit_for(facts.vehicle)
         if facts.geometry is None or limit is None:
             return None

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 from annotated_types import Interval
@@ -19,10 +18,10 @@ from estimation.alerts.rules.rule import (
     too_few_windows,
     unknown_evidence,
 )
+from estimation.alerts.rules.standing import of_windows
 from estimation.values.alerts import Finding, Severity
+from estimation.values.json_value import JsonValue
 from estimation.values.windows import WindowRecord
-
-NOTHING_REJECTED: Mapping[str, int] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,20 +41,12 @@ class DataQualityRule(AlertRule):
         mounting = facts.wheelset.mounting
         if mounting is None:
             return None
-        alone = any(
-            alert.kind == self.kind
-            and alert.evidence.get("rejected_recordings")
-            and not alert.evidence["implausible_windows"]
-            for alert in facts.open_alerts
-        )
-        return data_quality_finding(
-            self,
-            facts.wheelset.serial,
-            facts.windows,
-            mounting.from_ns,
-            rejected=facts.rejected_recordings,
-            of_recordings_alone=alone,
-        )
+
+        def find(windows: Sequence[WindowRecord]) -> Finding:
+            return data_quality_finding(self, facts.wheelset.serial, windows, mounting.from_ns)
+
+        found = of_windows(find, facts, lambda window: window.implausible is not None, self.latest_windows, self.delays)
+        return _with_rejected(found, facts.rejected_recordings)
 
 
 def data_quality_finding(
@@ -63,11 +54,8 @@ def data_quality_finding(
     wheelset: str,
     windows: Sequence[WindowRecord],
     measured_ns: int,
-    *,
-    rejected: Mapping[str, int] = NOTHING_REJECTED,
-    of_recordings_alone: bool = False,
 ) -> Finding:
-    """Return the finding of the newest windows on what is implausible, and of what was rejected.
+    """Return the finding of the newest windows on what is implausible.
 
     Parameters
     ----------
@@ -79,11 +67,6 @@ def data_quality_finding(
         Windows of the mounting in service, any order; the newest ``rule.latest_windows`` are looked at.
     measured_ns
         Used where there is no window.
-    rejected
-        Recordings of the vehicle that are rejected, by reason code: one stands for an alert until it is decoded or set
-        aside.
-    of_recordings_alone
-        Whether the open alert is of rejected recordings and no window: it ends with the last of them.
     """
     latest = newest_windows(windows, rule.latest_windows)
     reasons = Counter(window.implausible.code.value for window in latest if window.implausible is not None)
@@ -92,21 +75,36 @@ def data_quality_finding(
     return Finding(
         wheelset=wheelset,
         kind=DataQualityRule.kind,
-        breached=True if rejected else None if unknown else found >= rule.raise_windows,
-        cleared=False if rejected else None if unknown else not found,
+        breached=None if unknown else found >= rule.raise_windows,
+        cleared=None if unknown else not found,
         severity=Severity.WARNING,
         probability=None,
         evidence={
             "implausible_windows": found,
             "windows": len(latest),
             "reasons": {code: reasons[code] for code in sorted(reasons)},
-            "rejected_recordings": sum(rejected.values()),
-            "rejected_reasons": {code: rejected[code] for code in sorted(rejected)},
+            "rejected_recordings": 0,
+            "rejected_reasons": {},
             **unknown_evidence(unknown),
         },
-        action="check_recordings" if rejected else "check_odometer",
+        action="check_odometer",
         raise_limit=float(rule.raise_windows),
         clear_limit=0.0,
         measured_ns=measured_until(latest, measured_ns),
-        stands=True if rejected else False if of_recordings_alone and not found else None,
     )
+
+
+def _with_rejected(found: Finding, rejected: Mapping[str, int]) -> Finding:
+    """Return the finding with the rejected recordings of the vehicle, by reason code.
+
+    One stands for an alert until it is decoded or set aside.
+    """
+    if not rejected:
+        return found
+    evidence: dict[str, JsonValue] = {
+        **found.evidence,
+        "rejected_recordings": sum(rejected.values()),
+        "rejected_reasons": {code: rejected[code] for code in sorted(rejected)},
+        **unknown_evidence(None),
+    }
+    return replace(found, breached=True, cleared=False, evidence=evidence, action="check_recordings", stands=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.identity import mounting_corrected
+from estimation.alerts.rules.identity import IdentityRule, mounting_corrected
 from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
 from estimation.values.alerts import Alert, CloseReason, Finding
 from estimation.values.quantities import Status
@@ -47,7 +47,7 @@ def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]
 
     Where the sensor is silent or faulty, where the wheelset was reprofiled or mounted after the newest data, or where
     those do not follow the class of the vehicle, the wear rules find ``unknown``: old numbers are never read as the
-    present state.
+    present state. Where its identity is in doubt no wear alert is opened either.
 
     Parameters
     ----------
@@ -62,6 +62,8 @@ def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]
         return []
     first = [(rule, rule.find(facts, now_ns)) for rule in book.rules if not rule.of_wear]
     facts = replace(facts, not_assessable_reason=_not_assessable_reason(facts, first))
+    if any(rule.kind == IdentityRule.kind and finding is not None and finding.breached for rule, finding in first):
+        facts = replace(facts, intervals=())  # of another wheelset in part, until the mounting is corrected on file
     found = first + [(rule, rule.find(facts, now_ns)) for rule in book.rules if rule.of_wear]
     return [finding for rule, finding in found if finding is not None and rule.enabled]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -20,7 +20,7 @@ from estimation.alerts.rules.rule import (
     too_few_windows,
     unknown_evidence,
 )
-from estimation.alerts.rules.standing import stands
+from estimation.alerts.rules.standing import of_windows
 from estimation.values.alerts import Finding, Severity
 from estimation.values.json_value import JsonValue
 from estimation.values.windows import HUNTING_SHARE, WindowRecord
@@ -53,9 +53,9 @@ class HuntingRule(AlertRule):
         def find(windows: Sequence[WindowRecord]) -> Finding:
             return hunting_finding(self, facts.wheelset.serial, windows, mounting.from_ns)
 
-        suspect = any(hunts(window, self.hunting_share) for window in facts.windows)
-        standing = suspect and stands(find, facts.windows, self.latest_windows, self.delays)
-        return replace(find(facts.windows), stands=standing)
+        return of_windows(
+            find, facts, lambda window: hunts(window, self.hunting_share), self.latest_windows, self.delays
+        )
 
 
 def hunts(window: WindowRecord, share: float) -> bool:

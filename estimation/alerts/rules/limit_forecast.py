@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 
+from estimation.alerts.rules.intervals import with_standing
 from estimation.alerts.rules.rule import (
     AlertRule,
     Probability,
@@ -40,7 +41,10 @@ class LimitForecastRule(AlertRule):
     minimum_points: Annotated[int, Interval(ge=2, le=1_000_000)] = 3
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
-        """Return the finding of the trend; None without a trend of the present profile."""
+        """Return the finding of the trend, which stands by all intervals; None without one of the present profile."""
+        return with_standing(self._find, facts, self.delays)
+
+    def _find(self, facts: WheelsetFacts) -> Finding | None:
         if facts.geometry is None or facts.current_trend is None:
             return None
         return limit_forecast_finding(

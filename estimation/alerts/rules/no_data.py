@@ -62,6 +62,7 @@ def no_data_finding(
     silent_days = (now_ns - since) / DAY_NS
     breached = silent_days > rule.days
     critical = silent_days > rule.critical_days
+    raised_ns, critical_ns = (since + round(days * DAY_NS) for days in (rule.days, rule.critical_days))
     return Finding(
         wheelset=wheelset,
         kind=NoDataRule.kind,
@@ -77,5 +78,6 @@ def no_data_finding(
         action="check_sensor_and_connection",
         raise_limit=rule.days,
         clear_limit=rule.days,
-        measured_ns=since + round((rule.critical_days if critical else rule.days) * DAY_NS) if breached else since,
+        measured_ns=(critical_ns if critical else raised_ns) if breached else since,
+        since_ns=raised_ns if breached else None,
     )

@@ -11,13 +11,14 @@ from typing import Annotated, ClassVar
 from annotated_types import Interval
 
 from estimation.alerts.identity import IdentityEvent
+from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, Finding
 from estimation.values.geometry import GeometryRecord
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Forecast
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.suspension import SuspensionChange
+from estimation.values.suspension import SuspensionShown
 from estimation.values.trend import TrendRecord
 from estimation.values.windows import WindowRecord, WindowState
 
@@ -33,8 +34,9 @@ WindowCount = Annotated[int, Interval(ge=1, le=1_000_000)]
 class AlertDelays:
     """How long something must be so before an alert follows it.
 
-    An evaluation counts only when newer data than the last one are behind it, so that repeating a job never raises or
-    clears anything.
+    An evaluation is one in vehicle time: after a window, or after an interval of mileage for what rests on geometries.
+    How often the job ran does not count. Only where nothing is kept of earlier data (geometries without intervals) runs
+    count, each with newer data than the last one.
     """
 
     on_evaluations: Evaluations = 1
@@ -51,9 +53,11 @@ class WheelsetFacts:
     geometry: GeometryRecord | None  # current
     trend: TrendRecord | None  # latest
     windows: Sequence[WindowRecord]  # of the mounting in service, the newest that any rule looks at
+    intervals: Sequence[GeometryRecord] = ()  # that hold, of the profile in this mounting, oldest first
     open_alerts: Sequence[Alert] = ()
     identity: IdentityEvent | None = None  # since the last identity change
-    suspension: SuspensionChange | None = None  # of its vehicle, where its alert stands at this wheelset
+    suspension: SuspensionShown | None = None  # of its vehicle, where its alert stands at this wheelset
+    trend_parameters: TrendParameters = field(default_factory=TrendParameters)  # of the trend
     rejected_recordings: Mapping[str, int] = field(default_factory=dict)  # of its vehicle, by code, as the one before
     not_assessable_reason: Reason | None = None  # why the data do not show how the wheelset is now
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from annotated_types import Interval
@@ -21,7 +21,7 @@ from estimation.alerts.rules.rule import (
     too_few_windows,
     unknown_evidence,
 )
-from estimation.alerts.rules.standing import stands
+from estimation.alerts.rules.standing import of_windows
 from estimation.values.alerts import Finding, Severity
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowRecord
@@ -54,9 +54,7 @@ class SensorFaultRule(AlertRule):
         def find(windows: Sequence[WindowRecord]) -> Finding:
             return sensor_fault_finding(self, facts.wheelset.serial, windows, mounting.from_ns)
 
-        suspect = any(faulty(self, window) for window in facts.windows)
-        standing = suspect and stands(find, facts.windows, self.latest_windows, self.delays)
-        return replace(find(facts.windows), stands=standing)
+        return of_windows(find, facts, lambda window: bool(faulty(self, window)), self.latest_windows, self.delays)
 
 
 def faulty(rule: SensorFaultRule, window: WindowRecord) -> str:

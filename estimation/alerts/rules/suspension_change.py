@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, ClassVar
 
 from annotated_types import Interval
@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, estimate_evidence, number_evidence
 from estimation.trend.suspension import SuspensionParameters
-from estimation.values.alerts import Finding, Severity
+from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.intervals import with_interval
 from estimation.values.suspension import SuspensionChange
 
@@ -36,10 +36,31 @@ class SuspensionChangeRule(AlertRule):
     parameters: SuspensionParameters = field(default_factory=SuspensionParameters)
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
-        """Return the finding of the vehicle; None where too little is known of it, or at its other wheelsets."""
-        if facts.suspension is None:
+        """Return the finding of the vehicle; None at its other wheelsets, or where nothing is known nor open."""
+        shown = facts.suspension
+        if shown is None:
             return None
-        return suspension_change_finding(self, facts.wheelset.serial, facts.suspension)
+        if shown.newest is None:
+            return next((self._withdrawn(alert) for alert in facts.open_alerts if alert.kind == self.kind), None)
+        found = suspension_change_finding(self, facts.wheelset.serial, shown.newest)
+        return replace(found, stands=shown.stands, since_ns=shown.since_ns)
+
+    def _withdrawn(self, alert: Alert) -> Finding:
+        """Return that too little is known for an open alert: what it was raised on has been corrected since."""
+        return Finding(
+            wheelset=alert.wheelset or "",
+            kind=self.kind,
+            breached=None,
+            cleared=None,
+            severity=alert.severity,
+            probability=None,
+            evidence={name: value for name, value in alert.evidence.items() if name != "delays"},
+            action=alert.action,
+            raise_limit=alert.raise_limit,
+            clear_limit=alert.clear_limit,
+            measured_ns=alert.last_seen_ns,
+            stands=False,
+        )
 
 
 def suspension_change_finding(rule: SuspensionChangeRule, wheelset: str, found: SuspensionChange) -> Finding:

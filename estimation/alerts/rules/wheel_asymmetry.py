@@ -9,12 +9,13 @@ offset and however slowly the sensors see.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from scipy.special import ndtr
 
+from estimation.alerts.rules.intervals import LOOK_BACK
 from estimation.alerts.rules.rule import (
     AlertRule,
     Probability,
@@ -27,7 +28,7 @@ from estimation.alerts.rules.rule import (
 )
 from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.geometry import WheelsetGeometry
+from estimation.values.geometry import GeometryRecord, WheelsetGeometry
 from estimation.values.intervals import with_interval
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate
@@ -58,26 +59,47 @@ class WheelAsymmetryRule(AlertRule):
     minimum_windows: WindowCount = 3
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
-        """Return the finding of the current geometry; None without one."""
+        """Return the finding of the current geometry, which stands by the newest intervals; None without one."""
         if facts.geometry is None:
             return None
+        if not facts.intervals:
+            return self._of(facts, facts.geometry, _raised_by(facts.open_alerts), facts.not_assessable_reason)
+        since_ns, counted, blamed = None, 0, list[str]()
+        for record in (*facts.intervals[-LOOK_BACK:-1], facts.geometry):
+            found = self._of(facts, record, blamed)
+            if found.breached is None:
+                continue
+            towards = found.breached if since_ns is None else bool(found.cleared)
+            counted = counted + 1 if towards else 0
+            if counted >= (self.delays.on_evaluations if since_ns is None else self.delays.off_evaluations):
+                since_ns, counted = found.measured_ns if since_ns is None else None, 0
+            blamed = [] if since_ns is None else _names(found.evidence.get("raised_by"))
+        now = self._of(facts, facts.geometry, blamed, facts.not_assessable_reason)
+        return replace(now, stands=since_ns is not None, since_ns=since_ns)
+
+    def _of(
+        self, facts: WheelsetFacts, record: GeometryRecord, raised_by: Sequence[str], reason: Reason | None = None
+    ) -> Finding:
         return wheel_asymmetry_finding(
             self,
             facts.wheelset.serial,
-            asymmetry_of(facts.geometry.geometry),
-            facts.geometry.geometry.windows,
-            facts.geometry.to_ns,
-            raised_by=_raised_by(facts.open_alerts),
-            not_assessable_reason=facts.not_assessable_reason,
+            asymmetry_of(record.geometry),
+            record.geometry.windows,
+            record.to_ns,
+            raised_by=raised_by,
+            not_assessable_reason=reason,
         )
 
 
 def _raised_by(alerts: Sequence[Alert]) -> list[str]:
     for alert in alerts:
-        indicators = alert.evidence.get("raised_by")
-        if alert.kind == WheelAsymmetryRule.kind and isinstance(indicators, list):
-            return [str(name) for name in indicators]
+        if alert.kind == WheelAsymmetryRule.kind:
+            return _names(alert.evidence.get("raised_by"))
     return []
+
+
+def _names(indicators: JsonValue) -> list[str]:
+    return [str(name) for name in indicators] if isinstance(indicators, list) else []
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
+from estimation.alerts.rules.standing import latest_run, raised_at
+from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.first_axles import at_first_axles
 from estimation.storage import UnitOfWork
 from estimation.track.panel.stiffness_ratio import PRIOR_STD
 from estimation.track.update import AlignmentUpdate
-from estimation.trend.suspension import SuspensionParameters, suspension_changes
-from estimation.values.suspension import SuspensionChange, SuspensionFinding
+from estimation.trend.suspension import suspension_histories
+from estimation.values.alerts import Finding
+from estimation.values.suspension import SuspensionChange, SuspensionFinding, SuspensionShown
 from estimation.values.track_epochs import TrackEpoch
 from estimation.values.windows import WindowRecord
 from estimation.vehicle.class_on_file import ClassOnFile
@@ -70,17 +73,33 @@ def store_suspension(
     return known
 
 
-def changes_by_wheelset(unit: UnitOfWork, parameters: SuspensionParameters) -> Mapping[str, SuspensionChange]:
-    """Return the changes of all vehicles, each at the wheelset of the vehicle's first axle that has one.
+def shown_by_wheelset(unit: UnitOfWork, rule: SuspensionChangeRule) -> Mapping[str, SuspensionShown]:
+    """Return what is shown of all vehicles, each at the wheelset of the vehicle's first axle that has one.
 
     Parameters
     ----------
     unit
         Findings and the registry are read.
-    parameters
-        What counts as now, and what friction may do.
+    rule
+        What counts as now, what friction may do, and what raises and clears.
     """
-    changes = suspension_changes(unit.suspensions.newest(parameters.recent + parameters.most_past), parameters)
-    if not changes:
-        return {}
-    return at_first_axles(unit, changes)
+    p = rule.parameters
+    histories = suspension_histories(unit.suspensions.newest(p.recent + p.most_past), p)
+    mounted = {one.mounting.vehicle for one in unit.registry.wheelsets() if one.mounting is not None}
+    known = {code: histories.get(code, iter(())) for code in mounted}
+    return {serial: _shown(rule, serial, history) for serial, history in at_first_axles(unit, known).items()}
+
+
+def _shown(rule: SuspensionChangeRule, serial: str, history: Iterator[SuspensionChange]) -> SuspensionShown:
+    read: list[SuspensionChange] = []
+
+    def newest_first() -> Iterator[Finding]:
+        for change in history:
+            read.append(change)
+            yield suspension_change_finding(rule, serial, change)
+
+    if not latest_run(newest_first(), rule.delays):
+        return SuspensionShown(read[0] if read else None, stands=False)
+    read += history
+    found = (suspension_change_finding(rule, serial, change) for change in reversed(read))
+    return SuspensionShown(read[0], stands=True, since_ns=raised_at(found, rule.delays))

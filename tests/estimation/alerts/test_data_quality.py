@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
 
 from estimation.alerts.rules.data_quality import DataQualityRule, data_quality_finding
+from estimation.alerts.rules.rule import WheelsetFacts
+from estimation.values.alerts import Finding
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.windows import WindowQuality, WindowRecord, WindowState
 
 GOOD = WindowRecord(
@@ -43,19 +47,31 @@ def test_two_implausible_windows_of_the_newest_ten_raise_and_none_clears(
     assert found.measured_ns == (60 * len(windows) if windows else 7)
 
 
+def found_of(windows: str, rejected: Mapping[str, int]) -> Finding:
+    records = [replace(GOOD if kind == "g" else BAD, start_ns=60 * at) for at, kind in enumerate(windows)]
+    wheelset = WheelsetRecord("WS-1", "F", "P8", 0.45, Mounting("WS-1", "V-1", 1, 0, None, 0.0, 0.0))
+    facts = WheelsetFacts(
+        wheelset=wheelset, vehicle=None, geometry=None, trend=None, windows=records, rejected_recordings=rejected
+    )
+    found = DataQualityRule().find(facts, 0)
+    assert found is not None
+    return found
+
+
 @pytest.mark.parametrize("windows", ["", "g", "gggg", "b"])
 def test_one_rejected_recording_raises_at_once_whatever_the_windows_show(windows: str) -> None:
-    records = [replace(GOOD if kind == "g" else BAD, start_ns=60 * at) for at, kind in enumerate(windows)]
-    found = data_quality_finding(DataQualityRule(), "WS-1", records, 7, rejected={"log_damaged": 2, "other": 1})
+    found = found_of(windows, {"log_damaged": 2, "other": 1})
     assert (found.breached, found.cleared, found.stands) == (True, False, True)
     assert found.evidence["rejected_recordings"] == 3
     assert found.evidence["rejected_reasons"] == {"log_damaged": 2, "other": 1}
     assert found.action == "check_recordings"
 
 
-@pytest.mark.parametrize(("windows", "stands"), [("", False), ("g", False), ("gggg", False), ("b", None), ("bb", None)])
-def test_an_alert_of_recordings_alone_ends_with_them(windows: str, *, stands: bool | None) -> None:
-    records = [replace(GOOD if kind == "g" else BAD, start_ns=60 * at) for at, kind in enumerate(windows)]
-    found = data_quality_finding(DataQualityRule(), "WS-1", records, 7, of_recordings_alone=True)
+@pytest.mark.parametrize(
+    ("windows", "stands"), [("", False), ("g", False), ("gggg", False), ("b", False), ("bb", True)]
+)
+def test_what_stands_without_rejected_recordings_is_of_windows(windows: str, *, stands: bool) -> None:
+    found = found_of(windows, {})
     assert found.stands is stands
+    assert found.evidence["rejected_recordings"] == 0
     assert found.action == "check_odometer"

@@ -10,25 +10,36 @@ import pytest
 from wheelset_life import START_NS, window_record
 
 from estimation.alerts.life_cycle import transition
-from estimation.alerts.rules.rule import AlertDelays
+from estimation.alerts.rules.rule import AlertDelays, WheelsetFacts
 from estimation.alerts.rules.sensor_fault import SensorFaultRule, faulty, sensor_fault_finding
-from estimation.alerts.rules.standing import LOOK_BACK, stands
+from estimation.alerts.rules.standing import LOOK_BACK
 from estimation.values.alerts import Alert, Finding
+from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.windows import WindowRecord
 
 RULE = SensorFaultRule()
+WHEELSET = WheelsetRecord("W", "F", "P8", 0.45, Mounting("W", "V", 1, START_NS, None, 0.0, 0.0))
 
 
 def found(windows: Sequence[WindowRecord]) -> Finding:
     return sensor_fault_finding(RULE, "W", windows, START_NS)
 
 
+def evaluated_now(windows: Sequence[WindowRecord], delays: AlertDelays | None = None) -> Finding:
+    facts = WheelsetFacts(wheelset=WHEELSET, vehicle=None, geometry=None, trend=None, windows=windows)
+    finding = replace(RULE, delays=delays or RULE.delays).find(facts, 0)
+    assert finding is not None
+    return finding
+
+
 def standing(windows: Sequence[WindowRecord], delays: AlertDelays | None = None) -> bool:
-    return stands(found, windows, RULE.latest_windows, delays or RULE.delays)
+    finding = evaluated_now(windows, delays)
+    assert finding.stands is (finding.since_ns is not None)
+    return finding.stands
 
 
 def evaluated(alert: Alert | None, windows: Sequence[WindowRecord]) -> Alert | None:
-    finding = replace(found(windows[-LOOK_BACK * RULE.latest_windows :]), stands=standing(windows))
+    finding = evaluated_now(windows)
     change = transition(alert, finding, 0, fleet="F", delays=RULE.delays)
     after = alert if change is None else change.alert
     return None if after is None or after.closed_ns is not None else after
@@ -47,6 +58,7 @@ def test_the_alert_is_open_or_not_whatever_was_evaluated_in_between(seed: int, l
         alert = evaluated(alert, sorted(order[:count], key=lambda window: window.start_ns))
     assert (alert is None) == (once is None)
     if alert is not None and once is not None:
+        assert once.opened_ns == evaluated_now(windows).since_ns < windows[-1].start_ns
         assert (alert.condition, alert.severity, alert.probability) == (once.condition, once.severity, once.probability)
 
 

@@ -115,7 +115,7 @@ def test_worn_wheels_raise_alerts_once(storage: Storage) -> None:
     }
     assert {e.kind for e in before} == {RAISED}
     alert = open_alert(storage, "W1", "conicity_limit")
-    assert alert.opened_ns == START_NS + 100 * DAY_NS
+    assert (alert.opened_ns, alert.last_seen_ns) == (START_NS + 85 * DAY_NS, START_NS + 100 * DAY_NS)
     assert alert.raise_limit == 0.4
     assert alert.probability is not None
     assert alert.probability > 0.99

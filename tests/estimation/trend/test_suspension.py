@@ -7,9 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimation.alerts.life_cycle import transition
+from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
-from estimation.trend.suspension import SuspensionParameters, suspension_changes
-from estimation.values.suspension import SuspensionChange, SuspensionFinding
+from estimation.trend.suspension import SuspensionParameters, suspension_changes, suspension_histories
+from estimation.values.alerts import Alert
+from estimation.values.registry import Mounting, WheelsetRecord
+from estimation.values.suspension import SuspensionChange, SuspensionFinding, SuspensionShown
 
 DAY = 86_400_000_000_000
 RULE = SuspensionChangeRule()
@@ -50,6 +54,41 @@ def test_a_spring_that_softens_is_found_and_only_there() -> None:
         assert [breached(changes[other]) for other in "BCDE"] == [False] * 4
         assert (changes["A"].past, changes["A"].recent, changes["A"].others) == (5, 3, 4)
         assert changes["A"].recent_ns == 8 * DAY
+
+
+def test_a_history_goes_back_finding_by_finding() -> None:
+    own, others = history("A", softened(0.4)), [*history("B", [1.0] * 8), *history("C", [1.0] * 8)]
+    found = list(suspension_histories([*reversed(own), *others])["A"])
+    assert [(change.past, change.recent, change.recent_ns) for change in found] == [
+        (5, 3, 8 * DAY),
+        (4, 3, 7 * DAY),
+        (3, 3, 6 * DAY),
+    ]
+    assert found[0] == suspension_changes([*own, *others])["A"]
+    assert abs(found[1].change) > abs(found[2].change)
+
+
+def facts_of(shown: SuspensionShown | None, *alerts: Alert) -> WheelsetFacts:
+    wheelset = WheelsetRecord("W", "F", "P8", 0.45, Mounting("W", "A", 1, 0, None, 0.0, 0.0))
+    return WheelsetFacts(
+        wheelset=wheelset, vehicle=None, geometry=None, trend=None, windows=(), open_alerts=alerts, suspension=shown
+    )
+
+
+def test_an_alert_whose_findings_were_taken_away_is_cleared_and_no_other() -> None:
+    change = suspension_changes(history("A", softened(0.5)))["A"]
+    raised = RULE.find(facts_of(SuspensionShown(change, stands=True, since_ns=7 * DAY)), 0)
+    assert raised is not None
+    opened = transition(None, raised, 0, fleet="F")
+    assert opened is not None
+    assert opened.alert.opened_ns == 7 * DAY
+    taken = RULE.find(facts_of(SuspensionShown(None, stands=False), opened.alert), 0)
+    assert taken is not None
+    closed = transition(opened.alert, taken, 0, fleet="F")
+    assert closed is not None
+    assert closed.alert.closed_ns == opened.alert.last_seen_ns
+    assert RULE.find(facts_of(SuspensionShown(None, stands=False)), 0) is None
+    assert RULE.find(facts_of(None, opened.alert), 0) is None
 
 
 def test_friction_that_all_share_is_no_change() -> None:

@@ -1,0 +1,174 @@
+"""An alert on estimates stands by all intervals of mileage: how often it was evaluated in between does not matter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+
+import pytest
+from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, known
+
+from estimation.alerts.identity import IdentityEvent, Mistake
+from estimation.alerts.life_cycle import transition
+from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule
+from estimation.alerts.rules.evaluation import findings
+from estimation.alerts.rules.intervals import LOOK_BACK
+from estimation.alerts.rules.limit_forecast import LimitForecastRule
+from estimation.alerts.rules.rule import AlertDelays, AlertRule, WheelsetFacts
+from estimation.alerts.rules.standing import latest_run
+from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule
+from estimation.trend.points import conicity_points
+from estimation.trend.trend import refresh
+from estimation.values.alerts import Alert, Finding, Severity
+from estimation.values.geometry import GeometryRecord, WheelsetGeometry
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.trend import TrendRecord
+
+HIDDEN = Reason(ReasonCode.SENSOR_FAULTY, "faulty")
+NOW_NS = START_NS + 10 * DAY_NS
+WHEELSET = WheelsetRecord("W", "F", "P8", 0.45, Mounting("W", "V", 1, START_NS - 5 * DAY_NS, None, 0.0, 0.0))
+VEHICLE = VehicleRecord("V", "F", "metro", 4, 100.0 / 3.6, (0.0, 2.5, 15.0, 17.5))
+WORN = (0.30, 0.34, 0.38, 0.42, 0.46, 0.46)
+BETWEEN = (*WORN, 0.41, 0.395, 0.39, 0.39, 0.39, 0.39)
+CLEARED = (*WORN, *[0.30] * 12)
+
+
+def records_of(conicities: Sequence[float]) -> list[GeometryRecord]:
+    return [geometry_record("W", number, float(number), value) for number, value in enumerate(conicities)]
+
+
+def facts_of(records: Sequence[GeometryRecord]) -> WheelsetFacts:
+    points = conicity_points(records)
+    trend = refresh(points.points, 0.4, quantity=points.quantity, not_comparable=points.not_comparable)
+    return WheelsetFacts(
+        wheelset=WHEELSET,
+        vehicle=VEHICLE,
+        geometry=replace(records[-1], interval=None),
+        trend=TrendRecord("W", 0, trend, "d", "test", 1),
+        windows=(),
+        intervals=records,
+    )
+
+
+def after(alert: Alert | None, facts: WheelsetFacts, rule: AlertRule) -> Alert | None:
+    facts = replace(facts, open_alerts=() if alert is None else (alert,))
+    finding = next(one for one in findings(facts, RuleBook(), NOW_NS) if one.kind == rule.kind)
+    change = transition(alert, finding, 0, fleet="F", delays=rule.delays)
+    now = alert if change is None else change.alert
+    return None if now is None or now.closed_ns is not None else now
+
+
+@pytest.mark.parametrize("conicities", [WORN, BETWEEN, CLEARED, WORN[:3]])
+@pytest.mark.parametrize("rule", [ConicityLimitRule(), LimitForecastRule()])
+def test_evaluated_at_each_interval_or_once_the_same_alert_is_open(
+    rule: AlertRule, conicities: Sequence[float]
+) -> None:
+    records = records_of(conicities)
+    once = after(None, facts_of(records), rule)
+    alert: Alert | None = None
+    for end in range(2, len(records) + 1):
+        alert = after(alert, facts_of(records[:end]), rule)
+    late = after(after(None, facts_of([*records[:2], *records[-2:]]), rule), facts_of(records), rule)
+    for one in (alert, late):
+        assert (one is None) == (once is None)
+        if one is not None and once is not None:
+            assert (one.condition, one.severity) == (once.condition, once.severity)
+            assert (one.probability, one.action) == (once.probability, once.action)
+
+
+def test_the_three_ways_of_wear_differ() -> None:
+    rule = ConicityLimitRule()
+    assert [after(None, facts_of(records_of(one)), rule) is None for one in (WORN, CLEARED, WORN[:3])] == [
+        False,
+        True,
+        True,
+    ]
+
+
+def test_what_hides_the_present_state_leaves_an_alert_unknown_with_the_severity_of_the_data() -> None:
+    facts = replace(facts_of(records_of(WORN)), not_assessable_reason=None)
+    rule = ConicityLimitRule()
+    shown = rule.find(facts, 0)
+    assert shown is not None
+    assert shown.evidence["unknown_because"] is None
+    hidden = rule.find(replace(facts, not_assessable_reason=HIDDEN), 0)
+    assert hidden is not None
+    assert (hidden.breached, hidden.stands, hidden.severity) == (None, True, shown.severity)
+
+
+def test_an_alert_that_is_opened_late_is_dated_by_the_interval_that_raised_it() -> None:
+    records = records_of([0.30, 0.34, 0.38, *[0.46] * 9])
+    in_order = [after(None, facts_of(records[:end]), ConicityLimitRule()) for end in range(2, len(records) + 1)]
+    first = next(alert for alert in in_order if alert is not None)
+    assert first.opened_ns < records[-1].to_ns
+    assert [alert.opened_ns for alert in in_order if alert is not None] == [first.opened_ns] * in_order[::-1].index(
+        None
+    )
+
+
+def test_no_wear_alert_is_opened_while_the_identity_is_in_doubt() -> None:
+    facts = facts_of(records_of(WORN))
+    event = IdentityEvent("W", Mistake.SWAPPED, "X", START_NS, START_NS, 0.2, 0.0, START_NS)
+    kinds = {one.kind: one for one in findings(replace(facts, identity=event), RuleBook(), NOW_NS)}
+    assert kinds["identity"].breached
+    assert [kinds[kind].stands for kind in ("conicity_limit", "limit_forecast", "wheel_asymmetry")] == [None] * 3
+    assert {one.kind: one.stands for one in findings(facts, RuleBook(), NOW_NS)}["conicity_limit"] is True
+
+
+def test_what_no_interval_has_shown_for_long_stands_no_more() -> None:
+    between = [0.45, 0.45, *[0.395] * (LOOK_BACK - 1)]
+
+    def standing(conicities: Sequence[float]) -> bool | None:
+        found = ConicityLimitRule().find(replace(facts_of(records_of(conicities)), trend=None), 0)
+        assert found is not None
+        assert found.breached is found.cleared is False
+        return found.stands
+
+    assert standing(between)
+    assert not standing([*between, 0.395])
+
+
+def even_of(even: float) -> WheelsetGeometry:
+    return replace(geometry_of(conicity=0.2, even=even), zero_crossing=known(1e-4, 2e-4))
+
+
+def test_between_the_limits_of_asymmetry_an_alert_stands_once_it_was_raised() -> None:
+    def standing(evens: Sequence[float]) -> bool | None:
+        records = [
+            replace(geometry_record("W", number, float(number), 0.2), geometry=even_of(even))
+            for number, even in enumerate(evens)
+        ]
+        found = WheelAsymmetryRule().find(facts_of(records), 0)
+        assert found is not None
+        return found.stands
+
+    raised, between, sound = 0.1, 0.06, 0.0
+    assert standing([raised, between, between])
+    assert not standing([sound, between, between])
+    assert standing([raised, sound])
+    assert not standing([raised, sound, sound])
+
+
+def found(state: str) -> Finding:
+    return Finding("W", "k", state == "r", state == "c", Severity.WARNING, None, {}, "", None, None, 0)
+
+
+def forwards(states: str, delays: AlertDelays) -> bool:
+    raised, counted = False, 0
+    for state in states:
+        counted = counted + 1 if state == ("c" if raised else "r") else 0
+        if counted >= (delays.off_evaluations if raised else delays.on_evaluations):
+            raised, counted = not raised, 0
+    return raised
+
+
+@pytest.mark.parametrize("on", [1, 2, 3])
+@pytest.mark.parametrize("off", [1, 2, 3])
+def test_going_back_finds_what_going_forward_ends_at(on: int, off: int) -> None:
+    delays = AlertDelays(on_evaluations=on, off_evaluations=off)
+    for states in product("rcb", repeat=6):
+        newest_first = [found(state) for state in reversed(states)]
+        assert latest_run(newest_first, delays) is forwards("".join(states), delays)
