@@ -2,7 +2,8 @@
 
 A window is made when its node sent frames for at least :data:`MIN_PRESENCE` of it and the vehicle moved: the edges of
 a recording give partial windows, a node that sends nothing gives none, and a node that sends "not available" gives
-a window without a valid sample whose quality shows it.
+a window without a valid sample whose quality shows it. It is of the wheelset whose mounting covers its samples and its
+middle, so that a wheelset that changes vehicles within a window has one window then and not two.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ class WindowCounts:
     windows: int = 0
     windows_too_short: int = 0
     windows_standing: int = 0
-    windows_unmounted: int = 0  # no wheelset, or two, ran at the axle
+    windows_unmounted: int = 0  # no wheelset, or two, ran at the axle, or it was elsewhere for most of the window
     windows_without_odometer: int = 0
 
 
@@ -165,7 +166,8 @@ def _window(
 ) -> MountedWindow | WindowCounts:
     t_ns, axle = node.block.t_ns[span], node.block.node
     mounting = lookup.mounting_at(axle, int(t_ns[0]))
-    if mounting is None or mounting != lookup.mounting_at(axle, int(t_ns[-1])):
+    others = {lookup.mounting_at(axle, at_ns) for at_ns in (int(t_ns[-1]), extent[0] + extent[1] // 2)}
+    if mounting is None or others != {mounting}:
         return WindowCounts(windows_unmounted=1)
     if not np.any(motion.speed > MOVING_M_S):
         return WindowCounts(windows_standing=1)

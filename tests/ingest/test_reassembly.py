@@ -305,3 +305,28 @@ def test_what_is_stored_of_a_recording_that_is_lost_stays(sqlite_storage: SqlSto
         receiver_on(sqlite_storage, tmp_path).reassembler.reassemble(VEHICLE, None, None)
     with sqlite_storage.read() as unit:
         assert [span.cause for span in unit.stale_spans.all()] == ["asked for"], "it is tried again"
+
+
+@pytest.mark.parametrize("moved_s", [13.0, 17.0])
+@pytest.mark.parametrize("later", [0, 1])
+def test_a_wheelset_that_changes_vehicles_within_a_window_has_one_window_then_in_any_order(
+    sqlite_storage: SqlStorage, tmp_path: Path, moved_s: float, later: int
+) -> None:
+    start_ns = START_NS // LENGTH_NS * LENGTH_NS
+    moved_ns = start_ns + round(moved_s * SECOND_NS)
+    with sqlite_storage.write() as unit:
+        register(unit)
+        unit.registry.add_vehicle(VehicleRecord("N-8", "north", "multiple unit", 2, 40.0, OFFSETS_M))
+        unit.registry.add_mounting(mounting(1, to_ns=moved_ns))
+        unit.registry.add_mounting(Mounting("WS-1", "N-8", 1, moved_ns, None, 4000.0, 1700.0))
+    before = Run(start_ns=start_ns, seconds=moved_s - 0.1).frames()
+    after = Run(start_ns=moved_ns + SECOND_NS // 10, seconds=20.0 - moved_s, seed=5).frames()
+    receiver = receiver_on(sqlite_storage, tmp_path)
+    runs = [(before, VEHICLE), (after, "N-8")]
+    for batch, vehicle in (runs[later], runs[1 - later]):
+        receiver.receive_file(*files_of([batch], tmp_path), vehicle)
+    for vehicle in (VEHICLE, "N-8", VEHICLE):
+        assert receiver.reassembler.reassemble(vehicle, None, None) == NO_CHANGES
+    with sqlite_storage.read() as unit:
+        found = {record.start_ns: record.vehicle for record in unit.windows.list("WS-1")}
+    assert found == {start_ns: VEHICLE, start_ns + LENGTH_NS: VEHICLE if moved_s > 15.0 else "N-8"}
