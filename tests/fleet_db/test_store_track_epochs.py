@@ -12,8 +12,15 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track_epochs import OPEN_NS, EpochMember, EpochNews, FoldState, TrackEpoch
 from estimation.values.windows import WindowPosition, WindowState
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.track_epochs import BY_ALIGNMENT
 
+OF_THE_ALIGNMENT = (
+    ReasonCode.ALIGNMENT_UNKNOWN,
+    ReasonCode.NO_USABLE_SAMPLE,
+    ReasonCode.INTERRUPTED,
+    ReasonCode.TOO_FEW_USABLE,
+    ReasonCode.IN_CURVES,
+    ReasonCode.OUTSIDE_BINS,
+)
 NOTHING = EpochNews(None, frozenset())
 FIRST, SECOND, THIRD = (make.START + number * make.LENGTH for number in range(3))
 
@@ -116,10 +123,10 @@ def test_windows_are_outdated_on_another_version_than_that_of_their_epoch_or_the
         assert [unit.epochs.alignment_version("WS-1", at, 7) for at in (FIRST, SECOND, THIRD, 5)] == [2, 2, 2, 7]
 
 
-@pytest.mark.parametrize("code", [*BY_ALIGNMENT, ReasonCode.FILE_DAMAGED])
+@pytest.mark.parametrize("code", [*OF_THE_ALIGNMENT, ReasonCode.FILE_DAMAGED])
 def test_windows_that_another_alignment_may_admit_are_outdated(epochs: SqlStorage, code: ReasonCode) -> None:
     with epochs.write() as unit:
         for start_ns, version in ((FIRST, 1), (SECOND, None)):
             unit.windows.mark("WS-1", start_ns, WindowState.REFUSED, Reason(code, "so"))
             unit.epochs.note_refused("WS-1", start_ns, version)
-    assert outdated(epochs) == ([("WS-1", SECOND)] if code in BY_ALIGNMENT else [])
+    assert outdated(epochs) == ([("WS-1", SECOND)] if code in OF_THE_ALIGNMENT else [])

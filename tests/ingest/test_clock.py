@@ -288,6 +288,7 @@ def test_three_in_a_row_are_a_clock_that_was_set() -> None:
     ],
 )
 def test_a_clock_that_was_never_set_places_nothing(shown_ns: int, left_out: int) -> None:
+    assert (EARLIEST_NS, LATEST_NS) == (946_684_800 * SECOND_NS, 4_102_444_800 * SECOND_NS)  # 2000 and 2100
     batch = Run(seconds=12.0).frames()
     found = placed(with_time(batch, list(range(12)), shown_ns))
     assert (found.align_counts.time_frames_implausible, len(found.times.t_ns)) == (left_out, 12 - left_out)

@@ -81,7 +81,7 @@ def test_one_garbled_recording_is_left_out_wherever_it_is(day: float, mileage_km
 
 
 @pytest.mark.parametrize("after", [1, 2, 5, 40, 150])
-@pytest.mark.parametrize("before", [3, 10, 20])
+@pytest.mark.parametrize("before", [2, 3, 10, 20])
 def test_after_a_reset_nothing_is_believed_until_the_registry_knows(before: int, after: int) -> None:
     """The mileage falls to that of the mounting, and in 150 days runs far beyond where it was."""
     reset = history(after, first_day=before + 1, first_km=99_990.0)
