@@ -17,29 +17,7 @@ STATES = "('stored', 'decoded', 'rejected', 'set_aside')"
 
 def upgrade() -> None:
     _replace(BEFORE, AFTER)
-    op.create_table(
-        "quarantine",
-        sa.Column("kind", sa.String(length=16), nullable=False),
-        sa.Column("key", sa.String(length=128), nullable=False),
-        sa.Column("stage", sa.String(length=64), nullable=False),
-        sa.Column("code", sa.String(length=64), nullable=False),
-        sa.Column("error", sa.Text(), nullable=False),
-        sa.Column("inputs", sa.Text(), nullable=False),
-        sa.Column("first_ns", sa.BigInteger(), nullable=False),
-        sa.Column("last_ns", sa.BigInteger(), nullable=False),
-        sa.Column("due_ns", sa.BigInteger(), nullable=False),
-        sa.Column("attempts", sa.BigInteger(), nullable=False),
-        sa.Column("state", sa.String(length=16), nullable=False),
-        sa.CheckConstraint(
-            "kind IN ('recording', 'window', 'wheelset', 'section', 'vehicle', 'fleet')",
-            name=op.f("ck_quarantine_kind_known"),
-        ),
-        sa.CheckConstraint("state IN ('held', 'resolved')", name=op.f("ck_quarantine_state_known")),
-        sa.CheckConstraint("attempts >= 1", name=op.f("ck_quarantine_tried")),
-        sa.PrimaryKeyConstraint("kind", "key", "stage", name=op.f("pk_quarantine")),
-    )
-    op.create_index(op.f("ix_quarantine_stage_state"), "quarantine", ["stage", "state"], unique=False)
-    op.create_index(op.f("ix_quarantine_state_last_ns"), "quarantine", ["state", "last_ns"], unique=False)
+    _create_quarantine()
     op.create_table(
         "recording_changes",
         sa.Column("id", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), nullable=False),
@@ -67,6 +45,32 @@ def upgrade() -> None:
         sa.Column("recorded_ns", sa.BigInteger(), nullable=False),
         sa.PrimaryKeyConstraint("mark", name=op.f("pk_raw_marks")),
     )
+
+
+def _create_quarantine() -> None:
+    op.create_table(
+        "quarantine",
+        sa.Column("kind", sa.String(length=16), nullable=False),
+        sa.Column("key", sa.String(length=128), nullable=False),
+        sa.Column("stage", sa.String(length=64), nullable=False),
+        sa.Column("code", sa.String(length=64), nullable=False),
+        sa.Column("error", sa.Text(), nullable=False),
+        sa.Column("inputs", sa.Text(), nullable=False),
+        sa.Column("first_ns", sa.BigInteger(), nullable=False),
+        sa.Column("last_ns", sa.BigInteger(), nullable=False),
+        sa.Column("due_ns", sa.BigInteger(), nullable=False),
+        sa.Column("attempts", sa.BigInteger(), nullable=False),
+        sa.Column("state", sa.String(length=16), nullable=False),
+        sa.CheckConstraint(
+            "kind IN ('recording', 'window', 'wheelset', 'section', 'vehicle', 'fleet')",
+            name=op.f("ck_quarantine_kind_known"),
+        ),
+        sa.CheckConstraint("state IN ('held', 'resolved')", name=op.f("ck_quarantine_state_known")),
+        sa.CheckConstraint("attempts >= 1", name=op.f("ck_quarantine_tried")),
+        sa.PrimaryKeyConstraint("kind", "key", "stage", name=op.f("pk_quarantine")),
+    )
+    op.create_index(op.f("ix_quarantine_stage_state"), "quarantine", ["stage", "state"], unique=False)
+    op.create_index(op.f("ix_quarantine_state_last_ns"), "quarantine", ["state", "last_ns"], unique=False)
 
 
 def downgrade() -> None:
