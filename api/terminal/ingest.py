@@ -61,8 +61,8 @@ def ingest_and_report(
     Raises
     ------
     InputError
-        A path does not exist, a folder holds no recording, or a file name does not contain its vehicle; a mapping file
-        cannot be used.
+        A path does not exist, a folder holds no recording, or the name of a file that was given does not contain its
+        vehicle; a mapping file cannot be used.
     StorageError
         The database cannot be used.
     typer.Exit
@@ -80,7 +80,8 @@ def ingest_and_report(
         if isinstance(source, Exchanges):
             outcomes += [(path, _outcome(receiver.receive_exchange, path)) for path in source.descriptions]
         else:
-            outcomes += receive_with_progress(receiver, recordings_of(source, vehicle), console)
+            recordings, unnamed = recordings_of(source, vehicle)
+            outcomes += [*receive_with_progress(receiver, recordings, console), *unnamed]
     print_outcomes(outcomes, console)
 
 
@@ -109,26 +110,33 @@ def print_outcomes(outcomes: Sequence[Outcome], console: Console) -> None:
         raise typer.Exit(1)
 
 
-def recordings_of(places: Iterable[Path], vehicle: str | None) -> list[tuple[Path, str]]:
+def recordings_of(places: Iterable[Path], vehicle: str | None) -> tuple[list[tuple[Path, str]], list[Outcome]]:
     """Return every recording and its vehicle, folders searched through, in the order of their names.
+
+    Files in folders whose names contain no vehicle come second, with why they are left out.
 
     Raises
     ------
     InputError
-        A path does not exist, a folder holds no recording, or a file name does not contain its vehicle.
+        A path does not exist, a folder holds no recording, or the name of a file that was given contains no vehicle.
     """
-    found: list[Path] = []
+    found: list[tuple[Path, str]] = []
+    unnamed: list[Outcome] = []
     for place in places:
         if place.is_dir():
-            inside = sorted(path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+            inside = sorted(path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES and not path.is_dir())
             if not inside:
                 raise InputError(f"holds no recording ({', '.join(SUFFIXES)})", file=place)
-            found += inside
+            for path in inside:
+                try:
+                    found.append((path, vehicle or vehicle_in_name(path)))
+                except InputError as error:
+                    unnamed.append((path, error))
         elif place.exists():
-            found.append(place)
+            found.append((place, vehicle or vehicle_in_name(place)))
         else:
             raise InputError("does not exist", file=place)
-    return [(path, vehicle or vehicle_in_name(path)) for path in found]
+    return found, unnamed
 
 
 def vehicle_in_name(path: Path) -> str:

@@ -17,7 +17,7 @@ from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
 from api.cli import build
 from estimation.errors import InputError, ParameterError
 from fleet_db.migrate import upgrade
-from fleet_db.receipts import ChunkRecord
+from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus, send
@@ -75,6 +75,22 @@ def test_a_bad_recording_is_named_and_the_others_go_on(deployment: SqlStorage, t
     assert f"{VEHICLE}__00.blf" in said
     with deployment.read() as unit:
         assert unit.windows.counts()["pending"] == 8
+
+
+def test_a_file_without_a_vehicle_and_a_broken_link_in_a_folder_leave_the_others(
+    deployment: SqlStorage, tmp_path: Path
+) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    write_blf(folder / f"{VEHICLE}__00.blf", Run(seconds=12.0).frames())
+    (folder / "notes.log").write_text("(nothing)")
+    (folder / f"{VEHICLE}__01.blf").symlink_to(tmp_path / "nowhere.blf")
+    code, said = run(str(folder))
+    assert code == 1
+    assert "notes.log: does not name its vehicle" in said
+    assert f"rejected {folder / VEHICLE}__01.blf" in said
+    with deployment.read() as unit:
+        assert len(unit.chunks.with_state(ChunkState.DECODED)) == 1
 
 
 @pytest.mark.usefixtures("deployment")
