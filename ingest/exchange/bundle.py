@@ -15,7 +15,8 @@ from pathlib import Path
 from estimation.errors import ExchangeError
 from ingest.exchange.description import ExchangeFile, read_description
 from ingest.exchange.run import ExchangeRun, RegistryFacts, exchange_run
-from ingest.exchange.table import SUFFIXES, read_table
+from ingest.exchange.table import PARQUET, SUFFIXES, read_table
+from ingest.exchange.table_process import read_table_apart
 from ingest.input_file import InputTable, read_json
 
 SUFFIX = ".exchange"
@@ -48,7 +49,8 @@ def read_run(file: ExchangeFile, table: Path, facts: RegistryFacts) -> ExchangeR
         The table cannot be used; names file, line and column.
     """
     names = [column.column for _, column in file.columns]
-    return exchange_run(file, read_table(table, file.csv, names), facts)
+    read = read_table_apart if table.suffix.lower() == PARQUET else read_table
+    return exchange_run(file, read(table, file.csv, names), facts)
 
 
 def write_bundle(path: Path, description: Path, table: Path, facts: RegistryFacts) -> None:

@@ -16,7 +16,8 @@ from estimation.values.arrays import FloatArray, frozen_array
 from ingest.bounded_file import MEBIBYTE, TABLE_BYTES, read_text_within
 from ingest.exchange.description import CsvTable
 
-SUFFIXES = (".csv", ".txt", ".parquet")
+PARQUET = ".parquet"
+SUFFIXES = (".csv", ".txt", PARQUET)
 MAGIC = b"PAR1"
 BATCH_ROWS = 65_536
 UNPACKED_BYTES = 512 * MEBIBYTE
@@ -56,7 +57,7 @@ def read_table(path: Path, layout: CsvTable, names: Sequence[str]) -> ExchangeTa
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise ExchangeError(f"is no table: the suffix is none of {', '.join(SUFFIXES)}", file=path)
-    if suffix == ".parquet":
+    if suffix == PARQUET:
         values, first_line = _read_parquet(path, names), None
     else:
         values, first_line = _read_csv(path, layout, names), layout.first

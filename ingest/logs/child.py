@@ -5,26 +5,24 @@ A hostile or broken file can do its worst here: loop, inflate, exhaust memory, c
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import json
 import os
 import resource
 import signal
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from estimation.errors import LogFileError, PassingFaultError
 from estimation.values.reasons import ReasonCode
+from ingest.limited_process import end_with, limit_memory
 from ingest.logs.formats import format_of
 from ingest.logs.frame_sink import COLUMNS, FrameSink, SinkSummary
 from ingest.logs.library import read_messages
 from ingest.logs.log_format import LogFormat
 from ingest.logs.read_limits import MEBIBYTE, ReadLimits
 
-PR_SET_PDEATHSIG = 1
 PASSING = {
     *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EACCES, errno.EPERM),
     *(errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ESTALE, errno.ENODEV, errno.ENOTCONN, errno.ETIMEDOUT),
@@ -51,7 +49,7 @@ def main(path: Path, limits: ReadLimits, answer: int, columns: Sequence[int], pa
     parent
         The process that started this one: with it this one ends.
     """
-    _end_with(parent)
+    end_with(parent)
     reserve = bytearray(RESERVE_BYTES)
     try:
         files = [os.fdopen(column, "wb", closefd=False) for column in columns]
@@ -84,13 +82,6 @@ def _of_system(error: OSError, limits: ReadLimits) -> dict[str, Any]:
     return {"passing": reason, "code": ReasonCode.WAITS_FOR_STORAGE} if error.errno in PASSING else {"error": reason}
 
 
-def _end_with(parent: int) -> None:
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:  # it had ended before
-            os._exit(0)
-
-
 def _limit(limits: ReadLimits) -> None:
     """Let the system end this process: by SIGPROF after its CPU time, by SIGALRM after its time on the clock."""
     for name in (signal.SIGPROF, signal.SIGALRM, signal.SIGXCPU):
@@ -101,15 +92,7 @@ def _limit(limits: ReadLimits) -> None:
     signal.setitimer(signal.ITIMER_REAL, limits.wall_s)
     largest = limits.frames * max(layout.itemsize for layout in COLUMNS) + RESERVE_BYTES
     resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    space = _address_space() + limits.memory_bytes
-    resource.setrlimit(resource.RLIMIT_AS, (space, space))
-
-
-def _address_space() -> int:
-    """Return the bytes of address space that this process has now."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    return pages * resource.getpagesize()
+    limit_memory(limits.memory_bytes)
 
 
 def _read(path: Path, limits: ReadLimits, files: Sequence[BinaryIO]) -> dict[str, Any]:
