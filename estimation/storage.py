@@ -205,7 +205,7 @@ class Quarantine(Protocol):
 
 
 class Plausibility(Protocol):
-    """Which windows have a mileage that is not believed."""
+    """Which windows have a mileage or a place that is not believed."""
 
     def unjudged(self) -> Sequence[str]: ...
     def readings(self, wheelset: str) -> Sequence[MileageReading]: ...

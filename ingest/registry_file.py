@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -29,6 +29,7 @@ from ingest.input_file import InputFile, Location, read_json
 from ingest.profiles.wheel_profile import read_wheel_profile
 from ingest.registry_classes import RunningWheelset, check_classes, check_vehicles, check_wheelsets, read_classes
 from ingest.registry_schema import AlignmentEntry, MeasurementEntry, RegistryObject, SectionEntry
+from ingest.section_line import read_line
 from ingest.track_file import (
     LAYOUT_COLUMNS,
     read_gauge_columns,
@@ -265,6 +266,8 @@ def _section(
     """Return a section with the track that the files of its entry hold; a layout of its own comes before the other."""
     section, folder = entry.record(), file.path.parent
     alignment = layout = None
+    if entry.coordinates is not None:
+        section = replace(section, line=read_line(folder / entry.coordinates.file, section))
     if entry.alignment is not None:
         alignment = _alignment(file, entry.alignment, section.code, (*location, "alignment"))
         layout = _layout(folder / entry.alignment.file, section)

@@ -179,6 +179,12 @@ class LayoutEntry(InputTable):
     file: Text
 
 
+class LineEntry(InputTable):
+    """``coordinates`` of a track section."""
+
+    file: Text
+
+
 class SectionEntry(InputTable):
     """An entry of ``track_sections``."""
 
@@ -191,9 +197,10 @@ class SectionEntry(InputTable):
     length_m: float = Field(ge=1.0)
     alignment: AlignmentEntry | None = None
     layout: LayoutEntry | None = None
+    coordinates: LineEntry | None = None
 
     def record(self) -> TrackSectionRecord:
-        """Return the section in SI units, without its track."""
+        """Return the section in SI units, without its track and its line."""
         return TrackSectionRecord(
             code=self.code,
             number=self.number,

@@ -67,8 +67,10 @@ def registry_lookup(unit: SqlUnitOfWork, vehicle: VehicleRecord, from_ns: int, t
     from_ns, to_ns
         The span, its end excluded.
     """
+    sections = unit.tracks.sections()
     return RegistryLookup(
         vehicle,
         tuple(unit.registry.mountings_on(vehicle.code, from_ns, to_ns)),
-        {section.number: section.code for section in unit.tracks.sections()},
+        {section.number: section.code for section in sections},
+        {section.code: section.line for section in sections if section.line is not None},
     )

@@ -128,6 +128,7 @@ def _put(unit: SqlUnitOfWork, mounted: MountedWindow, recorded_ns: int, *, verif
     lost = before is not None and not unit.assembled.intact(before, verify=verify or refused)
     stored = unit.windows.put(window, mileage_km(mounted), recorded_ns)
     unit.plausibility.note_odometer(window.wheelset, window.start_ns, mounted.odometer_excess_m)
+    unit.plausibility.note_place(window.wheelset, window.start_ns, mounted.off_line_m)
     after = unit.windows.get(window.wheelset, window.start_ns)
     assert after is not None
     same = before is not None and before.content_digest == after.content_digest

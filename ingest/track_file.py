@@ -48,6 +48,18 @@ def read_track_columns(path: Path) -> FloatArray:
     return np.asarray(table * np.array([1.0, 1e-3, 1e-3]), dtype=np.float64)
 
 
+def read_columns(path: Path, columns: Sequence[str], fewest: int) -> FloatArray:
+    """Return columns of a file (n, k) as they are written; the first is a distance.
+
+    Raises
+    ------
+    InputError
+        As ``read_track_columns``, for at least ``fewest`` rows.
+    """
+    header, lines = _cells(path)
+    return _table(path, header, lines, columns, fewest)
+
+
 def read_gauge_columns(path: Path) -> FloatArray | None:
     """Return (n, 2): distance and gauge deviation, both in m, of a file without alignment; None where it has one.
 

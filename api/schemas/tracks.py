@@ -18,6 +18,14 @@ from estimation.values.track import AlignmentRecord, AlignmentSource, TrackAlign
 MM = 1000.0
 
 
+class LinePoint(Representation):
+    """A point of a section's line."""
+
+    distance_m: float
+    latitude_deg: float
+    longitude_deg: float
+
+
 class TrackSection(Representation):
     """A section of line; `number` identifies it on the vehicle's bus."""
 
@@ -28,6 +36,7 @@ class TrackSection(Representation):
     rail_inclination_1: float = Field(examples=[0.05])
     nominal_gauge_mm: float = Field(examples=[1435.0])
     length_m: float
+    coordinates: list[LinePoint] | None = Field(description="WGS84. Null: positions are not checked by GNSS.")
     links: Links
 
 
@@ -128,6 +137,10 @@ class AlignmentSummary(AlignmentVersion):
     alignment_std_mm: float | None = Field(description="Median along the section; null of a recording as registered.")
 
 
+def _point(distance_m: float, latitude_deg: float, longitude_deg: float) -> LinePoint:
+    return LinePoint(distance_m=distance_m, latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+
+
 def section(record: TrackSectionRecord) -> TrackSection:
     """Return the representation of a track section."""
     own = f"/v1/track-sections/{segment(record.code)}"
@@ -139,6 +152,7 @@ def section(record: TrackSectionRecord) -> TrackSection:
         rail_inclination_1=record.rail_inclination,
         nominal_gauge_mm=record.nominal_gauge_m * MM,
         length_m=record.length_m,
+        coordinates=None if record.line is None else [_point(*point) for point in record.line],
         links={
             "self": own,
             "alignment": f"{own}/alignment",

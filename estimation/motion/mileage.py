@@ -57,6 +57,23 @@ def implausible_mileages(
     return found | {one.start_ns: out_of_line for one in left if one.start_ns not in believed}
 
 
+def implausible_places(readings: Sequence[MileageReading]) -> Mapping[int, Reason]:
+    """Return by start of window why the place that its vehicle reported is not believed.
+
+    Parameters
+    ----------
+    readings
+        Of windows, in any order.
+    """
+    return {
+        one.start_ns: Reason(
+            ReasonCode.PLACE_IMPLAUSIBLE, f"by GNSS {one.off_line_m:,.0f} m from the line of the section reported"
+        )
+        for one in readings
+        if one.off_line_m > 0.0
+    }
+
+
 def _alone(reading: MileageReading, mounting: Mounting, km_per_ns: float) -> Reason | None:
     """Return what speaks against a reading by itself and beside its mounting."""
     mileage = reading.mileage_km

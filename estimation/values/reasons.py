@@ -62,6 +62,10 @@ class ReasonCode(StrEnum):
         "odometer_implausible",
         "The odometer contradicts speed, mounting or other windows. Where it was exchanged, register a new mounting.",
     )
+    PLACE_IMPLAUSIBLE = (
+        "place_implausible",
+        "GNSS is not where the section is that the vehicle reports. Check the section's number and its coordinates.",
+    )
     AXLE_DISTANCE = (
         "axle_distance",
         "The track reaches the axles of the bogie unlike their distance on file. Check nodes, axle offsets and class.",

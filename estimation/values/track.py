@@ -124,9 +124,16 @@ class TrackLayout:
             raise ValueError("s: two points or more, strictly increasing, are needed")
 
 
+SectionLine = tuple[tuple[float, float, float], ...]
+"""Points of a section: distance along it, m, increasing; latitude and longitude, deg, WGS84."""
+
+
 @dataclass(frozen=True, slots=True)
 class TrackSectionRecord:
-    """A section of line by code; ``number`` is what the vehicle reports on its bus."""
+    """A section of line by code; ``number`` is what the vehicle reports on its bus.
+
+    ``line`` is where it is on the map; None where that is not known, and nothing can be compared with it.
+    """
 
     code: str
     number: int
@@ -135,6 +142,11 @@ class TrackSectionRecord:
     rail_inclination: float
     nominal_gauge_m: float
     length_m: float
+    line: SectionLine | None = None
+
+    def __post_init__(self) -> None:
+        if self.line is not None:  # lists, as JSON has them
+            object.__setattr__(self, "line", tuple((s, north, east) for s, north, east in self.line))
 
 
 @dataclass(frozen=True, slots=True)

@@ -147,8 +147,11 @@ class MileageReading:
     odometer_excess_m
         By how much the change of the odometer within the window differs from the integral of the speed beyond what is
         allowed, m; 0 where it does not.
+    off_line_m
+        How far the vehicle was from the line of the section that it reported, by GNSS, m; 0 within the limit.
     """
 
     start_ns: int
     mileage_km: float
     odometer_excess_m: float = 0.0
+    off_line_m: float = 0.0

@@ -35,6 +35,7 @@ class TrackSectionRow(Base):
     rail_inclination: Mapped[Real]
     nominal_gauge_m: Mapped[Real]
     length_m: Mapped[Real]
+    line: Mapped[Json | None]
 
 
 class TrackAlignmentRow(Base):

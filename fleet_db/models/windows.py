@@ -54,6 +54,7 @@ class WindowRow(Base):
     sample_bytes: Mapped[Count]
     recorded_ns: Mapped[Nanoseconds]
     odometer_excess_m: Mapped[Real] = mapped_column(server_default=text("0"))
+    off_line_m: Mapped[Real] = mapped_column(server_default=text("0"))
     implausible: Mapped[Name | None]
     implausible_code: Mapped[ReasonCodeColumn | None]
     judged: Mapped[bool] = mapped_column(server_default=false())

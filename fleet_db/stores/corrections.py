@@ -26,6 +26,7 @@ from fleet_db.stores.mountings import delete_mounting, mountings_of
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_numbers import give_up_number
+from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.tracks import TrackStore
 
 REPROFILINGS, MEASURED, SECTIONS = table_of(ReprofilingRow), table_of(MeasuredProfilesRow), table_of(TrackSectionRow)
@@ -154,7 +155,7 @@ class CorrectionStore:
     def _void_section(self, key: RecordKey) -> _Values:
         record = self.tracks.section(key.subject)
         give_up_number(self.connection, key.subject)
-        self.tracks.renumbered(key.subject)
+        make_stale(self.connection, key.subject, f"number of track section {key.subject}", elsewhere=False)
         return asdict(record)
 
     def _restore_mounting(self, record: _Values, recorded_ns: int | None) -> None:

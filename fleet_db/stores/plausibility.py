@@ -1,4 +1,4 @@
-"""Which windows have a mileage that is not believed, and which recordings were rejected."""
+"""Which windows have a mileage or a place that is not believed, and which recordings were rejected."""
 
 from __future__ import annotations
 
@@ -33,6 +33,15 @@ class PlausibilityStore:
             .values(odometer_excess_m=excess_m, judged=False)
         )
 
+    def note_place(self, wheelset: str, start_ns: int, off_line_m: float) -> None:
+        """Store how far from its section's line the vehicle was in a window by GNSS, m; 0 within the limit."""
+        self.connection.execute(
+            update(WINDOWS)
+            .where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
+            .where(WINDOWS.c.off_line_m != off_line_m)
+            .values(off_line_m=off_line_m, judged=False)
+        )
+
     def unjudged(self) -> Sequence[str]:
         """Return the wheelsets with windows that were stored, or have another mileage, since they were judged."""
         statement = select(WINDOWS.c.wheelset).where(~WINDOWS.c.judged).distinct().order_by(WINDOWS.c.wheelset)
@@ -40,7 +49,7 @@ class PlausibilityStore:
 
     def readings(self, wheelset: str) -> Sequence[MileageReading]:
         """Return the mileages of all windows of a wheelset, oldest first."""
-        statement = select(WINDOWS.c.start_ns, WINDOWS.c.mileage_km, WINDOWS.c.odometer_excess_m)
+        statement = select(WINDOWS.c.start_ns, WINDOWS.c.mileage_km, WINDOWS.c.odometer_excess_m, WINDOWS.c.off_line_m)
         rows = self.connection.execute(statement.where(WINDOWS.c.wheelset == wheelset).order_by(WINDOWS.c.start_ns))
         return [MileageReading(*row) for row in rows]
 

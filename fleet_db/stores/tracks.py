@@ -23,7 +23,6 @@ from estimation.values.track import (
 from estimation.values.windows import WindowPosition
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import (
-    ChunkRow,
     TrackAlignmentRow,
     TrackEpochRow,
     TrackLayoutRow,
@@ -34,14 +33,13 @@ from fleet_db.models import (
     WindowRow,
 )
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
-from fleet_db.receipts import ChunkState
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, upsert
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
-from fleet_db.stores.stale_spans import StaleSpanStore
+from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.track_epochs import EpochStore
 
-CHUNKS, LAYOUTS = table_of(ChunkRow), table_of(TrackLayoutRow)
+LAYOUTS = table_of(TrackLayoutRow)
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
 EPOCHS = table_of(TrackEpochRow)
 REPORTS, POSITIONS, WINDOWS = table_of(TrackReportRow), table_of(WindowPositionRow), table_of(WindowRow)
@@ -93,7 +91,7 @@ class TrackStore:
         return found[0] if found else None
 
     def add_section(self, record: TrackSectionRecord, recorded_ns: int | None = None) -> None:
-        """Add a section or change it; where its number is new, windows of vehicles that sent it are assembled again.
+        """Add a section or change it; windows that its number or line changes are assembled again.
 
         Raises
         ------
@@ -109,13 +107,16 @@ class TrackStore:
                 key=record.code,
             )
         was = self.connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
-        if upsert(self.connection, SECTIONS, asdict(record)) and was is not None and was["number"] > 0:
+        line = None if record.line is None else [list(point) for point in record.line]  # as JSON has it
+        if upsert(self.connection, SECTIONS, asdict(record) | {"line": line}) and was is not None and was["number"] > 0:
             key = RecordKey(RecordKind.SECTION, record.code)
             RegistryHistoryStore(self.connection).note(
                 key, RecordAction.CHANGED, dict(was), Decision(recorded_ns=recorded_ns)
             )
         if was is None or was["number"] != record.number:
-            self.renumbered(record.code)
+            make_stale(self.connection, record.code, f"number of track section {record.code}", elsewhere=True)
+        elif was["line"] != line:
+            make_stale(self.connection, record.code, f"coordinates of track section {record.code}", elsewhere=False)
 
     def alignment(self, section: str, version: int | None = None) -> TrackAlignment | None:
         """Return one version of the alignment of a section, or the one in force."""
@@ -303,12 +304,6 @@ class TrackStore:
         serialise(self.connection, Subject.TRACKS)
         self.section(layout.section)
         return store_layout(self.connection, layout)
-
-    def renumbered(self, section: str) -> None:
-        """Let the windows of all vehicles be assembled again: which of them sent the number is not known."""
-        vehicles = select(CHUNKS.c.vehicle).where(CHUNKS.c.state == ChunkState.DECODED.value).distinct()
-        for vehicle in sorted(self.connection.scalars(vehicles)):
-            StaleSpanStore(self.connection).add(vehicle, None, None, f"number of track section {section}")
 
     def _sections(self, statement: Select[Any]) -> Sequence[TrackSectionRecord]:
         return [TrackSectionRecord(*row) for row in self.connection.execute(statement)]

@@ -13,7 +13,7 @@ import numpy as np
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.windows import ACCELERATIONS
 from ingest.align.clock import TIME_REACH_NS, AlignCounts, TickedValues
-from ingest.catalogue import ACCELERATION, EMERGENCY, MOTION, POSITION, STATUS, VEHICLE_NODE, Catalogue
+from ingest.catalogue import ACCELERATION, EMERGENCY, MOTION, PLACE, POSITION, STATUS, VEHICLE_NODE, Catalogue
 from ingest.codec import MessageValues
 from ingest.plausibility.vehicle_motion import odometer_excess, possible_motion
 
@@ -206,6 +206,9 @@ class Track:
         object.__setattr__(self, "values", frozen_array(self.values, (n, None), name="values"))
 
 
+NO_FIXES = Track(np.empty(0, np.int64), np.empty((0, 2)))
+
+
 @dataclass(frozen=True, slots=True)
 class GridMotion:
     """Speed and place of the vehicle's reference point on a grid; NaN or ``NO_SECTION`` where unknown."""
@@ -217,6 +220,7 @@ class GridMotion:
     position_quality: FloatArray  # (n,) 0 to 1, 0 where unknown
     odometer_m: float  # at the first grid point
     odometer_excess_m: float = 0.0  # by which odometer and speed differ beyond what they may
+    fixes: Track = NO_FIXES  # latitude, longitude, at grid points
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,6 +230,7 @@ class VehicleMotion:
     interval_ns: int
     motion: Track  # speed, odometer
     position: Track  # track section, distance, quality
+    place: Track = NO_FIXES  # latitude, longitude by GNSS, deg
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "motion", Track(self.motion.tick, possible_motion(self.motion.values)))
@@ -249,7 +254,8 @@ class VehicleMotion:
         forward = np.where(slope < 0.0, -1.0, 1.0)
         inside = (moved.tick >= 0) & (moved.tick < count)
         excess = odometer_excess(moved.tick[inside], moved.values[inside], self.interval_ns * 1e-9, reach)
-        return GridMotion(speed, distance, forward, section, quality, self._odometer(moved), excess)
+        fixes = _near(self.place, first_tick, count, 0)
+        return GridMotion(speed, distance, forward, section, quality, self._odometer(moved), excess, fixes)
 
     def _odometer(self, moved: Track) -> float:
         """Return the odometer at tick 0 of ``moved``, from the frame with both values nearest to it; NaN without."""
@@ -272,9 +278,8 @@ def vehicle_motion(messages: Mapping[int, TickedValues], interval_ns: int) -> Ve
         Sampling interval, ns.
     """
     motion = _track(messages, MOTION, ("speed", "odometer"))
-    return VehicleMotion(
-        interval_ns, motion, _track(messages, POSITION, ("track_section", "distance", "position_quality"))
-    )
+    position = _track(messages, POSITION, ("track_section", "distance", "position_quality"))
+    return VehicleMotion(interval_ns, motion, position, _track(messages, PLACE, ("latitude", "longitude")))
 
 
 def _track(messages: Mapping[int, TickedValues], kind: str, names: tuple[str, ...]) -> Track:

@@ -9,7 +9,7 @@ middle, so that a wheelset that changes vehicles within a window has one window 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from estimation.errors import ParameterError
 from estimation.motion.hunting import find_hunting
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, runs
 from estimation.values.registry import Mounting, VehicleRecord
+from estimation.values.track import SectionLine
 from estimation.values.windows import ACCELERATIONS, Hunting, Window, WindowQuality
 from ingest.align.clock import AlignCounts, TickedValues
 from ingest.align.samples import (
@@ -30,6 +31,7 @@ from ingest.align.samples import (
     widened,
 )
 from ingest.catalogue import ACCELERATION, Catalogue, resolution
+from ingest.plausibility.vehicle_place import off_line_m
 
 MIN_PRESENCE = 0.2
 """Share of a window that frames of its node must be there for."""
@@ -70,6 +72,7 @@ class MountedWindow:
     window: Window
     mounting: Mounting
     odometer_excess_m: float = 0.0  # by which odometer and speed differ beyond what they may
+    off_line_m: float = 0.0  # from the line of its section, by GNSS, beyond the limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +82,7 @@ class RegistryLookup:
     vehicle: VehicleRecord
     mountings: tuple[Mounting, ...]
     section_codes: Mapping[int, str]  # by the number on the bus
+    lines: Mapping[str, SectionLine] = field(default_factory=dict)  # by code, of those whose place is known
 
     def mounting_at(self, axle: int, at_ns: int) -> Mounting | None:
         """Return which wheelset ran at an axle at a time of the vehicle's clock."""
@@ -201,7 +205,17 @@ def _window(
         odometer_m=motion.odometer_m,
         quality=_quality(node, span, extent, motion, valid, slot),
     )
-    return MountedWindow(window, mounting, motion.odometer_excess_m)
+    return MountedWindow(window, mounting, motion.odometer_excess_m, _off_line(motion, section, lookup))
+
+
+def _off_line(motion: GridMotion, section: str | None, lookup: RegistryLookup) -> float:
+    """Return how far from the line of its section GNSS puts the vehicle, m; 0 on it, and where that is not known."""
+    line = None if section is None else lookup.lines.get(section)
+    if line is None:
+        return 0.0
+    at = motion.fixes.tick
+    on_it = np.array([lookup.section_codes.get(int(number)) == section for number in motion.section[at]], np.bool_)
+    return off_line_m(line, motion.distance[at][on_it], motion.fixes.values[on_it])
 
 
 def _section_and_distance(

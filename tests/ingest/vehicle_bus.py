@@ -67,6 +67,8 @@ class Run:
                 {"track_section": SECTION, "distance": self.distance + metres, "position_quality": 0.9},
             ),
         ]
+        if (kinds.PLACE, 16) in self.changes:
+            said.append((kinds.PLACE, 16, {}))
         for node in (1, 2):
             said.append((kinds.ACCELERATION, node, self.accelerations(node)))
             said.append((kinds.STATUS, node, {"sample_counter": 1000 + np.arange(len(ticks))}))

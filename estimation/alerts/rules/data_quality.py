@@ -21,6 +21,7 @@ from estimation.alerts.rules.rule import (
 from estimation.alerts.rules.standing import of_windows
 from estimation.values.alerts import Finding, Severity
 from estimation.values.json_value import JsonValue
+from estimation.values.reasons import ReasonCode
 from estimation.values.windows import WindowRecord
 
 
@@ -87,7 +88,7 @@ def data_quality_finding(
             "rejected_reasons": {},
             **unknown_evidence(unknown),
         },
-        action="check_odometer",
+        action="check_section_number" if set(reasons) == {ReasonCode.PLACE_IMPLAUSIBLE.value} else "check_odometer",
         raise_limit=float(rule.raise_windows),
         clear_limit=0.0,
         measured_ns=measured_until(latest, measured_ns),

@@ -1,9 +1,9 @@
-"""Step: windows whose mileage cannot be believed are refused before anything is estimated from them."""
+"""Step: windows whose mileage or place cannot be believed are refused before anything is estimated from them."""
 
 from __future__ import annotations
 
 from estimation.jobs.job import JobContext
-from estimation.motion.mileage import implausible_mileages
+from estimation.motion.mileage import implausible_mileages, implausible_places
 from estimation.storage import UnitOfWork
 from estimation.values.reasons import Reason
 
@@ -27,7 +27,7 @@ def judge_mileages(context: JobContext) -> int:
 
 def _judge(unit: UnitOfWork, wheelset: str) -> int:
     readings = unit.plausibility.readings(wheelset)
-    implausible: dict[int, Reason] = {}
+    implausible: dict[int, Reason] = dict(implausible_places(readings))
     for mounting in unit.registry.mountings(wheelset):
         within = [
             reading

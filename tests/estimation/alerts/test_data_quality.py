@@ -75,3 +75,15 @@ def test_what_stands_without_rejected_recordings_is_of_windows(windows: str, *, 
     assert found.stands is stands
     assert found.evidence["rejected_recordings"] == 0
     assert found.action == "check_odometer"
+
+
+@pytest.mark.parametrize(
+    ("codes", "action"),
+    [
+        ([ReasonCode.PLACE_IMPLAUSIBLE] * 2, "check_section_number"),
+        ([ReasonCode.PLACE_IMPLAUSIBLE, ReasonCode.ODOMETER_IMPLAUSIBLE], "check_odometer"),
+    ],
+)
+def test_a_place_that_is_not_believed_has_its_own_action(codes: list[ReasonCode], action: str) -> None:
+    records = [replace(GOOD, start_ns=60 * at, implausible=Reason(code, "")) for at, code in enumerate(codes)]
+    assert data_quality_finding(DataQualityRule(), "WS-1", records, 7).action == action
