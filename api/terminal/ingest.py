@@ -81,6 +81,7 @@ def ingest_and_report(
             outcomes += [(path, _outcome(receiver.receive_exchange, path)) for path in source.descriptions]
         else:
             recordings, unnamed = recordings_of(source, vehicle)
+            _say_left_out(source, console)
             outcomes += [*receive_with_progress(receiver, recordings, console), *unnamed]
     print_outcomes(outcomes, console)
 
@@ -137,6 +138,15 @@ def recordings_of(places: Iterable[Path], vehicle: str | None) -> tuple[list[tup
         else:
             raise InputError("does not exist", file=place)
     return found, unnamed
+
+
+def _say_left_out(places: Iterable[Path], console: Console) -> None:
+    """Print how many files of the folders are no recordings by their suffix."""
+    inside = (path for place in places if place.is_dir() for path in place.rglob("*") if not path.is_dir())
+    left_out = Counter(path.suffix or "none" for path in inside if path.suffix.lower() not in SUFFIXES)
+    if left_out:
+        suffixes = ", ".join(f"{suffix}: {count}" for suffix, count in sorted(left_out.items()))
+        console.print(f"left out, not of {', '.join(SUFFIXES)}: {suffixes}", highlight=False, soft_wrap=True)
 
 
 def vehicle_in_name(path: Path) -> str:

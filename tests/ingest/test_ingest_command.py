@@ -85,8 +85,10 @@ def test_a_file_without_a_vehicle_and_a_broken_link_in_a_folder_leave_the_others
     write_blf(folder / f"{VEHICLE}__00.blf", Run(seconds=12.0).frames())
     (folder / "notes.log").write_text("(nothing)")
     (folder / f"{VEHICLE}__01.blf").symlink_to(tmp_path / "nowhere.blf")
+    (folder / f"{VEHICLE}__02.blf.gz").write_bytes(b"packed")
     code, said = run(str(folder))
     assert code == 1
+    assert ".gz: 1" in said
     assert "notes.log: does not name its vehicle" in said
     assert f"rejected {folder / VEHICLE}__01.blf" in said
     with deployment.read() as unit:
