@@ -244,6 +244,15 @@ def test_what_a_receiver_took_out_of_its_socket_at_once_shows_no_rate(seconds: f
         check_sync_rate(at_once, INTERVAL_NS)
 
 
+def test_a_recording_that_was_read_in_bursts_has_the_rate_of_its_bus() -> None:
+    """A receiver on a busy machine stamps what came meanwhile when it is its turn."""
+    batch = Run(seconds=5.0).frames()
+    since = batch.t_ns - batch.t_ns[0]
+    burst = since // 300_000_000
+    in_burst = np.arange(len(batch)) - np.searchsorted(burst, burst)
+    check_sync_rate(replace(batch, t_ns=START_NS + burst * 300_000_000 + in_burst * 50_000), INTERVAL_NS)
+
+
 def with_time(batch: FrameBatch, numbers: list[int], vehicle_ns: int, step_ns: int = SECOND_NS) -> FrameBatch:
     """Return the batch with some of its TIME frames showing another time, a step later each."""
     data = batch.data.copy()
