@@ -56,19 +56,7 @@ def _unpack(cursor: str) -> tuple[str, object]:
 def decode_number(operation: str, filters: Mapping[str, object], cursor: str | None) -> int | None:
     """Return the key of a list that is ordered by a number; None at its beginning.
 
-    Parameters
-    ----------
-    operation
-        Name of the list's operation.
-    filters
-        Filters of the list, each under its name; None is no filter.
-    cursor
-        As the client sent it.
-
-    Raises
-    ------
-    ProblemError
-        400: not a cursor, or a cursor of another list or filter.
+    Parameters and errors are those of :func:`decode`.
     """
     key = decode(operation, filters, cursor)
     if key is not None and (not isinstance(key, int) or isinstance(key, bool) or not -INT64 <= key < INT64):
@@ -79,19 +67,7 @@ def decode_number(operation: str, filters: Mapping[str, object], cursor: str | N
 def decode_text(operation: str, filters: Mapping[str, object], cursor: str | None) -> str | None:
     """Return the key of a list that is ordered by a text; None at its beginning.
 
-    Parameters
-    ----------
-    operation
-        Name of the list's operation.
-    filters
-        Filters of the list, each under its name; None is no filter.
-    cursor
-        As the client sent it.
-
-    Raises
-    ------
-    ProblemError
-        400: not a cursor, or a cursor of another list or filter.
+    Parameters and errors are those of :func:`decode`.
     """
     key = decode(operation, filters, cursor)
     if key is not None and (not isinstance(key, str) or "\0" in key):

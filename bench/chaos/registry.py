@@ -19,6 +19,7 @@ from api.settings import Settings
 from bench.chaos.part import ChaosSettings
 from bench.chaos.registry_mistakes import MISTAKES, RESTORED
 from bench.report import BenchRow
+from bench.standing_clock import StandingClock
 from estimation.jobs.job import run_job
 from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.migrate import upgrade
@@ -94,18 +95,6 @@ SHORT = 4
 
 FOUND_LATE = 0.8
 """Share of the mistakes that are found after they have had their effect."""
-
-
-@dataclass(slots=True)
-class StandingClock:
-    """Goes on by a millisecond at each look."""
-
-    at_ns: int
-
-    def now_ns(self) -> int:
-        """Return nanoseconds UTC."""
-        self.at_ns += 1_000_000
-        return self.at_ns
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from paper_class import paper_class
 from section_runs import RUNS, windows
 from smooth_wheelset import alignment, track
 
+from bench.standing_clock import StandingClock
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.jobs.settings import JobSettings
@@ -23,15 +24,6 @@ LENGTH = 2900.0
 DAY_NS = 86_400 * 10**9
 QUIET = {"estimated": 0, "refused": 0, "changed_meanwhile": 0, "requeued": 0, "quarantined": 0}
 NAMES = [f"W{number}" for number in range(len(RUNS))]
-
-
-@dataclass(slots=True)
-class Clock:
-    at_ns: int = 10**15
-
-    def now_ns(self) -> int:
-        self.at_ns += 1_000_000
-        return self.at_ns
 
 
 def register(storage: Storage, sections: Sequence[str] = ("S1",)) -> None:
@@ -77,7 +69,9 @@ def run(storage: Storage, name: str, settings: JobSettings | None = None, *, sto
 
     job: Job = job_named(name)
     return run_job(
-        job, JobContext(storage, Clock(), "test", settings or JobSettings(), stopping=stopping), JobTrigger.CLI
+        job,
+        JobContext(storage, StandingClock(10**15), "test", settings or JobSettings(), stopping=stopping),
+        JobTrigger.CLI,
     )
 
 

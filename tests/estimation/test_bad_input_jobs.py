@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from paper_class import paper_class
 from section_runs import RUNS, mirror_mounted, windows
 from smooth_wheelset import alignment, mems_windows, run, track
 
+from bench.standing_clock import StandingClock
 from estimation.jobs.catalogue import run_all
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import JobSettings
@@ -24,15 +25,6 @@ from estimation.values.windows import Window, WindowRecord, WindowState
 
 LENGTH = 2900.0
 HOUR_NS = 3_600 * 10**9
-
-
-@dataclass(slots=True)
-class Clock:
-    at_ns: int = 10**15
-
-    def now_ns(self) -> int:
-        self.at_ns += 1_000_000
-        return self.at_ns
 
 
 def surveyed(std: float = 0.05e-3) -> TrackAlignment:
@@ -71,7 +63,7 @@ def deployed(storage: Storage, found: dict[str, Sequence[Window]], recorded: Tra
 
 
 def run_jobs(storage: Storage) -> None:
-    runs = run_all(JobContext(storage, Clock(), "test", JobSettings()), JobTrigger.CLI)
+    runs = run_all(JobContext(storage, StandingClock(10**15), "test", JobSettings()), JobTrigger.CLI)
     assert [run.outcome for run in runs] == ["succeeded"] * len(runs), runs
 
 

@@ -10,12 +10,13 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from alignment_job import LENGTH, Clock, surveyed
+from alignment_job import LENGTH, surveyed
 from bogie_run import SOFT, WHEELBASE, of_bogie, windows
 from smooth_wheelset import SmoothTable
 
 from api.factory import create_app
 from api.settings import Settings
+from bench.standing_clock import StandingClock
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.contact.conicity import equivalent_conicity
@@ -54,7 +55,7 @@ def register(storage: SqlStorage, yaw_stiffness: float, radius: float = 0.45) ->
 def run_jobs(storage: Storage, estimator: str) -> None:
     settings = JobSettings(estimation=EstimationSettings(estimator=estimator), rules=LOW_LIMIT)
     for name in ("estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts"):
-        done = run_job(job_named(name), JobContext(storage, Clock(SOON_NS), "test", settings), JobTrigger.CLI)
+        done = run_job(job_named(name), JobContext(storage, StandingClock(SOON_NS), "test", settings), JobTrigger.CLI)
         assert done.outcome == "succeeded", done.error
 
 

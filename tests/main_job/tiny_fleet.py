@@ -17,6 +17,7 @@ from sqlalchemy import select
 
 from api.factory import job_context, raw_store
 from api.settings import Settings
+from bench.standing_clock import StandingClock
 from estimation.jobs.catalogue import run_all
 from estimation.values.geometry import GeometryRecord
 from estimation.values.runs import JobRun, JobTrigger
@@ -93,17 +94,6 @@ from_campaign = 3
 WINDOW_S = 30.0
 HOUR_NS = 3_600_000_000_000
 BOOK_KEEPING = ("job_runs",)
-
-
-@dataclass(slots=True)
-class StandingClock:
-    """Stands where it is put, and goes on by a millisecond at each look, as recorded times must."""
-
-    at_ns: int
-
-    def now_ns(self) -> int:
-        self.at_ns += 1_000_000
-        return self.at_ns
 
 
 @dataclass(frozen=True)
