@@ -33,6 +33,10 @@ ON_WINDOWS = (SensorFaultRule.kind, HuntingRule.kind)
 """Alerts that stand by all windows in vehicle time; those on estimates stand by all intervals of mileage."""
 
 
+OF_HISTORY = frozenset({"fleet alerts"})
+"""What may differ by history: fleet alerts group alerts by the times at which they opened."""
+
+
 def final_state(storage: SqlStorage) -> Mapping[str, str]:
     """Return a digest for each kind of what is stored.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from api.comparison.trial import copied, deploy, opened, receive, record
 from api.settings import Settings
-from bench.chaos.final_state import final_state
+from bench.chaos.final_state import OF_HISTORY, final_state
 from bench.chaos.part import ChaosSettings
 from bench.report import BenchRow
 from estimation.errors import TreadwatchError
@@ -126,7 +126,8 @@ def _play(case: _Case, folder: Path, pieces: Sequence[Sequence[tuple[Window, flo
             runs += 1
             if _digest(storage) == changed:
                 break
-        return _Played(final_state(storage), epochs, runs < MOST_RUNS)
+        state = {name: digest for name, digest in final_state(storage).items() if name not in OF_HISTORY}
+        return _Played(state, epochs, runs < MOST_RUNS)
 
 
 def _run(context: JobContext) -> int:

@@ -23,6 +23,9 @@ GEOMETRIES, TRENDS, REPORTS = table_of(GeometryRow), table_of(TrendRow), table_o
 BATCH = 1000
 """Rows a transaction: others wait for a fraction of a second."""
 
+BY_DATA = frozenset({Kept.SUPERSEDED_ESTIMATES, Kept.TRACK_REPORTS, Kept.RECORDINGS})
+"""Kinds whose age ends a day after the newest data: a clock of ours that is ahead makes nothing old."""
+
 Checkpoint = Callable[[], None]
 
 
@@ -59,9 +62,12 @@ def purge(storage: SqlStorage, retention: Retention, now_ns: int, checkpoint: Ch
         The database or a directory cannot be used.
     """
     with keeping_alone(storage.engine):
+        with storage.read() as unit:
+            newest_ns = unit.chunks.newest_ns()
         found = []
         for kind in Kept:
-            before_ns = retention.before_ns(kind, now_ns)
+            counted_ns = now_ns if newest_ns is None or kind not in BY_DATA else min(now_ns, newest_ns + DAY_NS)
+            before_ns = retention.before_ns(kind, counted_ns)
             if before_ns is not None:
                 found.append(_purge_kind(storage, kind, before_ns, now_ns, checkpoint))
         return found

@@ -66,6 +66,12 @@ class ChunkStore:
         self.connection.execute(update(CHUNKS).where(CHUNKS.c.digest.in_(digests)).values(purged_ns=now_ns))
         return found
 
+    def newest_ns(self) -> int | None:
+        """Return the end of the newest decoded recording on its vehicle's clock; None where there is none."""
+        decoded = CHUNKS.c.state == ChunkState.DECODED.value
+        found: int | None = self.connection.scalar(select(func.max(CHUNKS.c.last_ns)).where(decoded))
+        return found
+
     def purged(self) -> frozenset[str]:
         """Return the digests of the recordings whose raw bytes were deleted."""
         return frozenset(self.connection.scalars(select(CHUNKS.c.digest).where(CHUNKS.c.purged_ns.is_not(None))))

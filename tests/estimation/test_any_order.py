@@ -9,7 +9,7 @@ from dataclasses import replace
 from alignment_job import DAY_NS, counts, register
 from section_runs import windows
 
-from bench.chaos.final_state import final_state
+from bench.chaos.final_state import OF_HISTORY, final_state
 from estimation.values.windows import Window
 from fleet_db.storage import SqlStorage
 
@@ -46,9 +46,9 @@ def played(storage: SqlStorage, pieces: Sequence[Sequence[Window]]) -> dict[str,
 
 
 def at_rest(storage: SqlStorage) -> dict[str, str]:
-    """Return the state but for the fleet alerts, which group alerts by the times at which they opened."""
+    """Return the state but for what may differ by history."""
     assert counts(storage, "refresh_alignment")["unchanged"] == 1
-    return {name: digest for name, digest in final_state(storage).items() if name != "fleet alerts"}
+    return {name: digest for name, digest in final_state(storage).items() if name not in OF_HISTORY}
 
 
 def test_windows_in_pieces_late_and_out_of_order_give_the_state_of_all_at_once(

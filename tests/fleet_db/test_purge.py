@@ -143,7 +143,7 @@ def test_raw_files_of_old_recordings_go_and_their_receipts_stay(fleet: SqlStorag
     with fleet.write() as unit:
         for digest, state, day in zip(digests, states, days, strict=True):
             unit.chunks.put(replace(make.CHUNK, digest=digest, size_bytes=10, state=state, received_ns=day * DAY_NS,
-                                    first_ns=make.START, last_ns=make.START + 1))  # fmt: skip
+                                    first_ns=NOW - 1, last_ns=NOW))  # fmt: skip
     assert purged(fleet, recordings=31.0) == {"recordings": 1}
     assert [raw.path(digest, ".blf").is_file() for digest in digests] == [False, True, True, True]
     with fleet.read() as unit:
@@ -155,6 +155,21 @@ def test_raw_files_of_old_recordings_go_and_their_receipts_stay(fleet: SqlStorag
     raw.put_bytes(bytes([0]) * 10, ".blf")  # as by a process that was killed between row and file
     os.utime(raw.path(digests[0], ".blf"), (1e9, 1e9))
     assert purged(fleet, orphaned_files=1.0) == {"orphaned_files": 1}
+
+
+def test_a_clock_of_ours_that_is_400_days_ahead_makes_no_data_old(fleet: SqlStorage) -> None:
+    raw = RawStore(fleet.data_dir / "raw")
+    digest = raw.put_bytes(b"a recording", ".blf")
+    right = NOW - 400 * DAY_NS
+    with fleet.write() as unit:
+        unit.chunks.put(replace(make.CHUNK, digest=digest, state=ChunkState.DECODED, received_ns=right - 300 * DAY_NS,
+                                first_ns=right - 1, last_ns=right))  # fmt: skip
+        for seed, day in enumerate((1, 2)):
+            unit.geometries.put(make.geometry_record(seed, right - (500 - day) * DAY_NS))
+        unit.idempotency.put("key", "d" * 64, 200, "{}", right)
+    kept = {"recordings": 302.0, "superseded_estimates": 730.0, "track_reports": 730.0}
+    assert purged(fleet, **kept, idempotency_keys=7.0) == {**dict.fromkeys(kept, 0), "idempotency_keys": 1}
+    assert purged(fleet, recordings=300.5, superseded_estimates=498.5) == {"recordings": 1, "superseded_estimates": 1}
 
 
 def test_recordings_stay_as_long_as_those_beside_them_may_come() -> None:
