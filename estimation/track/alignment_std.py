@@ -45,7 +45,7 @@ def merged_alignment(
     known = _nothing_known(grid) if prior is None else prior_on_grid(prior, grid, p.cutoff_wavelength)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = (found.pass_std / known.std) ** 2
-    weight = np.where(np.isfinite(known.std), np.minimum(ratio, p.iteration.most_weight), 0.0)
+    weight = np.where(np.isfinite(known.std), np.fmin(ratio, p.iteration.most_weight), 0.0)
     shared = np.maximum(found.passes + weight, 1e-12)
     d = (found.passes * found.alignment + weight * known.alignment) / shared
     certain = (found.passes >= p.panel.least_passes) | np.isfinite(known.std)

@@ -219,6 +219,18 @@ def test_a_stiffness_term_that_is_most_of_the_difference_and_not_known_makes_no_
     assert code_of(_state_of(_Accepted(fixed, {}, {}), grouped, None, P)[1]) is not ReasonCode.STIFFNESS_OPEN
 
 
+def test_a_prior_without_error_beside_one_pass_without_spread_weighs_all_that_it_may(three: SectionEstimate) -> None:
+    assert three.iterated is not None
+    exact = prior()
+    exact = replace(exact, alignment_std=np.where(np.isfinite(exact.alignment_std), 0.0, np.nan), scale_std=0.01)
+    found = merged_alignment(
+        "S", replace(three.iterated, placed=dict(list(three.iterated.placed.items())[:1])), exact, P
+    )
+    known = np.isfinite(exact.alignment_std)
+    assert np.isfinite(found.alignment[known]).mean() > 0.5  # its edges go with the filter
+    assert 0.0 < found.scale_std < 1.0
+
+
 def test_a_slope_of_which_nothing_is_known_stays_a_finite_number(three: SectionEstimate) -> None:
     """On a known alignment passes that explain nothing still make an alignment; what is stored of it is finite."""
     assert three.iterated is not None
