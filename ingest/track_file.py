@@ -51,6 +51,15 @@ def read_track_columns(path: Path) -> FloatArray:
 def read_columns(path: Path, columns: Sequence[str], fewest: int) -> FloatArray:
     """Return columns of a file (n, k) as they are written; the first is a distance.
 
+    Parameters
+    ----------
+    path
+        The file.
+    columns
+        Their names.
+    fewest
+        Rows that it must have.
+
     Raises
     ------
     InputError
