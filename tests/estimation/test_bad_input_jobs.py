@@ -171,10 +171,14 @@ def test_of_a_window_whose_position_jumps_what_fits_helps_the_track_and_nothing_
 
 
 WRONG = {
-    "in the wrong unit": (lambda t: replace(t, alignment=1e3 * t.alignment), "millimetres were taken for metres"),
-    "shifted by 10 m": (lambda t: replace(t, s=t.s + 10.0), "too far along"),
-    "mirrored": (lambda t: replace(t, alignment=-t.alignment), "mirror image"),
-    "of another section": (lambda t: replace(t, alignment=t.alignment[::-1]), "no more in common"),
+    "in the wrong unit": (
+        lambda t: replace(t, alignment=1e3 * t.alignment),
+        "millimetres were taken for metres",
+        "survey_unit",
+    ),
+    "shifted by 10 m": (lambda t: replace(t, s=t.s + 10.0), "too far along", "survey_displaced"),
+    "mirrored": (lambda t: replace(t, alignment=-t.alignment), "mirror image", "survey_mirrored"),
+    "of another section": (lambda t: replace(t, alignment=t.alignment[::-1]), "no more in common", "survey_unrelated"),
 }
 
 
@@ -182,7 +186,7 @@ WRONG = {
 def test_a_wrong_recording_is_not_used_and_the_fleet_finds_the_track_itself(
     sqlite_storage: Storage, without: dict[str, GeometryRecord], kind: str
 ) -> None:
-    spoil, expected = WRONG[kind]
+    spoil, expected, code = WRONG[kind]
     deployed(sqlite_storage, valid_windows(), spoil(surveyed()))
     with sqlite_storage.read() as unit:
         report, in_force = unit.tracks.report("S1"), unit.tracks.in_force("S1")
@@ -190,6 +194,7 @@ def test_a_wrong_recording_is_not_used_and_the_fleet_finds_the_track_itself(
     verdict = str(report.report["recording"])
     assert verdict.startswith("not used: ")
     assert expected in verdict
+    assert report.report["recording_code"] == code
     assert in_force is not None
     assert (in_force.source, in_force.version) == (AlignmentSource.FLEET, 2)
     same(geometries(sqlite_storage), without)
