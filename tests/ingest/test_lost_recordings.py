@@ -6,13 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from purged_raw import purge_raw
 from test_reassembly import Windows, made_of, mounting, received, receiver_on
 from test_receiver import files_of
 from vehicle_bus import VEHICLE, Run, register
 
 from estimation.values.quarantine import SubjectKind
-from fleet_db.keeping.purge import purge
-from fleet_db.keeping.retention import DAY_NS, Retention
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
@@ -86,7 +85,7 @@ def test_windows_follow_the_registry_once_a_purged_recording_is_received_again(
     storage = SqlStorage(sqlite_storage.engine, tmp_path)
 
     def delete(_: Path) -> None:
-        purge(storage, Retention(recordings=31.0), 40_000 * DAY_NS, lambda: None)
+        purge_raw(storage)
 
     _, receiver = corrected_without(storage, tmp_path, delete)
     assert serials(made_of(storage)) == {"WS-1", "WS-2"}

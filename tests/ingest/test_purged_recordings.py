@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from purged_raw import purge_raw
 from test_reassembly import made_of, mounting, pieces_of, received
 from test_receiver import files_of
 from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
 
-from fleet_db.keeping.purge import purge
-from fleet_db.keeping.retention import DAY_NS, Retention
 from fleet_db.storage import SqlStorage
 from ingest.span_commit import NO_CHANGES
 
@@ -22,7 +21,7 @@ def test_windows_of_purged_recordings_stay(sqlite_storage: SqlStorage, tmp_path:
     storage = SqlStorage(sqlite_storage.engine, tmp_path)
     receiver = received(storage, tmp_path, [first, second])
     whole = made_of(storage)
-    purge(storage, Retention(recordings=31.0), 40_000 * DAY_NS, lambda: None)
+    purge_raw(storage)
     assert list((tmp_path / "raw").rglob("*.blf")) == []
     receiver = received(storage, tmp_path, [later])  # new recordings go on
     assert {key: made_of(storage)[key] for key in whole} == whole
