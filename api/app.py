@@ -15,10 +15,11 @@ from fastapi.routing import APIRoute
 from prometheus_client import CollectorRegistry
 
 from api import contract, docs_page, problems
+from api.head_requests import HeadMiddleware
 from api.http_limits import HttpLimits
 from api.metrics import RequestMeasures, StoredMeasures
 from api.middleware import RequestContextMiddleware
-from api.openapi_document import document
+from api.openapi.document import document
 from api.routes import (
     alert_actions,
     alerts,
@@ -96,6 +97,7 @@ def build_app(services: Services | None, limits: HttpLimits | None = None) -> Fa
     app.state.registry = registry
     app.openapi_schema = committed_document()
     app.state.contracts = contract.contracts_of(app.openapi_schema)
+    app.add_middleware(HeadMiddleware)
     app.add_middleware(RequestContextMiddleware, measures=RequestMeasures(registry), limits=limits or HttpLimits())
     return app
 

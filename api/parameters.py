@@ -26,6 +26,19 @@ MeasuredFrom = Annotated[Moment | None, Query(alias="from", description="Measure
 MeasuredTo = Annotated[Moment | None, Query(alias="to", description="Measured before this time.")]
 
 
+def require_order(from_ns: int | None, to_ns: int | None) -> None:
+    """Refuse a range that ends before it begins; an empty one, `[t, t)`, is allowed.
+
+    Raises
+    ------
+    ProblemError
+        422.
+    """
+    if from_ns is not None and to_ns is not None and from_ns > to_ns:
+        item = ProblemItem(part="query", pointer="#/from", detail="is after `to`")
+        raise ProblemError(422, "invalid-request", "from is after to", [item])
+
+
 def not_in_the_future(as_of_ns: int | None, now_ns: int) -> None:
     """Refuse a time in the future.
 

@@ -77,9 +77,9 @@ OWN_FILES = ("bench/house.py", "tests/bench/test_house.py", "fleet_db/former_rea
 
 INFRASTRUCTURE = re.compile(
     r"""(
-      api/(cli|commands/.*|terminal/.*|factory|settings|rules_file|logs|metrics|services|job_runner|app|openapi_document)\.py
+      api/(cli|commands/.*|terminal/.*|factory|settings|rules_file|logs|metrics|services|job_runner|app|openapi/.*)\.py
     | api/(problems|times|contract|cursors|parameters|middleware|faults|redaction)\.py
-    | api/(connections|http_limits|http_server)\.py
+    | api/(connections|http_limits|http_server|head_requests|allowed_methods)\.py
     | fleet_db/(changes|locks|migrate|reachability|revisions|session|storage|rows|packing|fields|atomic_files)\.py
     | fleet_db/stores/jobs\.py
     | ingest/input_file\.py

@@ -17,6 +17,7 @@ from api.answers import (
     next_path,
     operation,
 )
+from api.known import require_known
 from api.parameters import FleetFilter, Number, WheelsetFilter
 from api.problems import described
 from api.schemas import alerts
@@ -35,7 +36,7 @@ OpenOnly = Annotated[bool, Query(alias="open", description="Only alerts that are
 After = Annotated[str | None, Query(description="`next_cursor` of the last poll; left out, from the beginning.")]
 
 
-@router.get("", response_model=Page[alerts.Alert], responses=described(400))
+@router.get("", response_model=Page[alerts.Alert], responses=described(400, 404))
 def list_alerts(
     request: Request,
     services: ServicesDep,
@@ -72,6 +73,8 @@ def list_alerts(
             scope=scope,
             fleet_alert_id=fleet_alert,
         )
+        if not rows:
+            require_known(unit, fleet=fleet, wheelset=wheelset, fleet_alert=fleet_alert)
     now_ns = services.clock.now_ns()
     return answer_page(
         request, filters, limit, rows, lambda record: record.alert_id, lambda record: alerts.alert(record, now_ns)

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Request, Response
 from api import cursors
 from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer_page, answer_table, operation
 from api.contract import CSV, Accepted
-from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_future, not_purged
+from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_future, not_purged, require_order
 from api.problems import described
 from api.schemas import geometry, trend, windows
 from api.schemas.common import Page
@@ -76,6 +76,7 @@ def list_windows(
     limit: Limit = DEFAULT_LIMIT,
 ) -> Response:
     """List the wheelset's windows that begin in `[from, to)`, oldest first, with their quality and state."""
+    require_order(measured_from, measured_to)
     filters = {"wheelset": serial, "from": measured_from, "to": measured_to}
     after = cursors.decode_number(operation(request), filters, cursor)
     if after is None and measured_from is not None:

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from api import cursors
 from api.answers import DEFAULT_LIMIT, Cursor, Limit, answer_page, operation
+from api.known import require_known
 from api.parameters import CODE
 from api.problems import described
 from api.schemas import quarantine
@@ -27,7 +28,7 @@ OfVehicle = Annotated[
 PARTS = 3
 
 
-@router.get("", response_model=Page[quarantine.QuarantinedItem], responses=described(400))
+@router.get("", response_model=Page[quarantine.QuarantinedItem], responses=described(400, 404))
 def list_quarantine(
     request: Request,
     services: ServicesDep,
@@ -45,6 +46,8 @@ def list_quarantine(
         rows = unit.quarantine.page(
             kind=kind, state=state, code=reason_code, vehicle=vehicle, after=after, limit=limit + 1
         )
+        if not rows:
+            require_known(unit, vehicle=vehicle)
     return answer_page(request, filters, limit, rows, _key, quarantine.quarantined)
 
 

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Request, Response
 
 from api import cursors
 from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer, answer_page, operation
+from api.known import require_known
 from api.parameters import Code, FleetFilter
 from api.problems import described
 from api.schemas import registry, suspension
@@ -16,7 +17,7 @@ from estimation.trend.suspension import SuspensionParameters, suspension_changes
 router = APIRouter(prefix="/v1/vehicles", tags=["vehicles"])
 
 
-@router.get("", response_model=Page[registry.Vehicle], responses=described(400))
+@router.get("", response_model=Page[registry.Vehicle], responses=described(400, 404))
 def list_vehicles(
     request: Request,
     services: ServicesDep,
@@ -29,6 +30,8 @@ def list_vehicles(
     after = cursors.decode_text(operation(request), filters, cursor)
     with services.storage.read() as unit:
         rows = unit.registry.vehicles_page(fleet, after, limit + 1)
+        if not rows:
+            require_known(unit, fleet=fleet)
     return answer_page(request, filters, limit, rows, lambda record: record.code, registry.vehicle)
 
 

@@ -20,6 +20,7 @@ from api.answers import (
     require_match,
 )
 from api.idempotency import idempotent_post
+from api.known import require_known
 from api.parameters import FleetFilter, Serial, VehicleFilter
 from api.problems import described
 from api.schemas import registry
@@ -32,7 +33,7 @@ from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 
 
-@router.get("", response_model=Page[registry.Wheelset], responses=described(400))
+@router.get("", response_model=Page[registry.Wheelset], responses=described(400, 404))
 def list_wheelsets(
     request: Request,
     services: ServicesDep,
@@ -46,6 +47,8 @@ def list_wheelsets(
     after = cursors.decode_text(operation(request), filters, cursor)
     with services.storage.read() as unit:
         rows = unit.registry.wheelsets_page(fleet, vehicle, after, limit + 1)
+        if not rows:
+            require_known(unit, fleet=fleet, vehicle=vehicle)
     return answer_page(request, filters, limit, rows, lambda record: record.serial, registry.wheelset)
 
 

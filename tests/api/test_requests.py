@@ -188,7 +188,7 @@ def test_another_method_is_405_and_a_wrong_body_is_named(client: httpx.Client) -
     response = client.delete("/v1/wheelsets")
     assert response.status_code == 405
     assert response.headers["content-type"] == "application/problem+json"
-    assert response.headers["allow"] == "GET"
+    assert response.headers["allow"] == "GET, HEAD"
     path = "/v1/alerts/1/acknowledge"
     problem(
         client.post(path, content=b"<by>me</by>", headers={"Content-Type": "text/xml"}), 415, "unsupported-media-type"
@@ -235,3 +235,27 @@ def test_paths_that_no_client_library_would_send_are_refused(service: Service, p
         answer = b"".join(iter(lambda: connection.recv(65536), b""))
     assert re.match(rb"HTTP/1\.1 4\d\d ", answer)
     assert b"application/problem+json" in answer
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/v1/wheelsets?fleet=nowhere",
+        "/v1/wheelsets?vehicle=nowhere",
+        "/v1/vehicles?fleet=nowhere",
+        "/v1/alerts?fleet=nowhere",
+        "/v1/alerts?wheelset=nowhere",
+        "/v1/alerts?fleet_alert=999999",
+        "/v1/quarantine?vehicle=nowhere",
+    ],
+)
+def test_a_filter_that_names_nothing_is_404_and_named(client: httpx.Client, path: str) -> None:
+    body = problem(client.get(path), 404, "not-found")
+    assert path.rpartition("=")[2] in body["detail"]
+
+
+def test_a_range_that_ends_before_it_begins_is_422(client: httpx.Client) -> None:
+    path = "/v1/wheelsets/WS-000/windows?from=2026-02-01T00:00:00Z&to="
+    body = problem(client.get(f"{path}2026-01-31T23:59:59.999999999Z"), 422, "invalid-request")
+    assert body["errors"][0]["pointer"] == "#/from"
+    assert client.get(f"{path}2026-02-01T00:00:00Z").json()["items"] == []

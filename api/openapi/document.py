@@ -8,6 +8,9 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
+from api.openapi import headers
+from api.openapi.problem_examples import describe_problems
+from api.openapi.words import describe_properties
 from api.problems import Problem
 from api.schemas.common import Uncertain
 from estimation.values.alerts import CloseReason
@@ -44,9 +47,13 @@ def document(app: FastAPI) -> dict[str, Any]:
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
     found["components"]["schemas"] = dict(sorted(schemas.items()))
-    for path in found["paths"].values():
-        for operation in path.values():
+    found["components"]["headers"] = headers.components()
+    describe_properties(found["components"]["schemas"])
+    for path, operations in found["paths"].items():
+        for method, operation in operations.items():
             _describe_unchanged(operation)
+            headers.describe_headers(method, operation, found["components"]["schemas"])
+            describe_problems(path, operation)
     return found
 
 
