@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, cast
 
 from fastapi import Depends, Request
 
+from api.access.caller import CallerDep
 from api.job_runner import JobRunner
 from api.writer_slots import WriterSlots
 from estimation.errors import NotFoundError
@@ -46,9 +47,10 @@ class Services:
             raise NotFoundError("job", name) from None
 
 
-async def services_of(request: Request) -> Services:
-    """Return what the factory services."""
-    return cast("Services", request.app.state.services)
+async def services_of(request: Request, caller: CallerDep) -> Services:
+    """Return what the factory built; its storage shows the caller's fleets only."""
+    services = cast("Services", request.app.state.services)
+    return replace(services, storage=services.storage.seen_by(caller.fleets))
 
 
 ServicesDep = Annotated[Services, Depends(services_of)]

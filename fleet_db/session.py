@@ -21,6 +21,7 @@ from sqlalchemy.pool import ConnectionPoolEntry
 from estimation.errors import ConflictError, ParameterError, StorageError
 from fleet_db.reachability import guard_connecting
 from fleet_db.silent_server import ServerLimits, WatchedConnection
+from fleet_db.visibility import narrow_statements
 
 BUSY_TIMEOUT_MS = 30_000
 BEGIN_OPTION = "sqlite_begin"
@@ -54,9 +55,9 @@ def database_engine(url: str, limits: ServerLimits = UNLIMITED) -> Engine:
     except (ArgumentError, ValueError):  # without its cause: that repeats parts of the URL
         raise ParameterError("is no database URL", field="database_url") from None
     if parsed.drivername in SQLITE:
-        return _sqlite_engine(parsed)
+        return narrow_statements(_sqlite_engine(parsed))
     if parsed.drivername in POSTGRESQL:
-        return _postgresql_engine(parsed, limits)
+        return narrow_statements(_postgresql_engine(parsed, limits))
     raise ParameterError(f"names {parsed.drivername!r}; known are sqlite and postgresql", field="database_url")
 
 

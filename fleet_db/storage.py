@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 
 from sqlalchemy import Connection, Engine
@@ -40,6 +40,7 @@ from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.vehicle_classes import Shipped, no_class
 from fleet_db.stores.windows import WindowStore
 from fleet_db.telemetry import WindowFiles
+from fleet_db.visibility import VISIBLE
 
 SNAPSHOT = {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
 
@@ -127,12 +128,25 @@ class SqlStorage:
         The classes of the package, for vehicles whose class is not registered.
     patience_s
         How long a writing transaction on SQLite waits for that of another process.
+    visible_fleets
+        Codes of the fleets that reading transactions see; None for all.
     """
 
     engine: Engine
     data_dir: Path
     shipped: Shipped = no_class
     patience_s: float = BUSY_TIMEOUT_MS / 1000
+    visible_fleets: frozenset[str] | None = None
+
+    def seen_by(self, fleets: frozenset[str] | None) -> SqlStorage:
+        """Return the storage whose reading transactions see only these fleets.
+
+        Parameters
+        ----------
+        fleets
+            Codes; None for all.
+        """
+        return self if fleets is None else replace(self, visible_fleets=fleets)
 
     @contextmanager
     def write(self) -> Iterator[SqlUnitOfWork]:
@@ -166,7 +180,12 @@ class SqlStorage:
         StorageError
             The database cannot be reached, or something was written.
         """
-        with translate_errors(), self.engine.connect() as connection, _read_only(connection) as reading:
+        bound = {} if self.visible_fleets is None else {VISIBLE: self.visible_fleets}
+        with (
+            translate_errors(),
+            self.engine.connect().execution_options(**bound) as connection,
+            _read_only(connection) as reading,
+        ):
             yield SqlUnitOfWork(reading, self._files(), writing=False, shipped=self.shipped)
 
     @contextmanager

@@ -144,3 +144,17 @@ def test_a_forged_cursor_with_a_key_of_another_type_is_400(key: object) -> None:
     with pytest.raises(ProblemError) as refused:
         cursors.decode_number("list", {}, forged)
     assert refused.value.status == 400
+
+
+def test_a_storage_bound_to_a_fleet_shows_nothing_of_another(service: Service) -> None:
+    with service.storage.seen_by(frozenset({"alpha"})).read() as unit:
+        assert {one.code for one in unit.registry.fleets()} == {"alpha"}
+        assert {one.fleet for one in unit.registry.wheelsets()} == {"alpha"}
+        assert {event.alert.fleet for event in unit.alerts.feed(0, 1000)} <= {"alpha"}
+    with service.storage.seen_by(frozenset({"none"})).read() as unit:
+        assert unit.registry.wheelsets() == []
+        assert unit.windows.page("WS-000", None, 10) == []
+        assert unit.trends.latest("WS-000") is None
+    with service.storage.read() as unit:
+        assert {one.code for one in unit.registry.fleets()} > {"alpha"}
+        assert unit.trends.latest("WS-000") is not None

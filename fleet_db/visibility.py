@@ -1,0 +1,180 @@
+"""What a caller who is bound to fleets sees of the database: every SELECT of a bound connection is narrowed.
+
+The rule stands here once, below all stores, and is closed by default: a statement over a table that is not listed here
+is refused on a bound connection. Writing transactions are not narrowed, for numbers and locks count everything; who
+writes first reads on a bound connection what it is about to change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, Engine, FromClause, Select, Table, event, false, select
+from sqlalchemy.sql import Executable, visitors
+from sqlalchemy.sql.selectable import Alias, Join
+
+from fleet_db.models import AlertRow, VehicleRow, WheelsetRow
+from fleet_db.rows import table_of
+
+Fleets = frozenset[str]
+Columns = Any  # the columns of a table or of an alias of it
+Rule = Callable[[Columns, Fleets], ColumnElement[bool]]
+VISIBLE = "treadwatch_visible_fleets"
+"""Execution option of a connection: the fleets that its statements see; absent, all."""
+_VEHICLES, _WHEELSETS, _ALERTS = table_of(VehicleRow), table_of(WheelsetRow), table_of(AlertRow)
+
+
+def _of_fleet(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
+    return _among(columns.fleet, fleets)
+
+
+def _fleet_itself(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
+    return _among(columns.code, fleets)
+
+
+def _among(column: ColumnElement[str], fleets: Fleets) -> ColumnElement[bool]:
+    return column.in_(sorted(fleets))
+
+
+def _of_vehicle(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
+    return _in(columns.vehicle, _VEHICLES, "code", fleets)
+
+
+def _of_wheelset(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
+    return _in(columns.wheelset, _WHEELSETS, "serial", fleets)
+
+
+def _of_both(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
+    return _of_wheelset(columns, fleets) & _of_vehicle(columns, fleets)
+
+
+def _of_alert(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
+    return _in(columns.alert_id, _ALERTS, "alert_id", fleets)
+
+
+def _in(column: ColumnElement[Any], owner: Table, key: str, fleets: Fleets) -> ColumnElement[bool]:
+    """Return whether a column names a record of the owning table that belongs to the fleets."""
+    named = owner.alias()  # another name, so that it is never taken for a table of the statement around it
+    return column.in_(select(named.c[key]).where(_among(named.c.fleet, fleets)).correlate(None))
+
+
+RULES: Mapping[str, Rule] = {
+    "fleets": _fleet_itself,
+    "vehicles": _of_fleet,
+    "wheelsets": _of_fleet,
+    "alerts": _of_fleet,
+    "alert_events": _of_alert,
+    "chunks": _of_vehicle,
+    "stale_spans": _of_vehicle,
+    "suspension_findings": _of_vehicle,
+    "mountings": _of_both,
+    "windows": _of_both,
+    "track_epoch_windows": _of_both,
+    "reprofilings": _of_wheelset,
+    "measured_profiles": _of_wheelset,
+    "geometry_estimates": _of_wheelset,
+    "trends": _of_wheelset,
+    "wheelset_changes": _of_wheelset,
+    "wheelset_bins": _of_wheelset,
+    "window_bin_tables": _of_wheelset,
+    "window_positions": _of_wheelset,
+}
+SHARED = frozenset(
+    {
+        "feed_branches",
+        "idempotency_keys",
+        "job_owners",
+        "job_runs",
+        "purges",
+        "stored_settings",
+        "track_alignments",
+        "track_epochs",
+        "track_layouts",
+        "track_reports",
+        "track_sections",
+        "track_versions",
+        "vehicle_classes",
+        "alembic_version",
+    }
+)
+"""Tables of no fleet. What a row of them says of a fleet's vehicles is left out by its representation."""
+HIDDEN = frozenset({"quarantine", "raw_marks", "recording_changes", "registry_events"})
+"""Tables that a bound caller does not see at all."""
+
+
+def narrow_statements(engine: Engine) -> Engine:
+    """Return an engine whose bound connections see only their fleets.
+
+    Parameters
+    ----------
+    engine
+        Of the database.
+    """
+    event.listen(engine, "before_execute", _narrow, retval=True)
+    return engine
+
+
+def _narrow(
+    connection: Connection,
+    statement: Executable,
+    several: Any,  # noqa: ANN401 - parameters as SQLAlchemy hands them over
+    given: Any,  # noqa: ANN401 - the same
+    options: Mapping[str, Any],
+) -> tuple[Executable, Any, Any]:
+    fleets: Fleets | None = options.get(VISIBLE, connection.get_execution_options().get(VISIBLE))
+    return (statement if fleets is None else narrowed(statement, fleets)), several, given
+
+
+def narrowed(statement: Any, fleets: Fleets) -> Any:  # noqa: ANN401 - any statement
+    """Return a statement whose SELECTs, also in subqueries, see only the records of these fleets.
+
+    Parameters
+    ----------
+    statement
+        Any.
+    fleets
+        Codes.
+
+    Raises
+    ------
+    LookupError
+        It reads a table that is not listed in this module.
+    """
+
+    def narrow(found: Select[Any]) -> None:
+        criteria = [
+            _criterion(source, table, fleets, or_absent=or_absent)
+            for source, table, or_absent in _tables(found.get_final_froms())
+        ]
+        # SQLAlchemy's way to visit clones: they are changed in place, where `where` would return another one
+        found._where_criteria += tuple(one for one in criteria if one is not None)  # noqa: SLF001 - the same
+
+    return visitors.cloned_traverse(statement, {}, {"select": narrow})
+
+
+def _tables(sources: Iterable[FromClause], *, or_absent: bool = False) -> Iterator[tuple[FromClause, Table, bool]]:
+    """Yield the tables of FROM with the name under which each is read, and whether its columns may be absent."""
+    for source in sources:
+        if isinstance(source, Table):
+            yield source, source, or_absent
+        elif isinstance(source, Join):
+            yield from _tables([source.left], or_absent=or_absent or source.full)
+            yield from _tables([source.right], or_absent=or_absent or source.full or source.isouter)
+        elif isinstance(source, Alias) and isinstance(source.element, Table):
+            yield source, source.element, or_absent
+
+
+def _criterion(source: FromClause, table: Table, fleets: Fleets, *, or_absent: bool) -> ColumnElement[bool] | None:
+    if table.name in SHARED:
+        return None
+    if table.name in HIDDEN:
+        return false()
+    rule = RULES.get(table.name)
+    if rule is None:
+        raise LookupError(f"fleet_db/visibility.py does not say which fleets see the table {table.name}")
+    criterion = rule(source.c, fleets)
+    if not or_absent:
+        return criterion
+    (key, *_) = table.primary_key.columns
+    return criterion | source.c[key.name].is_(None)
