@@ -15,6 +15,8 @@ from fastapi.routing import APIRoute
 from prometheus_client import CollectorRegistry
 
 from api import contract, docs_page, problems
+from api.access.objects import visible
+from api.access.scopes import authorise
 from api.head_requests import HeadMiddleware
 from api.http_limits import HttpLimits
 from api.metrics import RequestMeasures, StoredMeasures
@@ -59,8 +61,8 @@ def describe() -> FastAPI:
     for module in RESOURCES:
         app.include_router(
             module.router,
-            dependencies=[Depends(contract.media_type)],
-            responses=problems.described(406, 422, 500, 503),
+            dependencies=[Depends(contract.media_type), Depends(authorise), Depends(visible)],
+            responses=problems.described(401, 403, 406, 422, 429, 500, 503),
         )
     app.include_router(health.router)
     app.include_router(docs_page.router)

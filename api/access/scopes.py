@@ -1,11 +1,15 @@
-"""Scopes: what a caller may do. Every operation declares exactly one; a test lists them all."""
+"""Scopes: what a caller may do. Every operation has exactly one; a test lists them all."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from enum import StrEnum
+from http import HTTPMethod
 
-from api.access.caller import CallerDep
+from fastapi import Request
+from fastapi.routing import APIRoute
+
+from api.access.caller import Caller, CallerDep
 from api.problems import ProblemError
 
 
@@ -20,15 +24,18 @@ class Scope(StrEnum):
 
 SCOPE_OF = "treadwatch_scope"
 """Attribute of a dependency under which the document and the tests find the scope of an operation."""
+_READING = frozenset({HTTPMethod.GET.value, HTTPMethod.HEAD.value})
 
 
-def requires(scope: Scope) -> Callable[[CallerDep], None]:
+def requires(scope: Scope, *, all_fleets: bool = False) -> Callable[[CallerDep], None]:
     """Return a dependency that refuses callers without a scope.
 
     Parameters
     ----------
     scope
         That the operation needs.
+    all_fleets
+        Whether the operation concerns more than the fleets of a caller that is bound to some.
 
     Raises
     ------
@@ -37,8 +44,61 @@ def requires(scope: Scope) -> Callable[[CallerDep], None]:
     """
 
     def check(caller: CallerDep) -> None:
-        if scope not in caller.scopes:
-            raise ProblemError(403, "forbidden", f"this needs the scope '{scope}'")
+        refuse_without(caller, scope)
+        if all_fleets and caller.fleets is not None:
+            raise ProblemError(403, "forbidden", "this needs a key of all fleets")
 
     setattr(check, SCOPE_OF, scope)
     return check
+
+
+def refuse_without(caller: Caller, scope: Scope) -> None:
+    """Refuse a caller without a scope.
+
+    Parameters
+    ----------
+    caller
+        Who asks.
+    scope
+        That the operation needs.
+
+    Raises
+    ------
+    ProblemError
+        403; names the scope.
+    """
+    if scope not in caller.scopes:
+        raise ProblemError(403, "forbidden", f"this needs the scope '{scope}'")
+
+
+def scope_of(route: APIRoute) -> Scope | None:
+    """Return the scope of an operation: the one that it declares, `read` where it only reads; None is a mistake.
+
+    Parameters
+    ----------
+    route
+        Of the operation.
+    """
+    declared = {
+        scope for depends in route.dependencies if (scope := getattr(depends.dependency, SCOPE_OF, None)) is not None
+    }
+    if len(declared) == 1:
+        return Scope(declared.pop())
+    return Scope.READ if not declared and (route.methods or set()) <= _READING else None
+
+
+async def authorise(request: Request, caller: CallerDep) -> None:
+    """Refuse callers who lack the scope of the operation; for every route of the API.
+
+    Raises
+    ------
+    ProblemError
+        403: the caller does not have it; names the scope.
+    LookupError
+        The route changes something and declares no scope, or several.
+    """
+    route: APIRoute = request.scope["route"]
+    scope = scope_of(route)
+    if scope is None:
+        raise LookupError(f"{route.path_format} declares no scope: dependencies=[Depends(requires(Scope....))]")
+    refuse_without(caller, scope)

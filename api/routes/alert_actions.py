@@ -8,6 +8,7 @@ from http import HTTPStatus
 
 from fastapi import APIRouter, Depends, Request, Response
 
+from api.access.scopes import Scope, requires
 from api.answers import IdempotencyKey, IfMatch, answer, require_match
 from api.idempotency import idempotent_post
 from api.parameters import Number
@@ -18,7 +19,9 @@ from api.services import Services, ServicesDep, writer_slot
 from estimation.alerts.life_cycle import acknowledge, link, shelve
 from estimation.values.alerts import Alert, Transition
 
-router = APIRouter(prefix="/v1/alerts", tags=["alerts"], dependencies=[Depends(writer_slot)])
+router = APIRouter(
+    prefix="/v1/alerts", tags=["alerts"], dependencies=[Depends(requires(Scope.ACT)), Depends(writer_slot)]
+)
 _REFUSALS = described(404, 409, 412, 413, 415, 428)
 
 

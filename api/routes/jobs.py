@@ -7,6 +7,7 @@ from http import HTTPStatus
 from fastapi import APIRouter, Depends, Request, Response
 
 from api import cursors
+from api.access.scopes import Scope, requires
 from api.answers import DEFAULT_LIMIT, Cursor, IdempotencyKey, IfNoneMatch, Limit, answer, answer_page, operation
 from api.idempotency import idempotent_post
 from api.parameters import Code, Number
@@ -56,7 +57,7 @@ def list_job_runs(
     status_code=HTTPStatus.ACCEPTED,
     response_model=jobs.JobRun,
     responses=described(404, 409, 415),
-    dependencies=[Depends(writer_slot)],
+    dependencies=[Depends(requires(Scope.ACT)), Depends(writer_slot)],
 )
 def run_job_now(
     request: Request, services: ServicesDep, name: Code, idempotency_key: IdempotencyKey = None

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from http import HTTPStatus
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 
 from api import cursors
+from api.access.scopes import Scope, requires
 from api.answers import (
     DEFAULT_LIMIT,
     Cursor,
@@ -126,6 +127,7 @@ def _added_alone(before: WheelsetRecord, after: WheelsetRecord) -> None:
 @router.post(
     "/{serial}/reprofilings",
     status_code=HTTPStatus.CREATED,
+    dependencies=[Depends(requires(Scope.ACT))],
     response_model=registry.ReprofilingRecord,
     responses=described(404, 409, 412, 413, 415, 428),
 )

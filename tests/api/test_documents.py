@@ -26,7 +26,7 @@ def test_every_setting_is_described_with_its_default() -> None:
 
 
 def test_every_type_of_problem_is_described() -> None:
-    described = re.findall(r"`urn:treadwatch:problem:([\w-]+)`", (DOCS / "api.md").read_text())
+    described = re.findall(r"`urn:treadwatch:problem:([\w-]+)`", (DOCS / "problems.md").read_text())
     assert set(described) == set(TYPES)
 
 

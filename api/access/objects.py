@@ -1,0 +1,85 @@
+"""What a change names in its path must be visible to who asks, before anything is written.
+
+Writing transactions see all fleets, for numbers and locks count everything. So a caller who is bound to fleets reads
+first, in a transaction that shows those fleets only, what the path of a change names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from fastapi import Request
+from fastapi.routing import APIRoute
+from starlette.concurrency import run_in_threadpool
+
+from api.access.caller import CallerDep
+from api.services import ServicesDep
+from estimation.errors import NotFoundError
+from fleet_db.storage import SqlUnitOfWork
+
+Find = Callable[[SqlUnitOfWork, str], object]
+_READING = frozenset({"GET", "HEAD"})
+
+
+def _fleet(unit: SqlUnitOfWork, code: str) -> None:
+    if all(one.code != code for one in unit.registry.fleets()):
+        raise NotFoundError("fleet", code)
+
+
+def _alert(unit: SqlUnitOfWork, alert_id: str) -> object:
+    if not alert_id.isdecimal() or int(alert_id) >= 2**63:
+        return None  # the route refuses it
+    return unit.alerts.get(int(alert_id))
+
+
+SHARED: Find = lambda _unit, _name: None  # noqa: E731 - a name for what needs no look
+FINDERS: Mapping[str, Find] = {
+    "/v1/alerts/{alert_id}": _alert,
+    "/v1/fleets/{code}": _fleet,
+    "/v1/vehicles/{code}": lambda unit, code: unit.registry.vehicle(code),
+    "/v1/wheelsets/{serial}": lambda unit, serial: unit.registry.wheelset(serial),
+    "/v1/jobs/{name}": SHARED,
+}
+"""How the first object in a path is found, by the template of the path up to it."""
+
+
+async def visible(request: Request, services: ServicesDep, caller: CallerDep) -> None:
+    """Refuse a change to something that its caller does not see, as if it did not exist.
+
+    Raises
+    ------
+    NotFoundError
+        The caller is bound to fleets, and it belongs to none of them.
+    LookupError
+        Nothing says how what the path names is found.
+    """
+    route: APIRoute = request.scope["route"]
+    if caller.fleets is None or request.method in _READING or not request.path_params:
+        return
+    template, find = finder_of(route.path_format)
+    name = template.rsplit("{", maxsplit=1)[-1].rstrip("}")
+
+    def look() -> None:
+        with services.storage.read() as unit:
+            find(unit, request.path_params[name])
+
+    await run_in_threadpool(look)
+
+
+def finder_of(path: str) -> tuple[str, Find]:
+    """Return the template of the first object in a path, and how it is found.
+
+    Parameters
+    ----------
+    path
+        Template of an operation with a parameter.
+
+    Raises
+    ------
+    LookupError
+        Nothing says it.
+    """
+    template = path[: path.index("}") + 1]
+    if template not in FINDERS:
+        raise LookupError(f"api/access/objects.py does not say how {template} is found")
+    return template, FINDERS[template]
