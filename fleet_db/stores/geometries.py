@@ -56,7 +56,7 @@ class GeometryStore:
         newest = self.connection.execute(
             select(GEOMETRIES).where(_key(record)).order_by(*NEWEST_FIRST).limit(1)
         ).first()
-        values = _values(record)
+        values = geometry_columns(record)
         if newest is not None:
             if all(getattr(newest, name) == values[name] for name in ("input_digest", "parameters", "code_version")):
                 return False
@@ -203,7 +203,8 @@ def _until(as_of_ns: int | None) -> ColumnElement[bool]:
     return GEOMETRIES.c.recorded_ns <= (2**63 - 1 if as_of_ns is None else as_of_ns)
 
 
-def _values(record: GeometryRecord) -> dict[str, Any]:
+def geometry_columns(record: GeometryRecord) -> dict[str, Any]:
+    """Return the columns of an estimate."""
     geometry = record.geometry
     return {
         "wheelset": record.wheelset,

@@ -1,0 +1,25 @@
+"""The REST application for a server that makes processes of its own: ``uvicorn --factory api.asgi:app --workers 2``.
+
+Each process has its own database connections, caches and measures. ``treadwatch serve`` is one process with more limits
+on connections.
+"""
+
+from __future__ import annotations
+
+from fastapi import FastAPI
+
+from api import factory, logs
+from api.settings import load_settings
+
+
+def app() -> FastAPI:
+    """Return the application of the deployment that the environment describes.
+
+    Raises
+    ------
+    InputError, MigrationError, ParameterError, StorageError
+        As ``treadwatch serve``; the server ends with the error.
+    """
+    settings = load_settings()
+    logs.configure(settings)
+    return factory.create_app(settings)

@@ -1,0 +1,287 @@
+"""A seeded fleet that has run for a year: daily geometry of every wheelset, its trend, its alerts; no samples."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from sqlalchemy import insert
+
+from estimation.alerts.rules.rule import estimate_evidence, unknown_evidence
+from estimation.trend.trend import TrendPoint, refresh
+from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
+from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
+from estimation.values.intervals import with_interval
+from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.trend import TrendRecord, WearTrend
+from fleet_db.models import GeometryRow
+from fleet_db.rows import table_of
+from fleet_db.storage import SqlStorage
+from fleet_db.stores.geometries import geometry_columns
+
+DAY_NS = 86_400 * 10**9
+AXLES = 4
+VARIANTS = 40
+"""Different courses of wear; the wheelsets share them, at mileages of their own."""
+KM_A_DAY = 400.0
+BINS = 20
+LIMIT = 0.4
+STD = 0.008
+WORST_OF = 8
+"""One wheelset in so many has an alert."""
+
+
+@dataclass(frozen=True)
+class FleetSize:
+    """How large the fleet is, and for how long it has run."""
+
+    fleets: int = 10
+    vehicles: int = 1000
+    days: int = 365
+
+    @property
+    def wheelsets(self) -> int:
+        """Number of wheelsets."""
+        return self.vehicles * AXLES
+
+    def serial(self, number: int) -> str:
+        """Return the serial of a wheelset."""
+        return f"WS-{number:05d}"
+
+    def vehicle(self, number: int) -> str:
+        """Return the code of a vehicle."""
+        return f"V-{number:04d}"
+
+    def fleet(self, vehicle: int) -> str:
+        """Return the fleet of a vehicle."""
+        return f"F-{vehicle % self.fleets:02d}"
+
+
+@dataclass(frozen=True)
+class _Course:
+    """One course of wear: the geometry of each day, and the trend at its end."""
+
+    geometries: tuple[WheelsetGeometry, ...]
+    trend: WearTrend
+
+
+def populate(storage: SqlStorage, size: FleetSize, seed: int, now_ns: int) -> float:
+    """Fill an empty database with the fleet; return how long it took, in seconds.
+
+    Parameters
+    ----------
+    storage
+        Of a migrated, empty database.
+    size
+        Of the fleet.
+    seed
+        Of the courses of wear, of mileages and of what has an alert.
+    now_ns
+        The last day.
+    """
+    began = time.perf_counter()
+    random = np.random.default_rng(seed)
+    courses = [_course(random, size.days, now_ns) for _ in range(VARIANTS)]
+    chosen = random.integers(VARIANTS, size=size.wheelsets)
+    mileages = np.round(random.uniform(20e3, 900e3, size.wheelsets), 1)
+    _register(storage, size, mileages, now_ns)
+    _store_history(storage, size, courses, chosen, mileages, now_ns)
+    _store_results(storage, size, courses, chosen, mileages, now_ns)
+    _store_alerts(storage, size, courses, chosen, now_ns)
+    return time.perf_counter() - began
+
+
+def _course(random: np.random.Generator, days: int, now_ns: int) -> _Course:
+    """Return the year of one kind of wheelset: from a new profile or a worn one, wearing fast or slowly."""
+    begin, growth = random.uniform(0.05, 0.35), random.uniform(0.0, 0.2)
+    true = begin + growth * np.linspace(0.0, 1.0, days)
+    seen = true + STD * random.standard_normal(days)
+    points = [
+        TrendPoint(KM_A_DAY * day, now_ns - (days - 1 - day) * DAY_NS, float(seen[day]), STD) for day in range(days)
+    ]
+    return _Course(tuple(_geometry(float(value)) for value in np.round(seen, 3)), refresh(points, LIMIT))
+
+
+def _geometry(conicity: float) -> WheelsetGeometry:
+    """Return a geometry of this conicity; its bins beyond 4 mm have too few samples."""
+    edges = np.linspace(-8e-3, 8e-3, BINS + 1)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    seen = np.abs(middle) < 5e-3
+    status = tuple(BinStatus.ESTIMATED if one else BinStatus.TOO_FEW for one in seen)
+
+    def values(found: np.ndarray, std: float) -> BinValues:
+        return BinValues(np.where(seen, found, np.nan), np.where(seen, std, np.nan), status)
+
+    amplitude = np.arange(1.0, 9.0) * 1e-3
+    conicities = tuple(_estimate(conicity * (0.8 + 0.067 * a * 1e3)) if a < 5e-3 else _BEYOND for a in amplitude)
+    return WheelsetGeometry(
+        bin_edges=edges,
+        samples=np.where(seen, 12_000.0, 3.0),
+        rolling_radius_sum=values(0.92 + 0.0 * middle, 2e-4),
+        rolling_radius_difference=values(2.0 * conicity * middle, 1e-4),
+        contact_angle_sum=values(0.05 + 0.0 * middle, 1e-2),
+        contact_angle_difference=values(20.0 * conicity * middle, 1e-2),
+        amplitude=amplitude,
+        conicity=conicities,
+        reported_amplitude=3e-3,
+        equivalent_conicity=_estimate(conicity),
+        nonlinearity=_estimate(0.01),
+        zero_crossing=_estimate(0.1e-3),
+        windows=30,
+        parameter_key="bench",
+        status=Status.ESTIMATED,
+    )
+
+
+_BEYOND = Estimate.unknown(Reason(ReasonCode.OTHER, "the motion does not reach this amplitude"))
+
+
+def _estimate(value: float) -> Estimate:
+    return with_interval(value, STD, count=30.0)
+
+
+def _register(storage: SqlStorage, size: FleetSize, mileages: np.ndarray, now_ns: int) -> None:
+    from_ns = now_ns - size.days * DAY_NS
+    with storage.write() as unit:
+        for number in range(size.fleets):
+            unit.registry.add_fleet(FleetRecord(f"F-{number:02d}", f"Fleet {number}"))
+        for number in range(size.vehicles):
+            fleet = size.fleet(number)
+            unit.registry.add_vehicle(
+                VehicleRecord(size.vehicle(number), fleet, "emu", AXLES, 44.4, (0.0, 2.5, 17.0, 19.5))
+            )
+            for axle in range(1, AXLES + 1):
+                wheelset = number * AXLES + axle - 1
+                serial = size.serial(wheelset)
+                run = float(mileages[wheelset])
+                mounting = Mounting(serial, size.vehicle(number), axle, from_ns, None, run, run)
+                unit.registry.add_wheelset(WheelsetRecord(serial, fleet, "S1002", 0.46, mounting))
+
+
+def _record(
+    size: FleetSize, wheelset: int, day: int, mileage_km: float, now_ns: int, *, current: bool
+) -> dict[str, object]:
+    """Return what of a geometry's row does not follow from its values."""
+    at_ns = now_ns - (size.days - 1 - day) * DAY_NS
+    return {
+        "wheelset": size.serial(wheelset),
+        "baseline": 0,
+        "baseline_interval": None if current else day,
+        "mileage_km": mileage_km + KM_A_DAY * day,
+        "from_ns": at_ns - DAY_NS,
+        "to_ns": at_ns,
+        "input_digest": f"{wheelset * size.days + day:064x}",
+        "recorded_ns": at_ns + 3600 * 10**9,
+    }
+
+
+def _store_history(
+    storage: SqlStorage,
+    size: FleetSize,
+    courses: list[_Course],
+    chosen: np.ndarray,
+    mileages: np.ndarray,
+    now_ns: int,
+) -> None:
+    """Store the daily geometry of every wheelset, packed once for all that share a course."""
+    rows = table_of(GeometryRow)
+    columns = [[geometry_columns(_of(one, now_ns)) for one in course.geometries] for course in courses]
+    for wheelsets in _batches(size.wheelsets, 200):
+        with storage.write() as unit:
+            unit.connection.execute(
+                insert(rows),
+                [
+                    columns[chosen[wheelset]][day]
+                    | _record(size, wheelset, day, float(mileages[wheelset]), now_ns, current=False)
+                    for wheelset in wheelsets
+                    for day in range(size.days)
+                ],
+            )
+
+
+def _of(geometry: WheelsetGeometry, now_ns: int) -> GeometryRecord:
+    return GeometryRecord(
+        wheelset="",
+        baseline=0,
+        interval=None,
+        mileage_km=0.0,
+        from_ns=now_ns,
+        to_ns=now_ns,
+        geometry=geometry,
+        input_digest="0" * 64,
+        track_versions={},
+        parameters={"half_life_km": 10_000.0},
+        code_version="bench",
+        recorded_ns=now_ns,
+    )
+
+
+def _batches(count: int, size: int) -> Iterator[range]:
+    for begin in range(0, count, size):
+        yield range(begin, min(count, begin + size))
+
+
+def _store_results(
+    storage: SqlStorage,
+    size: FleetSize,
+    courses: list[_Course],
+    chosen: np.ndarray,
+    mileages: np.ndarray,
+    now_ns: int,
+) -> None:
+    """Store what the jobs would leave: the current geometry and the trend of each wheelset."""
+    for wheelsets in _batches(size.wheelsets, 500):
+        with storage.write() as unit:
+            for wheelset in wheelsets:
+                course, run = courses[chosen[wheelset]], float(mileages[wheelset])
+                record = _of(course.geometries[-1], now_ns)
+                named = replace(
+                    record,
+                    wheelset=size.serial(wheelset),
+                    mileage_km=run + KM_A_DAY * (size.days - 1),
+                    from_ns=now_ns - size.days * DAY_NS,
+                    input_digest=f"{wheelset:064x}",
+                )
+                unit.geometries.put(named)
+                trend = replace(course.trend, mileage_km=course.trend.mileage_km + run)
+                unit.trends.put(TrendRecord(size.serial(wheelset), 0, trend, f"{wheelset:064x}", "bench", now_ns))
+
+
+def _store_alerts(
+    storage: SqlStorage, size: FleetSize, courses: list[_Course], chosen: np.ndarray, now_ns: int
+) -> None:
+    """Raise an alert for those of every few wheelsets that wear most, and acknowledge some."""
+    last = np.array([courses[one].trend.fitted.value for one in chosen])
+    worst = np.argsort(-last, kind="stable")[: size.wheelsets // WORST_OF]
+    for number, wheelset in enumerate(worst):
+        with storage.write() as unit:
+            value = float(last[wheelset])
+            alert = Alert(
+                alert_id=0,
+                fleet=size.fleet(int(wheelset) // AXLES),
+                wheelset=size.serial(int(wheelset)),
+                kind="conicity_limit",
+                severity=Severity.CRITICAL if value > LIMIT else Severity.WARNING,
+                condition=Condition.ACTIVE,
+                opened_ns=now_ns - number * 10**9,
+                last_seen_ns=now_ns,
+                occurrence_count=3,
+                probability=0.97,
+                evidence={
+                    "quantity": "equivalent_conicity",
+                    "amplitude_mm": 3.0,
+                    "conicity": estimate_evidence(_estimate(value)),
+                    "current": estimate_evidence(_estimate(value)),
+                    "windows": 30,
+                    "limit": LIMIT,
+                    **unknown_evidence(None),
+                },
+                action="reprofile",
+                raise_limit=LIMIT,
+                clear_limit=LIMIT - 0.03,
+            )
+            unit.alerts.save(alert, [AlertEventKind.RAISED], now_ns)

@@ -1,0 +1,65 @@
+"""Two worker processes of uvicorn over a database."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+WORKERS = 2
+START_S = 60.0
+
+
+@contextmanager
+def served(folder: Path, database_url: str | None, workers: int = WORKERS) -> Iterator[str]:
+    """Yield the URL of a running service.
+
+    Parameters
+    ----------
+    folder
+        Its data folder; the log goes beside it.
+    database_url
+        Of a migrated database; None for SQLite in the folder.
+    workers
+        Processes.
+    """
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    url = f"http://127.0.0.1:{port}"
+    environment = {
+        **os.environ,
+        "TREADWATCH_DATA_DIR": str(folder),
+        "TREADWATCH_DATABASE_URL": database_url or "",
+        "TREADWATCH_LOG_LEVEL": "warning",
+        "TREADWATCH_ACCESS": "open",
+    }
+    command = [sys.executable, "-m", "uvicorn", "--factory", "api.asgi:app", "--port", str(port)]
+    command += ["--workers", str(workers), "--no-access-log", "--log-level", "warning"]
+    with (folder / "service.log").open("wb") as log:
+        process = subprocess.Popen(command, env=environment, stderr=log, stdout=log)  # noqa: S603 - our own command
+    try:
+        _wait(url, process)
+        yield url
+    finally:
+        process.terminate()
+        process.wait(30)
+
+
+def _wait(url: str, process: subprocess.Popen[bytes]) -> None:
+    deadline = time.monotonic() + START_S
+    while True:
+        try:
+            with urllib.request.urlopen(f"{url}/readyz", timeout=5):  # noqa: S310 - our own service
+                return
+        except (urllib.error.URLError, ConnectionError):
+            if process.poll() is not None or time.monotonic() > deadline:
+                raise RuntimeError("the service has not started; see service.log in its folder") from None
+            time.sleep(0.1)
