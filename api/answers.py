@@ -10,11 +10,13 @@ from http import HTTPMethod, HTTPStatus
 from typing import Annotated, TypeVar
 from urllib.parse import quote, urlencode
 
+import orjson
 from fastapi import Header, Query, Request, Response
 from pydantic import BaseModel, SerializeAsAny
 
 from api import cursors
 from api.contract import CSV, JSON
+from api.csv_tables import ITEMS, item_of, table
 from api.problems import ProblemError
 from api.schemas.common import Page
 
@@ -87,7 +89,7 @@ def answer_bytes(
 
 
 def answer(request: Request, body: BaseModel, *, status: int = 200, headers: Mapping[str, str] = {}) -> Response:
-    """Return a representation as JSON with its ETag.
+    """Return a representation with its ETag: as JSON, or a list as the table that the client asked for.
 
     Parameters
     ----------
@@ -100,11 +102,28 @@ def answer(request: Request, body: BaseModel, *, status: int = 200, headers: Map
     headers
         Further headers.
     """
+    item = item_of(request.scope["route"].response_model) if wants_table(request) else None
+    if item is not None:
+        return _answer_csv(request, table(item, getattr(body, ITEMS)), headers)
     return answer_bytes(request, payload_of(body), status=status, headers=headers)
+
+
+def wants_table(request: Request) -> bool:
+    """Return whether the client asked for CSV, and the operation offers it."""
+    return getattr(request.state, "media_type", JSON) == CSV
+
+
+def _answer_csv(
+    request: Request, rows: tuple[Sequence[str], Iterable[Sequence[object]]], headers: Mapping[str, str] = {}
+) -> Response:
+    media_type = f"{CSV}; charset=utf-8; header=present"
+    return answer_bytes(request, csv_text(*rows), media_type=media_type, headers=headers)
 
 
 def _cell(value: object) -> object:
     """Return what is written for a value; an apostrophe guards text that a spreadsheet would run as a formula."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
     if isinstance(value, float):
         return repr(value)
     if isinstance(value, str) and value.startswith(_GUARDED):
@@ -122,7 +141,7 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
 
 
 def answer_table(
-    request: Request, body: BaseModel, media_type: str, table: tuple[Sequence[str], Iterable[Sequence[object]]]
+    request: Request, body: BaseModel, media_type: str, rows: tuple[Sequence[str], Iterable[Sequence[object]]]
 ) -> Response:
     """Return a representation as JSON, or its table as CSV, as the client asked.
 
@@ -134,12 +153,12 @@ def answer_table(
         The representation as JSON.
     media_type
         What the client asked for.
-    table
+    rows
         Header and rows of the representation as CSV.
     """
     if media_type == CSV:
-        return answer_bytes(request, csv_text(*table), media_type=f"{CSV}; charset=utf-8; header=present")
-    return answer(request, body)
+        return _answer_csv(request, rows)
+    return answer_bytes(request, payload_of(body))
 
 
 def next_path(request: Request, name: str, cursor: str) -> str:
@@ -166,7 +185,7 @@ def answer_page(
     key: Callable[[RecordT], cursors.Key],
     represent: Callable[[RecordT], ItemT],
 ) -> Response:
-    """Return one page of a list.
+    """Return one page of a list, as JSON or as a table.
 
     Parameters
     ----------
@@ -183,18 +202,57 @@ def answer_page(
     represent
         Representation of a record.
     """
-    shown = rows[:limit]
-    cursor = path = None
-    headers = {}
-    if len(rows) > limit:
-        cursor = cursors.encode(operation(request), filters, key(shown[-1]))
-        path = next_path(request, "cursor", cursor)
-        headers["Link"] = f'<{path}>; rel="next"'
+    shown, cursor, path = _shown(request, filters, limit, rows, key)
     return answer(
         request,
         Page[SerializeAsAny[BaseModel]](items=[represent(row) for row in shown], next_cursor=cursor, next=path),
-        headers=headers,
+        headers=_link(path),
     )
+
+
+def answer_payloads(
+    request: Request,
+    filters: Mapping[str, object],
+    limit: int,
+    rows: Sequence[RecordT],
+    key: Callable[[RecordT], cursors.Key],
+    payload: Callable[[RecordT], bytes],
+    represent: Callable[[RecordT], ItemT],
+) -> Response:
+    """Return one page of a list whose items are kept as JSON: :func:`answer_page` for long lists that are read often.
+
+    Parameters
+    ----------
+    request, filters, limit, rows, key, represent
+        As there.
+    payload
+        JSON text of the representation of a record.
+    """
+    if wants_table(request):
+        return answer_page(request, filters, limit, rows, key, represent)
+    shown, cursor, path = _shown(request, filters, limit, rows, key)
+    rest = orjson.dumps({"next_cursor": cursor, "next": path})
+    body = b'{"items":[' + b",".join(payload(row) for row in shown) + b"]," + rest[1:]
+    return answer_bytes(request, body, headers=_link(path))
+
+
+def _shown(
+    request: Request,
+    filters: Mapping[str, object],
+    limit: int,
+    rows: Sequence[RecordT],
+    key: Callable[[RecordT], cursors.Key],
+) -> tuple[Sequence[RecordT], str | None, str | None]:
+    """Return the records of a page, the cursor of the next and its path; None where this is the last."""
+    shown = rows[:limit]
+    if len(rows) <= limit:
+        return shown, None, None
+    cursor = cursors.encode(operation(request), filters, key(shown[-1]))
+    return shown, cursor, next_path(request, "cursor", cursor)
+
+
+def _link(path: str | None) -> Mapping[str, str]:
+    return {} if path is None else {"Link": f'<{path}>; rel="next"'}
 
 
 def operation(request: Request) -> str:

@@ -34,10 +34,23 @@ from api.routes import (
     vehicle_classes,
     vehicles,
     wheelsets,
+    worklist,
 )
 from api.services import Services
 
-RESOURCES = (fleets, vehicles, vehicle_classes, wheelsets, geometry, alerts, alert_actions, jobs, tracks, quarantine)
+RESOURCES = (
+    fleets,
+    vehicles,
+    vehicle_classes,
+    worklist,
+    wheelsets,
+    geometry,
+    alerts,
+    alert_actions,
+    jobs,
+    tracks,
+    quarantine,
+)
 # Multi-row reads of SQLite slow each other down in threads: one thread to read, one that may wait to write.
 EMBEDDED_THREADS = 2
 COMMITTED = "openapi.json"  # beside this file; a test compares it with the routes

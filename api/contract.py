@@ -92,6 +92,7 @@ async def media_type(request: Request) -> str:
         raise ProblemError(HTTPStatus.NOT_ACCEPTABLE, "not-acceptable", f"offered: {offered}")
     _refuse_other_body(request)
     _refuse_unknown_parameters(request, contract.query_parameters)
+    request.state.media_type = chosen
     return chosen
 
 

@@ -13,7 +13,7 @@ from api.problems import ProblemError
 
 _DIGEST_LENGTH = 12
 INT64 = 2**63
-Key = str | int
+Key = str | int | list[float | int | str | None]
 
 
 def _digest(operation: str, filters: Mapping[str, object]) -> str:

@@ -12,6 +12,7 @@ def require_known(
     fleet: str | None = None,
     vehicle: str | None = None,
     wheelset: str | None = None,
+    vehicle_class: str | None = None,
     fleet_alert: int | None = None,
 ) -> None:
     """Refuse filters that name nothing; to be asked where a page is empty, for one with rows shows that they do.
@@ -20,7 +21,7 @@ def require_known(
     ----------
     unit
         Where the list is read.
-    fleet, vehicle, wheelset
+    fleet, vehicle, wheelset, vehicle_class
         Codes and serial to filter by; None is no filter.
     fleet_alert
         Number of the fleet alert whose members are asked for.
@@ -28,7 +29,7 @@ def require_known(
     Raises
     ------
     NotFoundError
-        There is no such fleet, vehicle, wheelset or fleet alert.
+        There is no such fleet, vehicle, wheelset, class or fleet alert.
     """
     if fleet is not None and all(one.code != fleet for one in unit.registry.fleets()):
         raise NotFoundError("fleet", fleet)
@@ -36,5 +37,7 @@ def require_known(
         unit.registry.vehicle(vehicle)
     if wheelset is not None:
         unit.registry.wheelset(wheelset)
+    if vehicle_class is not None and unit.registry.vehicle_class(vehicle_class) is None:
+        raise NotFoundError("vehicle class", vehicle_class)
     if fleet_alert is not None and unit.alerts.get(fleet_alert).wheelset is not None:
         raise NotFoundError("fleet alert", str(fleet_alert))

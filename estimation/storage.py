@@ -214,6 +214,13 @@ class Plausibility(Protocol):
     def rejected(self) -> Mapping[str, Mapping[str, int]]: ...
 
 
+class Worklist(Protocol):
+    """What is said of every wheelset; every transaction makes the rows again of which it changes something."""
+
+    def outdated(self) -> Sequence[str]: ...
+    def renew(self, serials: Sequence[str]) -> None: ...
+
+
 class RecordedTimes(Protocol):
     """Our clock on what is stored: results from the time when it was ahead count as recorded now."""
 
@@ -251,6 +258,8 @@ class UnitOfWork(Protocol):
     def plausibility(self) -> Plausibility: ...
     @property
     def recorded_times(self) -> RecordedTimes: ...
+    @property
+    def worklist(self) -> Worklist: ...
 
 
 class Storage(Protocol):

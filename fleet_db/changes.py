@@ -1,4 +1,7 @@
-"""Which wheelsets changed in a transaction: counted once each, in a fixed order, when it ends."""
+"""Which wheelsets changed in a transaction: counted once each, in a fixed order, when it ends.
+
+What the worklist shows of them is made again then, too (``fleet_db.stores.worklist``).
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ CHANGES = table_of(WheelsetChangeRow)
 
 @dataclass(slots=True)
 class Changes:
-    """Serials whose geometry is behind what it is computed from.
+    """Serials whose geometry is behind what it is computed from, and those of which the worklist shows something.
 
     They are written in the order of the serial at the end of the transaction, so that two transactions that touched
     the same wheelsets wait for each other and never in a circle.
@@ -22,10 +25,31 @@ class Changes:
 
     connection: Connection
     noted: set[str] = field(default_factory=set)
+    shown: set[str] = field(default_factory=set)
 
-    def note(self, wheelset: str) -> None:
-        """Something that the geometry of ``wheelset`` is computed from has changed."""
+    def note(self, wheelset: str, *, shown: bool = True) -> None:
+        """Something that the geometry of a wheelset is computed from has changed.
+
+        Parameters
+        ----------
+        wheelset
+            Serial.
+        shown
+            Whether the worklist shows it.
+        """
         self.noted.add(wheelset)
+        if shown:
+            self.show(wheelset)
+
+    def show(self, wheelset: str) -> None:
+        """Something that the worklist shows of ``wheelset`` has changed."""
+        self.shown.add(wheelset)
+
+    def take_shown(self) -> list[str]:
+        """Return the serials whose row of the worklist is to be made again, in their order; they are forgotten here."""
+        taken = sorted(self.shown)
+        self.shown.clear()
+        return taken
 
     def flush(self) -> None:
         """Write what was noted."""

@@ -39,6 +39,8 @@ from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.vehicle_classes import Shipped, no_class
 from fleet_db.stores.windows import WindowStore
+from fleet_db.stores.worklist import WorklistStore
+from fleet_db.stores.worklist_inputs import WorklistReader
 from fleet_db.telemetry import WindowFiles
 from fleet_db.visibility import VISIBLE
 
@@ -78,6 +80,7 @@ class SqlUnitOfWork:
     plausibility: PlausibilityStore = field(init=False)
     recorded_times: RecordedTimeStore = field(init=False)
     idempotency: IdempotencyStore = field(init=False)
+    worklist: WorklistStore = field(init=False)
 
     def __post_init__(self) -> None:
         connection = self.connection
@@ -97,7 +100,7 @@ class SqlUnitOfWork:
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)
         self.geometries = GeometryStore(connection, self.changes)
-        self.trends = TrendStore(connection)
+        self.trends = TrendStore(connection, self.changes)
         self.suspensions = SuspensionStore(connection)
         self.alerts = AlertStore(connection, self.writing, self.changes)
         self.plausibility = PlausibilityStore(connection, self.windows)
@@ -105,6 +108,13 @@ class SqlUnitOfWork:
         self.feed_branches = FeedBranchStore(connection)
         self.jobs = JobRunStore(connection, self.owner)
         self.idempotency = IdempotencyStore(connection)
+        reader = WorklistReader(connection, self.registry, self.geometries, self.trends)
+        self.worklist = WorklistStore(connection, self.changes, reader)
+
+    def finish(self) -> None:
+        """Let what follows from the changes follow, as the last of the transaction: see ``Changes``."""
+        self.changes.flush()
+        self.worklist.refresh(self.changes.take_shown())
 
     def assemble_alone(self, vehicle: str) -> None:
         """Let nobody else store windows or receipts of a vehicle until this transaction has ended.
@@ -169,7 +179,7 @@ class SqlStorage:
         ):
             unit = SqlUnitOfWork(connection, self._files(), writing=True, shipped=self.shipped, owner=self.owner_token)
             yield unit
-            unit.changes.flush()
+            unit.finish()
 
     @contextmanager
     def read(self) -> Iterator[SqlUnitOfWork]:
@@ -281,7 +291,7 @@ class OwnedStorage(SqlStorage):
         """
         with SqlStorage.write(self) as unit:
             yield unit
-            unit.changes.flush()
+            unit.finish()
             owners.check_claim(unit.connection, self.token, self.holder)
 
     @property

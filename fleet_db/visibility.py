@@ -79,6 +79,8 @@ RULES: Mapping[str, Rule] = {
     "wheelset_bins": _of_wheelset,
     "window_bin_tables": _of_wheelset,
     "window_positions": _of_wheelset,
+    "worklist_entries": _of_fleet,
+    "worklist_alerts": _of_wheelset,
 }
 SHARED = frozenset(
     {

@@ -10,6 +10,7 @@ from pydantic.json_schema import models_json_schema
 
 from api.openapi import headers
 from api.openapi.problem_examples import describe_problems
+from api.openapi.tables import describe_tables
 from api.openapi.words import describe_properties
 from api.problems import Problem
 from api.schemas.common import Uncertain
@@ -37,6 +38,7 @@ def document(app: FastAPI) -> dict[str, Any]:
         tags=app.openapi_tags,
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
     )
+    describe_tables(app, found)
     template = "#/components/schemas/{model}"
     _, definitions = models_json_schema([(Problem, "serialization")], ref_template=template)
     schemas = found.setdefault("components", {}).setdefault("schemas", {})

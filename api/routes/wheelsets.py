@@ -21,8 +21,7 @@ from api.answers import (
     require_match,
 )
 from api.idempotency import idempotent_post
-from api.known import require_known
-from api.parameters import FleetFilter, Serial, VehicleFilter
+from api.parameters import Serial
 from api.problems import described
 from api.schemas import registry
 from api.schemas.common import Page
@@ -32,25 +31,6 @@ from estimation.errors import ConflictError
 from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
-
-
-@router.get("", response_model=Page[registry.Wheelset], responses=described(400, 404))
-def list_wheelsets(
-    request: Request,
-    services: ServicesDep,
-    fleet: FleetFilter = None,
-    vehicle: VehicleFilter = None,
-    cursor: Cursor = None,
-    limit: Limit = DEFAULT_LIMIT,
-) -> Response:
-    """List the wheelsets, by serial."""
-    filters = {"fleet": fleet, "vehicle": vehicle}
-    after = cursors.decode_text(operation(request), filters, cursor)
-    with services.storage.read() as unit:
-        rows = unit.registry.wheelsets_page(fleet, vehicle, after, limit + 1)
-        if not rows:
-            require_known(unit, fleet=fleet, vehicle=vehicle)
-    return answer_page(request, filters, limit, rows, lambda record: record.serial, registry.wheelset)
 
 
 @router.get("/{serial}", response_model=registry.Wheelset, responses=described(404))

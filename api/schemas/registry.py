@@ -168,6 +168,7 @@ def wheelset(record: WheelsetRecord) -> Wheelset:
     own = f"/v1/wheelsets/{segment(record.serial)}"
     links = {name: f"{own}/{name}" for name in ("geometry", "trend", "windows", "mountings", "reprofilings")}
     links["measured_profiles"] = f"{own}/measured-profiles"
+    links["state"] = f"{own}/state"
     links = {"self": own, "fleet": f"/v1/fleets/{segment(record.fleet)}", **links}
     links["alerts"] = f"/v1/alerts?wheelset={segment(record.serial)}"
     if record.mounting is not None:

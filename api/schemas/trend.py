@@ -88,7 +88,16 @@ class Trend(Representation):
     links: Links
 
 
-def _distance(forecast: Forecast, unknown: Reason | None) -> DistanceForecast:
+def distance_forecast(forecast: Forecast, unknown: Reason | None) -> DistanceForecast:
+    """Return the quantiles of a distance.
+
+    Parameters
+    ----------
+    forecast
+        km.
+    unknown
+        Why one is missing; None where it is beyond the horizon.
+    """
     p10, p50, p90 = finite(forecast.p10), finite(forecast.p50), finite(forecast.p90)
     reason = (unknown or _BEYOND) if None in (p10, p50, p90) else None
     return DistanceForecast(p10=p10, p50=p50, p90=p90, reason=text_of(reason), reason_code=code_of(reason))
@@ -99,7 +108,16 @@ def _moment(t_ns: float | None) -> str | None:
     return None if value is None or abs(value) >= 2.0**63 else to_rfc3339(int(value))
 
 
-def _date(forecast: Forecast, unknown: Reason | None) -> DateForecast:
+def date_forecast(forecast: Forecast, unknown: Reason | None) -> DateForecast:
+    """Return the quantiles of a date.
+
+    Parameters
+    ----------
+    forecast
+        ns UTC.
+    unknown
+        Why one is missing; None where it is beyond the horizon.
+    """
     p10, p50, p90 = _moment(forecast.p10), _moment(forecast.p50), _moment(forecast.p90)
     reason = (unknown or _BEYOND) if None in (p10, p50, p90) else None
     return DateForecast(p10=p10, p50=p50, p90=p90, reason=text_of(reason), reason_code=code_of(reason))
@@ -141,8 +159,8 @@ def trend(record: TrendRecord, current: GeometryRecord | None) -> Trend:
         slope_1_per_1000_km=uncertain(found.slope_per_1000_km),
         slope_1_per_year=uncertain(found.slope_per_year),
         limit_1=finite(found.limit),
-        distance_to_limit_km=_distance(found.distance_to_limit_km, unknown),
-        date_of_limit=_date(found.date_of_limit_ns, unknown),
+        distance_to_limit_km=distance_forecast(found.distance_to_limit_km, unknown),
+        date_of_limit=date_forecast(found.date_of_limit_ns, unknown),
         probability_over_limit_1=finite(found.probability_over_limit),
         provenance=TrendProvenance(
             code_version=record.code_version,

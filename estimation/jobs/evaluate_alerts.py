@@ -125,12 +125,14 @@ def run(context: JobContext) -> Mapping[str, int]:
 
     Each wheelset is one transaction, in which its alerts are updated, cleared and closed. What is to be raised waits
     for the others of its fleet, since too many of a kind are raised as one; each fleet is then one transaction. A run
-    that ends early raises what it has found; what it has not stored the next run finds again.
+    that ends early raises what it has found; what it has not stored the next run finds again. Rows of the worklist that
+    an earlier release made, or left empty, are made again on the way.
     """
     isolation = Isolation(context, "evaluate_alerts")
     with context.storage.read() as unit:
         serials = [wheelset.serial for wheelset in unit.registry.wheelsets()]
         fleets = [fleet.code for fleet in unit.registry.fleets()]
+        of_before = frozenset(unit.worklist.outdated())
     compared = _compared(context, isolation)
     counts: Counter[str] = Counter(dict.fromkeys(("wheelsets", *(kind.value for kind in AlertEventKind)), 0))
     found: list[Transition] = []
@@ -143,6 +145,7 @@ def run(context: JobContext) -> Mapping[str, int]:
             with isolation.alone(SubjectKind.WHEELSET, serial, inputs):
                 with context.storage.write() as unit:
                     events, to_raise = _evaluate(unit, serial, context, compared.of(serial))
+                    unit.worklist.renew([serial] if serial in of_before else [])
                 counts.update(kind.value for kind in events)
                 found += to_raise
                 counts["wheelsets"] += 1

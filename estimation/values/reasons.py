@@ -162,6 +162,11 @@ class ReasonCode(StrEnum):
     NO_RECENT_DATA = "no_recent_data", "There have been no usable data for too long."
     SENSOR_FAULTY = "sensor_faulty", "The sensor is faulty according to the sensor fault rule."
     IDENTITY_DOUBTFUL = "identity_doubtful", "The wheelset is not the recorded one, or is mounted the other way round."
+    # worklist
+    LIMIT_EXCEEDED = "limit_exceeded", "The conicity limit is exceeded. Turn the wheelset, or measure its profiles."
+    LIMIT_AHEAD = "limit_ahead", "The conicity limit is forecast to be reached."
+    ALERT_OPEN = "alert_open", "An alert of the wheelset is open."
+    NOT_MOUNTED = "not_mounted", "The wheelset runs under no vehicle."
     # recording
     LOG_DAMAGED = "log_damaged", "The recording is truncated, damaged or no log. Send it again."
     CLOCK_IMPLAUSIBLE = (

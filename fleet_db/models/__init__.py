@@ -32,6 +32,7 @@ from fleet_db.models.vehicle_classes import VehicleClassRow
 from fleet_db.models.vehicles import VehicleRow
 from fleet_db.models.wheelsets import ReprofilingRow, WheelsetChangeRow, WheelsetRow
 from fleet_db.models.windows import WindowRow
+from fleet_db.models.worklist import WorklistAlertRow, WorklistEntryRow
 
 __all__ = [
     "AlertEventRow",
@@ -71,4 +72,6 @@ __all__ = [
     "WindowBinTableRow",
     "WindowPositionRow",
     "WindowRow",
+    "WorklistAlertRow",
+    "WorklistEntryRow",
 ]

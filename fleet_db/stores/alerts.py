@@ -142,6 +142,8 @@ class AlertStore:
         ]
         for row in rows:
             self.connection.execute(insert(EVENTS).values(**row))
+        if saved.wheelset is not None:
+            self.changes.show(saved.wheelset)
         if events and saved.kind == IDENTITY and saved.wheelset is not None:
             self.changes.note(saved.wheelset)  # its geometry starts again from the identity change
         return saved

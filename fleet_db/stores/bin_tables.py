@@ -55,7 +55,7 @@ class BinTableStore:
             "packed": packed,
         }
         if upsert(self.connection, TABLES, values):
-            self.changes.note(wheelset)
+            self.changes.note(wheelset, shown=False)  # its geometry follows
 
     def parameter_keys(self) -> Sequence[TableKey]:
         """Return every combination of wheelset, vehicle and parameters of which there is a table."""

@@ -150,6 +150,7 @@ class CorrectionStore:
         if mounted:
             reason = f"wheelset {key.subject!r} is mounted on {mounted[-1].vehicle!r}: void its mountings first"
             raise ConflictError(reason, kind=key.kind.value, key=key.subject)
+        self.changes.show(key.subject)
         return {name: getattr(record, name) for name in ("serial", "fleet", "wheel_profile", "nominal_radius_m")}
 
     def _void_section(self, key: RecordKey) -> _Values:
@@ -169,8 +170,9 @@ class CorrectionStore:
         self.connection.execute(insert(MEASURED).values(**row))
         self.changes.note(record["wheelset"])
 
-    def _restore_wheelset(self, _record: _Values, _recorded_ns: int | None) -> None:
+    def _restore_wheelset(self, record: _Values, _recorded_ns: int | None) -> None:
         """Nothing is to be put back: the decision itself ends that it is voided."""
+        self.changes.show(record["serial"])
 
     def _restore_section(self, record: _Values, recorded_ns: int | None) -> None:
         self.tracks.add_section(TrackSectionRecord(**record), recorded_ns)

@@ -64,6 +64,7 @@ class GeometryStore:
         self.connection.execute(insert(GEOMETRIES).values(**values))
         if record.interval is None:
             self._show_bins(record.wheelset)
+            self.changes.show(record.wheelset)
         return True
 
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:

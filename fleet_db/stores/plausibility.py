@@ -71,7 +71,9 @@ class PlausibilityStore:
                 self.windows.mark(wheelset, row.start_ns, WindowState.REFUSED, reason)
             elif before is not None:
                 self.windows.mark(wheelset, row.start_ns, WindowState.PENDING)
-            changed += reason != before
+            if reason != before:
+                changed += 1
+                self.windows.changes.show(wheelset)  # its mileage is another now
         return changed
 
     def left_out(self, wheelset: str, from_ns: int) -> Mapping[ReasonCode, int]:

@@ -86,6 +86,10 @@ class RegistryStore:
         """Return wheelsets by serial, of one fleet or of all."""
         return self._wheelsets(_in_fleet(select(WHEELSETS), WHEELSETS.c.fleet, fleet))
 
+    def wheelsets_of(self, serials: Sequence[str]) -> Sequence[WheelsetRecord]:
+        """Return the wheelsets of these serials, by serial; one that is not on file is left out."""
+        return self._wheelsets(select(WHEELSETS).where(WHEELSETS.c.serial.in_(serials)))
+
     def wheelset(self, serial: str) -> WheelsetRecord:
         """Return one wheelset, with the mounting that lasts and its reprofilings.
 
@@ -158,6 +162,7 @@ class RegistryStore:
         before = self.vehicle_class(vehicle_class.code)
         stored = store_class(self.connection, vehicle_class, recorded_ns)
         vehicles = [vehicle.code for vehicle in self.vehicles_of_class(vehicle_class.code)]
+        self._show_mounted(vehicles)
         return Again(self.connection, self.changes, recorded_ns).class_changed(vehicles, before, stored)
 
     def add_fleet(self, record: FleetRecord) -> None:
@@ -176,7 +181,8 @@ class RegistryStore:
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
         found = self._vehicles(select(VEHICLES).where(VEHICLES.c.code == record.code))
-        upsert(self.connection, VEHICLES, asdict(record) | {"axle_offsets_m": list(record.axle_offsets_m)})
+        if upsert(self.connection, VEHICLES, asdict(record) | {"axle_offsets_m": list(record.axle_offsets_m)}):
+            self._show_mounted([record.code])
         was = found[0] if found else None
         if was is None or _assembled_with(was) != _assembled_with(record):
             cause = f"vehicle {record.code} {'added' if was is None else 'changed'}"
@@ -211,6 +217,7 @@ class RegistryStore:
             RegistryHistoryStore(self.connection).note(
                 key, RecordAction.RESTORED, values, Decision(recorded_ns=recorded_ns)
             )
+            self.changes.show(record.serial)
         if upsert(self.connection, WHEELSETS, values):
             self.changes.note(record.serial)
             self._note_change(key, row, recorded_ns)
@@ -319,6 +326,12 @@ class RegistryStore:
             if was is not None:
                 key = RecordKey(RecordKind.MEASUREMENT, record.wheelset, record.at_ns)
                 self._note_change(key, was, recorded_ns)
+
+    def _show_mounted(self, vehicles: Sequence[str]) -> None:
+        """Let the worklist show what has changed about the vehicles that wheelsets run under."""
+        mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle.in_(vehicles), MOUNTINGS.c.to_ns.is_(None))
+        for serial in self.connection.scalars(mounted):
+            self.changes.show(serial)
 
     def _note_change(self, key: RecordKey, was: Mapping[str, Any] | RowMapping | None, recorded_ns: int | None) -> None:
         """Keep what a record was before it was changed."""

@@ -8,6 +8,7 @@ from typing import Any
 from sqlalchemy import Connection, insert, select
 
 from estimation.values.trend import TrendRecord
+from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import TrendRow
 from fleet_db.packed_values import pack_trend, unpack_trend
@@ -22,6 +23,7 @@ class TrendStore:
     """Implements ``estimation.storage.Trends``."""
 
     connection: Connection
+    changes: Changes
 
     def put(self, record: TrendRecord) -> bool:
         """Append a trend; False if the newest of its wheelset is of the same baseline, quantity, inputs and code.
@@ -43,6 +45,7 @@ class TrendStore:
                 return False
             values["recorded_ns"] = max(record.recorded_ns, newest.recorded_ns)
         self.connection.execute(insert(TRENDS).values(**values))
+        self.changes.show(record.wheelset)
         return True
 
     def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None:

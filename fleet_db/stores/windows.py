@@ -86,6 +86,7 @@ class WindowStore:
             "recorded_ns": recorded_ns,
             "judged": False,
         }
+        self.changes.show(window.wheelset)
         if found.content_digest is None:
             # another transaction may have stored it since the look-up
             return insert_new(self.connection, WINDOWS, values) or self.put(window, mileage_km, recorded_ns)
@@ -199,7 +200,8 @@ class WindowStore:
             return
         replace(self.connection, WINDOWS, {**key, **after})
         if before.state != state.value:
-            self.changes.note(wheelset)
+            refused = WindowState.REFUSED.value in {before.state, state.value}  # else the newest usable one stays
+            self.changes.note(wheelset, shown=refused)
         if state is WindowState.REFUSED:
             self._remove_table(wheelset, start_ns)
 
@@ -265,7 +267,7 @@ class WindowStore:
             delete(TABLES).where(TABLES.c.wheelset == wheelset, TABLES.c.start_ns == start_ns)
         )
         if result.rowcount:
-            self.changes.note(wheelset)
+            self.changes.note(wheelset, shown=False)
 
     def _records(self, statement: Select[Any]) -> builtins.list[WindowRecord]:
         return [to_window_record(row) for row in self.connection.execute(statement)]

@@ -84,7 +84,20 @@ def test_numbers_say_their_unit_in_their_names() -> None:
         "Parameter": {"value", "std"},  # their unit is in a field beside them
         "Sensor": {"noise_density", "limit"},
     }
-    counts = {"axle", "axles", "baseline", "gaps", "id", "n_windows", "number", "passes", "status", "version"}
+    counts = {
+        "axle",
+        "axles",
+        "baseline",
+        "gaps",
+        "id",
+        "n_windows",
+        "number",
+        "passes",
+        "status",
+        "version",
+        "bogie",
+        "urgency_rank",
+    }
     counts |= {"attempts", "past_findings", "recent_findings", "other_vehicles", "windows_left_out"}
     counts |= {"same_since_version", "points", "rounds", "refused_windows", "refused_windows_by_code", "wheelsets"}
     units = ("_mm", "_m", "_km", "_m_s", "_1", "_s", "_hz", "_rad", "_deg", "_per_mm", "_per_1000_km", "_per_year")

@@ -30,7 +30,7 @@ def get(client: httpx.Client, path: str, **params: str | int) -> Any:  # noqa: A
 def test_a_wheelset_leads_to_its_bin_table_its_trend_and_its_alerts(client: httpx.Client) -> None:
     first = get(client, "/v1/wheelsets")["items"][0]
     wheelset = get(client, first["links"]["self"])
-    assert wheelset == first
+    assert wheelset.items() < first.items()
     assert wheelset["serial"] == "WS-000"
     assert wheelset["nominal_radius_mm"] == 437.5
     assert wheelset["mounting"]["vehicle"] == "V-0"

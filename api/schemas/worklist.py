@@ -1,0 +1,148 @@
+"""Rows of the worklist: a wheelset, where it runs, how it is, and how urgent that is."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from pydantic import Field
+
+from api.schemas import registry
+from api.schemas.alerts import AlertKind
+from api.schemas.common import Representation, Uncertain, finite, uncertain
+from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
+from api.times import Timestamp, to_rfc3339
+from estimation.values.alerts import Condition, Severity
+from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.worklist import AxlePosition, BogiePlace, OpenAlert, Urgency, WorklistRow, WorklistState
+from fleet_db.stores.worklist import WorklistOrder
+from fleet_db.worklist_documents import from_document
+
+WorklistSort = StrEnum(  # type: ignore[misc] # mypy wants the members written out; they are those of the order, twice
+    "WorklistSort",
+    {f"{name}{order.name}": f"{sign}{order}" for order in WorklistOrder for name, sign in (("", ""), ("DOWN_", "-"))},
+)
+
+
+class WorklistPosition(Representation):
+    """Where a wheelset is under its vehicle; nulls where the vehicle has no bogies or its class is not on file."""
+
+    bogie: int | None = Field(description="Number of the bogie, from 1 in the order of the axles.", examples=[1])
+    place: BogiePlace | None = Field(description="Which of the bogie's two, in the order of the axle numbers.")
+
+
+class WorklistReason(Representation):
+    """Why a wheelset is as urgent as it is."""
+
+    code: ReasonCode
+    text: str = Field(description="In words.", examples=["due in 12,400 km (p10 8,000 km)"])
+
+
+class WorklistAlert(Representation):
+    """An open alert, in short."""
+
+    id: int = Field(description="Number of the alert.", examples=[1])
+    kind: AlertKind
+    severity: Severity
+    condition: Condition
+    opened_at: Timestamp
+    acknowledged: bool
+    shelved_until: Timestamp | None
+
+
+class WheelsetState(Representation):
+    """How a wheelset is now: what is stored of it, kept current with every change."""
+
+    status: Status = Field(description="Of the conicity now.")
+    urgency: Urgency
+    urgency_rank: int = Field(description="1 is the most urgent class of `urgency`.", examples=[3])
+    reasons: list[WorklistReason] = Field(description="Why it is so urgent, the most important reason first.")
+    conicity_1: Uncertain = Field(description="Equivalent conicity at 3 mm of the current profile.")
+    measured_until: Timestamp | None = Field(description="End of the newest data behind the conicity.")
+    slope_1_per_1000_km: Uncertain = Field(description="Of the trend since the last reprofiling.")
+    limit_1: float | None = Field(description="Conicity limit that the trend is held against.")
+    probability_over_limit_1: float | None = Field(description="That the limit is exceeded; null means unknown.")
+    distance_to_limit_km: DistanceForecast = Field(
+        description="Still to run from `mileage_km`: the trend's own distance less `since_trend_km`."
+    )
+    since_trend_km: float | None = Field(description="Run since the last point of the trend.")
+    date_of_limit: DateForecast
+    mileage_km: float | None = Field(description="Since new, by the last reading that is believed.")
+    mileage_at: Timestamp | None = Field(description="When it was read.")
+    last_data_at: Timestamp | None = Field(description="End of the newest data that are estimated or wait for it.")
+    alerts: list[WorklistAlert] = Field(description="Open alerts, the worst first.")
+    worst_severity: Severity | None = Field(description="Of the open alerts; null where none is open.")
+
+
+class WheelsetRow(registry.Wheelset):
+    """A wheelset with where it runs and how it is."""
+
+    vehicle: str | None = Field(description="That it runs under now; null where it is not mounted.", examples=["V-101"])
+    vehicle_class: str | None = Field(description="Class of that vehicle.", examples=["coach"])
+    axle: int | None = Field(description="Number of its axle there, from 1.", examples=[1])
+    position: WorklistPosition | None
+    state: WheelsetState
+
+
+def wheelset_row(row: WorklistRow) -> WheelsetRow:
+    """Return the representation of a row of the worklist."""
+    mounting = row.wheelset.mounting
+    return WheelsetRow(
+        **dict(registry.wheelset(row.wheelset)),
+        vehicle=None if mounting is None else mounting.vehicle,
+        vehicle_class=row.vehicle_class,
+        axle=None if mounting is None else mounting.axle,
+        position=None if row.position is None else _position(row.position),
+        state=_state(row.state),
+    )
+
+
+def row_of_document(document: str) -> WheelsetRow:
+    """Return the representation of a stored row."""
+    return wheelset_row(from_document(document))
+
+
+def _position(position: AxlePosition) -> WorklistPosition:
+    return WorklistPosition(bogie=position.bogie, place=position.place)
+
+
+def _state(state: WorklistState) -> WheelsetState:
+    return WheelsetState(
+        status=state.status,
+        urgency=state.urgency,
+        urgency_rank=state.urgency.rank,
+        reasons=[_reason(reason) for reason in state.reasons],
+        conicity_1=uncertain(state.conicity),
+        measured_until=_moment(state.measured_until_ns),
+        slope_1_per_1000_km=uncertain(state.slope_per_1000_km),
+        limit_1=finite(state.limit),
+        probability_over_limit_1=finite(state.probability_over_limit),
+        distance_to_limit_km=distance_forecast(state.distance_to_limit_km, state.forecast_reason),
+        since_trend_km=finite(state.since_trend_km),
+        date_of_limit=date_forecast(state.date_of_limit_ns, state.forecast_reason),
+        mileage_km=None if state.mileage is None else state.mileage.mileage_km,
+        mileage_at=None if state.mileage is None else to_rfc3339(state.mileage.at_ns),
+        last_data_at=_moment(state.last_data_ns),
+        alerts=[_alert(alert) for alert in state.alerts],
+        worst_severity=state.alerts[0].severity if state.alerts else None,
+    )
+
+
+def _reason(reason: Reason) -> WorklistReason:
+    return WorklistReason(code=reason.code, text=reason.text)
+
+
+def _alert(alert: OpenAlert) -> WorklistAlert:
+    return WorklistAlert(
+        id=alert.alert_id,
+        kind=alert.kind,
+        severity=alert.severity,
+        condition=alert.condition,
+        opened_at=to_rfc3339(alert.opened_ns),
+        acknowledged=alert.acknowledged,
+        shelved_until=_moment(alert.shelved_until_ns),
+    )
+
+
+def _moment(t_ns: int | None) -> str | None:
+    return None if t_ns is None else to_rfc3339(t_ns)

@@ -1,0 +1,1 @@
+"""How urgent each wheelset is, from what is known of it."""

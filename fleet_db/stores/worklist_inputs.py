@@ -1,0 +1,157 @@
+"""What rows of the worklist are made from, read for many wheelsets at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, exists, select
+
+from estimation.errors import DamagedError
+from estimation.failures import code_of_error, first_line
+from estimation.values.alerts import Condition, Severity
+from estimation.values.geometry import GeometryRecord
+from estimation.values.reasons import Reason
+from estimation.values.registry import VehicleRecord
+from estimation.values.trend import TrendRecord
+from estimation.values.windows import WindowState
+from estimation.values.worklist import MileageNow, OpenAlert
+from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.worklist.inputs import WorklistInputs
+from fleet_db.models import AlertRow, GeometryRow, TrendRow, WheelsetRow, WindowRow
+from fleet_db.registry_events import RecordKind
+from fleet_db.rows import table_of
+from fleet_db.stores.geometries import GeometryStore
+from fleet_db.stores.registry import RegistryStore
+from fleet_db.stores.registry_history import is_voided
+from fleet_db.stores.trends import TrendStore
+
+ALERTS, WINDOWS, WHEELSETS = table_of(AlertRow), table_of(WindowRow), table_of(WheelsetRow)
+GEOMETRIES, TRENDS = table_of(GeometryRow), table_of(TrendRow)
+
+
+@dataclass(frozen=True, slots=True)
+class WorklistReader:
+    """Reads what is stored of wheelsets, in one transaction; locks nothing."""
+
+    connection: Connection
+    registry: RegistryStore
+    geometries: GeometryStore
+    trends: TrendStore
+    vehicles: dict[str, VehicleRecord] = field(default_factory=dict)
+    classes: dict[str, VehicleClass | None] = field(default_factory=dict)
+
+    def read(self, serials: Sequence[str]) -> list[WorklistInputs]:
+        """Return what is stored of wheelsets that are not voided, by serial.
+
+        Parameters
+        ----------
+        serials
+            Some hundreds at most.
+        """
+        alerts, windows = self._alerts(serials), self._windows(serials)
+        with_geometry = self._having(serials, GEOMETRIES.c.wheelset)
+        with_trend = self._having(serials, TRENDS.c.wheelset)
+        found = []
+        for record in self.registry.wheelsets_of(serials):
+            serial, mounting = record.serial, record.mounting
+            vehicle = None if mounting is None else self._vehicle(mounting.vehicle)
+            last_ns, mileage = windows[serial]
+            if mileage is None and mounting is not None:
+                mileage = MileageNow(mounting.wheelset_mileage_km, mounting.from_ns)
+            current, latest, failure = self._results(
+                serial, geometry=serial in with_geometry, trend=serial in with_trend
+            )
+            found.append(
+                WorklistInputs(
+                    wheelset=record,
+                    vehicle=vehicle,
+                    vehicle_class=None if vehicle is None else self._class(vehicle.vehicle_class),
+                    geometry=current,
+                    trend=latest,
+                    last_window_ns=last_ns,
+                    mileage=mileage,
+                    alerts=alerts.get(serial, ()),
+                    failure=failure,
+                )
+            )
+        return found
+
+    def _results(
+        self, serial: str, *, geometry: bool, trend: bool
+    ) -> tuple[GeometryRecord | None, TrendRecord | None, Reason | None]:
+        """Return current geometry and latest trend, where there are any, or why they cannot be read."""
+        try:
+            current = self.geometries.current(serial) if geometry else None
+            return current, self.trends.latest(serial) if trend else None, None
+        except DamagedError as error:
+            return None, None, Reason(code_of_error(error), first_line(error))
+
+    def _vehicle(self, code: str) -> VehicleRecord:
+        if code not in self.vehicles:
+            self.vehicles[code] = self.registry.vehicle(code)
+        return self.vehicles[code]
+
+    def _class(self, code: str) -> VehicleClass | None:
+        if code not in self.classes:
+            found = self.registry.vehicle_class(code)
+            self.classes[code] = None if found is None else found.vehicle_class
+        return self.classes[code]
+
+    def _having(self, serials: Sequence[str], wheelset: Column[str]) -> frozenset[str]:
+        statement = select(WHEELSETS.c.serial).where(
+            WHEELSETS.c.serial.in_(serials), exists().where(wheelset == WHEELSETS.c.serial)
+        )
+        return frozenset(self.connection.scalars(statement))
+
+    def _alerts(self, serials: Sequence[str]) -> Mapping[str, Sequence[OpenAlert]]:
+        columns = [ALERTS.c[name] for name in ("wheelset", "alert_id", "kind", "severity", "condition", "opened_ns")]
+        statement = select(*columns, ALERTS.c.acknowledged_ns, ALERTS.c.shelved_until_ns).where(
+            ALERTS.c.wheelset.in_(serials), ALERTS.c.closed_ns.is_(None)
+        )
+        found: dict[str, list[OpenAlert]] = {}
+        for row in self.connection.execute(statement.order_by(ALERTS.c.alert_id)):
+            alert = OpenAlert(
+                alert_id=row.alert_id,
+                kind=row.kind,
+                severity=Severity(row.severity),
+                condition=Condition(row.condition),
+                opened_ns=row.opened_ns,
+                acknowledged=row.acknowledged_ns is not None,
+                shelved_until_ns=row.shelved_until_ns,
+            )
+            found.setdefault(row.wheelset, []).append(alert)
+        return found
+
+    def _windows(self, serials: Sequence[str]) -> Mapping[str, tuple[int | None, MileageNow | None]]:
+        """Return the end of the newest usable window, and the newest mileage that is believed."""
+        usable = WINDOWS.c.state != WindowState.REFUSED.value
+        believed = WINDOWS.c.implausible_code.is_(None)
+        statement = select(
+            WHEELSETS.c.serial,
+            _newest(WINDOWS.c.start_ns, usable).label("start_ns"),
+            _newest(WINDOWS.c.length_ns, usable).label("length_ns"),
+            _newest(WINDOWS.c.start_ns, believed).label("read_ns"),
+            _newest(WINDOWS.c.mileage_km, believed).label("mileage_km"),
+        ).where(WHEELSETS.c.serial.in_(serials))
+        return {
+            row.serial: (
+                None if row.start_ns is None else row.start_ns + row.length_ns,
+                None if row.read_ns is None else MileageNow(row.mileage_km, row.read_ns),
+            )
+            for row in self.connection.execute(statement)
+        }
+
+
+def _newest(column: Column[int] | Column[float], chosen: ColumnElement[bool]) -> ScalarSelect[float]:
+    """Return a column of the newest window of a wheelset that is chosen."""
+    statement = select(column).where(WINDOWS.c.wheelset == WHEELSETS.c.serial, chosen)
+    return statement.order_by(WINDOWS.c.start_ns.desc()).limit(1).correlate(WHEELSETS).scalar_subquery()
+
+
+def not_voided(connection: Connection, serials: Sequence[str]) -> list[str]:
+    """Return the wheelsets that are on file and not voided, by serial."""
+    statement = select(WHEELSETS.c.serial).where(
+        WHEELSETS.c.serial.in_(serials), ~is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial)
+    )
+    return list(connection.scalars(statement.order_by(WHEELSETS.c.serial)))
