@@ -22,6 +22,7 @@ from api.http_limits import HttpLimits
 from api.metrics import RequestMeasures, StoredMeasures
 from api.middleware import RequestContextMiddleware
 from api.openapi.document import document
+from api.page import routes as page
 from api.routes import (
     alert_actions,
     alerts,
@@ -79,6 +80,7 @@ def describe() -> FastAPI:
         )
     app.include_router(health.router)
     app.include_router(docs_page.router)
+    app.include_router(page.router)
     problems.install(app)
     return app
 

@@ -8,7 +8,6 @@ from importlib.resources import files
 from fastapi import APIRouter, FastAPI, Request, Response
 from fastapi.openapi.docs import get_swagger_ui_html
 from starlette.exceptions import HTTPException
-from starlette.responses import RedirectResponse
 
 _ASSETS = {
     "swagger-ui-bundle.js": "text/javascript; charset=utf-8",
@@ -16,12 +15,6 @@ _ASSETS = {
     "favicon-32x32.png": "image/png",
 }
 router = APIRouter(include_in_schema=False)
-
-
-@router.get("/")
-async def get_root() -> Response:
-    """Lead a browser to the documentation."""
-    return RedirectResponse("/docs")
 
 
 @router.get("/docs")

@@ -30,8 +30,3 @@ def test_the_page_is_a_swagger_ui_that_reads_openapi_3_1(client: httpx.Client) -
     assert re.search(r"openapi:3\.1|3\\\.1", bundle.text)
     assert client.get("/docs/assets/../../api/settings.py").status_code == 404
     assert client.get("/docs/assets/swagger-ui.map").status_code == 404
-
-
-def test_the_root_leads_to_the_page(client: httpx.Client) -> None:
-    response = client.get("/")
-    assert (response.status_code, response.headers["location"]) == (307, "/docs")

@@ -1,0 +1,151 @@
+// A table of thousands of rows of which only those in sight are in the document; a grid for the keyboard.
+import { el, replace } from "./dom.js";
+import { empty } from "./states.js";
+
+const MARGIN_ROWS = 8;
+
+/**
+ * A table. `columns` are `{name, label, title, cell(row), class, sort}`; `sort` names what a click on the head sorts by.
+ *
+ * `table.setRows(rows, {total, more})` shows other rows; `more()` is called when the end of the rows comes into sight.
+ * Arrows, Page Up, Page Down, Home and End move, Enter opens.
+ */
+export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, sorted, rowClass, nothing }) {
+  let rows = [], total = 0, more = null, focused = 0, first = -1, last = -1;
+  const head = el("tr", { "aria-rowindex": 1 }, columns.map((column) => headCell(column, sorted, onSort)));
+  const above = el("tbody", { "aria-hidden": "true" });
+  const body = el("tbody", {});
+  const below = el("tbody", { "aria-hidden": "true" });
+  const grid = el(
+    "table",
+    { role: "grid", "aria-label": label, class: "rows" },
+    el("colgroup", {}, columns.map((column) => el("col", { class: `col-${column.name}` }))),
+    el("thead", {}, head), above, body, below,
+  );
+  const scroller = el("div", { class: "scroller", on: { scroll: () => requestAnimationFrame(draw) } }, grid);
+  const element = el("div", { class: "table" }, scroller);
+  let forPrint = false;
+
+  function draw() {
+    if (rows.length === 0) return;
+    const height = scroller.clientHeight || innerHeight;
+    const from = forPrint ? 0 : Math.max(0, Math.floor(scroller.scrollTop / rowHeight) - MARGIN_ROWS);
+    const to = forPrint ? rows.length : Math.min(rows.length, from + Math.ceil(height / rowHeight) + 2 * MARGIN_ROWS);
+    if (more && to > rows.length - 60) {
+      const ask = more;
+      more = null;
+      ask();
+    }
+    if (from === first && to === last) return;
+    const held = body.contains(document.activeElement);
+    first = from;
+    last = to;
+    replace(body, rows.slice(from, to).map((row, place) => drawRow(row, from + place)));
+    spacer(above, from);
+    spacer(below, Math.max(0, (forPrint ? to : rows.length) - to));
+    if (held) body.querySelector('tr[tabindex="0"]')?.focus({ preventScroll: true });
+  }
+
+  const spacer = (part, count) =>
+    replace(part, count > 0 && el("tr", {}, el("td", { colspan: columns.length, class: "spacer", style: { height: `${count * rowHeight}px` } })));
+
+  function drawRow(row, index) {
+    return el(
+      "tr",
+      {
+        "aria-rowindex": index + 2,
+        tabindex: index === focused ? 0 : -1,
+        class: rowClass?.(row),
+        data: { index, key: keyOf(row) },
+        style: { height: `${rowHeight}px` },
+        on: { focus: () => mark(index) },
+      },
+      columns.map((column) => el("td", { class: column.class }, column.cell(row))),
+    );
+  }
+
+  function mark(index) {
+    body.querySelector('tr[tabindex="0"]')?.setAttribute("tabindex", "-1");
+    focused = index;
+    body.querySelector(`tr[data-index="${index}"]`)?.setAttribute("tabindex", "0");
+  }
+
+  function move(index) {
+    const target = Math.max(0, Math.min(rows.length - 1, index));
+    const top = target * rowHeight, room = scroller.clientHeight - head.offsetHeight - rowHeight;
+    if (top < scroller.scrollTop) scroller.scrollTop = top;
+    else if (top > scroller.scrollTop + room) scroller.scrollTop = top - room;
+    draw();
+    mark(target);
+    body.querySelector(`tr[data-index="${target}"]`)?.focus({ preventScroll: true });
+  }
+
+  const pageOf = () => Math.max(1, Math.floor(scroller.clientHeight / rowHeight) - 2);
+  const steps = {
+    ArrowDown: () => focused + 1,
+    ArrowUp: () => focused - 1,
+    PageDown: () => focused + pageOf(),
+    PageUp: () => focused - pageOf(),
+    Home: () => 0,
+    End: () => rows.length - 1,
+  };
+
+  body.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName !== "TR") return;
+    if (event.key === "Enter") onOpen?.(rows[focused], event.target);
+    else if (event.key in steps) move(steps[event.key]());
+    else return;
+    event.preventDefault();
+  });
+  body.addEventListener("click", (event) => {
+    const row = event.target.closest("tr");
+    if (row === null || event.target.closest("a, button") || getSelection().type === "Range") return;
+    mark(Number(row.dataset.index));
+    row.focus({ preventScroll: true });
+    onOpen?.(rows[focused], row);
+  });
+  const print = matchMedia("print");
+  const asPrinted = () => {
+    forPrint = print.matches;
+    first = -1;
+    draw();
+  };
+  print.addEventListener("change", asPrinted);
+  const sized = new ResizeObserver(() => {
+    if (!element.isConnected && first !== -1) print.removeEventListener("change", asPrinted);
+    else draw();
+  });
+  sized.observe(scroller);
+
+  element.setRows = (given, options = {}) => {
+    const key = rows[focused] && keyOf(rows[focused]);
+    rows = given;
+    total = options.total ?? rows.length;
+    more = options.more ?? null;
+    focused = Math.max(0, rows.findIndex((row) => keyOf(row) === key));
+    grid.setAttribute("aria-rowcount", more ? -1 : total + 1);
+    first = -1;
+    if (rows.length === 0) replace(element, nothing?.() ?? empty("Nothing here."));
+    else if (!scroller.isConnected || element.firstChild !== scroller) replace(element, scroller);
+    draw();
+    return element;
+  };
+  element.focusFirst = () => move(focused);
+  element.setSorted = (name) => {
+    for (const [place, column] of columns.entries()) sortMark(head.children[place], column, name);
+  };
+  return element;
+}
+
+function headCell(column, sorted, onSort) {
+  const label = column.sort ? el("button", { type: "button", on: { click: () => onSort(column.sort) } }, column.label) : column.label;
+  const cell = el("th", { scope: "col", class: column.class, title: column.title }, label);
+  sortMark(cell, column, sorted);
+  return cell;
+}
+
+function sortMark(cell, column, name) {
+  if (!column.sort) return;
+  const name_ = name?.replace(/^-/, "");
+  cell.setAttribute("aria-sort", column.sort !== name_ ? "none" : name.startsWith("-") ? "descending" : "ascending");
+}

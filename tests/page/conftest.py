@@ -1,0 +1,83 @@
+"""A really running ``treadwatch serve`` over a stored fleet, and Chromium: one server a run, one browser a module."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from urllib.parse import urlsplit
+
+import page_fleet
+import pytest
+from chromium import chromium
+from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Request, sync_playwright
+from service_process import ServiceProcess, service_process
+
+from api.factory import open_store
+from api.settings import Settings
+from fleet_db.migrate import upgrade
+
+PATIENCE_MS = 15_000.0
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What must not happen on a page: errors of scripts, refusals of its policy, requests to other origins."""
+
+    complaints: list[str] = field(default_factory=list)
+
+    def watch(self, page: Page, origin: str) -> None:
+        """Follow a page from its beginning."""
+        page.on("console", lambda message: self._said(message))  # noqa: PLW0108 - playwright marks the object of a bound one
+        page.on("pageerror", lambda error: self.complaints.append(f"error of a script: {error}"))
+        page.on("request", lambda request: self._asked(request, origin))
+
+    def _said(self, message: ConsoleMessage) -> None:
+        if message.type in {"error", "warning"} and "Failed to load resource" not in message.text:
+            self.complaints.append(f"{message.type} on the console: {message.text}")
+
+    def _asked(self, request: Request, origin: str) -> None:
+        address = urlsplit(request.url)
+        if address.scheme not in {"data", "blob"} and f"{address.scheme}://{address.netloc}" != origin:
+            self.complaints.append(f"request to another origin: {request.url}")
+
+
+@pytest.fixture(scope="session")
+def page_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
+    """Yield ``treadwatch serve`` over the fleet; tests that change something bring alerts of their own."""
+    folder = tmp_path_factory.mktemp("page")
+    settings = Settings(data_dir=folder / "data", _env_file=None)
+    settings.data_dir.mkdir()
+    upgrade(settings.url)
+    storage = open_store(settings)
+    page_fleet.populate(storage)
+    storage.close()
+    with service_process(folder) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Yield Chromium; its event loop runs in this thread, so that it must end with the module."""
+    with sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox", "--disable-gpu"])
+        yield launched
+        launched.close()
+
+
+@pytest.fixture
+def context(browser: Browser) -> Iterator[BrowserContext]:
+    """Yield a fresh profile of a desktop."""
+    made = browser.new_context(viewport={"width": 1440, "height": 900}, color_scheme="light")
+    made.set_default_timeout(PATIENCE_MS)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def page(context: BrowserContext, page_service: ServiceProcess) -> Iterator[Page]:
+    """Yield an empty tab; whatever a test does, nothing may go wrong in it unseen."""
+    tab = context.new_page()
+    watched = Watched()
+    watched.watch(tab, page_service.url)
+    yield tab
+    assert watched.complaints == []
