@@ -102,7 +102,7 @@ def test_search_finds_a_wheelset_and_a_vehicle_or_says_that_there_is_none(
         page.wait_for_function("wanted => location.hash === wanted", arg=place)
     page.fill("#search-field", "nothing")
     page.press("#search-field", "Enter")
-    page.wait_for_function("document.getElementById('search-field').validationMessage.includes('nothing')")
+    page.wait_for_function("() => document.getElementById('search-field').validationMessage.includes('nothing')")
 
 
 def test_an_unknown_address_is_said_to_be_none(page: Page, page_service: ServiceProcess) -> None:
