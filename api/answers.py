@@ -39,6 +39,7 @@ IdempotencyKey = Annotated[
     ),
 ]
 DEFAULT_LIMIT = 100
+_CSV_TYPE = f"{CSV}; charset=utf-8; header=present"
 _GUARDED = ("=", "+", "-", "@", "\t", "\r")
 
 
@@ -116,8 +117,7 @@ def wants_table(request: Request) -> bool:
 def _answer_csv(
     request: Request, rows: tuple[Sequence[str], Iterable[Sequence[object]]], headers: Mapping[str, str] = {}
 ) -> Response:
-    media_type = f"{CSV}; charset=utf-8; header=present"
-    return answer_bytes(request, csv_text(*rows), media_type=media_type, headers=headers)
+    return answer_bytes(request, csv_text(*rows), media_type=_CSV_TYPE, headers=headers)
 
 
 def _cell(value: object) -> object:
@@ -140,15 +140,11 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
     return text.getvalue().encode()
 
 
-def answer_table(
-    request: Request, body: BaseModel, media_type: str, rows: tuple[Sequence[str], Iterable[Sequence[object]]]
-) -> Response:
-    """Return a representation as JSON, or its table as CSV, as the client asked.
+def table_payload(body: BaseModel, media_type: str, rows: tuple[Sequence[str], Iterable[Sequence[object]]]) -> bytes:
+    """Return a representation as JSON, or its table as CSV.
 
     Parameters
     ----------
-    request
-        The request; ``If-None-Match`` is read from it.
     body
         The representation as JSON.
     media_type
@@ -156,9 +152,22 @@ def answer_table(
     rows
         Header and rows of the representation as CSV.
     """
-    if media_type == CSV:
-        return _answer_csv(request, rows)
-    return answer_bytes(request, payload_of(body))
+    return csv_text(*rows) if media_type == CSV else payload_of(body)
+
+
+def answer_payload(request: Request, payload: bytes, media_type: str) -> Response:
+    """Return what :func:`table_payload` gave.
+
+    Parameters
+    ----------
+    request
+        The request; ``If-None-Match`` is read from it.
+    payload
+        The representation.
+    media_type
+        What the client asked for.
+    """
+    return answer_bytes(request, payload, media_type=_CSV_TYPE if media_type == CSV else media_type)
 
 
 def next_path(request: Request, name: str, cursor: str) -> str:

@@ -217,6 +217,7 @@ def open_services(settings: Settings) -> Services:
     """Return what the routes work with; refuses where :func:`open_store` or :func:`job_context` do."""
     # the receiver and the scheduler are built in this module too and do not wait for the web framework
     from api.job_runner import JobRunner  # noqa: PLC0415 - the same
+    from api.representation_cache import RepresentationCache  # noqa: PLC0415 - the same
     from api.services import Services  # noqa: PLC0415 - the same
     from api.writer_slots import PATIENCE_S, WriterSlots  # noqa: PLC0415 - the same
 
@@ -231,6 +232,7 @@ def open_services(settings: Settings) -> Services:
         check=partial(check_head, storage.engine),
         close=storage.close,
         writers=WriterSlots(1 if one_reader else WRITERS, PATIENCE_S),
+        cache=RepresentationCache(),
         one_reader=one_reader,
     )
 

@@ -10,6 +10,7 @@ from fastapi import Depends, Request
 
 from api.access.caller import CallerDep
 from api.job_runner import JobRunner
+from api.representation_cache import RepresentationCache
 from api.writer_slots import WriterSlots
 from estimation.errors import NotFoundError
 from estimation.jobs.job import Job
@@ -31,6 +32,7 @@ class Services:
     check: Callable[[], None]
     close: Callable[[], None]
     writers: WriterSlots
+    cache: RepresentationCache
     one_reader: bool  # an embedded database, whose reads slow each other down in threads
 
     def job(self, name: str) -> Job:

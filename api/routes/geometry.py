@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
 from api import cursors
-from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer_page, answer_table, operation
+from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer_page, answer_payload, operation, table_payload
 from api.contract import CSV, Accepted
 from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_future, not_purged, require_order
 from api.problems import described
@@ -17,6 +18,7 @@ from api.services import ServicesDep
 from estimation.errors import NotFoundError
 from fleet_db.keeping.purge import purged_before
 from fleet_db.keeping.retention import Kept
+from fleet_db.storage import SqlUnitOfWork
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 _TABLE: dict[int | str, dict[str, Any]] = {200: {"content": {CSV: {"schema": {"type": "string"}}}}}
@@ -34,13 +36,22 @@ def get_geometry(
     """Return the wheelset's bin table and the conicity that follows; as `text/csv`, the bin table alone."""
     not_in_the_future(as_of, services.clock.now_ns())
     with services.storage.read() as unit:
-        unit.registry.wheelset(serial)
-        not_purged(as_of, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
-        found = unit.geometries.current(serial, as_of)
+        if as_of is None:
+            key = ("geometry", serial, accepted, unit.geometries.version(serial))
+            payload = services.cache.get_or_make(key, partial(_geometry, unit, serial, accepted))
+        else:
+            payload = _geometry(unit, serial, accepted, as_of)
+    return answer_payload(request, payload, accepted)
+
+
+def _geometry(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int | None = None) -> bytes:
+    unit.registry.wheelset(serial)
+    not_purged(as_of_ns, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
+    found = unit.geometries.current(serial, as_of_ns)
     if found is None:
         raise NotFoundError("geometry yet of wheelset", serial)
     body = geometry.geometry(found)
-    return answer_table(request, body, accepted, geometry.table(body))
+    return table_payload(body, media_type, geometry.table(body))
 
 
 @router.get("/{serial}/trend", response_model=trend.Trend, responses={**described(404, 410), **_TABLE})
@@ -55,14 +66,23 @@ def get_trend(
     """Return the wheelset's trend since its last reprofiling; as `text/csv`, its points alone."""
     not_in_the_future(as_of, services.clock.now_ns())
     with services.storage.read() as unit:
-        unit.registry.wheelset(serial)
-        not_purged(as_of, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
-        found = unit.trends.latest(serial, as_of)
-        current = unit.geometries.current(serial, as_of)
+        if as_of is None:
+            key = ("trend", serial, accepted, unit.trends.version(serial), unit.geometries.version(serial))
+            payload = services.cache.get_or_make(key, partial(_trend, unit, serial, accepted))
+        else:
+            payload = _trend(unit, serial, accepted, as_of)
+    return answer_payload(request, payload, accepted)
+
+
+def _trend(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int | None = None) -> bytes:
+    unit.registry.wheelset(serial)
+    not_purged(as_of_ns, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
+    found = unit.trends.latest(serial, as_of_ns)
+    current = unit.geometries.current(serial, as_of_ns)
     if found is None:
         raise NotFoundError("trend yet of wheelset", serial)
     body = trend.trend(found, current)
-    return answer_table(request, body, accepted, trend.table(body))
+    return table_payload(body, media_type, trend.table(body))
 
 
 @router.get("/{serial}/windows", response_model=Page[windows.Window], responses=described(400, 404))

@@ -48,6 +48,16 @@ class TrendStore:
         self.changes.show(record.wheelset)
         return True
 
+    def version(self, wheelset: str) -> tuple[int, int, str] | None:
+        """Return number, recorded time and digest of inputs of the newest trend; None where there is none."""
+        row = self.connection.execute(
+            select(TRENDS.c.trend_id, TRENDS.c.recorded_ns, TRENDS.c.input_digest)
+            .where(TRENDS.c.wheelset == wheelset)
+            .order_by(*NEWEST_FIRST)
+            .limit(1)
+        ).first()
+        return None if row is None else (row.trend_id, row.recorded_ns, row.input_digest)
+
     def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None:
         """Return the newest trend, as it was recorded at ``as_of_ns``: that of the baseline in force then."""
         statement = select(TRENDS).where(TRENDS.c.wheelset == wheelset)

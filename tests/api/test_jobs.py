@@ -15,6 +15,7 @@ from running_service import running
 from api.app import build_app
 from api.factory import SystemClock, open_store
 from api.job_runner import JobRunner
+from api.representation_cache import RepresentationCache
 from api.services import Services
 from api.settings import Settings
 from api.writer_slots import WriterSlots
@@ -137,7 +138,9 @@ def test_readiness_is_a_problem_where_the_database_is_at_another_migration(sqlit
 
     runner = JobRunner(JobContext(sqlite_storage, SystemClock(), "test", JobSettings()), sqlite_storage, "test")
     writers = WriterSlots(1, 1.0)
-    services = Services(sqlite_storage, SystemClock(), {}, runner, check, lambda: None, writers, one_reader=True)
+    services = Services(
+        sqlite_storage, SystemClock(), {}, runner, check, lambda: None, writers, RepresentationCache(), one_reader=True
+    )
     assert build_app(services).state.services is services
     with pytest.raises(MigrationError, match="treadwatch db upgrade"):
         health.get_readiness(services)
