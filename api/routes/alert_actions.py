@@ -1,4 +1,4 @@
-"""What people and maintenance systems do to alerts: acknowledge, shelve, link to work of their own."""
+"""What people and maintenance systems do to alerts: acknowledge, shelve, unshelve, link to work of their own."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Request as Body
 from api.services import Services, ServicesDep, writer_slot
-from estimation.alerts.life_cycle import acknowledge, link, shelve
+from estimation.alerts.actions import acknowledge, link, shelve, unshelve
 from estimation.values.alerts import Alert, Transition
 
 router = APIRouter(
@@ -87,6 +87,21 @@ def shelve_alert(
     """Put the alert out of sight until a time; it comes back by itself."""
     now_ns = services.clock.now_ns()
     change = Change(body.by, body.reason, lambda alert: shelve(alert, body.until, body.reason, now_ns))
+    return _change(request, services, alert_id, (if_match, idempotency_key), body, change)
+
+
+@router.post("/{alert_id}/unshelve", response_model=alerts.Alert, responses=_REFUSALS)
+def unshelve_alert(
+    request: Request,
+    services: ServicesDep,
+    alert_id: Number,
+    body: alerts.Unshelving,
+    if_match: IfMatch = None,
+    idempotency_key: IdempotencyKey = None,
+) -> Response:
+    """Bring a shelved alert back before its time; one that is not shelved is refused (409)."""
+    now_ns = services.clock.now_ns()
+    change = Change(body.by, body.note, lambda alert: unshelve(alert, now_ns))
     return _change(request, services, alert_id, (if_match, idempotency_key), body, change)
 
 

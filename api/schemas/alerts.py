@@ -5,10 +5,12 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Annotated
 
-from pydantic import AfterValidator, Field, JsonValue, WithJsonSchema
+from pydantic import AfterValidator, Field, WithJsonSchema
 
 from api.schemas.common import Links, Representation, Request, finite
+from api.schemas.evidence import Evidence
 from api.schemas.registry import segment
+from api.schemas.stored_evidence import evidence_of
 from api.times import Moment, Timestamp, to_rfc3339
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.values.alerts import Alert as AlertValue
@@ -64,8 +66,8 @@ class Alert(Representation):
     raise_limit: float | None = Field(description="As it was when the alert fired, in the unit of `limit_unit`.")
     clear_limit: float | None = Field(description="As it was when the alert fired, in the unit of `limit_unit`.")
     limit_unit: str | None = Field(examples=["1"], description="Unit of both limits; fixed for a kind.")
-    evidence: dict[str, JsonValue] = Field(
-        description="Numbers, intervals, windows and limits that led to it; `members` of a fleet alert."
+    evidence: Evidence = Field(
+        description="Numbers, intervals, windows and limits that led to it; of a fleet alert, how many members it has."
     )
     action: str = Field(description="Suggested action, from a code list.", examples=["reprofile"])
     acknowledged_by: str | None
@@ -73,6 +75,9 @@ class Alert(Representation):
     shelved_until: Timestamp | None
     shelved_reason: str | None
     external_refs: list[str]
+    rules_version: str | None = Field(
+        description="The rules that it was raised by; null where an earlier release raised it."
+    )
     version: int
     links: Links
 
@@ -114,6 +119,13 @@ class Shelving(Request):
     by: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["j.smith"])
     until: Moment = Field(examples=["2027-01-31T00:00:00Z"])
     reason: str = Field(min_length=1, max_length=2000, pattern=_WORDS, examples=["Reprofiling ordered"])
+
+
+class Unshelving(Request):
+    """Bring the alert back before the end of its shelving."""
+
+    by: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["j.smith"])
+    note: str = Field(default="", max_length=2000, pattern=_WORDS, examples=["The lathe is free today"])
 
 
 class ExternalReference(Request):
@@ -175,13 +187,14 @@ def alert(record: AlertValue, now_ns: int) -> Alert:
         raise_limit=finite(record.raise_limit),
         clear_limit=finite(record.clear_limit),
         limit_unit=None if record.wheelset is None else LIMIT_UNITS.get(record.kind),
-        evidence=dict(record.evidence),
+        evidence=evidence_of(record),
         action=record.action,
         acknowledged_by=record.acknowledged_by,
         acknowledged_at=_time(record.acknowledged_ns),
         shelved_until=_time(record.shelved_until_ns),
         shelved_reason=record.shelved_reason,
         external_refs=list(record.external_refs),
+        rules_version=record.rules_version,
         version=record.version,
         links=_links(record),
     )

@@ -1,13 +1,13 @@
 """Fleet alerts: many new alerts of one kind in one fleet become one that stands for them. Pure functions.
 
 A fleet alert contains nothing that its members do not contain. It is as severe as the worst open member, unknown where
-all of them are, closed when the last of them closes, and its evidence lists them. Its times are those of its members,
-thus of the data. ``version`` is left to the store.
+all of them are, closed when the last of them closes. Its evidence counts them and names a few: there may be thousands,
+and every event carries it. Its times are those of its members, thus of the data. ``version`` is left to the store.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from estimation.alerts.life_cycle import DELAYS, SEVERITY_RANK, updated, without_stale_acknowledgement
@@ -17,6 +17,9 @@ from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Conditi
 from estimation.values.json_value import JsonValue
 
 HOUR_NS = 3_600_000_000_000
+MOST_NAMED = 5  # wheelsets in the evidence
+MEMBER_COUNT, OPEN_MEMBER_COUNT, WHEELSETS = "member_count", "open_member_count", "wheelsets"
+_MEMBERS = "members"  # all of them, in the evidence of earlier releases
 
 
 def in_flood(opened_ns: Sequence[int], rule: AlarmFloodRule) -> list[bool]:
@@ -51,7 +54,7 @@ def in_flood(opened_ns: Sequence[int], rule: AlarmFloodRule) -> list[bool]:
 def opened(fleet: str, kind: str, members: Sequence[Alert], book: RuleBook) -> Alert:
     """Return the fleet alert that members-to-be call for, to be stored before them so that they can name it.
 
-    It lists them only once they are stored, see :func:`refreshed`; to be raised after that.
+    It counts them only once they are stored, see :func:`refreshed`; to be raised after that.
 
     Parameters
     ----------
@@ -86,7 +89,7 @@ def opened(fleet: str, kind: str, members: Sequence[Alert], book: RuleBook) -> A
         evidence={
             "more_than": book.alarm_flood.more_than,
             "within_hours": book.alarm_flood.within_hours,
-            "members": [],
+            **_counted([]),
             DELAYS: {"acknowledgement_days": book.delays_of(kind).acknowledgement_days},
         },
         action=worst.action,
@@ -111,7 +114,7 @@ def refreshed(alert: Alert, members: Sequence[Alert], now_ns: int) -> Transition
         without_stale_acknowledgement(alert, now_ns),
         last_seen_ns=max(alert.last_seen_ns, *(member.last_seen_ns for member in members)),
         occurrence_count=len(members),
-        evidence={**alert.evidence, "members": [_listed(member) for member in members]},
+        evidence={name: value for name, value in alert.evidence.items() if name != _MEMBERS} | _counted(members),
     )
     still_open = [member for member in members if member.closed_ns is None]
     if not still_open:
@@ -143,11 +146,40 @@ def _condition(members: Sequence[Alert]) -> Condition:
     return Condition.UNKNOWN if unknown else Condition.ACTIVE
 
 
-def _listed(member: Alert) -> dict[str, JsonValue]:
+def _counted(members: Sequence[Alert]) -> dict[str, JsonValue]:
+    """Return how many there are, and some of them: the same whatever the order in which they were stored."""
+    ordered = sorted(
+        members,
+        key=lambda one: (one.closed_ns is not None, -SEVERITY_RANK[one.severity], one.opened_ns, one.wheelset or ""),
+    )
     return {
-        "wheelset": member.wheelset,
-        "alert_id": member.alert_id,
-        "severity": member.severity.value,
-        "condition": member.condition.value,
-        "open": member.closed_ns is None,
+        MEMBER_COUNT: len(members),
+        OPEN_MEMBER_COUNT: sum(member.closed_ns is None for member in members),
+        WHEELSETS: [member.wheelset for member in ordered[:MOST_NAMED]],
     }
+
+
+def as_counted(evidence: Mapping[str, JsonValue]) -> Mapping[str, JsonValue]:
+    """Return the evidence of a fleet alert with its members counted, also where an earlier release listed them all.
+
+    Parameters
+    ----------
+    evidence
+        As stored.
+    """
+    listed = evidence.get(_MEMBERS)
+    if MEMBER_COUNT in evidence or not isinstance(listed, list):
+        return evidence
+    members = [one for one in listed if isinstance(one, dict)]
+    ranks = [str(severity) for severity in SEVERITY_RANK]
+    ordered = sorted(members, key=lambda one: (not one.get("open"), -_rank(one.get("severity"), ranks)))
+    counted: dict[str, JsonValue] = {
+        MEMBER_COUNT: len(members),
+        OPEN_MEMBER_COUNT: sum(bool(one.get("open")) for one in members),
+        WHEELSETS: [str(one.get("wheelset")) for one in ordered[:MOST_NAMED]],
+    }
+    return {name: value for name, value in evidence.items() if name != _MEMBERS} | counted
+
+
+def _rank(severity: JsonValue, ranks: Sequence[str]) -> int:
+    return ranks.index(severity) if isinstance(severity, str) and severity in ranks else -1

@@ -18,15 +18,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from estimation.alerts.rules.rule import AlertDelays
-from estimation.errors import ConflictError, InputError
+from estimation.errors import ConflictError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
 from estimation.values.json_value import JsonValue
 
 DELAYS = "delays"
 DAY_NS = 86_400_000_000_000
 PROBABILITY_BANDS = (0.05, 0.5, 0.8, 0.95, 0.99)
-MOST_REFERENCES = 20
-REFERENCE_LENGTH = 200
 SEVERITY_RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
 
@@ -67,7 +65,7 @@ def transition(
     if open_alert is None:
         opens = finding.breached if finding.stands is None else finding.stands
         return _opened(finding, fleet, delays or AlertDelays()) if opens else None
-    _must_be_open(open_alert)
+    must_be_open(open_alert)
     if (open_alert.wheelset, open_alert.kind) != (finding.wheelset, finding.kind):
         raise ConflictError("the finding is not about this alert", kind="alert", key=str(open_alert.alert_id))
     if open_alert.condition is Condition.PENDING:
@@ -267,104 +265,25 @@ def close(alert: Alert, reason: CloseReason, at_ns: int) -> Transition:
     ConflictError
         It is closed already.
     """
-    _must_be_open(alert)
+    must_be_open(alert)
     after = replace(alert, closed_ns=at_ns, close_reason=reason)
     return Transition(after, () if alert.condition is Condition.PENDING else (AlertEventKind.CLOSED,))
 
 
-def acknowledge(alert: Alert, by: str, now_ns: int) -> Transition:
-    """Record that somebody has seen the alert.
-
-    Parameters
-    ----------
-    alert
-        The open alert.
-    by
-        Who has seen it.
-    now_ns
-        Time of the acknowledgement, ns UTC.
+def must_be_open(alert: Alert) -> None:
+    """Refuse an alert that is closed.
 
     Raises
     ------
     ConflictError
-        It is closed, still pending, or acknowledged already.
-    InputError
-        No name.
+        It is.
     """
-    _must_be_raised(alert)
-    if not by.strip():
-        raise InputError("an acknowledgement needs a name", field="by")
-    if alert.acknowledged_by is not None:
-        raise _conflict(alert, f"already acknowledged by {alert.acknowledged_by}")
-    after = replace(alert, acknowledged_by=by.strip(), acknowledged_ns=now_ns)
-    return Transition(after, (AlertEventKind.ACKNOWLEDGED,))
-
-
-def shelve(alert: Alert, until_ns: int, reason: str, now_ns: int) -> Transition:
-    """Hide the alert until a time; its life cycle goes on, and it returns by itself.
-
-    Parameters
-    ----------
-    alert
-        The open alert.
-    until_ns
-        End of the shelving, ns UTC, after ``now_ns``.
-    reason
-        Why it is shelved.
-    now_ns
-        The present, ns UTC.
-
-    Raises
-    ------
-    ConflictError
-        It is closed or still pending.
-    InputError
-        The time has passed, or no reason is given.
-    """
-    _must_be_raised(alert)
-    if until_ns <= now_ns:
-        raise InputError("the end of shelving is in the past", field="until")
-    if not reason.strip():
-        raise InputError("shelving needs a reason", field="reason")
-    after = replace(alert, shelved_until_ns=until_ns, shelved_reason=reason.strip())
-    return Transition(after, (AlertEventKind.SHELVED,))
-
-
-def link(alert: Alert, ref: str) -> Transition | None:
-    """Note the reference of another system, such as a work order; None where it is noted already.
-
-    Closed alerts take references too: the work order often comes after.
-
-    Raises
-    ------
-    ConflictError
-        The alert has as many references as it can hold.
-    InputError
-        The reference is empty or too long.
-    """
-    wanted = ref.strip()
-    if not 0 < len(wanted) <= REFERENCE_LENGTH:
-        raise InputError(f"a reference has 1 to {REFERENCE_LENGTH} characters", field="external_refs")
-    if wanted in alert.external_refs:
-        return None
-    if len(alert.external_refs) >= MOST_REFERENCES:
-        raise _conflict(alert, f"the alert has {MOST_REFERENCES} references already")
-    after = replace(alert, external_refs=(*alert.external_refs, wanted))
-    return Transition(after, (AlertEventKind.UPDATED,))
-
-
-def _must_be_open(alert: Alert) -> None:
     if alert.closed_ns is not None:
-        raise _conflict(
+        raise conflict(
             alert, f"the alert is closed ({alert.close_reason.sentence if alert.close_reason else 'no reason given'})"
         )
 
 
-def _must_be_raised(alert: Alert) -> None:
-    _must_be_open(alert)
-    if alert.condition is Condition.PENDING:
-        raise _conflict(alert, "the alert has not been raised yet")
-
-
-def _conflict(alert: Alert, reason: str) -> ConflictError:
+def conflict(alert: Alert, reason: str) -> ConflictError:
+    """Return the error that an alert is in another state than is asked for."""
     return ConflictError(reason, kind="alert", key=str(alert.alert_id))

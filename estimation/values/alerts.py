@@ -68,6 +68,7 @@ class AlertEventKind(StrEnum):
     UPDATED = "updated"
     ACKNOWLEDGED = "acknowledged"
     SHELVED = "shelved"
+    UNSHELVED = "unshelved"
     CLEARED = "cleared"
     CLOSED = "closed"
 
@@ -100,7 +101,7 @@ class Alert:
     """One alert; ``alert_id`` 0 until stored. ``version`` counts changes (its ETag).
 
     ``wheelset`` is None for a fleet alert. ``fleet_alert_id`` names the fleet alert that this one is a member of, which
-    it stays for good.
+    it stays for good. ``rules_version`` names the rules that it was raised with; None where none was kept.
     """
 
     alert_id: int
@@ -126,6 +127,7 @@ class Alert:
     shelved_reason: str | None = None
     external_refs: tuple[str, ...] = ()
     fleet_alert_id: int | None = None
+    rules_version: str | None = None
     version: int = 1
 
     @property

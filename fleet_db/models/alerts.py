@@ -72,6 +72,7 @@ class AlertRow(Base):
     shelved_reason: Mapped[Name | None]
     external_refs: Mapped[Json]
     fleet_alert_id: Mapped[Count | None] = mapped_column(ForeignKey("alerts.alert_id"))
+    rules_version: Mapped[Name | None]
     version: Mapped[int]
 
 

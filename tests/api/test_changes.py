@@ -15,6 +15,7 @@ from running_service import Service
 _numbers = count()
 ACKNOWLEDGE = {"by": "j.smith", "note": "seen"}
 SHELVE = {"by": "j.smith", "until": "2200-01-01T00:00:00Z", "reason": "reprofiling is ordered"}
+UNSHELVE = {"by": "a.nother", "note": "the lathe is free"}
 LINK = {"ref": "maximo:WO-4711", "by": "maximo"}
 ACTIONS = [("acknowledge", ACKNOWLEDGE), ("shelve", SHELVE), ("external-refs", LINK)]
 
@@ -58,6 +59,23 @@ def test_an_alert_is_acknowledged_shelved_and_linked_and_each_is_an_event(servic
     assert items[1]["note"] == "seen"
     assert items[1]["alert"]["shelved_until"] is None
     assert items[3]["alert"]["version"] == third.json()["version"]
+
+
+def test_a_shelved_alert_is_brought_back_before_its_time(service: Service) -> None:
+    path = fresh_alert(service)
+    before = service.client.get("/v1/alerts/feed?limit=1000").json()["next_cursor"]
+    post(service, f"{path}/acknowledge", ACKNOWLEDGE, If_Match="*")
+    assert post(service, f"{path}/unshelve", UNSHELVE, If_Match="*").status_code == 409
+    post(service, f"{path}/shelve", SHELVE, If_Match="*")
+    back = post(service, f"{path}/unshelve", UNSHELVE, If_Match=tag_of(service, path)).json()
+    assert (back["shelved_until"], back["shelved_reason"], back["display_state"]) == (None, None, "acknowledged")
+    again = post(service, f"{path}/unshelve", UNSHELVE, If_Match="*")
+    assert (again.status_code, again.headers["content-type"]) == (409, "application/problem+json")
+    assert again.json()["detail"].endswith("not shelved")
+    last = service.client.get(f"{path}/events").json()["items"][-1]
+    assert (last["event"], last["actor"], last["note"]) == ("unshelved", "a.nother", "the lathe is free")
+    feed = service.client.get("/v1/alerts/feed", params={"after": before}).json()["items"]
+    assert [item["event"] for item in feed] == ["acknowledged", "shelved", "unshelved"]
 
 
 @pytest.mark.parametrize(("action", "body"), ACTIONS)

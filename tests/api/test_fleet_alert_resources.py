@@ -51,7 +51,10 @@ def test_an_alarm_flood_is_one_item_of_the_feed_that_leads_to_its_members_and_ba
     assert service.client.get(served["links"]["self"]).json() == served
     members = items(service.client, served["links"]["members"])
     assert [member["wheelset"] for member in members] == MEMBERS
-    assert [entry["alert_id"] for entry in served["evidence"]["members"]] == [member["id"] for member in members]
+    evidence = served["evidence"]
+    assert (evidence["kind"], evidence["member_count"], evidence["open_member_count"]) == ("fleet_alert", 7, 7)
+    assert evidence["wheelsets"] == MEMBERS[:5]
+    assert evidence["members"] == served["links"]["members"]
     for member in members:
         assert (member["scope"], member["fleet_alert_id"]) == ("wheelset", served["id"])
         assert service.client.get(member["links"]["fleet_alert"]).json() == served

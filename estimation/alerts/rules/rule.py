@@ -22,6 +22,9 @@ from estimation.values.suspension import SuspensionShown
 from estimation.values.trend import TrendRecord
 from estimation.values.windows import WindowRecord, WindowState
 
+SECOND_NS = 1_000_000_000
+MOST_NS = 2.0**63 - SECOND_NS  # so that the rounded time is within 64 bits
+
 # ranges of what a rules file may set; a number without one is from 0 to 1e9
 Probability = Annotated[float, Interval(ge=0.5, le=0.9999)]
 Share = Annotated[float, Interval(ge=0.0, le=1.0)]
@@ -196,3 +199,14 @@ def forecast_evidence(value: Forecast, digits: int = 3) -> dict[str, JsonValue]:
         "p50": number_evidence(value.p50, digits),
         "p90": number_evidence(value.p90, digits),
     }
+
+
+def date_evidence(value: Forecast) -> dict[str, JsonValue]:
+    """Return the quantiles of a date in whole seconds, ns UTC; None beyond what 64 bits hold."""
+    return {name: _whole_second(getattr(value, name)) for name in ("p10", "p50", "p90")}
+
+
+def _whole_second(t_ns: float | None) -> int | None:
+    if t_ns is None or not abs(t_ns) < MOST_NS:
+        return None
+    return round(t_ns / SECOND_NS) * SECOND_NS

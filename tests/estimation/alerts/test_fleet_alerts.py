@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wheelset_life import DAY_NS, START_NS, SetClock, register, run_windows
 
+from estimation.alerts.actions import acknowledge
 from estimation.alerts.fleet_alerts import HOUR_NS, in_flood, opened, refreshed
-from estimation.alerts.life_cycle import acknowledge
 from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
 from estimation.alerts.rules.no_data import NoDataRule
 from estimation.errors import ConflictError, InputError
@@ -20,6 +20,7 @@ from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Severity
+from estimation.values.json_value import JsonValue
 from estimation.values.runs import JobRun, JobTrigger
 
 RAISED, UPDATED, ACKNOWLEDGED, CLEARED, CLOSED = (
@@ -82,17 +83,29 @@ def test_a_fleet_alert_is_what_its_members_are() -> None:
     assert (alert.wheelset, alert.scope, alert.severity) == (None, AlertScope.FLEET, Severity.CRITICAL)
     assert (alert.opened_ns, alert.last_seen_ns, alert.occurrence_count) == (101, 203, 3)
     assert (alert.action, alert.probability, alert.raise_limit) == ("replace", None, None)
-    listed = alert.evidence["members"]
-    assert isinstance(listed, list)
-    assert listed[1] == {
-        "wheelset": "W2",
-        "alert_id": 2,
-        "severity": "critical",
-        "condition": "active",
-        "open": True,
-    }
+    counted = {name: alert.evidence[name] for name in ("member_count", "open_member_count", "wheelsets")}
+    assert counted == {"member_count": 3, "open_member_count": 3, "wheelsets": ["W2", "W1", "W3"]}
     with pytest.raises(InputError):
         opened("F", SILENT, [], RuleBook())
+
+
+@given(st.permutations(range(1, 9)))
+def test_it_names_five_members_the_open_and_most_severe_first_whatever_their_numbers(order: list[int]) -> None:
+    members = [replace(member(k), alert_id=10 * i) for i, k in enumerate(order)]
+    members = [replace(one, severity=Severity.CRITICAL) if one.wheelset == "W7" else one for one in members]
+    members = [replace(one, closed_ns=300) if one.wheelset == "W1" else one for one in members]
+    evidence = standing(*members).evidence
+    assert evidence["wheelsets"] == ["W7", "W2", "W3", "W4", "W5"]
+    assert (evidence["member_count"], evidence["open_member_count"]) == (8, 7)
+
+
+def test_the_members_of_an_earlier_release_are_counted_when_it_is_next_evaluated() -> None:
+    old = standing(member(1), member(2))
+    listed: list[JsonValue] = [{"wheelset": "W1", "open": True}, {"wheelset": "W2", "open": True}]
+    kept = {name: value for name, value in old.evidence.items() if name in {"more_than", "within_hours", "delays"}}
+    change = refreshed(replace(old, evidence={**kept, "members": listed}), [member(1), member(2)], 0)
+    assert change is not None
+    assert change.alert.evidence == old.evidence
 
 
 def test_it_is_unknown_only_where_all_open_members_are() -> None:
@@ -169,9 +182,8 @@ def test_many_at_once_are_raised_as_one(storage: Storage) -> None:
         assert [event.kind for event in unit.alerts.events(members[0].alert_id)] == [RAISED]
         (raised,) = unit.alerts.feed(0, 10)
     assert raised.alert == fleet_alert
-    listed = fleet_alert.evidence["members"]
-    assert isinstance(listed, list)
-    assert [entry["alert_id"] for entry in listed if isinstance(entry, dict)] == [a.alert_id for a in members]
+    assert fleet_alert.evidence["member_count"] == len(members)
+    assert fleet_alert.evidence["wheelsets"] == WHEELSETS[:5]
     assert fleet_alert.opened_ns == members[0].opened_ns < START_NS + round(8.1 * DAY_NS)  # of the data
     again = evaluate(storage, 9.0)
     assert set(again.counts.values()) == {0, len(WHEELSETS)}

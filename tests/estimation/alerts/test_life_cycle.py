@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimation.alerts.life_cycle import DAY_NS, acknowledge, close, link, shelve, transition
+from estimation.alerts.actions import acknowledge, link, shelve, unshelve
+from estimation.alerts.life_cycle import DAY_NS, close, transition
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
@@ -222,6 +223,19 @@ def test_what_people_do_is_checked() -> None:
         shelve(alert, 1000, "x", 1000)
     with pytest.raises(InputError, match="reason"):
         shelve(alert, 2000, "", 1000)
+
+
+def test_an_alert_is_brought_back_only_while_it_is_shelved() -> None:
+    alert = raised()
+    put_by = shelve(alert, 2000, "in the workshop on Monday", 1000).alert
+    back = unshelve(put_by, 1999)
+    assert (back.alert, back.events) == (alert, (AlertEventKind.UNSHELVED,))
+    with pytest.raises(ConflictError, match="not shelved"):
+        unshelve(put_by, 2000)  # it has come back by itself
+    with pytest.raises(ConflictError, match="not shelved"):
+        unshelve(alert, 1000)
+    with pytest.raises(ConflictError, match="closed"):
+        unshelve(close(put_by, CloseReason.REPROFILED, 1500).alert, 1600)
 
 
 def test_references_are_kept_once_and_bounded() -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, wear
 
-from estimation.alerts.life_cycle import acknowledge
+from estimation.alerts.actions import acknowledge
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.no_data import NoDataRule
 from estimation.jobs import evaluate_alerts, refresh_trends

@@ -1,0 +1,397 @@
+"""Evidence of alerts: typed by kind, in RFC 3339, safe for every reader of JSON; also what earlier releases stored."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import api_fleet
+import httpx
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from running_service import Service
+
+from api.schemas.stored_evidence import evidence_of
+from estimation.alerts.fleet_alerts import MOST_NAMED
+from estimation.alerts.identity import IdentityEvent, Mistake
+from estimation.alerts.life_cycle import transition
+from estimation.alerts.rules.book import ALERT_RULES
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule, conicity_limit_finding
+from estimation.alerts.rules.data_quality import DataQualityRule, data_quality_finding
+from estimation.alerts.rules.hunting import HuntingRule, hunting_finding
+from estimation.alerts.rules.identity import identity_finding
+from estimation.alerts.rules.limit_forecast import LimitForecastRule, limit_forecast_finding
+from estimation.alerts.rules.no_data import NoDataRule, no_data_finding
+from estimation.alerts.rules.sensor_fault import SensorFaultRule, sensor_fault_finding
+from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
+from estimation.alerts.rules.wheel_asymmetry import Asymmetry, WheelAsymmetryRule, wheel_asymmetry_finding
+from estimation.values.alerts import AlertEventKind, Finding
+from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.registry import Mounting
+from estimation.values.suspension import SuspensionChange
+from estimation.values.trend import WearTrend
+
+AT = 1_767_225_600_123_456_789
+WHOLE = AT - AT % 10**9
+HIGH = Estimate(0.5, 0.01, 0.48, 0.52, 12.0, Status.ESTIMATED)
+MOUNTING = Mounting("W", "V-1", 3, AT, None, 0.0, 0.0)
+ESTIMATE = {"value": 0.5, "std": 0.01, "interval_95": [0.48, 0.52], "n_windows": 12.0, "status": "estimated"}
+UNEXPLAINED = {"reason": None, "reason_code": None}
+DELAYS = {
+    "on_evaluations": 1,
+    "off_evaluations": 2,
+    "acknowledgement_days": 90.0,
+    "clear_seen": 0,
+    "counted_at": "2026-01-01T00:00:00.123456789Z",
+}
+TREND = WearTrend(
+    quantity="equivalent_conicity",
+    mileage_km=np.arange(3.0),
+    measured_ns=np.arange(3),
+    value=np.full(3, 0.3),
+    std=np.full(3, 0.01),
+    slope_per_1000_km=HIGH,
+    slope_per_year=HIGH,
+    fitted=HIGH,
+    limit=0.4,
+    distance_to_limit_km=Forecast(1000.0, 2000.0, None),
+    date_of_limit_ns=Forecast(float(AT), float(AT + 10**15), None),
+    probability_over_limit=0.0,
+    status=Status.ESTIMATED,
+)
+DECIDES = {"unknown_because": None, "unknown_because_code": None}
+NO_WINDOWS = {"unknown_because": "0 windows, 3 needed", "unknown_because_code": "too_few_windows", "windows": 0}
+CASES: list[tuple[Finding | None, dict[str, Any]]] = [
+    (
+        conicity_limit_finding(ConicityLimitRule(), "W", HIGH, 5, 0.4, AT),
+        {
+            "quantity": "equivalent_conicity",
+            "amplitude_mm": 3.0,
+            "conicity_1": ESTIMATE | UNEXPLAINED,
+            "current_1": ESTIMATE | UNEXPLAINED,
+            "windows": 5,
+            "limit_1": 0.4,
+            **DECIDES,
+        },
+    ),
+    (
+        limit_forecast_finding(LimitForecastRule(), "W", TREND, AT),
+        {
+            "quantity": "equivalent_conicity",
+            "slope_1_per_1000_km": ESTIMATE | UNEXPLAINED,
+            "fitted_1": ESTIMATE | UNEXPLAINED,
+            "distance_to_limit_km": {
+                "p10": 1000.0,
+                "p50": 2000.0,
+                "p90": None,
+                "reason": "not reached within the forecast horizon",
+                "reason_code": "beyond_horizon",
+            },
+            "date_of_limit": {
+                "p10": "2026-01-01T00:00:00Z",
+                "p50": "2026-01-12T13:46:40Z",
+                "p90": None,
+                "reason": "not reached within the forecast horizon",
+                "reason_code": "beyond_horizon",
+            },
+            "within_km": 20000.0,
+            "limit_1": 0.4,
+            "points": 3,
+            **DECIDES,
+        },
+    ),
+    (
+        wheel_asymmetry_finding(
+            WheelAsymmetryRule(), "W", Asymmetry(Estimate(4e-3, 1e-4, 3e-3, 5e-3, 9.0, Status.ESTIMATED), HIGH), 5, AT
+        ),
+        {
+            "offset_mm": {
+                **ESTIMATE,
+                **UNEXPLAINED,
+                "value": 4.0,
+                "std": 0.1,
+                "interval_95": [3.0, 5.0],
+                "n_windows": 9.0,
+            },
+            "shape_mm": {
+                **ESTIMATE,
+                **UNEXPLAINED,
+                "value": 500.0,
+                "std": 10.0,
+                "interval_95": [480.0, 520.0],
+            },
+            "raised_by": ["offset", "shape"],
+            "windows": 5,
+            **DECIDES,
+        },
+    ),
+    (
+        no_data_finding(NoDataRule(), "W", AT, AT - 5 * 10**9, AT + 40 * 86_400 * 10**9),
+        {
+            "last_usable_at": "2026-01-01T00:00:00.123456789Z",
+            "in_service_since": "2025-12-31T23:59:55.123456789Z",
+            "limit_days": 28.0,
+        },
+    ),
+    (
+        sensor_fault_finding(SensorFaultRule(), "W", (), AT),
+        {"faulty_windows": 0, "reasons": {}, **NO_WINDOWS},
+    ),
+    (
+        identity_finding(IdentityEvent("W", Mistake.SWAPPED, "W2", AT, AT + 1, AT + 2, 7.0, 0.5), MOUNTING, None),
+        {
+            "mistake": "swapped",
+            "partner": "W2",
+            "last_data_before_at": "2026-01-01T00:00:00.123456789Z",
+            "first_data_after_at": "2026-01-01T00:00:00.12345679Z",
+            "jump_1": 7.0,
+            "left_1": 0.5,
+            "reason": "the geometry has become that of another wheelset, and the other's has become this one's",
+            "mounted": {
+                "vehicle": "V-1",
+                "axle": 3,
+                "reversed": False,
+                "mounted_from": "2026-01-01T00:00:00.123456789Z",
+            },
+        },
+    ),
+    (
+        hunting_finding(HuntingRule(), "W", (), AT),
+        {
+            "hunting_windows": 0,
+            "frequency_hz": None,
+            "wavelength_m": None,
+            "amplitude_mm": None,
+            "speed_max_m_s": None,
+            **NO_WINDOWS,
+        },
+    ),
+    (
+        suspension_change_finding(SuspensionChangeRule(), "W", SuspensionChange("V-1", -0.5, 0.1, 9, 3, 4, AT)),
+        {
+            "vehicle": "V-1",
+            "change_1": {
+                **ESTIMATE,
+                **UNEXPLAINED,
+                "value": -0.5,
+                "std": 0.1,
+                "interval_95": [-0.696, -0.304],
+                "n_windows": 3.0,
+            },
+            "past_findings": 9,
+            "recent_findings": 3,
+            "other_vehicles": 4,
+            "limit_1": 0.2,
+        },
+    ),
+    (
+        data_quality_finding(DataQualityRule(), "W", (), AT),
+        {
+            "implausible_windows": 0,
+            "reasons": {},
+            "rejected_recordings": 0,
+            "rejected_reasons": {},
+            **NO_WINDOWS,
+        },
+    ),
+]
+
+
+@pytest.mark.parametrize(("finding", "expected"), CASES, ids=lambda one: getattr(one, "kind", ""))
+def test_every_rule_has_evidence_of_its_own_type(finding: Finding, expected: dict[str, Any]) -> None:
+    evidence = {**finding.evidence, "delays": {**_stored_delays(), "counted_ns": AT}}
+    found = evidence_of(replace(api_fleet.alert("W", finding.kind), evidence=evidence)).model_dump(mode="json")
+    assert found == {"kind": finding.kind, **expected, "delays": found["delays"]}
+    assert {name: found["delays"][name] for name in DELAYS} == DELAYS
+
+
+def test_no_rule_is_without_a_type() -> None:
+    assert [finding.kind for finding, _ in CASES if finding is not None] == [rule.kind for rule in ALERT_RULES]
+
+
+def _stored_delays() -> dict[str, Any]:
+    finding, _ = CASES[0]
+    assert finding is not None
+    change = transition(None, finding, AT, fleet="F")
+    assert change is not None
+    delays = change.alert.evidence["delays"]
+    assert isinstance(delays, dict)
+    return delays
+
+
+# as they were stored by earlier releases, and what is made of them
+FIRST_ESTIMATE = ESTIMATE | {"reason": None}
+OLDER: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
+    (  # no codes of reasons, no current conicity, no delays
+        "conicity_limit",
+        {
+            "quantity": "conicity at 2 mm",
+            "conicity": FIRST_ESTIMATE,
+            "windows": 5,
+            "limit": 0.4,
+            "unknown_because": "no usable data for too long",
+        },
+        {
+            "quantity": "conicity at 2 mm",
+            "amplitude_mm": None,
+            "conicity_1": ESTIMATE | UNEXPLAINED,
+            "current_1": None,
+            "windows": 5,
+            "limit_1": 0.4,
+            "unknown_because": "no usable data for too long",
+            "unknown_because_code": None,
+            "delays": None,
+        },
+    ),
+    (  # `current` was the fitted value; dates were rounded to six digits
+        "limit_forecast",
+        {
+            "quantity": "conicity at 2 mm",
+            "slope_per_1000_km": FIRST_ESTIMATE,
+            "current": FIRST_ESTIMATE,
+            "distance_to_limit_km": {"p10": 1.0, "p50": 2.0, "p90": 3.0},
+            "date_of_limit_ns": {"p10": 1.76723e18, "p50": 1.76724e18, "p90": 1.76725e18},
+            "within_km": 20000.0,
+            "limit": 0.4,
+            "points": 3,
+            "unknown_because": None,
+        },
+        {
+            "quantity": "conicity at 2 mm",
+            "slope_1_per_1000_km": ESTIMATE | UNEXPLAINED,
+            "fitted_1": ESTIMATE | UNEXPLAINED,
+            "distance_to_limit_km": {"p10": 1.0, "p50": 2.0, "p90": 3.0} | UNEXPLAINED,
+            "date_of_limit": {
+                "p10": "2026-01-01T01:13:20Z",
+                "p50": "2026-01-01T04:00:00Z",
+                "p90": "2026-01-01T06:46:40Z",
+                **UNEXPLAINED,
+            },
+            "within_km": 20000.0,
+            "limit_1": 0.4,
+            "points": 3,
+            **DECIDES,
+            "delays": None,
+        },
+    ),
+    (  # before rejected recordings
+        "data_quality",
+        {"implausible_windows": 2, "windows": 10, "reasons": {"odometer_implausible": 2}, "unknown_because": None},
+        {
+            "implausible_windows": 2,
+            "windows": 10,
+            "reasons": {"odometer_implausible": 2},
+            "rejected_recordings": None,
+            "rejected_reasons": {},
+            **DECIDES,
+            "delays": None,
+        },
+    ),
+    (  # of a rule that is gone, with counted nanoseconds
+        "wheel_flat",
+        {"depth": {"value": 0.3, "unit": "mm"}, "seen_ns": AT, "windows": [1, 2], "sure": True},
+        {
+            "numbers": {"depth.value": 0.3, "windows.0": 1.0, "windows.1": 2.0},
+            "texts": {"depth.unit": "mm", "sure": "True"},
+            "times": {"seen_at": "2026-01-01T00:00:00.123456789Z"},
+            "delays": None,
+        },
+    ),
+]
+
+
+@pytest.mark.parametrize(("kind", "stored", "expected"), OLDER, ids=[kind for kind, _, _ in OLDER])
+def test_evidence_of_earlier_releases_is_answered(kind: str, stored: dict[str, Any], expected: dict[str, Any]) -> None:
+    found = evidence_of(replace(api_fleet.alert("W", kind), evidence=stored)).model_dump(mode="json")
+    named = kind if kind in {rule.kind for rule in ALERT_RULES} else "other"
+    assert found == {"kind": named, **expected}
+
+
+def test_a_fleet_alert_of_an_earlier_release_is_counted() -> None:
+    members = [
+        {"wheelset": f"W{number}", "alert_id": number, "severity": severity, "condition": "active", "open": is_open}
+        for number, (severity, is_open) in enumerate(
+            [("warning", False), ("warning", True), ("critical", True), *[("info", True)] * 2000]
+        )
+    ]
+    stored: dict[str, Any] = {"more_than": 5, "within_hours": 24.0, "members": members, "delays": {"acknowledgement_days": 90.0}}
+    alert = replace(api_fleet.alert("W", "no_data"), alert_id=17, wheelset=None, evidence=stored)
+    found = evidence_of(alert)
+    assert found.model_dump(mode="json", exclude={"delays"}) == {
+        "kind": "fleet_alert",
+        "more_than": 5,
+        "within_hours": 24.0,
+        "member_count": 2003,
+        "open_member_count": 2002,
+        "wheelsets": ["W2", "W1", "W3", "W4", "W5"],
+        "members": "/v1/alerts?fleet_alert=17",
+    }
+    assert len(found.model_dump_json()) < 600
+    assert MOST_NAMED == 5
+
+
+LEAVES: list[Any] = [None, True, 3, -1.5, 2**60, 2**70, 1e300, float("nan"), float("inf"), "estimated", "x"]
+JSON = st.sampled_from(
+    [*LEAVES, LEAVES, LEAVES[:2], {"p50": 2**70, "value": "x", "interval_95": [1, None]}, {"counted_ns": 1e19}, [{}]]
+)
+KEYS = sorted({key for finding, _ in CASES if finding is not None for key in finding.evidence} | {"members", "delays"})
+
+
+@given(
+    st.sampled_from([*(rule.kind for rule in ALERT_RULES), "gone"]),
+    st.booleans(),
+    st.dictionaries(st.sampled_from(KEYS), JSON, max_size=6),
+)
+def test_whatever_is_stored_is_answered(kind: str, of_fleet: bool, stored: dict[str, Any]) -> None:  # noqa: FBT001 - drawn
+    alert = replace(api_fleet.alert("W", kind), evidence=stored)
+    found = evidence_of(replace(alert, wheelset=None) if of_fleet else alert)
+    assert list(unsafe(found.model_dump(mode="json"))) == []
+
+
+def unsafe(value: object, path: str = "") -> Iterator[str]:
+    """Yield where JSON has a number that readers round, or nanoseconds."""
+    if isinstance(value, dict):
+        for name, item in value.items():
+            if name.endswith("_ns"):
+                yield f"{path}/{name}"
+            yield from unsafe(item, f"{path}/{name}")
+    elif isinstance(value, list):
+        for item in value:
+            yield from unsafe(item, f"{path}/-")
+    elif isinstance(value, int) and abs(value) >= 2**53:
+        yield path
+
+
+def test_the_feed_and_every_resource_are_without_nanoseconds(service: Service) -> None:
+    serial = api_fleet.WHEELSETS[20]
+    with service.storage.write() as unit:
+        for finding, _ in CASES:
+            assert finding is not None
+            found = transition(None, replace(finding, wheelset=serial, breached=True), AT, fleet="alpha")
+            assert found is not None
+            if all(one.kind != finding.kind for one in unit.alerts.all_open(serial)):
+                unit.alerts.save(found.alert, (AlertEventKind.RAISED,), AT)
+    kinds = {item["evidence"]["kind"] for item in items(service.client, f"/v1/alerts?wheelset={serial}&open=true")}
+    assert kinds >= {rule.kind for rule in ALERT_RULES}
+    paths = ["/v1/alerts?limit=1000", "/v1/alerts/feed?limit=1000", *_paths(service.client)]
+    assert len(paths) > 20
+    for path in paths:
+        response = service.client.get(path)
+        assert response.status_code == 200, (path, response.text)
+        assert list(unsafe(response.json())) == [], path
+
+
+def _paths(client: httpx.Client) -> list[str]:
+    """Return the lists and everything that the first items of each link to."""
+    lists = ["/v1/fleets", "/v1/vehicles", "/v1/wheelsets", "/v1/track-sections", "/v1/jobs", "/v1/vehicle-classes"]
+    lists += ["/v1/quarantine", "/v1/alerts"]
+    linked = {path for name in lists for item in items(client, name)[:3] for path in item.get("links", {}).values()}
+    return lists + sorted(path for path in linked if client.get(path).status_code == 200)
+
+
+def items(client: httpx.Client, path: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = client.get(path).json()["items"]
+    return found
