@@ -157,6 +157,7 @@ OF_SCHEMA: Mapping[str, str] = {
     "Sensor.limit": "Range in which it measures; null is none.",
     "Sensor.noise_density": "Noise density, in `unit` per root hertz.",
     "Shelving.by": "Who shelves it.",
+    "Unshelving.by": "Who brings it back.",
     "Shelving.until": "When it comes back by itself.",
     "Suspension.change": "The change against the vehicle's own past; null while too little is known.",
     "SuspensionShift.past_findings": "Findings before the change.",

@@ -317,7 +317,12 @@ def test_a_fleet_alert_of_an_earlier_release_is_counted() -> None:
             [("warning", False), ("warning", True), ("critical", True), *[("info", True)] * 2000]
         )
     ]
-    stored: dict[str, Any] = {"more_than": 5, "within_hours": 24.0, "members": members, "delays": {"acknowledgement_days": 90.0}}
+    stored: dict[str, Any] = {
+        "more_than": 5,
+        "within_hours": 24.0,
+        "members": members,
+        "delays": {"acknowledgement_days": 90.0},
+    }
     alert = replace(api_fleet.alert("W", "no_data"), alert_id=17, wheelset=None, evidence=stored)
     found = evidence_of(alert)
     assert found.model_dump(mode="json", exclude={"delays"}) == {
