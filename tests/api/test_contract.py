@@ -84,27 +84,11 @@ def test_numbers_say_their_unit_in_their_names() -> None:
         "Parameter": {"value", "std"},  # their unit is in a field beside them
         "Sensor": {"noise_density", "limit"},
     }
-<<<<<<< HEAD
-    counts = {
-        "axle",
-        "axles",
-        "baseline",
-        "gaps",
-        "id",
-        "n_windows",
-        "number",
-        "passes",
-        "status",
-        "version",
-        "bogie",
-        "urgency_rank",
-    }
-=======
     counts = {"axle", "axles", "baseline", "gaps", "id", "n_windows", "number", "passes", "status", "version"}
     counts |= {"windows", "faulty_windows", "hunting_windows", "implausible_windows", "rejected_recordings"}
     counts |= {"rejected_reasons", "reasons", "more_than", "member_count", "open_member_count", "numbers"}
     counts |= {"on_evaluations", "off_evaluations", "clear_seen"}
->>>>>>> 30f2c22 (Hold the typed evidence to the contract of the API)
+    counts |= {"bogie", "urgency_rank"}
     counts |= {"attempts", "past_findings", "recent_findings", "other_vehicles", "windows_left_out"}
     counts |= {"same_since_version", "points", "rounds", "refused_windows", "refused_windows_by_code", "wheelsets"}
     units = (
