@@ -1,4 +1,4 @@
-"""What was decided on records of the registry: changed, voided, restored."""
+"""What was decided on records of the registry: entered, changed, voided, restored."""
 
 from __future__ import annotations
 
@@ -10,23 +10,27 @@ from estimation.values.json_value import JsonValue
 
 
 class RecordKind(StrEnum):
-    """Records of the registry that can be voided."""
+    """Records of the registry whose history is kept."""
 
     MOUNTING = "mounting"  # of a wheelset, from a time
     REPROFILING = "reprofiling"  # of a wheelset, at a time
     MEASUREMENT = "measurement"  # of the profiles of a wheelset, at a time
     WHEELSET = "wheelset"
     SECTION = "section"
+    VEHICLE = "vehicle"
+    VEHICLE_CLASS = "vehicle_class"
+    SENSOR_CHANGE = "sensor_change"  # at an axle of a vehicle, at a time
 
     @property
     def dated(self) -> bool:
         """Whether a time belongs to its key."""
-        return self in {RecordKind.MOUNTING, RecordKind.REPROFILING, RecordKind.MEASUREMENT}
+        return self in {RecordKind.MOUNTING, RecordKind.REPROFILING, RecordKind.MEASUREMENT, RecordKind.SENSOR_CHANGE}
 
 
 class RecordAction(StrEnum):
     """What was done to a record."""
 
+    ENTERED = "entered"
     CHANGED = "changed"
     VOIDED = "voided"
     RESTORED = "restored"
@@ -54,9 +58,11 @@ class RegistryEvent:
     action, actor, reason
         What was done, by whom, and why; the last two are empty where a registry file changed it.
     record
-        What it was before it was changed or voided; what was restored.
+        What it was before it was changed or voided; what was restored; empty where it is new.
     recorded_ns
         Our time; None where it is not known.
+    after
+        What it was afterwards where it was entered or changed; None of decisions that an earlier version stored.
     """
 
     id: int
@@ -68,3 +74,4 @@ class RegistryEvent:
     reason: str
     record: Mapping[str, JsonValue]
     recorded_ns: int | None
+    after: Mapping[str, JsonValue] | None = None

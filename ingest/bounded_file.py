@@ -19,7 +19,7 @@ PROFILE_BYTES = 16 * MEBIBYTE
 def read_text_within(
     path: Path, most: int, error_type: type[InputError], *, encoding: str = "utf-8", errors: str = "strict"
 ) -> str:
-    """Return the content of a text file.
+    """Return the content of a text file, without the byte order mark that some editors put first.
 
     Parameters
     ----------
@@ -45,6 +45,6 @@ def read_text_within(
     if len(content) > most:
         raise error_type(f"has more than {most / MEBIBYTE:.0f} MiB, the limit for such a file", file=path)
     try:
-        return content.decode(encoding, errors).replace("\r\n", "\n").replace("\r", "\n")
+        return content.decode(encoding, errors).removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise error_type("is no text file", file=path) from error

@@ -144,9 +144,29 @@ class InputFile:
         try:
             return model.model_validate(self.at(location))
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = (*location, *first["loc"], *first.get("ctx", {}).get("location", ()))
-            raise self.error(_reason(first, model, self.container), where) from error
+            raise self._errors(error, model, location)[0] from error
+
+    def problems(self, model: type[Model]) -> list[InputError]:
+        """Return everything that is wrong with the content as a model, in the order of the schema; see ``parse``.
+
+        Parameters
+        ----------
+        model
+            The schema of the whole file.
+        """
+        try:
+            model.model_validate(self.values)
+        except ValidationError as error:
+            return self._errors(error, model, ())
+        return []
+
+    def _errors(self, error: ValidationError, model: type[BaseModel], location: Location) -> list[InputError]:
+        return [
+            self.error(
+                _reason(one, model, self.container), (*location, *one["loc"], *one.get("ctx", {}).get("location", ()))
+            )
+            for one in error.errors(include_url=False)
+        ]
 
 
 def read_toml(path: Path, error_type: type[InputError] = InputError) -> InputFile:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
@@ -16,6 +17,7 @@ MAX_AXLES = 8
 FIRST_YEAR, LAST_YEAR = 1900, 2200  # ns since 1970 end in 2262
 MOST_KM = 1e8
 FARTHEST_M = 1000.0  # of an axle from the reference point
+_DECIMALS = re.compile(r"[.,](\d+)")  # of a second
 PROFILES_STD_MM = 0.1  # of the lateral displacement that follows from measured profiles
 
 
@@ -27,10 +29,12 @@ def _nanoseconds(value: object) -> int:
         moment = None
     if moment is None or moment.tzinfo is None:
         raise field_error(f"{value!r} is not a time with its offset from UTC, as in 2024-01-08T05:30:00Z")
-    since = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    since = moment.replace(microsecond=0) - datetime(1970, 1, 1, tzinfo=UTC)
     if not FIRST_YEAR <= moment.year <= LAST_YEAR:
         raise field_error(f"{value!r} is outside the years {FIRST_YEAR} to {LAST_YEAR}")
-    return (since.days * 86_400_000_000 + since.seconds * 1_000_000 + since.microseconds) * 1000
+    decimals = _DECIMALS.search(str(value))
+    rest_ns = int(decimals[1][:9].ljust(9, "0")) if decimals else 0
+    return (since.days * 86_400 + since.seconds) * 1_000_000_000 + rest_ns
 
 
 Kilometres = Annotated[float, Field(ge=0.0, le=MOST_KM)]
@@ -218,8 +222,17 @@ class ClassFileEntry(InputTable):
     file: Text
 
 
+class RecordedClassEntry(InputTable):
+    """An entry of ``vehicle_classes`` as an export has it: the class as it is stored, in SI units."""
+
+    recorded: dict[str, Any]
+
+
 class ClassEntry(InputTable):
-    """An entry of ``vehicle_classes``: a ``ClassFileEntry`` or a ``VehicleClassEntry``, which is checked as such."""
+    """An entry of ``vehicle_classes``.
+
+    A ``ClassFileEntry``, a ``RecordedClassEntry`` or a ``VehicleClassEntry``, and checked as that.
+    """
 
     model_config = ConfigDict(extra="allow")
 

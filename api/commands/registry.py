@@ -1,13 +1,17 @@
-"""``treadwatch registry``: load a registry file; void and restore records; list what was decided on them."""
+"""``treadwatch registry``: load, check and export a registry; void and restore records; list what was decided."""
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from fleet_db.registry_events import RecordAction, RecordKind
+from ingest.registry_entry.contradiction import CONFIRMABLE, Rule
+
+Confirmable = StrEnum("Confirmable", {one.name: one.value for one in sorted(CONFIRMABLE)})
 
 registry = typer.Typer(no_args_is_help=True, help="Load and correct the registry.", rich_markup_mode=None)
 
@@ -15,15 +19,39 @@ _Kind = Annotated[RecordKind, typer.Argument(help="What kind of record.")]
 _Subject = Annotated[str, typer.Argument(metavar="NAME", help="Serial of the wheelset, or code of the section.")]
 _At = Annotated[str | None, typer.Option(help="Time of the record: 'from' of a mounting, 'at' of the others.")]
 _Why = Annotated[str, typer.Option(help="Why; kept with the decision.")]
+_EntryWhy = Annotated[str, typer.Option("--why", help="Why; kept with every record that changes.")]
 _Actor = Annotated[str, typer.Option("--by", help="Who; by default the user of the system.")]
 
 
-@registry.command("load")
-def load(file: Annotated[Path, typer.Argument(help="Registry file.")]) -> None:
-    """Load a registry file: new records are added, those of the same key changed."""
-    from api.terminal.registry import load_and_report
+_File = Annotated[Path, typer.Argument(metavar="FILE", help="Registry file.")]
+_Confirmed = Annotated[
+    list[Confirmable] | None,
+    typer.Option("--confirm", help="What is so all the same, as the refusal names it; may be repeated."),
+]
 
-    load_and_report(file)
+
+@registry.command("load")
+def load(file: _File, *, confirm: _Confirmed = None, why: _EntryWhy = "", actor: _Actor = "") -> None:
+    """Load a registry file, whole or not at all: new records are added, those of the same key changed."""
+    from api.terminal.registry_files import load_and_report
+
+    load_and_report(file, [Rule(one) for one in confirm or ()], actor, why)
+
+
+@registry.command("check")
+def check(file: _File, *, confirm: _Confirmed = None) -> None:
+    """Print everything in a registry file that is wrong or contradicts what is on file, and store nothing."""
+    from api.terminal.registry_files import check_and_report
+
+    check_and_report(file, [Rule(one) for one in confirm or ()])
+
+
+@registry.command("export")
+def export(file: Annotated[Path, typer.Argument(metavar="FILE", help="Registry file to be written.")]) -> None:
+    """Write the registry as a file that loads to the same registry, and the files it names beside it."""
+    from api.terminal.registry_files import export_and_report
+
+    export_and_report(file)
 
 
 @registry.command("void")

@@ -25,7 +25,8 @@ from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
 from ingest.receiver import Receiver
-from ingest.registry_file import RegistryContents, read_registry
+from ingest.registry_entry.contents import RegistryContents
+from ingest.registry_file import read_registry
 from ingest.simulator.fleet import FleetReport, Recording
 from ingest.simulator.scenario import Scenario
 

@@ -18,10 +18,12 @@ from api.factory import SystemClock, open_store
 from api.settings import load_settings
 from api.times import to_rfc3339
 from estimation.errors import InputError, TreadwatchError
+from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlStorage
 from ingest.logs import SUFFIXES
 from ingest.receiver import ChunkReceipt, Receiver
-from ingest.registry_file import LoadedRegistry, load_registry
+from ingest.registry_entry.contents import Entry, LoadedRegistry
+from ingest.registry_file import load_registry
 from ingest.span_commit import SpanChanges
 
 SEPARATOR = "__"
@@ -259,7 +261,8 @@ def load_and_say(registry: Path, storage: SqlStorage, console: Console) -> None:
         The file cannot be used.
     """
     with storage.write() as unit:
-        loaded = load_registry(registry, unit, SystemClock().now_ns())
+        now_ns = SystemClock().now_ns()
+        loaded = load_registry(registry, unit, now_ns, Entry(Decision(recorded_ns=now_ns), now_ns))
     for line in registry_lines(loaded):
         console.print(line, highlight=False, soft_wrap=True)
 

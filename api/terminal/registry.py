@@ -1,43 +1,22 @@
-"""The registry on the terminal: loaded, corrected, and what was decided on its records."""
+"""Records of the registry corrected on the terminal, and what was decided on them."""
 
 from __future__ import annotations
 
 import getpass
 from collections.abc import Mapping
 from contextlib import closing
-from pathlib import Path
 
 import typer
 
 from api.factory import SystemClock, open_store
 from api.settings import load_settings
-from api.terminal.ingest import registry_lines
 from api.times import from_rfc3339, to_rfc3339
 from estimation.errors import ParameterError
 from estimation.values.json_value import JsonValue
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.stores.registry_history import RecordKey
-from ingest.registry_file import load_registry
 
 LONG = ("packed",)  # values of a record that are not for reading
-
-
-def load_and_report(file: Path) -> None:
-    """Load a registry file and print what people must know of it.
-
-    Raises
-    ------
-    InputError
-        The file is wrong; names file, line and field. Nothing is stored then.
-    StorageError
-        The database cannot be used.
-    """
-    with closing(open_store(load_settings())) as storage, storage.write() as unit:
-        loaded = load_registry(file, unit, SystemClock().now_ns())
-        spans = len(unit.stale_spans.all())
-    for line in registry_lines(loaded):
-        typer.echo(line)
-    typer.echo(f"loaded {file}; {_follows(spans)}")
 
 
 def decide_and_report(
@@ -66,13 +45,21 @@ def decide_and_report(
         A time is missing or none, or no reason is given.
     """
     key = RecordKey(kind, subject, _at(kind, at))
-    decision = Decision(actor or getpass.getuser(), why, SystemClock().now_ns())
+    decision = Decision(actor or user_name(), why, SystemClock().now_ns())
     with closing(open_store(load_settings())) as storage, storage.write() as unit:
         decide = unit.corrections.void if action is RecordAction.VOIDED else unit.corrections.restore
         record = decide(key, decision)
         spans = len(unit.stale_spans.all())
     typer.echo(f"{action} {kind} {subject}: {_text(record)}")
-    typer.echo(_follows(spans))
+    typer.echo(spans_line(spans))
+
+
+def user_name() -> str:
+    """Return the name of the user of the system; in a container it may have none."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError, ImportError):
+        return "command line"
 
 
 def history_lines(subject: str | None) -> list[str]:
@@ -119,5 +106,12 @@ def _text(record: Mapping[str, JsonValue]) -> str:
     return ", ".join(f"{name.removesuffix('_ns')} {value}" for name, value in (shown | times).items())
 
 
-def _follows(spans: int) -> str:
+def spans_line(spans: int) -> str:
+    """Return what follows from stale spans.
+
+    Parameters
+    ----------
+    spans
+        How many there are.
+    """
     return f"spans of windows to be assembled again, by an ingest or by the jobs: {spans}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,26 @@ class Reprofiling:
     wheelset: str
     at_ns: int
     mileage_km: float
+    note: str = ""
+
+
+class SensorWork(StrEnum):
+    """What was done to the sensors of an axle."""
+
+    SWAP = "swap"
+    CALIBRATION = "calibration"
+
+
+@dataclass(frozen=True, slots=True)
+class SensorChange:
+    """The sensors of an axle were exchanged or calibrated; what was wrong with them before says nothing of them now."""
+
+    vehicle: str
+    axle: int
+    at_ns: int
+    work: SensorWork
+    removed: str = ""  # serial number of what was taken off
+    fitted: str = ""  # of what is there since
     note: str = ""
 
 

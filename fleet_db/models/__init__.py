@@ -15,6 +15,7 @@ from fleet_db.models.mountings import MountingRow
 from fleet_db.models.purges import PurgeRow
 from fleet_db.models.quarantine import QuarantineRow, RawMarkRow, RecordingChangeRow
 from fleet_db.models.registry_history import RegistryEventRow
+from fleet_db.models.sensor_changes import SensorChangeRow
 from fleet_db.models.settings import StoredSettingRow
 from fleet_db.models.stale_spans import StaleSpanRow
 from fleet_db.models.suspension import SuspensionFindingRow
@@ -53,6 +54,7 @@ __all__ = [
     "RecordingChangeRow",
     "RegistryEventRow",
     "ReprofilingRow",
+    "SensorChangeRow",
     "StaleSpanRow",
     "StoredSettingRow",
     "SuspensionFindingRow",

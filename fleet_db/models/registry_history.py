@@ -10,7 +10,7 @@ from fleet_db.registry_events import RecordAction, RecordKind
 
 
 class RegistryEventRow(Base):
-    """One decision; never changed. ``record`` is what was there before, or what was restored."""
+    """One decision; never changed. ``record`` is what was there before, or what was restored; ``after`` what is there since."""
 
     __tablename__ = "registry_events"
     __table_args__ = (
@@ -29,3 +29,4 @@ class RegistryEventRow(Base):
     reason: Mapped[Name]
     record: Mapped[Json]
     recorded_ns: Mapped[Nanoseconds | None]
+    after: Mapped[Json | None]

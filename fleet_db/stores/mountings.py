@@ -10,10 +10,26 @@ from sqlalchemy import Connection, Row, and_, delete, or_, select
 
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.registry import Mounting
+from estimation.values.utc_text import utc_text
 from fleet_db.models import MountingRow
 from fleet_db.rows import table_of, upsert
 
 MOUNTINGS = table_of(MountingRow)
+
+
+class MountedTwiceError(ConflictError):
+    """A wheelset would be in two places at one time, or an axle would have two wheelsets; ``other`` is on file."""
+
+    def __init__(self, record: Mounting, other: Mounting) -> None:
+        self.other = other
+        reason = f"{_where(record)}: overlaps {_where(other)}"
+        super().__init__(reason, kind="mounting", key=record.wheelset)
+
+
+def _where(mounting: Mounting) -> str:
+    place = f"wheelset {mounting.wheelset!r} at axle {mounting.axle} of {mounting.vehicle!r}"
+    end = "" if mounting.to_ns is None else f" to {utc_text(mounting.to_ns)}"
+    return f"{place} from {utc_text(mounting.from_ns)}{end}"
 
 
 def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
@@ -113,7 +129,7 @@ def add_mounting(connection: Connection, record: Mounting, axles: int) -> bool:
     ------
     ParameterError
         The vehicle has no such axle, or the mounting ends before it starts.
-    ConflictError
+    MountedTwiceError
         It overlaps another of the same wheelset or of the same axle.
     """
     if not 1 <= record.axle <= axles:
@@ -122,12 +138,7 @@ def add_mounting(connection: Connection, record: Mounting, axles: int) -> bool:
         raise ParameterError(f"ends at {record.to_ns}, not after its start at {record.from_ns}", field="to_ns")
     other = _overlapping(connection, record)
     if other is not None:
-        raise ConflictError(
-            f"wheelset {record.wheelset!r} at axle {record.axle} of {record.vehicle!r} from {record.from_ns}: "
-            f"overlaps wheelset {other.wheelset!r} at axle {other.axle} of {other.vehicle!r} from {other.from_ns}",
-            kind="mounting",
-            key=record.wheelset,
-        )
+        raise MountedTwiceError(record, other)
     return upsert(connection, MOUNTINGS, asdict(record))
 
 

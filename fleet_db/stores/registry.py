@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from sqlalchemy import Connection, Row, RowMapping, Select, select
@@ -11,7 +11,7 @@ from sqlalchemy import Connection, Row, RowMapping, Select, select
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
-from estimation.vehicle.class_on_file import SHIPPED_VERSION, ClassOnFile
+from estimation.vehicle.class_on_file import SHIPPED_VERSION, ClassOnFile, class_document
 from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
@@ -53,6 +53,11 @@ class RegistryStore:
     connection: Connection
     changes: Changes
     shipped: Shipped = no_class
+    decision: Decision = Decision()  # of whoever changes something
+
+    def decided(self, decision: Decision) -> RegistryStore:
+        """Return this store for the changes that somebody has decided on."""
+        return replace(self, decision=decision)
 
     def fleets(self) -> Sequence[FleetRecord]:
         """Return all fleets by code."""
@@ -160,7 +165,12 @@ class RegistryStore:
         """
         serialise(self.connection, Subject.REGISTRY)
         before = self.vehicle_class(vehicle_class.code)
+        on_file = find_class(self.connection, vehicle_class.code, None)
         stored = store_class(self.connection, vehicle_class, recorded_ns)
+        if on_file is None or on_file.version != stored.version:
+            was = None if on_file is None else class_document(on_file.vehicle_class)
+            key = RecordKey(RecordKind.VEHICLE_CLASS, vehicle_class.code)
+            self._note(key, was, class_document(vehicle_class), recorded_ns)
         vehicles = [vehicle.code for vehicle in self.vehicles_of_class(vehicle_class.code)]
         self._show_mounted(vehicles)
         return Again(self.connection, self.changes, recorded_ns).class_changed(vehicles, before, stored)
@@ -181,9 +191,12 @@ class RegistryStore:
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
         found = self._vehicles(select(VEHICLES).where(VEHICLES.c.code == record.code))
-        if upsert(self.connection, VEHICLES, asdict(record) | {"axle_offsets_m": list(record.axle_offsets_m)}):
-            self._show_mounted([record.code])
         was = found[0] if found else None
+        values = _vehicle_values(record)
+        if upsert(self.connection, VEHICLES, values):
+            self._show_mounted([record.code])
+            key = RecordKey(RecordKind.VEHICLE, record.code)
+            self._note(key, None if was is None else _vehicle_values(was), values, recorded_ns)
         if was is None or _assembled_with(was) != _assembled_with(record):
             cause = f"vehicle {record.code} {'added' if was is None else 'changed'}"
             StaleSpanStore(self.connection).add(record.code, None, None, cause)
@@ -215,12 +228,12 @@ class RegistryStore:
         key = RecordKey(RecordKind.WHEELSET, record.serial)
         if self.voided(record.serial):
             RegistryHistoryStore(self.connection).note(
-                key, RecordAction.RESTORED, values, Decision(recorded_ns=recorded_ns)
+                key, RecordAction.RESTORED, values, replace(self.decision, recorded_ns=recorded_ns)
             )
             self.changes.show(record.serial)
         if upsert(self.connection, WHEELSETS, values):
             self.changes.note(record.serial)
-            self._note_change(key, row, recorded_ns)
+            self._note(key, row, values, recorded_ns)
         if record.mounting is not None:
             self.add_mounting(record.mounting)
         for reprofiling in record.reprofilings:
@@ -282,9 +295,9 @@ class RegistryStore:
             StaleSpanStore(self.connection).add(vehicle, from_ns, to_ns, f"mounting of wheelset {record.wheelset}")
             # windows that stay as they are may be of a mounting with another way round now
             Again(self.connection, self.changes, recorded_ns).mounting(record.wheelset, from_ns, to_ns)
-        if was is not None and now is not None:
-            key = RecordKey(RecordKind.MOUNTING, was.wheelset, was.from_ns)
-            self._note_change(key, asdict(was), recorded_ns)
+        if now is not None:
+            key = RecordKey(RecordKind.MOUNTING, now.wheelset, now.from_ns)
+            self._note(key, None if was is None else asdict(was), asdict(now), recorded_ns)
 
     def voided(self, serial: str) -> bool:
         """Return whether a wheelset was voided and not restored since."""
@@ -293,8 +306,8 @@ class RegistryStore:
         )
         return self.connection.scalar(statement) is not None
 
-    def add_reprofiling(self, record: Reprofiling, recorded_ns: int | None = None) -> None:
-        """Add a visit to the lathe, or change the one of the same wheelset and time.
+    def add_reprofiling(self, record: Reprofiling, recorded_ns: int | None = None) -> bool:
+        """Add a visit to the lathe, or change the one of the same wheelset and time; return whether anything changed.
 
         Raises
         ------
@@ -305,13 +318,16 @@ class RegistryStore:
         self._known_wheelset(record.wheelset)
         same = (REPROFILINGS.c.wheelset == record.wheelset, REPROFILINGS.c.at_ns == record.at_ns)
         was = self.connection.execute(select(REPROFILINGS).where(*same)).mappings().first()
-        if upsert(self.connection, REPROFILINGS, asdict(record)):
-            self.changes.note(record.wheelset)
-            key = RecordKey(RecordKind.REPROFILING, record.wheelset, record.at_ns)
-            self._note_change(key, was, recorded_ns)
+        if not upsert(self.connection, REPROFILINGS, asdict(record)):
+            return False
+        self.changes.note(record.wheelset)
+        self._note(RecordKey(RecordKind.REPROFILING, record.wheelset, record.at_ns), was, asdict(record), recorded_ns)
+        return True
 
-    def add_measured_profiles(self, record: MeasuredProfiles, recorded_ns: int | None = None) -> None:
+    def add_measured_profiles(self, record: MeasuredProfiles, recorded_ns: int | None = None) -> bool:
         """Add a measurement of the profiles of a wheelset, or change the one of the same wheelset and time.
+
+        Return whether anything changed.
 
         Raises
         ------
@@ -321,11 +337,12 @@ class RegistryStore:
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
         was = stored_measurement(self.connection, record.wheelset, record.at_ns)
-        if store_measured_profiles(self.connection, record):
-            self.changes.note(record.wheelset)
-            if was is not None:
-                key = RecordKey(RecordKind.MEASUREMENT, record.wheelset, record.at_ns)
-                self._note_change(key, was, recorded_ns)
+        if not store_measured_profiles(self.connection, record):
+            return False
+        self.changes.note(record.wheelset)
+        now = stored_measurement(self.connection, record.wheelset, record.at_ns)
+        self._note(RecordKey(RecordKind.MEASUREMENT, record.wheelset, record.at_ns), was, now, recorded_ns)
+        return True
 
     def _show_mounted(self, vehicles: Sequence[str]) -> None:
         """Let the worklist show what has changed about the vehicles that wheelsets run under."""
@@ -333,16 +350,23 @@ class RegistryStore:
         for serial in self.connection.scalars(mounted):
             self.changes.show(serial)
 
-    def _note_change(self, key: RecordKey, was: Mapping[str, Any] | RowMapping | None, recorded_ns: int | None) -> None:
-        """Keep what a record was before it was changed."""
-        if was is not None:
-            history = RegistryHistoryStore(self.connection)
-            history.note(
-                key,
-                RecordAction.CHANGED,
-                {str(name): value for name, value in was.items()},
-                Decision(recorded_ns=recorded_ns),
-            )
+    def _note(
+        self,
+        key: RecordKey,
+        was: Mapping[str, Any] | RowMapping | None,
+        now: Mapping[str, Any] | None,
+        recorded_ns: int | None,
+    ) -> None:
+        """Keep what a record was before it was changed and is since; that it is new only where somebody has entered it.
+
+        What a file brings in the first place is in the file.
+        """
+        decision = self.decision if recorded_ns is None else replace(self.decision, recorded_ns=recorded_ns)
+        action = RecordAction.ENTERED if was is None else RecordAction.CHANGED
+        if was is None and not decision.actor:
+            return
+        before = {} if was is None else {str(name): value for name, value in was.items()}
+        RegistryHistoryStore(self.connection).note(key, action, before, decision, now)
 
     def _vehicles(self, statement: Select[Any]) -> Sequence[VehicleRecord]:
         rows = self.connection.execute(statement.order_by(VEHICLES.c.code)).mappings()
@@ -373,6 +397,10 @@ class RegistryStore:
     def _known_wheelset(self, serial: str) -> None:
         if self.connection.scalar(select(WHEELSETS.c.serial).where(WHEELSETS.c.serial == serial)) is None:
             raise NotFoundError("wheelset", serial)
+
+
+def _vehicle_values(record: VehicleRecord) -> dict[str, Any]:
+    return asdict(record) | {"axle_offsets_m": list(record.axle_offsets_m)}
 
 
 def _assembled_with(record: VehicleRecord) -> tuple[object, ...]:

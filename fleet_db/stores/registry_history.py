@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Subquery, and_, func, insert, select
+from sqlalchemy import ColumnElement, Connection, Row, Subquery, and_, func, insert, null, select
 
 from estimation.values.json_value import JsonValue
 from fleet_db.models import RegistryEventRow
@@ -14,6 +14,7 @@ from fleet_db.registry_events import Decision, RecordAction, RecordKind, Registr
 from fleet_db.rows import table_of
 
 EVENTS = table_of(RegistryEventRow)
+_VOID_OR_NOT = (RecordAction.VOIDED.value, RecordAction.RESTORED.value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +32,17 @@ class RegistryHistoryStore:
 
     connection: Connection
 
-    def note(self, key: RecordKey, action: RecordAction, record: Mapping[str, JsonValue], decision: Decision) -> None:
-        """Append a decision on a record."""
+    def note(
+        self,
+        key: RecordKey,
+        action: RecordAction,
+        record: Mapping[str, JsonValue],
+        decision: Decision,
+        after: Mapping[str, JsonValue] | None = None,
+    ) -> None:
+        """Append a decision on a record: what it was before, and what it is afterwards where it is on file then."""
         values = {"kind": key.kind.value, "subject": key.subject, "at_ns": key.at_ns, "action": action.value}
-        self.connection.execute(insert(EVENTS).values(**values, **asdict(decision), record=dict(record)))
+        self.connection.execute(insert(EVENTS).values(**values, **asdict(decision), record=dict(record), after=_json(after)))
 
     def latest(self, key: RecordKey, action: RecordAction | None = None) -> RegistryEvent | None:
         """Return the last decision on a record, or the last of one action; None where there is none."""
@@ -55,6 +63,10 @@ class RegistryHistoryStore:
         return [_event(row) for row in self.connection.execute(statement)]
 
 
+def _json(record: Mapping[str, JsonValue] | None) -> object:
+    return null() if record is None else dict(record)
+
+
 def is_voided(kind: RecordKind, subject: ColumnElement[str]) -> ColumnElement[bool]:
     """Return whether the last decision on an undated record voided it.
 
@@ -71,7 +83,7 @@ def is_voided(kind: RecordKind, subject: ColumnElement[str]) -> ColumnElement[bo
 
 
 def _last_of(kind: RecordKind) -> Subquery:
-    chosen = and_(EVENTS.c.kind == kind.value, EVENTS.c.action != RecordAction.CHANGED.value)
+    chosen = and_(EVENTS.c.kind == kind.value, EVENTS.c.action.in_(_VOID_OR_NOT))
     return select(func.max(EVENTS.c.id).label("id")).where(chosen).group_by(EVENTS.c.subject).subquery()
 
 

@@ -77,22 +77,56 @@ def read_measured_profile(
         The file cannot be read as that; the message names file, line and field.
     """
     file = Path(path)
+    _refuse_lists(file)
+    text = read_text_within(file, PROFILE_BYTES, ProfileError, errors="replace")
+    return measured_profile_of(text, file, kind, unit=unit, mirror=mirror, origin=origin, noise_std=noise_std)
+
+
+def measured_profile_of(
+    text: str,
+    file: Path,
+    kind: ProfileKind,
+    *,
+    unit: Literal["mm", "m"] = "mm",
+    mirror: bool | None = None,
+    origin: Origin = Origin.AUTO,
+    noise_std: float | None = None,
+) -> SmoothedProfile:
+    """Return the wheel or rail profile that the content of a file describes.
+
+    Parameters
+    ----------
+    text
+        The content.
+    file
+        Its name, which decides the format and is in messages; the file need not exist.
+    kind, unit, mirror, origin, noise_std
+        As :func:`read_measured_profile` takes them.
+
+    Raises
+    ------
+    ProfileError
+        It is none.
+    """
     if kind == "wheel" and mirror is not None:
         raise ProfileError("the flange shows which side of a wheel is which", file=file, field="mirror")
     if noise_std is not None and not (math.isfinite(noise_std) and noise_std >= 0.0):
         raise ProfileError(f"{noise_std!r} m is no standard deviation", file=file, field="noise_std")
+    _refuse_lists(file)
+    if "\x00" in text:
+        raise ProfileError("is not a text file; export the profile as text", file=file)
+    points = _parsed(text, str(file), file.suffix.lower(), unit)
+    noise = None if noise_std is None else noise_std / _MILLIMETRE
+    return oriented(points, kind, file.stem, mirror=mirror, origin=origin, noise_std=noise)
+
+
+def _refuse_lists(file: Path) -> None:
     if file.suffix.lower() in _SLICES:
         raise ProfileError(
             "lists slices of a rail that varies along the track; give the profile file of one slice, as the list "
             "names it",
             file=file,
         )
-    text = read_text_within(file, PROFILE_BYTES, ProfileError, errors="replace")
-    if "\x00" in text:
-        raise ProfileError("is not a text file; export the profile as text", file=file)
-    points = _parsed(text, str(file), file.suffix.lower(), unit)
-    noise = None if noise_std is None else noise_std / _MILLIMETRE
-    return oriented(points, kind, file.stem, mirror=mirror, origin=origin, noise_std=noise)
 
 
 def _parsed(text: str, file: str, suffix: str, unit: Literal["mm", "m"]) -> FilePoints:

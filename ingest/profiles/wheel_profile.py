@@ -8,7 +8,9 @@ import numpy as np
 
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.errors import ProfileError
-from ingest.profiles.files import read_profile
+from ingest.bounded_file import PROFILE_BYTES, read_text_within
+from ingest.profiles.files import measured_profile_of
+from ingest.profiles.stored_profile import SUFFIX, read_stored_profile
 
 FLANGE_END = -0.045  # m from the tread datum: contact in flanging comes 2 mm nearer to the tip at most
 TREAD_END = 0.030  # m: contact at 12 mm of gauge widening and 10 mm of displacement stays within
@@ -21,14 +23,51 @@ def read_wheel_profile(path: Path) -> Profile:
     Parameters
     ----------
     path
-        A file in a format of ``read_profile``; two columns are in mm.
+        A file in a format of ``read_profile``, two columns in mm; or one of an exported registry.
 
     Raises
     ------
     ProfileError
-        The file cannot be read as a wheel profile, or does not hold the whole of flange and tread.
+        The file cannot be read as a wheel profile, does not hold the whole of flange and tread, or is that of a rail.
     """
-    profile = read_profile(path, "wheel")
+    if path.suffix.lower() == SUFFIX:
+        return _whole(read_stored_profile(path), path)
+    return wheel_profile_of(read_text_within(path, PROFILE_BYTES, ProfileError, errors="replace"), path)
+
+
+def wheel_profile_of(text: str, file: Path) -> Profile:
+    """Return the wheel profile that the content of a file describes.
+
+    Parameters
+    ----------
+    text
+        The content.
+    file
+        Its name, whose suffix decides the format; the file need not exist.
+
+    Raises
+    ------
+    ProfileError
+        As :func:`read_wheel_profile`.
+    """
+    try:
+        return _whole(measured_profile_of(text, file, "wheel").profile, file)
+    except ProfileError as error:
+        if _is_rail(text, file):
+            raise ProfileError("is the profile of a rail; that of a wheel is needed", file=file) from error
+        raise
+
+
+def _is_rail(text: str, file: Path) -> bool:
+    """Whether what is no wheel can be read as a rail."""
+    try:
+        measured_profile_of(text, file, "rail")
+    except ProfileError:
+        return False
+    return True
+
+
+def _whole(profile: Profile, path: Path) -> Profile:
     first, last = float(profile.y[0]), float(profile.y[-1])
     if first > FLANGE_END or last < TREAD_END:
         raise ProfileError(

@@ -14,7 +14,8 @@ from in_process_command import Run
 from api.terminal.ingest import registry_lines
 from estimation.errors import InputError
 from fleet_db.storage import SqlStorage
-from ingest.registry_file import LoadedRegistry, load_registry
+from ingest.registry_entry.contents import LoadedRegistry
+from ingest.registry_file import load_registry
 from ingest.vehicle_class_file import class_of_package, shipped_class, shipped_path
 
 Content = dict[str, Any]

@@ -37,7 +37,7 @@ def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
         if math.isnan(stored):  # it says nothing
             found.append(last_km)
             continue
-        most = _most_km((window.start_ns - last_ns) / NANOSECONDS)
+        most = most_km((window.start_ns - last_ns) / NANOSECONDS)
         if not 0.0 <= stored - last <= most:
             shift = last_km + min(max(stored - last, 0.0), most) - stored
         last, last_km, last_ns = stored, stored + shift, window.start_ns
@@ -60,6 +60,12 @@ def mean_mileage(windows: Sequence[WindowRecord], half_life_km: float | None) ->
     return sum(weight * w.mileage_km for weight, w in zip(weights, windows, strict=True)) / sum(weights)
 
 
-def _most_km(seconds: float) -> float:
-    """Return how far a vehicle can have run in some time."""
+def most_km(seconds: float) -> float:
+    """Return how far a vehicle can have run in some time, km.
+
+    Parameters
+    ----------
+    seconds
+        From 0.
+    """
     return FASTEST_KM_S * min(seconds, HOUR_S) + MOST_KM_DAY * seconds / DAY_S

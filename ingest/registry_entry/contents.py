@@ -1,0 +1,103 @@
+"""What is entered together into the registry, whether a file, a command or a client of the REST API brings it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from estimation.contact.profiles import MeasuredProfiles
+from estimation.errors import InputError
+from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
+from estimation.vehicle.vehicle_class import VehicleClass
+from fleet_db.receipts import EstimatedAgain
+from fleet_db.registry_events import Decision
+from ingest.input_file import Location
+from ingest.registry_entry.contradiction import Contradiction, Kind, Rule
+
+
+@dataclass(frozen=True, slots=True)
+class RegistryContents:
+    """Records that are checked each by itself but not yet stored, in the order in which they were given."""
+
+    fleets: tuple[FleetRecord, ...] = ()
+    classes: tuple[VehicleClass, ...] = ()
+    vehicles: tuple[VehicleRecord, ...] = ()
+    wheelsets: tuple[WheelsetRecord, ...] = ()
+    mountings: tuple[Mounting, ...] = ()
+    reprofilings: tuple[Reprofiling, ...] = ()
+    measured_profiles: tuple[MeasuredProfiles, ...] = ()
+    sections: tuple[TrackSectionRecord, ...] = ()
+    alignments: tuple[TrackAlignment, ...] = ()
+    layouts: tuple[TrackLayout, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """How something is entered.
+
+    Attributes
+    ----------
+    decision
+        Who enters it, why, and our time; kept with what changes.
+    now_ns
+        Our time, against which the future is told; None where it is not known.
+    confirmed
+        Rules whose doubts whoever enters it has confirmed to be unfounded.
+    """
+
+    decision: Decision
+    now_ns: int | None = None
+    confirmed: frozenset[Rule] = frozenset()
+
+    @property
+    def recorded_ns(self) -> int:
+        """Our time."""
+        return self.decision.recorded_ns or 0
+
+
+class Source(Protocol):
+    """Where records come from: what names the place of an error in it."""
+
+    def error(self, reason: str, location: Location = ()) -> InputError:
+        """Return the error that names a place: array, index and field of a registry file."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """One thing that is wrong: the error with its place, and what it contradicts where a rule refuses it."""
+
+    error: InputError
+    contradiction: Contradiction | None = None
+
+
+class RegistryRefusedError(InputError):
+    """What was to be entered is refused whole; ``refusals`` lists everything that is wrong, the first is the message."""
+
+    def __init__(self, refusals: tuple[Refusal, ...]) -> None:
+        first = refusals[0]
+        self.refusals = refusals
+        super().__init__(first.error.reason, file=first.error.file, line=first.error.line, field=first.error.field)
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedRegistry:
+    """What was stored of what was entered."""
+
+    contents: RegistryContents
+    again: tuple[EstimatedAgain, ...]  # what is estimated again, by class, vehicle and wheelset
+    without_class: tuple[VehicleRecord, ...]  # vehicles that are not estimated: nobody knows their class
+
+
+ARRAYS = {
+    Kind.FLEET: "fleets",
+    Kind.VEHICLE_CLASS: "classes",
+    Kind.VEHICLE: "vehicles",
+    Kind.WHEELSET: "wheelsets",
+    Kind.MOUNTING: "mountings",
+    Kind.REPROFILING: "reprofilings",
+    Kind.MEASUREMENT: "measured_profiles",
+    Kind.SECTION: "sections",
+}
+"""Field of :class:`RegistryContents` by kind of record."""

@@ -1,0 +1,233 @@
+"""Records entered into the registry: stored, what rests on them queued again, and refused whole if anything is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+from estimation.contact.profiles import MeasuredProfiles
+from estimation.errors import ConflictError, NotFoundError, ParameterError
+from estimation.values.registry import Mounting, Reprofiling
+from estimation.values.track import TrackAlignment, TrackLayout
+from fleet_db.receipts import EstimatedAgain
+from fleet_db.storage import SqlUnitOfWork
+from fleet_db.stores.distances import MOUNTINGS, mountings_where
+from fleet_db.stores.mountings import MountedTwiceError
+from fleet_db.stores.registry import RegistryStore
+from fleet_db.stores.section_numbers import free_numbers
+from ingest.input_file import Location
+from ingest.registry_entry.checks import Entered, contradictions, mileage_point
+from ingest.registry_entry.classes_on_file import class_refusals, without_class
+from ingest.registry_entry.contents import (
+    ARRAYS,
+    Entry,
+    LoadedRegistry,
+    Refusal,
+    RegistryContents,
+    RegistryRefusedError,
+    Source,
+)
+from ingest.registry_entry.contradiction import CONFIRMABLE, Contradiction, Kind, RecordName, Rule
+
+_T = TypeVar("_T")
+_R = TypeVar("_R")
+
+
+def enter(
+    contents: RegistryContents, unit: SqlUnitOfWork, source: Source, entry: Entry, refusals: Sequence[Refusal] = ()
+) -> LoadedRegistry:
+    """Store what is entered; return it, and what is estimated again.
+
+    Parameters
+    ----------
+    contents
+        The records.
+    unit
+        An open transaction; nothing is committed here.
+    source
+        Names the place of what is wrong.
+    entry
+        Who enters it and when, and what has been confirmed.
+    refusals
+        What is known to be wrong already.
+
+    Raises
+    ------
+    RegistryRefusedError
+        Something is impossible, contradicts what is on file, or refers to something unknown; it lists everything.
+    """
+    entering = _Entering(unit, source, entry, list(refusals))
+    entering.refusals += [Refusal(error) for error in class_refusals(source, contents, unit.registry)]
+    again = entering.store(contents)
+    found = contradictions(unit, entering.entered, entry.now_ns)
+    entering.refusals += [_refusal(one, contents, source) for one in found if one.rule not in entry.confirmed]
+    if entering.refusals:
+        raise RegistryRefusedError(tuple(entering.refusals))
+    return LoadedRegistry(contents, tuple(one for one in again if one.subjects), without_class(contents, unit.registry))
+
+
+def _refusal(found: Contradiction, contents: RegistryContents, source: Source) -> Refusal:
+    advice = f" (if it is so all the same, confirm {found.rule})" if found.rule in CONFIRMABLE else ""
+    return Refusal(source.error(found.reason + advice, (*_place(found.record, contents), found.field)), found)
+
+
+def _place(record: RecordName, contents: RegistryContents) -> Location:
+    """Return array and index of a record in what was entered."""
+    for index, one in enumerate(getattr(contents, ARRAYS[record.kind])):
+        if _name(record.kind, one) == record:
+            return (record.kind.value, index)
+    return (record.kind.value,)
+
+
+def _name(kind: Kind, record: object) -> RecordName:
+    for key in ("code", "serial", "wheelset"):
+        if hasattr(record, key):
+            at_ns = getattr(record, "from_ns", getattr(record, "at_ns", None))
+            return RecordName(kind, getattr(record, key), at_ns)
+    raise TypeError(type(record).__name__)
+
+
+@dataclass(slots=True)
+class _Entering:
+    """One entry on its way into the store."""
+
+    unit: SqlUnitOfWork
+    source: Source
+    entry: Entry
+    refusals: list[Refusal]
+    entered: Entered = field(default_factory=Entered)
+
+    @property
+    def registry(self) -> RegistryStore:
+        return self.unit.registry.decided(self.entry.decision)
+
+    def store(self, contents: RegistryContents) -> list[EstimatedAgain]:
+        """Store every record that can be stored, and note what has changed."""
+        registry, recorded_ns = self.registry, self.entry.recorded_ns
+        self._new_codes(contents)
+        self._each(Kind.FLEET, contents.fleets, registry.add_fleet)
+        again = self._each(
+            Kind.VEHICLE_CLASS, contents.classes, lambda one: registry.add_vehicle_class(one, recorded_ns)
+        )
+        again += self._each(Kind.VEHICLE, contents.vehicles, lambda one: registry.add_vehicle(one, recorded_ns))
+        again += self._each(Kind.WHEELSET, contents.wheelsets, lambda one: registry.add_wheelset(one, recorded_ns))
+        self._mountings(contents.mountings)
+        self._dated(contents)
+        self._sections(contents)
+        return again
+
+    def _each(self, kind: Kind, records: Sequence[_T], add: Callable[[_T], _R]) -> list[_R]:
+        """Add each record; return what that gives, and keep what is refused."""
+        results = []
+        for index, record in enumerate(records):
+            try:
+                results.append(add(record))
+            except ParameterError as error:
+                where: Location = (kind.value, index) if error.field is None else (kind.value, index, error.field)
+                self.refusals.append(Refusal(self.source.error(error.reason, where)))
+            except MountedTwiceError as error:
+                other = RecordName(Kind.MOUNTING, error.other.wheelset, error.other.from_ns)
+                name = _name(kind, record)
+                found = Contradiction(Rule.MOUNTED_TWICE, name, "", str(error), (other,))
+                self.refusals.append(Refusal(self.source.error(str(error), (kind.value, index)), found))
+            except (NotFoundError, ConflictError) as error:
+                self.refusals.append(Refusal(self.source.error(str(error), (kind.value, index))))
+        return results
+
+    def _new_codes(self, contents: RegistryContents) -> None:
+        """Note codes and serial numbers that are not on file yet, and wheelsets that are new or change."""
+        registry, entered = self.registry, self.entered
+        fleets = {one.code for one in registry.fleets()} if contents.fleets else set()
+        wheelsets = {one.serial: one for one in registry.wheelsets()} if contents.wheelsets else {}
+        known: dict[Kind, Callable[[str], bool]] = {
+            Kind.FLEET: fleets.__contains__,
+            Kind.VEHICLE_CLASS: lambda code: registry.vehicle_class(code) is not None,
+            Kind.VEHICLE: lambda code: _is_found(registry.vehicle, code),
+            Kind.WHEELSET: wheelsets.__contains__,
+            Kind.SECTION: lambda code: _is_found(self.unit.tracks.section, code),
+        }
+        for kind, is_known in known.items():
+            for record in getattr(contents, ARRAYS[kind]):
+                name = _name(kind, record)
+                if not is_known(name.key):
+                    entered.new_codes.append((name, "serial" if kind is Kind.WHEELSET else "code"))
+        for one in contents.wheelsets:
+            was = wheelsets.get(one.serial)
+            if was is None or (was.wheel_profile, was.nominal_radius_m) != (one.wheel_profile, one.nominal_radius_m):
+                entered.wheelsets.append(one)
+
+    def _mountings(self, mountings: Sequence[Mounting]) -> None:
+        """Store mountings together: wheelsets may change places with each other."""
+        if not mountings:
+            return
+        on_file = mountings_where(self.unit.connection, MOUNTINGS.c.wheelset, {one.wheelset for one in mountings})
+        known = {(one.wheelset, one.from_ns): one for one in on_file}
+        registry = self.registry
+        before = registry.take_out(mountings)
+
+        def add(one: Mounting) -> None:
+            was = known.get((one.wheelset, one.from_ns))
+            registry.add_mounting(one, before.get((one.wheelset, one.from_ns)), self.entry.recorded_ns)
+            if was is None or replace(was, to_ns=one.to_ns) != one:
+                self.entered.mountings.append(one)
+            elif was != one:
+                self.entered.ended.append(one)
+
+        self._each(Kind.MOUNTING, mountings, add)
+
+    def _dated(self, contents: RegistryContents) -> None:
+        """Store visits to the lathe and measurements."""
+        registry, entered, recorded_ns = self.registry, self.entered, self.entry.recorded_ns
+
+        def turned(one: Reprofiling) -> None:
+            if registry.add_reprofiling(one, recorded_ns):
+                entered.reprofilings.append(mileage_point(Kind.REPROFILING, one.wheelset, one.at_ns, one.mileage_km))
+
+        def measured(one: MeasuredProfiles) -> None:
+            if registry.add_measured_profiles(one, recorded_ns):
+                entered.measurements.append(mileage_point(Kind.MEASUREMENT, one.wheelset, one.at_ns, one.mileage_km))
+
+        self._each(Kind.REPROFILING, contents.reprofilings, turned)
+        self._each(Kind.MEASUREMENT, contents.measured_profiles, measured)
+
+    def _sections(self, contents: RegistryContents) -> None:
+        tracks, recorded_ns = self.unit.tracks, self.entry.recorded_ns
+        on_file = {one.code: one for one in tracks.sections()} if contents.sections else {}
+        free_numbers(self.unit.connection, contents.sections, recorded_ns)
+        self._each(Kind.SECTION, contents.sections, lambda one: tracks.add_section(one, recorded_ns))
+        for one in contents.sections:
+            was = on_file.get(one.code)
+            if was is None or (was.rail_profile, was.nominal_gauge_m) != (one.rail_profile, one.nominal_gauge_m):
+                self.entered.sections.append(one)
+        self._each(Kind.SECTION, contents.alignments, lambda one: _add_alignment(self.unit, one))
+        self._each(Kind.SECTION, contents.layouts, lambda one: _add_layout(self.unit, one))
+
+
+def _is_found(look_up: Callable[[str], object], code: str) -> bool:
+    try:
+        look_up(code)
+    except NotFoundError:
+        return False
+    return True
+
+
+def _add_alignment(unit: SqlUnitOfWork, alignment: TrackAlignment) -> None:
+    """Store an alignment; where it replaces another, queue the windows of the section again.
+
+    Their positions had been found against the replaced one, which may be off by some metres.
+    """
+    tracks = unit.tracks
+    before = tracks.in_force(alignment.section)
+    version = tracks.add_alignment(alignment)
+    if before is not None and version > before.version:
+        tracks.forget_positions(alignment.section)
+        unit.windows.requeue_section(alignment.section)
+
+
+def _add_layout(unit: SqlUnitOfWork, layout: TrackLayout) -> None:
+    """Store a layout; where it differs from the one before, queue the windows of the section again."""
+    before = unit.tracks.layout(layout.section)
+    version = unit.tracks.add_layout(layout)
+    if before is None or before.version != version:
+        unit.windows.requeue_section(layout.section)

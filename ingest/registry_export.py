@@ -1,0 +1,201 @@
+"""The registry written as a file that loads to the same registry again, with the files it names beside it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import quote
+
+from estimation.contact.profiles import MeasuredProfiles
+from estimation.errors import InputError
+from estimation.values.json_value import JsonValue
+from estimation.values.registry import Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
+from estimation.values.utc_text import utc_text
+from estimation.vehicle.class_on_file import class_document
+from fleet_db.atomic_files import write_atomically
+from fleet_db.storage import SqlUnitOfWork
+from ingest.exact_units import in_unit, thousandths
+from ingest.profiles.stored_profile import SUFFIX, stored_profile_text
+from ingest.registry_schema import FORMAT
+from ingest.section_line import COLUMNS as LINE_COLUMNS
+from ingest.track_file import COLUMNS, GAUGE_COLUMNS, LAYOUT_COLUMNS
+
+Entry = dict[str, JsonValue]
+MOST_VEHICLES = 1 << 31
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedRegistry:
+    """A registry as text, and the files that it names by their path beside it."""
+
+    text: str
+    files: dict[str, str] = field(default_factory=dict)
+    records: int = 0
+
+
+def export_registry(unit: SqlUnitOfWork, folder: str) -> ExportedRegistry:
+    """Return the registry of a store as a file; what was voided is left out.
+
+    Parameters
+    ----------
+    unit
+        An open transaction.
+    folder
+        In which the files that it names will be, relative to the registry file.
+    """
+    registry, files = unit.registry, _Files(folder)
+    serials = [one.serial for one in registry.wheelsets() if not registry.voided(one.serial)]
+    wheelsets = [registry.wheelset(serial) for serial in serials]
+    arrays: dict[str, Sequence[Entry]] = {
+        "fleets": [{"code": one.code, "name": one.name} for one in registry.fleets()],
+        "vehicle_classes": [{"recorded": class_document(one.vehicle_class)} for one in registry.vehicle_classes()],
+        "vehicles": [_vehicle(one) for one in registry.vehicles_page(None, None, MOST_VEHICLES)],
+        "wheelsets": [_wheelset(one) for one in wheelsets],
+        "mountings": [_mounting(one) for serial in serials for one in registry.mountings(serial)],
+        "reprofilings": [_reprofiling(one) for wheelset in wheelsets for one in wheelset.reprofilings],
+        "measured_profiles": [
+            _measurement(one, files) for serial in serials for one in registry.measured_profiles(serial)
+        ],
+        "track_sections": [_section(unit, one, files) for one in unit.tracks.sections()],
+    }
+    filled = {name: list(entries) for name, entries in arrays.items() if entries}
+    text = json.dumps({"format": FORMAT, **filled}, indent=1, ensure_ascii=False) + "\n"
+    return ExportedRegistry(text, files.content, sum(map(len, filled.values())))
+
+
+def write_export(path: Path, unit: SqlUnitOfWork) -> ExportedRegistry:
+    """Write the registry of a store as a file and the folder ``<name>-files`` beside it; return what was written.
+
+    The registry itself is written last: where it is, it is whole.
+
+    Parameters
+    ----------
+    path
+        Of the registry file, which must not exist.
+    unit
+        An open transaction.
+
+    Raises
+    ------
+    InputError
+        The file exists, or cannot be written.
+    """
+    folder = f"{path.stem}-files"
+    if path.exists() or (path.parent / folder).exists():
+        raise InputError(f"it or the folder {folder!r} exists; give another name", file=path)
+    found = export_registry(unit, folder)
+    try:
+        for name, content in found.files.items():
+            write_atomically(path.parent / name, content.encode(), durable=False)
+        write_atomically(path, found.text.encode(), durable=True)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Files:
+    """Files beside the registry."""
+
+    folder: str
+    content: dict[str, str] = field(default_factory=dict)
+
+    def add(self, stem: str, suffix: str, content: str) -> Entry:
+        """Add a file; return the entry that names it."""
+        name = f"{self.folder}/{len(self.content) + 1}_{quote(stem, safe='')[:100]}{suffix}"
+        self.content[name] = content
+        return {"file": name}
+
+
+def _vehicle(one: VehicleRecord) -> Entry:
+    return {
+        "code": one.code,
+        "fleet": one.fleet,
+        "vehicle_class": one.vehicle_class,
+        "axles": one.axles,
+        "max_speed_km_h": in_unit(one.max_speed_m_s, lambda value: value / 3.6, 3.6),
+        "axle_offsets_m": list(one.axle_offsets_m),
+    }
+
+
+def _wheelset(one: WheelsetRecord) -> Entry:
+    return {
+        "serial": one.serial,
+        "fleet": one.fleet,
+        "wheel_profile": one.wheel_profile,
+        "nominal_radius_mm": thousandths(one.nominal_radius_m),
+    }
+
+
+def _mounting(one: Mounting) -> Entry:
+    return {
+        "wheelset": one.wheelset,
+        "vehicle": one.vehicle,
+        "axle": one.axle,
+        "from": utc_text(one.from_ns),
+        "to": None if one.to_ns is None else utc_text(one.to_ns),
+        "vehicle_odometer_km": one.vehicle_odometer_km,
+        "wheelset_mileage_km": one.wheelset_mileage_km,
+        "reversed": one.reversed,
+    }
+
+
+def _reprofiling(one: Reprofiling) -> Entry:
+    return {"wheelset": one.wheelset, "at": utc_text(one.at_ns), "mileage_km": one.mileage_km, "note": one.note}
+
+
+def _measurement(one: MeasuredProfiles, files: _Files) -> Entry:
+    sides = {
+        side: files.add(f"{one.wheelset}_{side}", SUFFIX, stored_profile_text(profile))
+        for side, profile in (("left", one.left), ("right", one.right))
+    }
+    entry: Entry = {"wheelset": one.wheelset, "at": utc_text(one.at_ns), "mileage_km": one.mileage_km}
+    return {**entry, **sides, "std_mm": thousandths(one.std)}
+
+
+def _section(unit: SqlUnitOfWork, one: TrackSectionRecord, files: _Files) -> Entry:
+    entry: Entry = {
+        "code": one.code,
+        "number": one.number,
+        "name": one.name,
+        "rail_profile": one.rail_profile,
+        "rail_inclination": one.rail_inclination,
+        "nominal_gauge_mm": thousandths(one.nominal_gauge_m),
+        "length_m": one.length_m,
+    }
+    registered = unit.tracks.registered(one.code)
+    alignment = None if registered is None else unit.tracks.alignment(one.code, registered)
+    if alignment is not None:
+        entry["alignment"] = _alignment(alignment, files)
+    layout = unit.tracks.layout(one.code)
+    if layout is not None:
+        entry["layout"] = files.add(f"{one.code}_layout", ".csv", _layout(layout))
+    if one.line is not None:
+        entry["coordinates"] = files.add(f"{one.code}_coordinates", ".csv", _csv(LINE_COLUMNS, one.line))
+    return entry
+
+
+def _alignment(one: TrackAlignment, files: _Files) -> Entry:
+    """Return the entry of an alignment; one of the gauge alone has no standard deviation."""
+    gauge = map(thousandths, one.gauge_deviation.tolist())
+    gauge_std = thousandths(float(one.gauge_deviation_std[0]))
+    s, std = one.s.tolist(), float(one.alignment_std[0])
+    if std != std:  # noqa: PLR0124 - NaN
+        content = _csv(GAUGE_COLUMNS, zip(s, gauge, strict=True))
+        return {**files.add(one.section, ".csv", content), "gauge_deviation_std_mm": gauge_std}
+    content = _csv(COLUMNS, zip(s, map(thousandths, one.alignment.tolist()), gauge, strict=True))
+    stds: Entry = {"alignment_std_mm": thousandths(std), "gauge_deviation_std_mm": gauge_std}
+    return {**files.add(one.section, ".csv", content), **stds}
+
+
+def _layout(one: TrackLayout) -> str:
+    curvature, cant = (map(thousandths, values.tolist()) for values in (one.curvature, one.cant))
+    return _csv((COLUMNS[0], *LAYOUT_COLUMNS), zip(one.s.tolist(), curvature, cant, strict=True))
+
+
+def _csv(columns: Sequence[str], rows: Iterator[tuple[float, ...]] | Sequence[tuple[float, ...]]) -> str:
+    lines = [",".join(map(repr, row)) for row in rows]
+    return "\n".join([",".join(columns), *lines]) + "\n"
