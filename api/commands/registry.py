@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from estimation.errors import ParameterError
 from fleet_db.registry_events import RecordAction, RecordKind
 from ingest.registry_entry.contradiction import CONFIRMABLE, Rule
 
-Confirmable = StrEnum("Confirmable", {one.name: one.value for one in sorted(CONFIRMABLE)})
+_DOUBTS = ", ".join(sorted(CONFIRMABLE))
 
 registry = typer.Typer(no_args_is_help=True, help="Load and correct the registry.", rich_markup_mode=None)
 
@@ -25,9 +25,17 @@ _Actor = Annotated[str, typer.Option("--by", help="Who; by default the user of t
 
 _File = Annotated[Path, typer.Argument(metavar="FILE", help="Registry file.")]
 _Confirmed = Annotated[
-    list[Confirmable] | None,
-    typer.Option("--confirm", help="What is so all the same, as the refusal names it; may be repeated."),
+    list[Rule] | None,
+    typer.Option("--confirm", metavar="DOUBT", help=f"What is so all the same: {_DOUBTS}. May be repeated."),
 ]
+
+
+def _doubts(confirmed: list[Rule] | None) -> list[Rule]:
+    """Refuse rules that nobody can confirm away."""
+    impossible = [one for one in confirmed or () if one not in CONFIRMABLE]
+    if impossible:
+        raise ParameterError(f"{impossible[0]} cannot be confirmed; what can: {_DOUBTS}", field="--confirm")
+    return confirmed or []
 
 
 @registry.command("load")
@@ -35,7 +43,7 @@ def load(file: _File, *, confirm: _Confirmed = None, why: _EntryWhy = "", actor:
     """Load a registry file, whole or not at all: new records are added, those of the same key changed."""
     from api.terminal.registry_files import load_and_report
 
-    load_and_report(file, [Rule(one) for one in confirm or ()], actor, why)
+    load_and_report(file, _doubts(confirm), actor, why)
 
 
 @registry.command("check")
@@ -43,7 +51,7 @@ def check(file: _File, *, confirm: _Confirmed = None) -> None:
     """Print everything in a registry file that is wrong or contradicts what is on file, and store nothing."""
     from api.terminal.registry_files import check_and_report
 
-    check_and_report(file, [Rule(one) for one in confirm or ()])
+    check_and_report(file, _doubts(confirm))
 
 
 @registry.command("export")

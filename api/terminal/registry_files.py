@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 import typer
@@ -91,15 +91,19 @@ def check_and_report(file: Path, confirmed: Sequence[Rule]) -> None:
 
 def _problems(file: Path, storage: SqlStorage, entry: Entry) -> list[str]:
     try:
-        with storage.write() as unit:
+        with suppress(_NothingStoredError), storage.write() as unit:
             load_registry(file, unit, entry.recorded_ns, entry)
-            raise _NothingStoredError
-    except _NothingStoredError:
-        return []
+            _roll_back()
     except RegistryRefusedError as error:
         return refusal_lines(error)
     except InputError as error:
         return [str(error)]
+    return []
+
+
+def _roll_back() -> None:
+    """End a transaction without storing anything."""
+    raise _NothingStoredError
 
 
 def export_and_report(file: Path) -> None:

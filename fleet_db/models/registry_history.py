@@ -10,7 +10,10 @@ from fleet_db.registry_events import RecordAction, RecordKind
 
 
 class RegistryEventRow(Base):
-    """One decision; never changed. ``record`` is what was there before, or what was restored; ``after`` what is there since."""
+    """One decision; never changed.
+
+    ``record`` is what was there before, or what was restored; ``after`` what is there since.
+    """
 
     __tablename__ = "registry_events"
     __table_args__ = (

@@ -49,7 +49,9 @@ def lives_on_file(connection: Connection, serials: Collection[str]) -> dict[str,
     mountings: defaultdict[str, list[Mounting]] = defaultdict(list)
     for one in mountings_where(connection, MOUNTINGS.c.wheelset, serials):
         mountings[one.wheelset].append(one)
-    turned = _dated(connection, select(REPROFILINGS.c.wheelset, REPROFILINGS.c.at_ns, REPROFILINGS.c.mileage_km), serials)
+    turned = _dated(
+        connection, select(REPROFILINGS.c.wheelset, REPROFILINGS.c.at_ns, REPROFILINGS.c.mileage_km), serials
+    )
     measured = _dated(connection, select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km), serials)
     return {
         serial: LifeOnFile(
@@ -61,9 +63,7 @@ def lives_on_file(connection: Connection, serials: Collection[str]) -> dict[str,
     }
 
 
-def mountings_where(
-    connection: Connection, column: ColumnElement[str], keys: Collection[str]
-) -> list[Mounting]:
+def mountings_where(connection: Connection, column: ColumnElement[str], keys: Collection[str]) -> list[Mounting]:
     """Return the mountings of some wheelsets, or on some vehicles.
 
     Parameters
@@ -113,8 +113,11 @@ def windows_beside(connection: Connection, wheelset: str, at_ns: int) -> list[Wi
     )
     before = believed.where(WINDOWS.c.start_ns <= at_ns).order_by(WINDOWS.c.start_ns.desc()).limit(1)
     after = believed.where(WINDOWS.c.start_ns > at_ns).order_by(WINDOWS.c.start_ns).limit(1)
-    rows = [row for statement in (before, after) for row in connection.execute(statement)]
-    return [WindowDistance(*row) for row in rows]
+    return [
+        WindowDistance(row.wheelset, row.start_ns, row.mileage_km)
+        for statement in (before, after)
+        for row in connection.execute(statement)
+    ]
 
 
 def _dated(
@@ -123,8 +126,8 @@ def _dated(
     found: defaultdict[str, list[tuple[int, float]]] = defaultdict(list)
     for some in _parts(serials):
         column = statement.selected_columns[0]
-        for serial, at_ns, km in connection.execute(statement.where(column.in_(some))):
-            found[serial].append((at_ns, km))
+        for row in connection.execute(statement.where(column.in_(some))):
+            found[row.wheelset].append((row.at_ns, row.mileage_km))
     return found
 
 

@@ -46,6 +46,9 @@ FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of
 REPROFILINGS = table_of(ReprofilingRow)
 
 
+NOBODY = Decision()
+
+
 @dataclass(frozen=True, slots=True)
 class RegistryStore:
     """Implements ``estimation.storage.Registry``."""
@@ -53,7 +56,7 @@ class RegistryStore:
     connection: Connection
     changes: Changes
     shipped: Shipped = no_class
-    decision: Decision = Decision()  # of whoever changes something
+    decision: Decision = NOBODY  # who changes something, and why
 
     def decided(self, decision: Decision) -> RegistryStore:
         """Return this store for the changes that somebody has decided on."""

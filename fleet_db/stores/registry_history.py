@@ -41,8 +41,9 @@ class RegistryHistoryStore:
         after: Mapping[str, JsonValue] | None = None,
     ) -> None:
         """Append a decision on a record: what it was before, and what it is afterwards where it is on file then."""
-        values = {"kind": key.kind.value, "subject": key.subject, "at_ns": key.at_ns, "action": action.value}
-        self.connection.execute(insert(EVENTS).values(**values, **asdict(decision), record=dict(record), after=_json(after)))
+        values: dict[str, object] = {"kind": key.kind.value, "subject": key.subject, "at_ns": key.at_ns, "action": action.value}
+        values |= {"record": dict(record), "after": _json(after)}
+        self.connection.execute(insert(EVENTS).values(**values, **asdict(decision)))
 
     def latest(self, key: RecordKey, action: RecordAction | None = None) -> RegistryEvent | None:
         """Return the last decision on a record, or the last of one action; None where there is none."""

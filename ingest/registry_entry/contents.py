@@ -41,7 +41,7 @@ class Entry:
     decision
         Who enters it, why, and our time; kept with what changes.
     now_ns
-        Our time, against which the future is told; None where it is not known.
+        Our time, after which the future begins; None where it is not known.
     confirmed
         Rules whose doubts whoever enters it has confirmed to be unfounded.
     """
@@ -73,7 +73,7 @@ class Refusal:
 
 
 class RegistryRefusedError(InputError):
-    """What was to be entered is refused whole; ``refusals`` lists everything that is wrong, the first is the message."""
+    """What was to be entered is refused whole; ``refusals`` lists all that is wrong, the first is the message."""
 
     def __init__(self, refusals: tuple[Refusal, ...]) -> None:
         first = refusals[0]

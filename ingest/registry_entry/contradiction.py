@@ -100,4 +100,3 @@ class Contradiction:
     field: str
     reason: str
     others: tuple[RecordName, ...] = ()
-

@@ -1,4 +1,4 @@
-"""Records entered into the registry: stored, what rests on them queued again, and refused whole if anything is wrong."""
+"""Records entered into the registry: stored and what rests on them queued again, or refused whole."""
 
 from __future__ import annotations
 

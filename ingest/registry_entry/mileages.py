@@ -76,7 +76,9 @@ def distance_contradictions(
     if backwards:
         found.append(_contradiction(entered, backwards, rules.backwards, f"{rules.name} would run backwards"))
     if jumps:
-        found.append(_contradiction(entered, jumps, rules.jump, f"{rules.name} would run faster than any vehicle (metres?)"))
+        found.append(
+            _contradiction(entered, jumps, rules.jump, f"{rules.name} would run faster than any vehicle (metres?)")
+        )
     return found
 
 

@@ -24,7 +24,7 @@ def in_the_future(record: RecordName, field: str, at_ns: int, now_ns: int) -> li
     """
     if at_ns <= now_ns + AHEAD_NS:
         return []
-    reason = f"{utc_text(at_ns)} is in the future: our clock shows {utc_text(now_ns)}"
+    reason = f"{utc_text(at_ns)} is in the future: our clock shows {utc_text(now_ns - now_ns % 1_000_000_000)}"
     return [Contradiction(Rule.IN_THE_FUTURE, record, field, reason)]
 
 

@@ -29,8 +29,6 @@ def mounted(**changes: object) -> Content:
     return {"mountings": [FILE["mountings"][0] | changes]}
 
 
-
-
 @pytest.fixture
 def registered(sqlite_storage: SqlStorage, tmp_path: Path) -> SqlStorage:
     """Return a storage that knows the small registry and the classes of the package."""
@@ -64,7 +62,12 @@ CONTRADICTIONS: list[tuple[Content, str, str, list[str]]] = [
     ),
     (mounted(**{"from": "2036-01-01T00:00:00Z"}, wheelset="W-3", axle=2), "mountings[0].from", "future", []),
     (mounted(to="2036-01-01T00:00:00Z"), "mountings[0].to", "is in the future", []),
-    ({"wheelsets": [FILE["wheelsets"][0] | {"nominal_radius_mm": 920.0}]}, "wheelsets[0].nominal_radius_mm", "class", []),
+    (
+        {"wheelsets": [FILE["wheelsets"][0] | {"nominal_radius_mm": 920.0}]},
+        "wheelsets[0].nominal_radius_mm",
+        "of class",
+        [],
+    ),
     (
         {"wheelsets": [FILE["wheelsets"][0] | {"serial": "W-9", "nominal_radius_mm": 920.0}]},
         "wheelsets[0].nominal_radius_mm",

@@ -38,8 +38,7 @@ def state(storage: SqlStorage) -> dict[str, list[str]]:
     """Return every row of the registry, without the times at which it was recorded."""
     with storage.engine.connect() as connection:
         rows = {
-            name: [row._mapping for row in connection.execute(Base.metadata.tables[name].select())]  # noqa: SLF001
-            for name in KEPT
+            name: [row._mapping for row in connection.execute(Base.metadata.tables[name].select())] for name in KEPT
         }
     return {name: sorted(repr({**row, "recorded_ns": 0}) for row in found) for name, found in rows.items()}
 
@@ -76,7 +75,8 @@ def test_a_simulated_registry_with_measured_profiles_curves_and_classes(storage:
     for side, worn in (("left", 0.0), ("right", 0.4)):
         z = wheel_profile("P8").height(y * 1e-3) * 1e3 - worn * np.exp(-((y / 20.0) ** 2))
         np.savetxt(registry.parent / f"{side}.txt", np.column_stack([y, z]))
-    (registry.parent / "layout.csv").write_text("s_m,curvature_per_km,cant_mm\n0,0,0\n700.1,0.333,70.7\n900,0.333,70.7\n")
+    layout = "s_m,curvature_per_km,cant_mm\n0,0,0\n700.1,0.333,70.7\n900,0.333,70.7\n"
+    (registry.parent / "layout.csv").write_text(layout)
     content = json.loads(registry.read_text())
     content["measured_profiles"] = [measurement()]
     content["track_sections"][0] |= {"layout": {"file": "layout.csv"}, "length_m": 1000.3, "nominal_gauge_mm": 1434.9}

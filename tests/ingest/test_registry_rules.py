@@ -25,14 +25,14 @@ def mounting(from_ns: int) -> Mounting:
 
 
 @pytest.mark.parametrize(("ahead_ns", "refused"), [(AHEAD_NS, False), (AHEAD_NS + 1, True)])
-def test_a_day_ahead_of_our_clock_is_the_future(ahead_ns: int, refused: bool) -> None:
+def test_a_day_ahead_of_our_clock_is_the_future(ahead_ns: int, *, refused: bool) -> None:
     found = in_the_future(TURNED, "at", NOW + ahead_ns, NOW)
     assert [one.rule for one in found] == [Rule.IN_THE_FUTURE] * refused
     assert all("our clock shows 2024-10-04T00:00:00Z" in one.reason for one in found)
 
 
 @pytest.mark.parametrize(("from_ns", "refused"), [(NOW, False), (NOW + 1, True)])
-def test_nothing_is_turned_before_it_is_mounted(from_ns: int, refused: bool) -> None:
+def test_nothing_is_turned_before_it_is_mounted(from_ns: int, *, refused: bool) -> None:
     later = mounting(NOW + 5 * DAY)
     found = before_first_mounting(TURNED, [later, mounting(from_ns)])
     assert [one.others for one in found] == [(RecordName(Kind.MOUNTING, "W", from_ns),)] * refused
@@ -51,7 +51,9 @@ def test_nothing_is_turned_before_it_is_mounted(from_ns: int, refused: bool) -> 
     ],
 )
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_a_mileage_runs_forwards_and_no_faster_than_a_vehicle(known_km: float, rule: Rule | None, mirrored: bool) -> None:
+def test_a_mileage_runs_forwards_and_no_faster_than_a_vehicle(
+    known_km: float, rule: Rule | None, *, mirrored: bool
+) -> None:
     before, after = point(NOW - DAY, known_km, Kind.WINDOW), point(NOW, 5000.0)
     entered, known = (before, after) if mirrored else (after, before)
     found = distance_contradictions(entered, [known, entered], MILEAGE)
@@ -59,7 +61,7 @@ def test_a_mileage_runs_forwards_and_no_faster_than_a_vehicle(known_km: float, r
 
 
 @pytest.mark.parametrize(("known_km", "refused"), [(5000.0 + TOLERANCE_KM, False), (5000.1 + TOLERANCE_KM, True)])
-def test_one_time_has_one_mileage(known_km: float, refused: bool) -> None:
+def test_one_time_has_one_mileage(known_km: float, *, refused: bool) -> None:
     for one, other in ((5000.0, known_km), (known_km, 5000.0)):
         found = distance_contradictions(point(NOW, one), [point(NOW, other, Kind.MEASUREMENT)], ODOMETER)
         assert [one.rule for one in found] == [Rule.ODOMETER_BACKWARDS] * refused
@@ -86,7 +88,7 @@ def test_a_radius_is_one_of_a_railway_wheel(radius_mm: float, words: str | None)
 @pytest.mark.parametrize(
     ("gauge_mm", "refused"), [(1000.0, True), (1379.9, True), (1380.0, False), (1435.0, False), (1480.1, True)]
 )
-def test_a_gauge_is_one_that_some_vehicle_runs_on(gauge_mm: float, refused: bool) -> None:
+def test_a_gauge_is_one_that_some_vehicle_runs_on(gauge_mm: float, *, refused: bool) -> None:
     found = unusual_gauge(RecordName(Kind.SECTION, "S"), 1e-3 * gauge_mm, [1.5, 1.7])
     assert [one.rule for one in found if gauge_mm < 1480] == [Rule.UNUSUAL_GAUGE] * (refused and gauge_mm < 1480)
     assert unusual_gauge(RecordName(Kind.SECTION, "S"), 1.0, []) == []
@@ -126,7 +128,7 @@ def test_a_new_code_can_be_written_in_a_path_and_read(code: str, words: str | No
         ("rail_profile", "P8", False),
     ],
 )
-def test_a_profile_is_of_its_kind(field: str, name: str, known: bool) -> None:
+def test_a_profile_is_of_its_kind(field: str, name: str, *, known: bool) -> None:
     found = unknown_profile(RecordName(Kind.WHEELSET, "W"), field, name)
     assert [one.field for one in found] == [] if known else [field]
     assert all(f"named {name!r}; known: " in one.reason for one in found)

@@ -63,7 +63,13 @@ def test_two_wheelsets_that_were_swapped_in_the_file_are_put_right_by_the_file(p
     registry = place.folder / "registry.json"
     right = json.loads(registry.read_text(encoding="utf-8"))
     other = {WORN: DEAD, DEAD: WORN}
-    wrong = right | {"mountings": [one | {"wheelset": other[one["wheelset"]]} for one in right["mountings"]]}
+    mileage = {one["wheelset"]: one["wheelset_mileage_km"] for one in right["mountings"]}
+    wrong = right | {
+        "mountings": [
+            one | {"wheelset": other[one["wheelset"]], "wheelset_mileage_km": mileage[other[one["wheelset"]]]}
+            for one in right["mountings"]
+        ]
+    }
     registry.write_text(json.dumps(wrong), encoding="utf-8")
     place("treadwatch ingest --registry registry.json recordings/")
     place("treadwatch estimate")
