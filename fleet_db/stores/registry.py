@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, RowMapping, Select, select
+from sqlalchemy import Connection, Row, Select, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
@@ -17,7 +17,6 @@ from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import (
     FleetRow,
-    ReprofilingRow,
     VehicleRow,
     WheelsetRow,
 )
@@ -38,12 +37,12 @@ from fleet_db.stores.mountings import (
     mountings_on,
     to_mounting,
 )
-from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore, is_voided
+from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided
+from fleet_db.stores.reprofilings import REPROFILINGS, reprofilings_of, stored_reprofiling
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class
 
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
-REPROFILINGS = table_of(ReprofilingRow)
 
 
 NOBODY = Decision()
@@ -319,8 +318,7 @@ class RegistryStore:
         """
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
-        same = (REPROFILINGS.c.wheelset == record.wheelset, REPROFILINGS.c.at_ns == record.at_ns)
-        was = self.connection.execute(select(REPROFILINGS).where(*same)).mappings().first()
+        was = stored_reprofiling(self.connection, record.wheelset, record.at_ns)
         if not upsert(self.connection, REPROFILINGS, asdict(record)):
             return False
         self.changes.note(record.wheelset)
@@ -353,23 +351,9 @@ class RegistryStore:
         for serial in self.connection.scalars(mounted):
             self.changes.show(serial)
 
-    def _note(
-        self,
-        key: RecordKey,
-        was: Mapping[str, Any] | RowMapping | None,
-        now: Mapping[str, Any] | None,
-        recorded_ns: int | None,
-    ) -> None:
-        """Keep what a record was before it was changed and is since; that it is new only where somebody has entered it.
-
-        What a file brings in the first place is in the file.
-        """
+    def _note(self, key: RecordKey, was: Record | None, now: Record | None, recorded_ns: int | None) -> None:
         decision = self.decision if recorded_ns is None else replace(self.decision, recorded_ns=recorded_ns)
-        action = RecordAction.ENTERED if was is None else RecordAction.CHANGED
-        if was is None and not decision.actor:
-            return
-        before = {} if was is None else {str(name): value for name, value in was.items()}
-        RegistryHistoryStore(self.connection).note(key, action, before, decision, now)
+        RegistryHistoryStore(self.connection).note_change(key, was, now, decision)
 
     def _vehicles(self, statement: Select[Any]) -> Sequence[VehicleRecord]:
         rows = self.connection.execute(statement.order_by(VEHICLES.c.code)).mappings()
@@ -379,19 +363,12 @@ class RegistryStore:
         rows = self.connection.execute(statement.order_by(WHEELSETS.c.serial)).all()
         serials = [row.serial for row in rows]
         mounted = self._mounted(serials)
-        turned = self._reprofilings(serials)
+        turned = reprofilings_of(self.connection, serials)
         return [_wheelset(row, mounted.get(row.serial), turned.get(row.serial, ())) for row in rows]
 
     def _mounted(self, serials: Sequence[str]) -> dict[str, Mounting]:
         statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset.in_(serials), MOUNTINGS.c.to_ns.is_(None))
         return {row.wheelset: to_mounting(row) for row in self.connection.execute(statement)}
-
-    def _reprofilings(self, serials: Sequence[str]) -> dict[str, tuple[Reprofiling, ...]]:
-        statement = select(REPROFILINGS).where(REPROFILINGS.c.wheelset.in_(serials)).order_by(REPROFILINGS.c.at_ns)
-        found: dict[str, tuple[Reprofiling, ...]] = {}
-        for row in self.connection.execute(statement):
-            found[row.wheelset] = (*found.get(row.wheelset, ()), Reprofiling(*row))
-        return found
 
     def _known_fleet(self, code: str) -> None:
         if self.connection.scalar(select(FLEETS.c.code).where(FLEETS.c.code == code)) is None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Subquery, and_, func, insert, null, select
+from sqlalchemy import ColumnElement, Connection, Row, RowMapping, Subquery, and_, func, insert, null, select
 
 from estimation.values.json_value import JsonValue
 from fleet_db.models import RegistryEventRow
@@ -14,6 +14,8 @@ from fleet_db.registry_events import Decision, RecordAction, RecordKind, Registr
 from fleet_db.rows import table_of
 
 EVENTS = table_of(RegistryEventRow)
+Record = Mapping[str, Any] | RowMapping
+"""A record by the columns of its table."""
 _VOID_OR_NOT = (RecordAction.VOIDED.value, RecordAction.RESTORED.value)
 
 
@@ -41,9 +43,24 @@ class RegistryHistoryStore:
         after: Mapping[str, JsonValue] | None = None,
     ) -> None:
         """Append a decision on a record: what it was before, and what it is afterwards where it is on file then."""
-        values: dict[str, object] = {"kind": key.kind.value, "subject": key.subject, "at_ns": key.at_ns, "action": action.value}
+        values: dict[str, object] = {
+            "kind": key.kind.value,
+            "subject": key.subject,
+            "at_ns": key.at_ns,
+            "action": action.value,
+        }
         values |= {"record": dict(record), "after": _json(after)}
         self.connection.execute(insert(EVENTS).values(**values, **asdict(decision)))
+
+    def note_change(self, key: RecordKey, was: Record | None, now: Record | None, decision: Decision) -> None:
+        """Keep what a record was before it was changed and is since; that it is new where somebody has entered it.
+
+        What a file brings in the first place, and nobody has put his name to, is in the file.
+        """
+        action = RecordAction.ENTERED if was is None else RecordAction.CHANGED
+        if was is not None or decision.actor:
+            before = {} if was is None else {str(name): value for name, value in was.items()}
+            self.note(key, action, before, decision, None if now is None else dict(now))
 
     def latest(self, key: RecordKey, action: RecordAction | None = None) -> RegistryEvent | None:
         """Return the last decision on a record, or the last of one action; None where there is none."""
