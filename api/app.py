@@ -24,6 +24,7 @@ from api.middleware import RequestContextMiddleware
 from api.openapi.document import document
 from api.page import routes as page
 from api.routes import (
+    accuracy,
     alert_actions,
     alerts,
     fleets,
@@ -46,6 +47,7 @@ RESOURCES = (
     worklist,
     wheelsets,
     geometry,
+    accuracy,
     alerts,
     alert_actions,
     jobs,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, cast
 
 from fastapi import Depends, Request
 
 from api.access.caller import CallerDep
+from api.accuracy.contact_cache import ContactCache
 from api.job_runner import JobRunner
 from api.representation_cache import RepresentationCache
 from api.writer_slots import WriterSlots
@@ -34,6 +35,7 @@ class Services:
     writers: WriterSlots
     cache: RepresentationCache
     one_reader: bool  # an embedded database, whose reads slow each other down in threads
+    contacts: ContactCache = field(default_factory=ContactCache)
 
     def job(self, name: str) -> Job:
         """Return the job of this name.

@@ -13,13 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from api.comparison.truth import TrueWheelset, conicity_errors
+from estimation.accuracy.curve_origin import curve_origin
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.intervals import NORMAL_95
 from estimation.values.quantities import Estimate
-
-SEARCHED = 0.6e-3  # m
-SEARCH_STEP = 5e-6  # m
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +55,8 @@ def wheelset_score(found: WheelsetGeometry, truth: TrueWheelset) -> WheelsetScor
     conicity = Count(len(inside), sum(inside))
     given = [error for error in errors if error is not None]
     centre = found.bin_centres
-    shift, mean = origin(found, truth)
+    origin = curve_origin(found, truth.displacement, truth.difference, truth.zero_crossing)
+    shift, mean = origin.displacement, origin.difference
     x = centre + shift
     others = Count()
     differences = np.interp(x, truth.displacement, truth.angle_difference)
@@ -81,28 +80,6 @@ def wheelset_score(found: WheelsetGeometry, truth: TrueWheelset) -> WheelsetScor
         nonlinearity=_counted(Count(), found.nonlinearity, truth.nonlinearity),
         zero_crossing=_counted(Count(), found.zero_crossing, truth.zero_crossing),
     )
-
-
-def origin(found: WheelsetGeometry, truth: TrueWheelset) -> tuple[float, float]:
-    """Return (y - d, R) of the true curve, m, from which the estimated one is counted.
-
-    Band-limited signals have lost their means, so the estimated curve has its origin at the mean of both: it may lie
-    anywhere along the true curve, with its own R zero on average. The place where it fits best is taken; a wheelset of
-    unlike wheels runs nearer to the track centre than its zero crossing is.
-    """
-    centre, R = found.bin_centres, found.rolling_radius_difference
-    known = np.isfinite(R.value)
-    if not known.any():
-        return truth.zero_crossing, 0.0
-    best = (np.inf, truth.zero_crossing, 0.0)
-    low, high = min(truth.zero_crossing, 0.0) - SEARCHED, max(truth.zero_crossing, 0.0) + SEARCHED
-    for shift in np.linspace(low, high, round((high - low) / SEARCH_STEP) + 1):
-        curve = np.interp(centre + shift, truth.displacement, truth.difference)
-        mean = float(found.samples @ curve / found.samples.sum())
-        deviation = (R.value - curve + mean)[known] / R.std[known]
-        misfit = float(np.minimum(deviation**2, 9.0).sum())
-        best = min(best, (misfit, float(shift), mean))
-    return best[1], best[2]
 
 
 def _bins(values: BinValues, truth: FloatArray) -> tuple[int, int]:

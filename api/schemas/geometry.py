@@ -121,7 +121,7 @@ def geometry(record: GeometryRecord) -> Geometry:
         ],
         nonlinearity_parameter_per_mm=uncertain(found.nonlinearity),
         zero_crossing_mm=uncertain(found.zero_crossing, MM),
-        bins=_bins(record),
+        bins=bin_table(record),
         provenance=Provenance(
             code_version=record.code_version,
             input_digest=record.input_digest,
@@ -150,7 +150,8 @@ def _left_out(record: GeometryRecord) -> dict[str, int] | None:
     return {code: count for code, count in stored.items() if isinstance(count, int)}
 
 
-def _bins(record: GeometryRecord) -> Bins:
+def bin_table(record: GeometryRecord) -> Bins:
+    """Return the bin table of an estimate."""
     found = record.geometry
     edges = [float(edge) * MM for edge in found.bin_edges]
     return Bins(

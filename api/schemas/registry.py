@@ -76,6 +76,7 @@ class MeasuredProfilesRecord(Representation):
         description="How well the lateral displacement at a rolling radius difference follows from them.",
         examples=[0.1],
     )
+    links: Links
 
 
 class Wheelset(Representation):
@@ -153,6 +154,7 @@ def reprofiling(record: Reprofiling) -> ReprofilingRecord:
 
 def measured_profiles(record: MeasuredProfiles) -> MeasuredProfilesRecord:
     """Return the representation of a measurement of both wheels."""
+    own = f"/v1/wheelsets/{segment(record.wheelset)}"
     return MeasuredProfilesRecord(
         wheelset=record.wheelset,
         measured_at=to_rfc3339(record.at_ns),
@@ -160,13 +162,17 @@ def measured_profiles(record: MeasuredProfiles) -> MeasuredProfilesRecord:
         left=record.left.name,
         right=record.right.name,
         std_mm=record.std * 1000.0,
+        links={
+            "wheelset": own,
+            "comparison": f"{own}/measured-profiles/{segment(to_rfc3339(record.at_ns))}/comparison",
+        },
     )
 
 
 def wheelset(record: WheelsetRecord) -> Wheelset:
     """Return the representation of a wheelset, with paths to everything known of it."""
     own = f"/v1/wheelsets/{segment(record.serial)}"
-    links = {name: f"{own}/{name}" for name in ("geometry", "trend", "windows", "mountings", "reprofilings")}
+    links = {name: f"{own}/{name}" for name in ("geometry", "trend", "contact", "windows", "mountings", "reprofilings")}
     links["measured_profiles"] = f"{own}/measured-profiles"
     links["state"] = f"{own}/state"
     links = {"self": own, "fleet": f"/v1/fleets/{segment(record.fleet)}", **links}

@@ -32,6 +32,7 @@ from estimation.track.profile_life import ProfileLife
 from estimation.track.residuals import residuals
 from estimation.track.results import AlignmentReport, JourneyReport, nothing
 from estimation.track.section_parameters import SectionParameters
+from estimation.values.evidence import evidence_of_measurement, evidence_of_version
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import Correction, TrackAlignment
@@ -87,7 +88,7 @@ def estimate_section(
     measured
         Curves of measured profiles, by profile life.
     """
-    named = () if prior is None else (f"{prior.source} version {prior.version}",)
+    named = () if prior is None else (evidence_of_version(prior.source, prior.version),)
     grouped: Grouped = journeys(passes, parameters.positions)
     panel = Panel.of(parameters.panel, KnownBeforehand(measured=measured or {}))
     if not grouped:
@@ -99,7 +100,7 @@ def estimate_section(
     accepted = _reject_outliers(grouped, known, panel, parameters)
     iterated = with_slope(accepted.iterated, known, parameters.iteration.most_weight)
     report = _report(replace(accepted, iterated=iterated), grouped, known, parameters)
-    used = (f"measured profiles of {one.name}" for one in iterated.measured_curves)
+    used = (evidence_of_measurement(one.name) for one in iterated.measured_curves)
     report = replace(report, evidence=(*named, *used))
     if report.status is not Status.ESTIMATED:
         return SectionEstimate(None, report, grouped, {}, iterated)

@@ -167,6 +167,20 @@ class ReasonCode(StrEnum):
     LIMIT_AHEAD = "limit_ahead", "The conicity limit is forecast to be reached."
     ALERT_OPEN = "alert_open", "An alert of the wheelset is open."
     NOT_MOUNTED = "not_mounted", "The wheelset runs under no vehicle."
+    # estimate against measurement
+    CONTACT_IMPOSSIBLE = (
+        "contact_impossible",
+        "The wheels have no contact with the rails. Check the profiles, and the rails of the section.",
+    )
+    PROFILE_INCOMPLETE = "profile_incomplete", "The profile does not show this measure. Measure flange and tread whole."
+    MEASURES_NOT_OBSERVABLE = (
+        "measures_not_observable",
+        "Accelerations show how wheels roll, not how high or thick they are. Measure the profiles.",
+    )
+    NO_ESTIMATE_NEAR = (
+        "no_estimate_near",
+        "There is no estimate of the same profile within an interval of mileage of the measurement.",
+    )
     # recording
     LOG_DAMAGED = "log_damaged", "The recording is truncated, damaged or no log. Send it again."
     CLOCK_IMPLAUSIBLE = (

@@ -6,20 +6,49 @@ import base64
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Connection, Row, select
+from sqlalchemy import ColumnElement, Connection, Row, func, select
 
 from estimation.contact.profiles import MeasuredProfiles
-from fleet_db.models import MeasuredProfilesRow
+from fleet_db.models import MeasuredProfilesRow, WheelsetRow
 from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
 from fleet_db.rows import table_of, upsert
 
-MEASURED = table_of(MeasuredProfilesRow)
+MEASURED, WHEELSETS = table_of(MeasuredProfilesRow), table_of(WheelsetRow)
 
 
 def measured_profiles_of(connection: Connection, wheelset: str) -> Sequence[MeasuredProfiles]:
     """Return every measurement of a wheelset, oldest first."""
     statement = select(MEASURED).where(MEASURED.c.wheelset == wheelset).order_by(MEASURED.c.at_ns)
     return [_to_measured(row) for row in connection.execute(statement)]
+
+
+def newest_measurements(
+    connection: Connection, fleet: str | None, from_ns: int | None, to_ns: int | None, limit: int
+) -> tuple[int, list[tuple[str, int]]]:
+    """Return how many measurements there are in ``[from_ns, to_ns)``, and wheelset and time of the newest of them.
+
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    fleet
+        Code; None for all fleets.
+    from_ns, to_ns
+        None where there is no bound.
+    limit
+        Of how many wheelset and time are returned, the newest first.
+    """
+    wanted: list[ColumnElement[bool]] = []
+    if fleet is not None:
+        wanted.append(MEASURED.c.wheelset.in_(select(WHEELSETS.c.serial).where(WHEELSETS.c.fleet == fleet)))
+    if from_ns is not None:
+        wanted.append(MEASURED.c.at_ns >= from_ns)
+    if to_ns is not None:
+        wanted.append(MEASURED.c.at_ns < to_ns)
+    total = connection.scalar(select(func.count()).select_from(MEASURED).where(*wanted)) or 0
+    newest = select(MEASURED.c.wheelset, MEASURED.c.at_ns).where(*wanted)
+    newest = newest.order_by(MEASURED.c.at_ns.desc(), MEASURED.c.wheelset).limit(limit)
+    return total, [(row.wheelset, row.at_ns) for row in connection.execute(newest)]
 
 
 def store_measured_profiles(connection: Connection, record: MeasuredProfiles) -> bool:

@@ -33,7 +33,10 @@ def test_every_type_of_problem_is_described() -> None:
 def test_every_reason_code_has_a_meaning_and_a_remedy() -> None:
     pages = "".join(
         (DOCS / name).read_text()
-        for name in ("troubleshooting.md", "sections.md", "quarantine.md", "plausibility.md", "worklist.md")
+        for name in (
+            *("troubleshooting.md", "sections.md", "quarantine.md", "plausibility.md", "worklist.md"),
+            "measured-against-estimated.md",
+        )
     )
     assert {code for code in ReasonCode if not re.search(rf"^\|.*`{code}`", pages, re.MULTILINE)} == set()
 

@@ -53,7 +53,7 @@ def measured(
             continue
         if found is None:
             continue
-        name = _name(found)
+        name = measurement_name(found)
         try:
             curves[life] = _curve(name, found, section)
         except (ContactError, ProfileError) as error:
@@ -73,7 +73,14 @@ def _newest(unit: UnitOfWork, record: WindowRecord, within_km: float) -> Measure
     return near[-1] if near else None
 
 
-def _name(item: MeasuredProfiles) -> str:
+def measurement_name(item: MeasuredProfiles) -> str:
+    """Return how reports of alignments name a measurement.
+
+    Parameters
+    ----------
+    item
+        The measurement.
+    """
     return f"{item.wheelset} of {datetime.fromtimestamp(item.at_ns // 10**9, UTC):%Y-%m-%d}"
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.wear_measures import wear_measures
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
@@ -22,6 +21,7 @@ from estimation.contact.rail_definitions import RAIL_DEFINITIONS
 from estimation.contact.segments import evaluate
 from estimation.contact.table import ContactMethod
 from estimation.contact.wear import TreadWear, WearFamily, wear_course, worn
+from estimation.contact.wear_measures import wear_measures
 from estimation.contact.wheel_definitions import WHEEL_DEFINITIONS
 from estimation.errors import ParameterError, ProfileError
 

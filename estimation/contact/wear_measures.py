@@ -1,4 +1,11 @@
-"""What a depot measures on a wheel: flange height Sh, thickness Sd and gradient qR, and the hollow of the tread."""
+"""What a depot measures on a wheel: flange height Sh, thickness Sd and gradient qR, and the hollow of the tread.
+
+Sh, Sd and qR are those of EN 15313:2016 (and of profile gauges, which print them): with the tread datum 70 mm from the
+flange back, Sh is the height of the flange tip over the tread there, Sd the distance of the flange face from the flange
+back 10 mm beyond the tread, and qR the lateral distance of that point from the face 2 mm short of the tip. EN 15313
+leaves the hollow to the operator; here it is the depth of the tread below the highest point farther out, which is what
+a straight edge from the field side finds.
+"""
 
 from __future__ import annotations
 
@@ -29,6 +36,11 @@ class WearMeasures:
 
 def wear_measures(wheel: Profile) -> WearMeasures:
     """Return the wear measures of a wheel whose origin is the tread datum, 70 mm from the flange back.
+
+    Parameters
+    ----------
+    wheel
+        Profile of a wheel.
 
     Raises
     ------

@@ -1,12 +1,11 @@
-"""Where on the true curve an estimated one has its origin."""
+"""Where on a known curve an estimated one has its origin."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from api.comparison.truth import AMPLITUDES, TrueWheelset
-from bench.wheelset_score import origin
+from estimation.accuracy.curve_origin import curve_origin
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status
@@ -46,12 +45,8 @@ def estimated(curve: FloatArray, edges: FloatArray) -> WheelsetGeometry:
 @pytest.mark.parametrize("runs_at", [-0.4e-3, 0.05e-3, 1.1e-3, 1.7e-3])
 def test_the_origin_of_unlike_wheels_is_found_wherever_the_wheelset_runs(runs_at: float) -> None:
     x = np.linspace(-8e-3, 8e-3, 641)
-    nothing = np.zeros_like(x)
-    truth = TrueWheelset(
-        "W", "V", 1, x, true_difference(x), nothing, nothing, nothing, np.array(AMPLITUDES), np.zeros(9), 0.0, CROSSING
-    )
     edges = np.linspace(-4e-3, 4e-3, 17)
     curve = true_difference(0.5 * (edges[1:] + edges[:-1]) + runs_at)
-    shift, mean = origin(estimated(curve - curve.mean(), edges), truth)
-    assert shift == pytest.approx(runs_at, abs=1e-5)
-    assert mean == pytest.approx(curve.mean(), abs=2e-6)
+    origin = curve_origin(estimated(curve - curve.mean(), edges), x, true_difference(x), CROSSING)
+    assert origin.displacement == pytest.approx(runs_at, abs=1e-5)
+    assert origin.difference == pytest.approx(curve.mean(), abs=2e-6)

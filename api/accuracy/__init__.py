@@ -1,0 +1,1 @@
+"""Estimates against measurements, as the API answers them."""

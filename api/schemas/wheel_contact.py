@@ -1,0 +1,136 @@
+"""Contact geometry that follows from known profiles: of the design, or of a measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from pydantic import Field
+
+from api.schemas.common import Links, Representation, finite, finite_list, uncertain
+from api.schemas.geometry import MM, ConicityAtAmplitude
+from api.schemas.registry import segment
+from estimation.accuracy.wheel_contact import RailShare, WheelContact
+from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import WheelsetRecord
+
+SHOWN = 8e-3  # m of lateral displacement
+DECIMALS = 6  # of millimetres: a nanometre
+
+
+class Rails(Representation):
+    """Rails as they are laid on some of the track."""
+
+    rail_profile: str = Field(examples=["60E1"])
+    rail_inclination_1: float = Field(examples=[0.025])
+    nominal_gauge_mm: float = Field(examples=[1435.0])
+    share_1: float = Field(description="Share of the running on them.", examples=[1.0])
+
+
+class ContactCurve(Representation):
+    """Rolling radii over the lateral displacement, column by column; null where both wheels have no contact."""
+
+    lateral_displacement_mm: list[float | None] = Field(
+        description="Of the wheelset's middle from the track centre, positive to the left."
+    )
+    rolling_radius_sum_mm: list[float | None] = Field(description="rL + rR.")
+    rolling_radius_difference_mm: list[float | None] = Field(description="rL - rR.")
+    rolling_radius_difference_std_mm: list[float | None] = Field(
+        description="Standard deviation of rL - rR that follows from that of the measurement; 0 for a drawing."
+    )
+
+
+class ProfileContact(Representation):
+    """What two wheel profiles give on the rails that the wheelset runs on; the wheelset rolls until both touch."""
+
+    status: Status
+    reason: str | None
+    reason_code: ReasonCode | None
+    rails: list[Rails] = Field(description="Kinds of rails that it runs on; empty where there is no contact geometry.")
+    curve: ContactCurve | None = Field(description="Null where there is no contact geometry.")
+    zero_crossing_mm: float | None = Field(
+        description="Lateral displacement at which both rolling radii are equal; null where there is none."
+    )
+    conicity_by_amplitude: list[ConicityAtAmplitude] = Field(
+        description="Equivalent conicity at each amplitude (EN 15302); `n_windows` is 0: no running is behind it."
+    )
+
+
+class DesignContact(Representation):
+    """Contact geometry of the wheelset's design profile: what it was when new, or last reprofiled."""
+
+    wheelset: str = Field(examples=["WS-0001"])
+    wheel_profile: str = Field(examples=["S1002"])
+    nominal_radius_mm: float = Field(examples=[460.0])
+    contact: ProfileContact = Field(description="On the rails that the current estimate is of.")
+    links: Links
+
+
+def profile_contact(found: WheelContact | Reason) -> ProfileContact:
+    """Return the representation of a contact geometry, or of why there is none."""
+    if isinstance(found, Reason):
+        return ProfileContact(
+            status=Status.UNESTIMATED,
+            reason=found.text,
+            reason_code=found.code,
+            rails=[],
+            curve=None,
+            zero_crossing_mm=None,
+            conicity_by_amplitude=[],
+        )
+    return ProfileContact(
+        status=Status.ESTIMATED,
+        reason=None,
+        reason_code=None,
+        rails=[_rails(one) for one in found.rails],
+        curve=_curve(found),
+        zero_crossing_mm=finite(found.zero_crossing, MM),
+        conicity_by_amplitude=[
+            ConicityAtAmplitude(amplitude_mm=round(float(a) * MM, 3), equivalent_conicity_1=uncertain(conicity))
+            for a, conicity in zip(found.amplitude, found.conicity, strict=True)
+        ],
+    )
+
+
+def design_contact(wheelset: WheelsetRecord, found: WheelContact | Reason) -> DesignContact:
+    """Return the representation of the contact geometry of a wheelset's design."""
+    own = f"/v1/wheelsets/{segment(wheelset.serial)}"
+    return DesignContact(
+        wheelset=wheelset.serial,
+        wheel_profile=wheelset.wheel_profile,
+        nominal_radius_mm=wheelset.nominal_radius_m * MM,
+        contact=profile_contact(found),
+        links={"self": f"{own}/contact", "wheelset": own, "geometry": f"{own}/geometry"},
+    )
+
+
+def table(contact: ProfileContact) -> tuple[Sequence[str], list[Sequence[object]]]:
+    """Return the curve as a header and rows."""
+    header = list(ContactCurve.model_fields)
+    if contact.curve is None:
+        return header, []
+    return header, list(zip(*(getattr(contact.curve, name) for name in header), strict=True))
+
+
+def _rails(one: RailShare) -> Rails:
+    return Rails(
+        rail_profile=one.rail,
+        rail_inclination_1=one.inclination,
+        nominal_gauge_mm=one.gauge * MM,
+        share_1=one.share,
+    )
+
+
+def _curve(found: WheelContact) -> ContactCurve:
+    shown = np.abs(found.displacement) <= SHOWN + 1e-9
+
+    def column(values: np.ndarray) -> list[float | None]:
+        return finite_list(np.round(values[shown] * MM, DECIMALS) + 0.0)
+
+    return ContactCurve(
+        lateral_displacement_mm=column(found.displacement),
+        rolling_radius_sum_mm=column(found.radius_sum),
+        rolling_radius_difference_mm=column(found.radius_difference),
+        rolling_radius_difference_std_mm=column(found.radius_difference_std),
+    )

@@ -1,0 +1,170 @@
+"""Contact geometry and equivalent conicity that follow from known wheel profiles, on the rails a wheelset runs on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.contact.conicity import equivalent_conicity, zero_crossing
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.profiles import Profile, rail_profile
+from estimation.contact.radius_difference import RadiusDifferenceCurve, refined_curve
+from estimation.contact.table import ContactTable
+from estimation.errors import ContactError, ParameterError, ProfileError
+from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.intervals import NORMAL_95, with_interval
+from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode
+
+AMPLITUDES: FloatArray = np.arange(1, 9, dtype=np.float64) * 1e-3  # m
+REACH = 12e-3  # m: an amplitude of 8 mm about a centre that is 4 mm off
+STEP = 0.1e-3  # m
+
+
+@dataclass(frozen=True, slots=True)
+class RailShare:
+    """Rails as they are laid on some of the track, and the share of the running on them."""
+
+    rail: str  # name of the profile
+    inclination: float  # tangent
+    gauge: float  # m, nominal
+    share: float  # 0 to 1
+
+
+@dataclass(frozen=True, slots=True)
+class WheelPair:
+    """The profiles of both wheels of a wheelset, and how well they are known."""
+
+    left: Profile
+    right: Profile
+    nominal_radius: float  # m, at the tread datum
+    std: float = 0.0  # m, of the lateral displacement at a rolling radius difference; 0 for a drawing
+
+
+@dataclass(frozen=True, slots=True)
+class WheelContact:
+    """What profiles give: NaN, or an unknown conicity, where both wheels have no contact.
+
+    The wheelset rolls until both wheels touch. On rails of several kinds the radii are the means over them, weighted
+    by the running on each: so is what is estimated from that running.
+    """
+
+    rails: tuple[RailShare, ...]
+    displacement: FloatArray  # (n,) m, uniform, positive to the left
+    radius_sum: FloatArray  # (n,) rL + rR, m
+    radius_difference: FloatArray  # (n,) rL - rR, m
+    radius_difference_std: FloatArray  # (n,) m
+    amplitude: FloatArray  # (k,) m
+    conicity: tuple[Estimate, ...]  # (k,)
+    zero_crossing: float  # m; NaN where there is none
+
+    def __post_init__(self) -> None:
+        n = len(self.displacement)
+        for name in ("displacement", "radius_sum", "radius_difference", "radius_difference_std"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+        object.__setattr__(self, "amplitude", frozen_array(self.amplitude, (len(self.conicity),), name="amplitude"))
+
+
+def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact | Reason:
+    """Return the contact geometry of two wheels on rails, or why there is none.
+
+    Parameters
+    ----------
+    wheels
+        Profiles, radius and their standard deviation.
+    rails
+        Rails with the share of the running on each; shares need not add up to one.
+    """
+    if not rails:
+        return Reason(ReasonCode.SECTION_UNKNOWN, "no section is on file on whose rails the wheels could be looked at")
+    try:
+        found = [_on_rails(wheels, one) for one in rails]
+    except (ContactError, ProfileError, ParameterError) as error:
+        return Reason(ReasonCode.CONTACT_IMPOSSIBLE, str(error))
+    share = np.array([one.share for one in rails]) / sum(one.share for one in rails)
+    table = found[0][0]
+    sums, differences = (
+        np.array([np.where(one.exists[:, 0], getattr(one, name)[:, 0], np.nan) for one, _ in found])
+        for name in ("rolling_radius_sum", "rolling_radius_difference")
+    )
+    x = np.array(table.lateral_displacement)
+    curve_x, curve = _mean_curve([curve for _, curve in found], share)
+    return WheelContact(
+        tuple(rails),
+        x,
+        share @ sums,
+        share @ differences,
+        _difference_std(x, curve_x, curve, wheels.std),
+        AMPLITUDES,
+        conicity_of(curve_x, curve, AMPLITUDES, wheels.std),
+        zero_crossing(curve_x, curve),
+    )
+
+
+def conicity_of(x: FloatArray, curve: FloatArray, amplitude: FloatArray, std: float) -> tuple[Estimate, ...]:
+    """Return the equivalent conicity of a curve at each amplitude, with what an error of the displacement makes of it.
+
+    The error is a stretch of the displacement by ``std`` at the amplitude: both turning points err alike. It counts
+    by the largest change per standard deviation within a 95 % interval, for a contact jump may be passed far out only.
+
+    Parameters
+    ----------
+    x
+        (n,) lateral displacement, m, increasing.
+    curve
+        (n,) rL - rR, m.
+    amplitude
+        (k,) m.
+    std
+        Of the displacement at a rolling radius difference, m.
+    """
+    here = equivalent_conicity(x, curve, amplitude)
+    changes = np.zeros((4, len(amplitude)))
+    for row, share in enumerate((-NORMAL_95, -1.0, 1.0, NORMAL_95)):
+        factor = 1.0 + share * std / amplitude
+        possible = factor > 0.0
+        stretched = equivalent_conicity(x, curve, np.where(possible, amplitude / factor, amplitude)) / factor
+        changes[row] = np.where(possible, np.abs(stretched - here) / abs(share), np.inf)
+    widest = np.where(np.isnan(changes), 0.0, changes).max(axis=0)
+    return tuple(_estimate(*row) for row in zip(here, widest, amplitude, strict=True))
+
+
+def _estimate(value: float, std: float, amplitude: float) -> Estimate:
+    if not np.isfinite(value):
+        text = f"the wheels have no contact as far out as an amplitude of {1e3 * amplitude:g} mm needs"
+        return Estimate.unknown(Reason(ReasonCode.AMPLITUDE_NOT_COVERED, text))
+    if not np.isfinite(std):
+        text = f"the measurement leaves the conicity at {1e3 * amplitude:g} mm open"
+        return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text))
+    if std == 0.0:
+        return Estimate(float(value), 0.0, float(value), float(value), 0.0, Status.ESTIMATED)
+    return with_interval(float(value), float(std), count=0.0)
+
+
+def _on_rails(wheels: WheelPair, one: RailShare) -> tuple[ContactTable, RadiusDifferenceCurve]:
+    rail = rail_profile(one.rail)
+    wheelset = WheelsetOnTrack(
+        wheels.left, wheels.right, rail, rail, one.inclination, one.gauge, wheels.nominal_radius, wheels.nominal_radius
+    )
+    x = STEP * np.arange(-round(REACH / STEP), round(REACH / STEP) + 1)
+    table = contact_table(wheelset, x, outside="hold")
+    return table, refined_curve(wheelset, table, 0)
+
+
+def _mean_curve(curves: Sequence[RadiusDifferenceCurve], share: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mean of the curves over what all of them cover, at the points of all of them."""
+    if len(curves) == 1:
+        return curves[0].displacement, curves[0].difference
+    low = max(float(one.displacement[0]) for one in curves)
+    high = min(float(one.displacement[-1]) for one in curves)
+    x = np.unique(np.concatenate([one.displacement for one in curves]))
+    x = x[(x >= low) & (x <= high)]
+    return x, share @ np.array([np.interp(x, one.displacement, one.difference) for one in curves])
+
+
+def _difference_std(x: FloatArray, curve_x: FloatArray, curve: FloatArray, std: float) -> FloatArray:
+    """Return by how much rL - rR (n,) changes where the displacement is a standard deviation off."""
+    middle, below, above = (np.interp(x + shift, curve_x, curve) for shift in (0.0, -std, std))
+    return np.asarray(np.maximum(np.abs(above - middle), np.abs(below - middle)))
