@@ -15,22 +15,26 @@ from fastapi.routing import APIRoute
 from prometheus_client import CollectorRegistry
 
 from api import contract, docs_page, problems
-from api.access.objects import visible
+from api.access.guard import allow_pages, guard_of
+from api.access.plan import AccessPlan
 from api.access.scopes import authorise
 from api.head_requests import HeadMiddleware
 from api.http_limits import HttpLimits
 from api.metrics import RequestMeasures, StoredMeasures
 from api.middleware import RequestContextMiddleware
 from api.openapi.document import document
+from api.openapi.security import scopes_of
 from api.page import routes as page
 from api.routes import (
     accuracy,
     alert_actions,
     alerts,
+    audit,
     fleets,
     geometry,
     health,
     jobs,
+    keys,
     quarantine,
     tracks,
     vehicle_classes,
@@ -39,6 +43,7 @@ from api.routes import (
     worklist,
 )
 from api.services import Services
+from api.visible_objects import visible
 
 RESOURCES = (
     fleets,
@@ -53,6 +58,8 @@ RESOURCES = (
     jobs,
     tracks,
     quarantine,
+    keys,
+    audit,
 )
 # Multi-row reads of SQLite slow each other down in threads: one thread to read, one that may wait to write.
 EMBEDDED_THREADS = 2
@@ -89,7 +96,12 @@ def describe() -> FastAPI:
 
 def document_text() -> str:
     """Return the OpenAPI document as it is to be committed."""
-    return orjson.dumps(document(describe()), option=orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS).decode() + "\n"
+    return (
+        orjson.dumps(
+            document(describe(), scopes_of(RESOURCES)), option=orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS
+        ).decode()
+        + "\n"
+    )
 
 
 def committed_document() -> dict[str, Any]:
@@ -98,7 +110,7 @@ def committed_document() -> dict[str, Any]:
     return found
 
 
-def build_app(services: Services | None, limits: HttpLimits | None = None) -> FastAPI:
+def build_app(services: Services | None, limits: HttpLimits | None = None, access: AccessPlan | None = None) -> FastAPI:
     """Return the app that answers with these services, within these limits or the usual ones.
 
     Parameters
@@ -107,7 +119,9 @@ def build_app(services: Services | None, limits: HttpLimits | None = None) -> Fa
         None while the database is waited for: all but ``/healthz`` and ``/metrics`` is refused until ``state.services``
         is set.
     limits
-        Of time.
+        Of time and size.
+    access
+        Who may ask; by default whoever has a key.
     """
     app = describe()
     registry = CollectorRegistry(auto_describe=False)
@@ -116,8 +130,13 @@ def build_app(services: Services | None, limits: HttpLimits | None = None) -> Fa
     app.state.registry = registry
     app.openapi_schema = committed_document()
     app.state.contracts = contract.contracts_of(app.openapi_schema)
+    guard = guard_of(access or AccessPlan(), lambda: app.state.services.storage)
+    app.state.streams, app.state.access_book = guard.streams, guard.book
     app.add_middleware(HeadMiddleware)
-    app.add_middleware(RequestContextMiddleware, measures=RequestMeasures(registry), limits=limits or HttpLimits())
+    app.add_middleware(
+        RequestContextMiddleware, measures=RequestMeasures(registry), limits=limits or HttpLimits(), access=guard
+    )
+    allow_pages(app, guard.origins)
     return app
 
 
@@ -126,6 +145,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     if app.state.services is not None and app.state.services.one_reader:  # an embedded one is never waited for
         anyio.to_thread.current_default_thread_limiter().total_tokens = EMBEDDED_THREADS
     yield
+    await anyio.to_thread.run_sync(app.state.access_book.close)
     services: Services | None = app.state.services
     if services is not None:
         await anyio.to_thread.run_sync(services.runner.close)

@@ -40,6 +40,7 @@ COMMANDS = (
     Command("quarantine", "api.commands.quarantine", "quarantine", "List and retry what failed by itself."),
     Command("estimate", "api.commands.estimate", "estimate", "Run the scheduled jobs once, now, in order."),
     Command("serve", "api.commands.serve", "serve", "Serve the REST API."),
+    Command("keys", "api.commands.keys", "keys", "Make, list and revoke keys of the REST API."),
     Command("schedule", "api.commands.schedule", "schedule", "Run the jobs on schedule; one per deployment."),
     Command("contact", "api.commands.contact", "contact", "Compute the contact geometry of a wheel on a rail."),
     Command("vehicle", "api.commands.vehicle", "vehicle", "List, show and check vehicle classes."),

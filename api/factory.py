@@ -239,10 +239,12 @@ def open_services(settings: Settings) -> Services:
 
 def create_app(settings: Settings) -> FastAPI:
     """Return the REST application of this deployment; refuses where :func:`open_services` does."""
+    from api.access.plan import plan_of  # noqa: PLC0415 - the same
     from api.app import build_app  # noqa: PLC0415 - the same
     from api.http_limits import limits_of  # noqa: PLC0415 - the same
 
-    return build_app(open_services(settings), limits_of(settings))
+    access = plan_of(settings)
+    return build_app(open_services(settings), limits_of(settings), access)
 
 
 def create_server(settings: Settings) -> uvicorn.Server:
@@ -265,16 +267,19 @@ def serve(settings: Settings, stopping: Event) -> None:
     Raises
     ------
     InputError, MigrationError, StorageError
-        As :func:`open_services`, where no wait helps; also later, once the database answers.
+        As :func:`open_services`, where no wait helps; also later, once the database answers. Access is open beyond
+        loopback, and nothing says that this is meant.
     """
+    from api.access.plan import plan_of  # noqa: PLC0415 - the same
     from api.app import build_app  # noqa: PLC0415 - the same
     from api.http_limits import limits_of  # noqa: PLC0415 - the same
     from api.http_server import http_server  # noqa: PLC0415 - the same
 
+    access = plan_of(settings)
     with ThreadPoolExecutor(1, "start") as beside:
         opening = beside.submit(once_the_database_answers, partial(open_services, settings), settings, stopping)
         wait([opening], timeout=AT_ONCE_S if settings.on_server else None)
-        app = build_app(None, limits_of(settings))
+        app = build_app(None, limits_of(settings), access)
         server = http_server(app, settings)
         opening.add_done_callback(partial(_join, app, server))
         try:

@@ -22,15 +22,16 @@ RESERVED_DESCRIPTORS = 64 + 5 * ACCEPTED_AT_ONCE
 
 @dataclass(frozen=True, slots=True)
 class HttpLimits:
-    """How long a request may take: until its body is there, and until it is answered."""
+    """How long a request may take, until its body is there and until it is answered, and how large a body may be."""
 
     body_timeout_s: float = 30.0
     request_timeout_s: float = 60.0
+    max_body_bytes: int = MAX_BODY_BYTES
 
 
 def limits_of(settings: Settings) -> HttpLimits:
     """Return the limits that a deployment sets."""
-    return HttpLimits(settings.body_timeout_s, settings.request_timeout_s)
+    return HttpLimits(settings.body_timeout_s, settings.request_timeout_s, settings.max_body_kb << 10)
 
 
 def open_connections(wanted: int) -> int:

@@ -53,6 +53,8 @@ def http_server(app: FastAPI, settings: Settings) -> HttpServer:
         h11_max_incomplete_event_size=MAX_HEAD_BYTES,
         log_config=None,
         access_log=False,
+        proxy_headers=settings.trusted_proxies is not None,
+        forwarded_allow_ips=settings.trusted_proxies or "",
         server_header=False,
         timeout_graceful_shutdown=settings.shutdown_timeout_s,
     )

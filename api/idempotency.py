@@ -10,6 +10,7 @@ import orjson
 from fastapi import Request, Response
 from pydantic import BaseModel
 
+from api.access.caller import known_caller
 from api.answers import answer_bytes, payload_of
 from api.problems import ProblemError
 from fleet_db.storage import SqlUnitOfWork
@@ -61,4 +62,7 @@ def idempotent_post(request: Request, key: str | None, body: BaseModel | None = 
         Its validated body.
     """
     request_parts = [request.method, request.scope["path"], None if body is None else body.model_dump(mode="json")]
+    identity = None if (caller := known_caller(request.scope)) is None else caller.identity
+    if key is not None and identity is not None:  # another key's answers are not for this caller
+        key = f"{hashlib.sha256(identity.encode()).hexdigest()[:32]} {hashlib.sha256(key.encode()).hexdigest()}"
     return IdempotentPost(key, hashlib.sha256(orjson.dumps(request_parts)).hexdigest())

@@ -6,6 +6,7 @@ import asyncio
 import re
 import time
 import uuid
+from collections.abc import Awaitable, Callable
 from http import HTTPMethod, HTTPStatus
 
 import structlog
@@ -13,6 +14,7 @@ from fastapi import Request
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from api.access.guard import Access
 from api.http_limits import MAX_BODY_BYTES, MAX_HEAD_BYTES, REQUESTS, HttpLimits
 from api.metrics import RequestMeasures
 from api.problems import ProblemError, from_error, problem_response
@@ -37,11 +39,16 @@ def _route(scope: Scope) -> str:
     return getattr(scope.get("route"), "path_format", "unmatched")
 
 
+Before = Callable[[int, MutableHeaders], Awaitable[None]]
+"""What is done before an answer begins: with its status, and its headers, which it may add to."""
+
+
 class _Answer:
     """The way back to the client: with the identity of the request, and closed to whoever is too late."""
 
-    def __init__(self, send: Send, identity: str) -> None:
+    def __init__(self, send: Send, identity: str, before: Before) -> None:
         self._send = send
+        self._before = before
         self._identity = identity
         self._late = False
         self.status: int | None = None
@@ -59,15 +66,18 @@ class _Answer:
     async def _pass_on(self, message: Message) -> None:
         if message["type"] == "http.response.start":
             self.status = message["status"]
-            MutableHeaders(scope=message)["X-Request-Id"] = self._identity
+            headers = MutableHeaders(scope=message)
+            headers["X-Request-Id"] = self._identity
+            await self._before(message["status"], headers)
         await self._send(message)
 
 
 class RequestContextMiddleware:
     """ASGI middleware; one instance an app."""
 
-    def __init__(self, app: ASGIApp, measures: RequestMeasures, limits: HttpLimits) -> None:
+    def __init__(self, app: ASGIApp, measures: RequestMeasures, limits: HttpLimits, access: Access) -> None:
         self.app = app
+        self.access = access
         self.measures = measures
         self.limits = limits
         self._running = 0
@@ -78,11 +88,18 @@ class RequestContextMiddleware:
             await self.app(scope, receive, send)
             return
         identity, began = _identity(scope), time.perf_counter()
-        answer = _Answer(send, identity)
+
+        async def before(status: int, headers: MutableHeaders) -> None:
+            self.access.protect(headers)
+            await self.access.recorder.answered(scope, status, headers, identity)
+
+        answer = _Answer(send, identity, before)
         with structlog.contextvars.bound_contextvars(request_id=identity):
             try:
                 _refuse_large_head(scope)
-                with_it = await with_body(scope, receive, self.limits.body_timeout_s)
+                self._refuse_without_database(scope)
+                await self.access.gate.admit(scope)
+                with_it = await with_body(scope, receive, self.limits.body_timeout_s, self.limits.max_body_bytes)
                 await self._run(scope, with_it, answer)
             except Exception as error:
                 if answer.status is not None:
@@ -110,11 +127,8 @@ class RequestContextMiddleware:
         Raises
         ------
         ProblemError
-            503: the database has not answered since the start, too many requests are being answered, or there was no
-            answer in time.
+            503: too many requests are being answered, or there was no answer in time.
         """
-        if scope["app"].state.services is None and scope["path"] not in WITHOUT_DATABASE:
-            raise _waits_for_database()
         if self._running >= REQUESTS and scope["path"] != ALWAYS_ANSWERED:
             detail = f"{REQUESTS} requests are being answered; try again"
             raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "1"})
@@ -130,6 +144,10 @@ class RequestContextMiddleware:
             detail = f"no answer within {self.limits.request_timeout_s:g} s; what was asked for may still be done"
             raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "5"})
         await task
+
+    def _refuse_without_database(self, scope: Scope) -> None:
+        if scope["app"].state.services is None and scope["path"] not in WITHOUT_DATABASE:
+            raise _waits_for_database()
 
     def _ended(self, task: asyncio.Future[None]) -> None:
         self._running -= 1
@@ -150,7 +168,7 @@ def _refuse_large_head(scope: Scope) -> None:
         raise ProblemError(431, "headers-too-large", detail, headers=_CLOSING)
 
 
-async def with_body(scope: Scope, receive: Receive, timeout_s: float) -> Receive:
+async def with_body(scope: Scope, receive: Receive, timeout_s: float, most_bytes: int = MAX_BODY_BYTES) -> Receive:
     """Wait for the whole body and return ``receive`` that hands it over.
 
     Parameters
@@ -161,6 +179,8 @@ async def with_body(scope: Scope, receive: Receive, timeout_s: float) -> Receive
         Of the server.
     timeout_s
         How long the whole body may take.
+    most_bytes
+        How large it may be.
 
     Raises
     ------
@@ -171,8 +191,8 @@ async def with_body(scope: Scope, receive: Receive, timeout_s: float) -> Receive
     announced = headers.get("content-length", "0")
     if announced == "0" and "transfer-encoding" not in headers:
         return receive
-    if announced.isdecimal() and int(announced) > MAX_BODY_BYTES:
-        raise _too_large()
+    if announced.isdecimal() and int(announced) > most_bytes:
+        raise _too_large(most_bytes)
     body, more = bytearray(), True
     try:
         async with asyncio.timeout(timeout_s):
@@ -180,8 +200,8 @@ async def with_body(scope: Scope, receive: Receive, timeout_s: float) -> Receive
                 message = await receive()
                 body += message.get("body", b"")
                 more = message.get("more_body", False)
-                if len(body) > MAX_BODY_BYTES:
-                    raise _too_large()
+                if len(body) > most_bytes:
+                    raise _too_large(most_bytes)
     except TimeoutError:
         detail = f"the body did not arrive within {timeout_s:g} s"
         raise ProblemError(408, "request-timeout", detail, headers=_CLOSING) from None
@@ -199,5 +219,5 @@ async def with_body(scope: Scope, receive: Receive, timeout_s: float) -> Receive
     return hand_over
 
 
-def _too_large() -> ProblemError:
-    return ProblemError(413, "content-too-large", f"at most {MAX_BODY_BYTES} bytes", headers=_CLOSING)
+def _too_large(most_bytes: int) -> ProblemError:
+    return ProblemError(413, "content-too-large", f"limit max_body_kb: at most {most_bytes} bytes", headers=_CLOSING)

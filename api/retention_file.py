@@ -31,6 +31,7 @@ class DaysTable(InputTable):
     superseded_estimates: Days = None
     track_reports: Days = None
     recordings: Days = None
+    audit: Days = None
     orphaned_files: Days = None
 
 

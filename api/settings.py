@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from typing import Literal
+from urllib.parse import urlsplit
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from estimation.errors import ParameterError
 
 PREFIX = "TREADWATCH_"
+LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
 class Settings(BaseSettings):
@@ -30,6 +32,25 @@ class Settings(BaseSettings):
         TOML file of how long what is kept; left out, the shipped numbers of days.
     host, port
         Where the REST API listens.
+    access
+        ``keys``: who asks needs a key or a token. ``open``: nobody does; on loopback alone, unless it says
+        ``open to everyone who reaches this address``.
+    hosts, origins
+        Names under which the REST API is reached, and origins of pages that may change something, beside its own; with
+        commas between them.
+    trusted_proxies
+        Addresses of proxies whose ``X-Forwarded-For`` is believed, with commas between them.
+    https
+        Whether a proxy serves the REST API by HTTPS alone: browsers are told to ask for nothing else.
+    metrics, docs
+        Whether ``/metrics``, and ``/docs`` with ``/openapi.json``, need a ``key``, are ``open``, or ``off``.
+    requests_per_s, requests_burst, failed_keys_per_minute, streams_per_key, max_body_kb
+        What one key may ask on average and at once, how often one address may err, how many streams one key may hold
+        open, and how large a body may be.
+    oidc_issuer, oidc_audience, oidc_keys
+        Which tokens of an OpenID Connect provider are taken: issuer, audience, URL or file of its public keys.
+    oidc_owner_claim, oidc_scopes_claim, oidc_fleets_claim, oidc_leeway_s
+        Which claims say what, and how far clocks may differ, in seconds.
     log_level, log_format
         How much is logged, and whether as JSON lines or as text for a terminal.
     window_length_s
@@ -66,6 +87,25 @@ class Settings(BaseSettings):
     retention_file: Path | None = None
     host: str = "127.0.0.1"
     port: int = Field(default=8000, ge=0, le=65535)
+    access: Literal["keys", "open", "open to everyone who reaches this address"] = "keys"
+    hosts: str | None = None
+    origins: str | None = None
+    trusted_proxies: str | None = None
+    https: bool = False
+    metrics: Literal["key", "open", "off"] = "key"
+    docs: Literal["key", "open", "off"] = "key"
+    requests_per_s: float = Field(default=50.0, gt=0.0, le=1e6)
+    requests_burst: int = Field(default=500, ge=1, le=1_000_000)
+    failed_keys_per_minute: float = Field(default=10.0, gt=0.0, le=6e4)
+    streams_per_key: int = Field(default=10, ge=1, le=10_000)
+    max_body_kb: int = Field(default=1024, ge=1, le=1 << 20)
+    oidc_issuer: str | None = None
+    oidc_audience: str | None = None
+    oidc_keys: str | None = None
+    oidc_owner_claim: str = "sub"
+    oidc_scopes_claim: str = "scope"
+    oidc_fleets_claim: str = "fleets"
+    oidc_leeway_s: float = Field(default=30.0, ge=0.0, le=600.0)
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     log_format: Literal["json", "text"] = "text"
     window_length_s: float = Field(default=60.0, gt=0.0, le=3600.0)
@@ -83,11 +123,11 @@ class Settings(BaseSettings):
     body_timeout_s: float = Field(default=30.0, gt=0.0, le=600.0)
     request_timeout_s: float = Field(default=60.0, gt=0.0, le=600.0)
 
-    @field_validator("database_url", "rules_file", "retention_file", "jobs_every_s", "catalogues", mode="before")
+    @model_validator(mode="before")
     @classmethod
-    def _empty_is_left_out(cls, value: object) -> object:
+    def _empty_is_left_out(cls, values: dict[str, object]) -> dict[str, object]:
         """Read ``TREADWATCH_RULES_FILE=`` (as compose files leave it) as not set."""
-        return None if value == "" else value
+        return {name: value for name, value in values.items() if value != ""}
 
     @field_validator("database_url")
     @classmethod
@@ -95,6 +135,14 @@ class Settings(BaseSettings):
         if value is not None and not value.startswith(("sqlite:///", "postgresql://", "postgresql+psycopg://")):
             msg = "must begin with sqlite:/// or postgresql://"
             raise ValueError(msg)
+        return value
+
+    @field_validator("oidc_keys")
+    @classmethod
+    def _keys_come_unchanged(cls, value: str | None) -> str | None:
+        here = value is not None and urlsplit(value).hostname in LOOPBACK
+        if value is not None and value.startswith("http://") and not here:
+            raise ValueError("must be https:// or a file: whoever can change keys on their way can sign tokens")
         return value
 
     @property

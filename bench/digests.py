@@ -157,6 +157,7 @@ def environment_of(folder: Path) -> dict[str, str]:
     rules.write_text(RULES, encoding="utf-8")
     return kept | {
         **dict.fromkeys(ONE_THREAD, "1"),  # sums in another order are other sums
+        "TREADWATCH_ACCESS": "open",
         "TREADWATCH_DATA_DIR": str(folder / "data"),
         "TREADWATCH_RULES_FILE": str(rules),
         "TREADWATCH_WINDOW_LENGTH_S": "30",

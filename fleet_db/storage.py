@@ -16,7 +16,9 @@ from fleet_db.changes import Changes
 from fleet_db.locks import file_scheduler_lock, lock_scheduler, postgresql_session, serialise_vehicle, single_writer
 from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, sqlite_file, translate_errors
 from fleet_db.stores.alerts import AlertStore
+from fleet_db.stores.api_keys import ApiKeyStore
 from fleet_db.stores.assembled import AssembledWindowStore
+from fleet_db.stores.audit import AuditStore
 from fleet_db.stores.bin_tables import BinTableStore
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.corrections import CorrectionStore
@@ -81,6 +83,8 @@ class SqlUnitOfWork:
     recorded_times: RecordedTimeStore = field(init=False)
     idempotency: IdempotencyStore = field(init=False)
     worklist: WorklistStore = field(init=False)
+    api_keys: ApiKeyStore = field(init=False)
+    audit: AuditStore = field(init=False)
 
     def __post_init__(self) -> None:
         connection = self.connection
@@ -110,6 +114,8 @@ class SqlUnitOfWork:
         self.idempotency = IdempotencyStore(connection)
         reader = WorklistReader(connection, self.registry, self.geometries, self.trends)
         self.worklist = WorklistStore(connection, self.changes, reader)
+        self.api_keys = ApiKeyStore(connection)
+        self.audit = AuditStore(connection)
 
     def finish(self) -> None:
         """Let what follows from the changes follow, as the last of the transaction: see ``Changes``."""

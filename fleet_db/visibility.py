@@ -101,7 +101,7 @@ SHARED = frozenset(
     }
 )
 """Tables of no fleet. What a row of them says of a fleet's vehicles is left out by its representation."""
-HIDDEN = frozenset({"quarantine", "raw_marks", "recording_changes", "registry_events"})
+HIDDEN = frozenset({"api_keys", "audit_entries", "quarantine", "raw_marks", "recording_changes", "registry_events"})
 """Tables that a bound caller does not see at all."""
 
 

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import one_thread  # noqa: F401 - must come before whatever loads the linear algebra
+import open_access  # noqa: F401 - before any settings are read
 import psycopg
 import pytest
 import sqlalchemy

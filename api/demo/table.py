@@ -22,6 +22,14 @@ KM = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
+class ServiceAddress:
+    """Where the REST API of the demo is, and the key to ask it with; None where access is open."""
+
+    url: str
+    key: str | None
+
+
+@dataclass(frozen=True, slots=True)
 class WheelsetLine:
     """One wheelset, estimated and true; ``None`` where nothing is estimated."""
 
@@ -44,31 +52,33 @@ class WheelsetLine:
         return self.low <= self.true <= self.high
 
 
-def lines(base_url: str, truth: Path) -> list[WheelsetLine]:
+def lines(service: ServiceAddress, truth: Path) -> list[WheelsetLine]:
     """Ask the REST API for every wheelset, its geometry, trend and open alerts.
 
     Parameters
     ----------
-    base_url
-        Of the API.
+    service
+        The API.
     truth
         The simulator's side file.
     """
     true = {item["serial"]: item["campaigns"] for item in json.loads(truth.read_text(encoding="utf-8"))["wheelsets"]}
-    serials = [item["serial"] for item in get(base_url, "/v1/wheelsets?limit=1000")["items"]]
-    return [_line(base_url, serial, true[serial]) for serial in serials]
+    serials = [item["serial"] for item in get(service, "/v1/wheelsets?limit=1000")["items"]]
+    return [_line(service, serial, true[serial]) for serial in serials]
 
 
-def get(base_url: str, path: str) -> Any:  # noqa: ANN401 - JSON
+def get(service: ServiceAddress, path: str) -> Any:  # noqa: ANN401 - JSON
     """Return the JSON of one GET."""
-    with urllib.request.urlopen(base_url + path, timeout=30) as answer:  # noqa: S310 - our own server
+    headers = {} if service.key is None else {"Authorization": f"Bearer {service.key}"}
+    asked = urllib.request.Request(service.url + path, headers=headers)  # noqa: S310 - our own server
+    with urllib.request.urlopen(asked, timeout=30) as answer:  # noqa: S310 - the same
         return json.load(answer)
 
 
-def get_if_any(base_url: str, path: str) -> Any:  # noqa: ANN401 - JSON
+def get_if_any(service: ServiceAddress, path: str) -> Any:  # noqa: ANN401 - JSON
     """Return the JSON of one GET; None where there is no such thing yet."""
     try:
-        return get(base_url, path)
+        return get(service, path)
     except urllib.error.HTTPError as error:
         error.close()
         if error.code != HTTPStatus.NOT_FOUND:
@@ -76,12 +86,12 @@ def get_if_any(base_url: str, path: str) -> Any:  # noqa: ANN401 - JSON
         return None
 
 
-def _line(base_url: str, serial: str, campaigns: list[dict[str, Any]]) -> WheelsetLine:
+def _line(service: ServiceAddress, serial: str, campaigns: list[dict[str, Any]]) -> WheelsetLine:
     at = f"/v1/wheelsets/{urllib.parse.quote(serial, safe='')}"
-    geometry = get_if_any(base_url, f"{at}/geometry")
-    trend = get_if_any(base_url, f"{at}/trend")
+    geometry = get_if_any(service, f"{at}/geometry")
+    trend = get_if_any(service, f"{at}/trend")
     query = urllib.parse.urlencode({"wheelset": serial, "open": "true", "limit": 1000})
-    alerts = get(base_url, f"/v1/alerts?{query}")["items"]
+    alerts = get(service, f"/v1/alerts?{query}")["items"]
     conicity = geometry["equivalent_conicity_1"] if geometry else {"value": None, "interval_95": None}
     low, high = conicity["interval_95"] or (None, None)
     return WheelsetLine(

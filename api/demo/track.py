@@ -5,26 +5,26 @@ from __future__ import annotations
 import urllib.parse
 from typing import Any
 
-from api.demo.table import get, get_if_any
+from api.demo.table import ServiceAddress, get, get_if_any
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource
 
 
-def track_lines(base_url: str) -> list[str]:
+def track_lines(service: ServiceAddress) -> list[str]:
     """Ask the REST API for every section; return one sentence or two of each.
 
     Parameters
     ----------
-    base_url
-        Of the API.
+    service
+        The API.
     """
-    return [_said(base_url, item) for item in get(base_url, "/v1/track-sections?limit=1000")["items"]]
+    return [_said(service, item) for item in get(service, "/v1/track-sections?limit=1000")["items"]]
 
 
-def _said(base_url: str, section: dict[str, Any]) -> str:
+def _said(service: ServiceAddress, section: dict[str, Any]) -> str:
     at = f"/v1/track-sections/{urllib.parse.quote(section['code'], safe='')}"
-    versions = _versions(base_url, f"{at}/alignments?limit=1000")
-    report = get_if_any(base_url, f"{at}/alignment-report")
+    versions = _versions(service, f"{at}/alignments?limit=1000")
+    report = get_if_any(service, f"{at}/alignment-report")
     head = f"track {section['code']}, {section['length_m'] / 1000:g} km"
     if not versions:
         reason = f": {report['reason']}" if report and report["reason"] else ""
@@ -41,11 +41,11 @@ def _said(base_url: str, section: dict[str, Any]) -> str:
     return f"{head}: {how}; the fleet has found its alignment, {_found(newest, report)}"
 
 
-def _versions(base_url: str, path: str) -> list[dict[str, Any]]:
+def _versions(service: ServiceAddress, path: str) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     following: str | None = path
     while following is not None:
-        page = get(base_url, following)
+        page = get(service, following)
         found += page["items"]
         following = page["next"]
     return found

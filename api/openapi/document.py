@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
+from api.access.scopes import Scope
 from api.openapi import headers
 from api.openapi.problem_examples import describe_problems
+from api.openapi.security import describe_access
 from api.openapi.tables import describe_tables
 from api.openapi.words import describe_properties
 from api.problems import Problem
@@ -27,8 +30,16 @@ Times are RFC 3339 in UTC; ranges are half-open.
 """
 
 
-def document(app: FastAPI) -> dict[str, Any]:
-    """Return the document of this app."""
+def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
+    """Return the document of this app.
+
+    Parameters
+    ----------
+    app
+        With its routes.
+    scopes
+        Of every operation, by its name.
+    """
     found = get_openapi(
         title=app.title,
         version=app.version,
@@ -51,6 +62,7 @@ def document(app: FastAPI) -> dict[str, Any]:
     found["components"]["schemas"] = dict(sorted(schemas.items()))
     found["components"]["headers"] = headers.components()
     describe_properties(found["components"]["schemas"])
+    describe_access(found, scopes)
     for path, operations in found["paths"].items():
         for method, operation in operations.items():
             _describe_unchanged(operation)

@@ -8,6 +8,7 @@ from http import HTTPStatus
 
 from fastapi import APIRouter, Depends, Request, Response
 
+from api.access.caller import CallerDep
 from api.access.scopes import Scope, requires
 from api.answers import IdempotencyKey, IfMatch, answer, require_match
 from api.idempotency import idempotent_post
@@ -22,6 +23,8 @@ from estimation.values.alerts import Alert, Transition
 router = APIRouter(
     prefix="/v1/alerts", tags=["alerts"], dependencies=[Depends(requires(Scope.ACT)), Depends(writer_slot)]
 )
+MAINTENANCE_SYSTEM = "maintenance system"
+"""Who links to work of its own where access is open and nobody is named."""
 _REFUSALS = described(404, 409, 412, 413, 415, 428)
 
 
@@ -64,6 +67,7 @@ def _change(
 def acknowledge_alert(
     request: Request,
     services: ServicesDep,
+    caller: CallerDep,
     alert_id: Number,
     body: alerts.Acknowledgement,
     if_match: IfMatch = None,
@@ -71,7 +75,8 @@ def acknowledge_alert(
 ) -> Response:
     """Acknowledge the alert; the acknowledgement ends when the alert clears or becomes more severe."""
     now_ns = services.clock.now_ns()
-    change = Change(body.by, body.note, lambda alert: acknowledge(alert, body.by, now_ns))
+    actor = caller.acts_as(body.by)
+    change = Change(actor, body.note, lambda alert: acknowledge(alert, actor, now_ns))
     return _change(request, services, alert_id, (if_match, idempotency_key), body, change)
 
 
@@ -79,6 +84,7 @@ def acknowledge_alert(
 def shelve_alert(
     request: Request,
     services: ServicesDep,
+    caller: CallerDep,
     alert_id: Number,
     body: alerts.Shelving,
     if_match: IfMatch = None,
@@ -86,7 +92,7 @@ def shelve_alert(
 ) -> Response:
     """Put the alert out of sight until a time; it comes back by itself."""
     now_ns = services.clock.now_ns()
-    change = Change(body.by, body.reason, lambda alert: shelve(alert, body.until, body.reason, now_ns))
+    change = Change(caller.acts_as(body.by), body.reason, lambda alert: shelve(alert, body.until, body.reason, now_ns))
     return _change(request, services, alert_id, (if_match, idempotency_key), body, change)
 
 
@@ -94,6 +100,7 @@ def shelve_alert(
 def unshelve_alert(
     request: Request,
     services: ServicesDep,
+    caller: CallerDep,
     alert_id: Number,
     body: alerts.Unshelving,
     if_match: IfMatch = None,
@@ -101,7 +108,7 @@ def unshelve_alert(
 ) -> Response:
     """Bring a shelved alert back before its time; one that is not shelved is refused (409)."""
     now_ns = services.clock.now_ns()
-    change = Change(body.by, body.note, lambda alert: unshelve(alert, now_ns))
+    change = Change(caller.acts_as(body.by), body.note, lambda alert: unshelve(alert, now_ns))
     return _change(request, services, alert_id, (if_match, idempotency_key), body, change)
 
 
@@ -109,11 +116,12 @@ def unshelve_alert(
 def add_external_ref(
     request: Request,
     services: ServicesDep,
+    caller: CallerDep,
     alert_id: Number,
     body: alerts.ExternalReference,
     if_match: IfMatch = None,
     idempotency_key: IdempotencyKey = None,
 ) -> Response:
     """Write back the identity that a maintenance system gave to its work on the alert."""
-    change = Change(body.by, body.ref, lambda alert: link(alert, body.ref))
+    change = Change(caller.acts_as(body.by, MAINTENANCE_SYSTEM), body.ref, lambda alert: link(alert, body.ref))
     return _change(request, services, alert_id, (if_match, idempotency_key), body, change)

@@ -34,7 +34,7 @@ def get_readiness(services: ServicesDep) -> Health:
     return Health(status="ok")
 
 
-@router.get("/metrics", response_class=PlainTextResponse)
+@router.get("/metrics", response_class=PlainTextResponse, responses=described(401, 403, 429))
 def get_metrics(request: Request) -> Response:
     """Return the measures in Prometheus' text format."""
     return Response(generate_latest(request.app.state.registry), media_type=CONTENT_TYPE_LATEST)

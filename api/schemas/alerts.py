@@ -106,17 +106,29 @@ class Events(Representation):
     items: list[Event]
 
 
+By = Annotated[
+    str | None,
+    Field(
+        min_length=1,
+        max_length=200,
+        pattern=_WORDS,
+        description="Who does it: the owner of the key, meant where it is left out; required where access is open.",
+        examples=["j.smith"],
+    ),
+]
+
+
 class Acknowledgement(Request):
     """Acknowledge the alert."""
 
-    by: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["j.smith"])
+    by: By = None
     note: str = Field(default="", max_length=2000, pattern=_WORDS, examples=["Inspection planned"])
 
 
 class Shelving(Request):
     """Shelve the alert until then."""
 
-    by: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["j.smith"])
+    by: By = None
     until: Moment = Field(examples=["2027-01-31T00:00:00Z"])
     reason: str = Field(min_length=1, max_length=2000, pattern=_WORDS, examples=["Reprofiling ordered"])
 
@@ -124,7 +136,7 @@ class Shelving(Request):
 class Unshelving(Request):
     """Bring the alert back before the end of its shelving."""
 
-    by: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["j.smith"])
+    by: By = None
     note: str = Field(default="", max_length=2000, pattern=_WORDS, examples=["The lathe is free today"])
 
 
@@ -132,7 +144,7 @@ class ExternalReference(Request):
     """The identity that a maintenance system gave to its work on the alert."""
 
     ref: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["maximo:WO-4711"])
-    by: str = Field(default="maintenance system", min_length=1, max_length=200, pattern=_WORDS)
+    by: By = None
 
 
 def display_state(alert: AlertValue, now_ns: int) -> DisplayState:

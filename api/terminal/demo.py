@@ -11,11 +11,14 @@ from urllib.parse import quote
 from rich.console import Console
 
 from api import logs
+from api.access.caller import EVERYTHING
+from api.access.making import Wanted
 from api.demo.replay import ending_now, replay
 from api.demo.service import free_port, serving
-from api.demo.table import get, lines, tables
+from api.demo.table import ServiceAddress, get, lines, tables
 from api.demo.track import track_lines
-from api.settings import load_settings
+from api.settings import Settings, load_settings
+from api.terminal.keys import make_stored_key
 from api.terminal.simulate import simulate_with_progress
 from estimation.errors import StorageError
 from estimation.jobs.scheduler import stop_on_signals
@@ -51,17 +54,20 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
     recordings, data = folder / "recordings", folder / "data"
     settings = load_settings(data_dir=data)
     settings = settings.model_copy(update={"database_url": None, "host": "127.0.0.1", "log_level": "warning"})
+    settings = settings.model_copy(update={"docs": "open"})  # on this machine alone, and a browser sends no key there
     logs.configure(settings)
     console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)
     report = simulate_with_progress(plan, recordings, console)
     upgrade(settings.url)
     console.print(replay(settings, plan, report, console))
+    key = _own_key(settings)
     # chosen only now: another process may have taken the port during the minutes before
     with serving(settings.model_copy(update={"port": free_port(settings.host, port)})) as url:
-        found = lines(url, report.truth)
+        service = ServiceAddress(url, key)
+        found = lines(service, report.truth)
         for table in tables(found, console):
             console.print(table)
-        for sentence in track_lines(url):
+        for sentence in track_lines(service):
             console.print(sentence, highlight=False)
         covered = [line.covers for line in found if line.covers is not None]
         console.print(
@@ -69,7 +75,7 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
             f"{report.wheelset_seconds / 3600:.1f} wheelset-hours; table after {time.monotonic() - began:.0f} s",
             highlight=False,
         )
-        _print_urls(url, console)
+        _print_urls(service, console)
         if keep_serving:
             console.print("serving; the jobs continue on their schedules; stop with Ctrl-C", highlight=False)
             stopping = threading.Event()
@@ -89,12 +95,24 @@ def _recreate(folder: Path) -> None:
     (folder / MARKER).touch()
 
 
-def _print_urls(url: str, console: Console) -> None:
-    """Print where to look first: addresses below ``url`` of a wheelset with an alert, its track, and the feed."""
-    alerts = get(url, "/v1/alerts?open=true&limit=1")["items"]
-    serial = alerts[0]["wheelset"] if alerts else get(url, "/v1/wheelsets?limit=1")["items"][0]["serial"]
+def _own_key(settings: Settings) -> str | None:
+    """Return a key of the demo's own for everything; None where access is open."""
+    if settings.access != "keys":
+        return None
+    _, secret = make_stored_key(settings, Wanted("demo", EVERYTHING, None, None))
+    return secret
+
+
+def _print_urls(service: ServiceAddress, console: Console) -> None:
+    """Print where to look first: the page with its key, a wheelset with an alert, its track, and the feed."""
+    url = service.url
+    if service.key is not None:
+        console.print(f"  {url}/#key={service.key}", highlight=False, soft_wrap=True)
+        console.print(f"  export TREADWATCH_KEY={service.key}", highlight=False, soft_wrap=True)
+    alerts = get(service, "/v1/alerts?open=true&limit=1")["items"]
+    serial = alerts[0]["wheelset"] if alerts else get(service, "/v1/wheelsets?limit=1")["items"][0]["serial"]
     serial = quote(serial, safe="")
-    section = quote(get(url, "/v1/track-sections?limit=1")["items"][0]["code"], safe="")
+    section = quote(get(service, "/v1/track-sections?limit=1")["items"][0]["code"], safe="")
     for path, what in (
         ("/docs", "every endpoint, to try in a browser"),
         (f"/v1/wheelsets/{serial}", "one wheelset, with links to all of it"),

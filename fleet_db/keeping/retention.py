@@ -22,6 +22,7 @@ class Kept(StrEnum):
     SUPERSEDED_ESTIMATES = "superseded_estimates"  # geometries and trends that newer ones have replaced
     TRACK_REPORTS = "track_reports"  # that newer ones of the same section and version have replaced
     RECORDINGS = "recordings"  # raw bytes of decoded ones; the receipt stays, the windows stay as they are
+    AUDIT = "audit"  # entries of the audit log
     ORPHANED_FILES = "orphaned_files"  # of replaced windows, and what a killed process left
 
 
@@ -41,6 +42,8 @@ class Retention:
         After the report that replaced it.
     recordings
         After they were received; not below ``LEAST_DAYS_OF_RECORDINGS``, for those beside them may still come.
+    audit
+        Entries of the audit log.
     orphaned_files
         After their last change.
     """
@@ -51,6 +54,7 @@ class Retention:
     superseded_estimates: float | None = 730.0
     track_reports: float | None = 730.0
     recordings: float | None = None
+    audit: float | None = 730.0
     orphaned_files: float | None = 1.0
 
     def __post_init__(self) -> None:

@@ -1,5 +1,6 @@
 """Tables, one file a subject."""
 
+from fleet_db.models.access import ApiKeyRow, AuditRow
 from fleet_db.models.alerts import AlertEventRow, AlertRow
 from fleet_db.models.base import Base
 from fleet_db.models.bin_tables import WheelsetBinRow, WindowBinTableRow
@@ -38,6 +39,8 @@ from fleet_db.models.worklist import WorklistAlertRow, WorklistEntryRow
 __all__ = [
     "AlertEventRow",
     "AlertRow",
+    "ApiKeyRow",
+    "AuditRow",
     "Base",
     "ChunkRow",
     "FeedBranchRow",

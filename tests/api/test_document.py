@@ -10,6 +10,7 @@ import jsonschema_rs
 import pytest
 from running_service import Service
 
+from api.access.security_headers import security_headers
 from api.app import document_text
 from api.openapi.problem_examples import DETAILS
 from api.openapi.words import OF_SCHEMA, undescribed
@@ -19,6 +20,7 @@ DOCUMENT = json.loads(document_text())
 SCHEMAS = DOCUMENT["components"]["schemas"]
 OPERATIONS = [(path, method, one) for path, item in DOCUMENT["paths"].items() for method, one in item.items()]
 FROM_THE_SERVER = {"content-length", "content-type", "date", "server", "connection", "transfer-encoding"}
+FROM_THE_SERVER |= set(map(str.lower, security_headers(https=False, shared=False)))  # for browsers, on every answer
 
 
 def test_every_property_is_described_and_no_description_is_left_over() -> None:

@@ -196,7 +196,7 @@ def test_days_above_zero(days: float) -> None:
 
 def test_what_is_kept_by_default() -> None:
     """These decide what can still be looked at: a change of one is a decision."""
-    assert Retention() == Retention(14.0, 180.0, 7.0, 730.0, 730.0, None, 1.0)
+    assert Retention() == Retention(14.0, 180.0, 7.0, 730.0, 730.0, None, 730.0, 1.0)
     assert replace(Retention(), job_runs=None).before_ns(Kept.JOB_RUNS, NOW) is None
 
 

@@ -39,6 +39,7 @@ FINDERS: Mapping[str, Find] = {
     "/v1/vehicles/{code}": lambda unit, code: unit.registry.vehicle(code),
     "/v1/wheelsets/{serial}": lambda unit, serial: unit.registry.wheelset(serial),
     "/v1/jobs/{name}": SHARED,
+    "/v1/keys/{prefix}": SHARED,
 }
 """How the first object in a path is found, by the template of the path up to it."""
 
@@ -81,5 +82,5 @@ def finder_of(path: str) -> tuple[str, Find]:
     """
     template = path[: path.index("}") + 1]
     if template not in FINDERS:
-        raise LookupError(f"api/access/objects.py does not say how {template} is found")
+        raise LookupError(f"api/visible_objects.py does not say how {template} is found")
     return template, FINDERS[template]

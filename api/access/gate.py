@@ -1,0 +1,136 @@
+"""The gate before every request: the host, the origin, the key or token, and the limits of rate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from starlette.datastructures import Headers
+from starlette.types import Scope
+
+from api.access.caller import ANYONE, Caller, name_caller
+from api.access.hosts import Hosts
+from api.access.key_ring import KeyRing
+from api.access.oidc import Tokens
+from api.access.open_paths import Opened, door_of
+from api.access.rates import Rate
+from api.access.tokens import prefix_of
+from api.problems import ProblemError
+
+_CHALLENGE = {"WWW-Authenticate": 'Bearer realm="treadwatch"'}
+_REFUSED = {"WWW-Authenticate": 'Bearer realm="treadwatch", error="invalid_token"'}
+_SEND = "send a valid key or token: Authorization: Bearer ..."
+LONGEST_TOKEN = 8192
+
+
+class _Uses(Protocol):
+    def used(self, prefix: str, at_ns: int) -> None:
+        """Note that a key was used."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """Decides who asks, and refuses who may not.
+
+    Parameters
+    ----------
+    hosts
+        Names and origins.
+    doors
+        What of the service needs no key, or is shut.
+    keys
+        Those of the database; None where access is open.
+    tokens
+        Of the provider, if there is one.
+    uses
+        Where the use of keys is noted.
+    requests, failures
+        Limits of rate: of each key; of wrong keys, of each address.
+    now_ns
+        Our time, ns UTC.
+    """
+
+    hosts: Hosts
+    doors: Opened
+    keys: KeyRing | None
+    tokens: Tokens | None
+    uses: _Uses
+    requests: Rate
+    failures: Rate
+    now_ns: Callable[[], int] = time.time_ns
+
+    async def admit(self, scope: Scope) -> None:
+        """Let a request in and name its caller.
+
+        Parameters
+        ----------
+        scope
+            Of the request; gets its caller.
+
+        Raises
+        ------
+        ProblemError
+            421 and 403: host and origin; 401: no key or token that is good; 403: the door needs more; 404: it is shut;
+            429: too often.
+        """
+        self.hosts.check(scope)
+        door = door_of(self.doors, scope)
+        if door.shut:
+            raise ProblemError(404, "not-found", "Not Found")
+        if self.keys is None or door.open:
+            name_caller(scope, ANYONE)
+            return
+        caller = await self._caller(scope, self.keys)
+        name_caller(scope, caller)
+        wait_s = self.requests.take(caller.identity or "", time.monotonic())
+        if wait_s is not None:
+            raise _too_often("requests_per_s", f"{self.requests.per_s:g} requests a second of a key", wait_s)
+        door.check(caller)
+
+    async def _caller(self, scope: Scope, keys: KeyRing) -> Caller:
+        given = Headers(scope=scope).get("authorization")
+        if given is None:
+            raise ProblemError(401, "unauthenticated", _SEND, headers=_CHALLENGE)
+        scheme, _, token = given.partition(" ")
+        token = token.strip()
+        address = address_of(scope) or ""
+        known = keys.remembers(token)
+        wait_s = None if known else self.failures.wait_s(address, time.monotonic())
+        if wait_s is not None:
+            raise _too_often(
+                "failed_keys_per_minute", f"{60 * self.failures.per_s:g} wrong keys a minute of an address", wait_s
+            )
+        caller = await self._find(token, keys) if scheme.lower() == "bearer" and len(token) <= LONGEST_TOKEN else None
+        if caller is None:
+            self.failures.take(address, time.monotonic())
+            raise ProblemError(401, "unauthenticated", _SEND, headers=_REFUSED)
+        return caller
+
+    async def _find(self, token: str, keys: KeyRing) -> Caller | None:
+        if prefix_of(token) is None:
+            return None if self.tokens is None else await self.tokens.find(token)
+        now_ns = self.now_ns()
+        key = await keys.find(token, now_ns)
+        if key is None:
+            return None
+        self.uses.used(key.prefix, now_ns)
+        return Caller(key.owner, key.scopes, key.fleets, f"key {key.prefix}")
+
+
+def address_of(scope: Scope) -> str | None:
+    """Return the address that a request came from; None where the server does not know it.
+
+    Parameters
+    ----------
+    scope
+        Of the request.
+    """
+    client = scope.get("client")
+    return None if client is None else str(client[0])
+
+
+def _too_often(name: str, limit: str, wait_s: float) -> ProblemError:
+    detail = f"limit {name}: at most {limit}; try again"
+    return ProblemError(429, "too-many-requests", detail, headers={"Retry-After": f"{wait_s:.0f}"})
