@@ -66,6 +66,7 @@ RULES: Mapping[str, Rule] = {
     "alerts": _of_fleet,
     "alert_events": _of_alert,
     "chunks": _of_vehicle,
+    "sensor_changes": _of_vehicle,
     "stale_spans": _of_vehicle,
     "suspension_findings": _of_vehicle,
     "mountings": _of_both,
