@@ -6,7 +6,6 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
 from importlib.resources import files
-from typing import Any
 
 import anyio.to_thread
 import orjson
@@ -77,7 +76,7 @@ def describe() -> FastAPI:
         version=version("treadwatch"),
         docs_url=None,
         redoc_url=None,
-        openapi_url="/openapi.json",
+        openapi_url=None,
         generate_unique_id_function=name_operation,
         lifespan=_lifespan,
     )
@@ -104,10 +103,9 @@ def document_text() -> str:
     )
 
 
-def committed_document() -> dict[str, Any]:
+def committed_document() -> bytes:
     """Return the OpenAPI document that is committed: to derive it again would take most of the start of the service."""
-    found: dict[str, Any] = orjson.loads(files("api").joinpath(COMMITTED).read_bytes())
-    return found
+    return files("api").joinpath(COMMITTED).read_bytes()
 
 
 def build_app(services: Services | None, limits: HttpLimits | None = None, access: AccessPlan | None = None) -> FastAPI:
@@ -128,8 +126,8 @@ def build_app(services: Services | None, limits: HttpLimits | None = None, acces
     registry.register(StoredMeasures(lambda: app.state.services))
     app.state.services = services
     app.state.registry = registry
-    app.openapi_schema = committed_document()
-    app.state.contracts = contract.contracts_of(app.openapi_schema)
+    app.state.document = committed_document()
+    app.state.contracts = contract.contracts_of(orjson.loads(app.state.document))
     guard = guard_of(access or AccessPlan(), lambda: app.state.services.storage)
     app.state.streams, app.state.access_book = guard.streams, guard.book
     app.add_middleware(HeadMiddleware)

@@ -13,6 +13,7 @@ from fastapi.openapi.docs import get_swagger_ui_html
 from starlette.exceptions import HTTPException
 
 from api.access.security_headers import PAGE_POLICY
+from api.answers import answer_bytes
 
 _INLINE = re.compile(rb"<script>(.*?)</script>", re.DOTALL)
 _ASSETS = {
@@ -20,6 +21,7 @@ _ASSETS = {
     "swagger-ui.css": "text/css; charset=utf-8",
     "favicon-32x32.png": "image/png",
 }
+DOCUMENT = "/openapi.json"
 router = APIRouter(include_in_schema=False)
 
 
@@ -28,7 +30,7 @@ async def get_docs(request: Request) -> Response:
     """Return the page."""
     app: FastAPI = request.app
     page = get_swagger_ui_html(
-        openapi_url=str(app.openapi_url),
+        openapi_url=DOCUMENT,
         title=app.title,
         swagger_js_url="/docs/assets/swagger-ui-bundle.js",
         swagger_css_url="/docs/assets/swagger-ui.css",
@@ -44,6 +46,12 @@ def _policy(page: bytes) -> str:
     scripts = (b64encode(sha256(script).digest()).decode() for script in _INLINE.findall(page))
     allowed = " ".join(f"'sha256-{digest}'" for digest in scripts)
     return f"{PAGE_POLICY}; script-src 'self' {allowed}; style-src 'self' 'unsafe-inline'"
+
+
+@router.get(DOCUMENT)
+async def get_document(request: Request) -> Response:
+    """Return the committed document; the framework's own would lack what is added to it."""
+    return answer_bytes(request, request.app.state.document)
 
 
 @router.get("/docs/assets/{name}")

@@ -36,7 +36,11 @@ def operations() -> list[tuple[str, str, dict[str, Any]]]:
 def test_the_committed_document_is_what_the_routes_say() -> None:
     committed = (files("api") / "openapi.json").read_text(encoding="utf-8")
     assert committed == document_text(), "it has drifted; run: treadwatch openapi --write"
-    assert committed_document() == DOCUMENT
+    assert json.loads(committed_document()) == DOCUMENT
+
+
+def test_the_service_serves_the_committed_document(service: Service) -> None:
+    assert service.client.get("/openapi.json").content == committed_document()
 
 
 def test_a_route_that_the_committed_document_lacks_is_named() -> None:
