@@ -19,6 +19,7 @@ from api.problems import Problem
 from api.schemas.common import Uncertain
 from estimation.values.alerts import CloseReason
 from estimation.values.reasons import ReasonCode
+from estimation.values.worklist import Urgency
 
 DESCRIPTION = """
 Fleet health monitoring of wheel-rail wear: contact geometry, equivalent conicity, trends and alerts per wheelset.
@@ -55,7 +56,7 @@ def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
     schemas = found.setdefault("components", {}).setdefault("schemas", {})
     schemas.update(definitions["$defs"])
     schemas["Uncertain"]["examples"] = Uncertain.model_json_schema()["examples"]  # FastAPI drops the nulls in them
-    for name, codes in (("ReasonCode", ReasonCode), ("CloseReason", CloseReason)):
+    for name, codes in (("ReasonCode", ReasonCode), ("CloseReason", CloseReason), ("Urgency", Urgency)):
         schemas[name]["description"] = _described(codes)
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
@@ -71,9 +72,9 @@ def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
     return found
 
 
-def _described(codes: type[ReasonCode | CloseReason]) -> str:
+def _described(codes: type[ReasonCode | CloseReason | Urgency]) -> str:
     """Return what every code of an enumeration means, one line each."""
-    meant = (code.meaning if isinstance(code, ReasonCode) else code.sentence for code in codes)
+    meant = (code.sentence if isinstance(code, CloseReason) else code.meaning for code in codes)
     lines = (f"- `{code.value}`: {meaning}" for code, meaning in zip(codes, meant, strict=True))
     return "\n".join(("Stable codes; their sentences may be reworded.", "", *lines))
 

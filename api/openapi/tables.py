@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from fastapi import FastAPI
-from fastapi.routing import APIRoute
+from fastapi.routing import APIRoute, iter_route_contexts
 
 from api.contract import CSV
 from api.csv_tables import columns_of, item_of
@@ -21,7 +21,8 @@ def describe_tables(app: FastAPI, document: dict[str, Any]) -> None:
     document
         Of the app; changed.
     """
-    for route in app.routes:
+    for context in iter_route_contexts(app.routes):
+        route = context.original_route
         item = item_of(route.response_model) if isinstance(route, APIRoute) and route.include_in_schema else None
         if item is None or not isinstance(route, APIRoute):
             continue

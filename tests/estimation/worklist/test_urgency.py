@@ -1,0 +1,86 @@
+"""How urgent a wheelset is: what is not known is never taken for good, and the words say the numbers."""
+
+from __future__ import annotations
+
+import pytest
+
+from estimation.values.alerts import Condition, Severity
+from estimation.values.quantities import Forecast
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.worklist import OpenAlert, Urgency
+from estimation.worklist.urgency import DUE_WITHIN_KM, Ahead, Verdict, judged
+
+NOWHERE = Forecast(None, None, None)
+UNKNOWN = Ahead(NOWHERE, None, Reason(ReasonCode.CONICITY_OPEN, "the data leave it open"))
+BEYOND = Ahead(NOWHERE, 0.0, Reason(ReasonCode.BEYOND_HORIZON, "beyond"))
+LAST_NS = 1_767_398_400_000_000_000  # 2026-01-03
+
+
+def ahead(p10: float | None, p50: float | None = None, over: float = 0.0) -> Ahead:
+    missing = None if p50 is not None else Reason(ReasonCode.BEYOND_HORIZON, "beyond")
+    return Ahead(Forecast(p10, p50, p50), over, missing)
+
+
+def alert(kind: str, severity: Severity = Severity.WARNING, condition: Condition = Condition.ACTIVE) -> OpenAlert:
+    return OpenAlert(1, kind, severity, condition, 0, acknowledged=False, shelved_until_ns=None)
+
+
+def verdict(of: Ahead, *alerts: OpenAlert, mounted: bool = True, last_ns: int | None = LAST_NS) -> Verdict:
+    return judged(mounted=mounted, ahead=of, alerts=alerts, last_ns=last_ns)
+
+
+@pytest.mark.parametrize(
+    ("of", "alerts", "urgency", "texts"),
+    [
+        (ahead(0.0, 0.0, 0.98), [], Urgency.OVER_LIMIT, ["limit exceeded (probability 98%)"]),
+        (ahead(500.0, 900.0, 0.49), [], Urgency.DUE, ["due in 900 km (p10 500 km)"]),
+        (ahead(8_049.0, 12_351.0), [], Urgency.DUE, ["due in 12,400 km (p10 8,000 km)"]),
+        (ahead(DUE_WITHIN_KM, 9e4), [], Urgency.DUE, ["due in 90,000 km (p10 30,000 km)"]),
+        (ahead(DUE_WITHIN_KM + 1, 9e4), [], Urgency.NOT_DUE, ["due in 90,000 km (p10 30,000 km)"]),
+        (ahead(2e5), [], Urgency.NOT_DUE, ["due beyond the horizon (p10 200,000 km)"]),
+        (BEYOND, [], Urgency.NOT_DUE, ["beyond"]),
+        (UNKNOWN, [], Urgency.UNKNOWN, ["the data leave it open"]),
+        (BEYOND, [alert("limit_forecast", Severity.INFO)], Urgency.DUE, ["due beyond the horizon"]),
+        (
+            UNKNOWN,
+            [alert("conicity_limit", condition=Condition.UNKNOWN)],
+            Urgency.OVER_LIMIT,
+            ["limit exceeded when it could be assessed last", "the data leave it open"],
+        ),
+        (BEYOND, [alert("conicity_limit", condition=Condition.PENDING)], Urgency.NOT_DUE, ["beyond"]),
+        (BEYOND, [alert("hunting", condition=Condition.CLEARED)], Urgency.NOT_DUE, ["beyond"]),
+        (BEYOND, [alert("hunting", Severity.CRITICAL)], Urgency.CRITICAL_ALERT, ["critical alert: hunting", "beyond"]),
+        (BEYOND, [alert("data_quality")], Urgency.WARNING_ALERT, ["warning alert: data quality", "beyond"]),
+        (BEYOND, [alert("no_data", Severity.CRITICAL)], Urgency.UNKNOWN, ["no data since 2026-01-03", "beyond"]),
+        (BEYOND, [alert("sensor_fault")], Urgency.UNKNOWN, ["the sensor is faulty", "beyond"]),
+        (
+            ahead(500.0, 900.0),
+            [alert("no_data")],
+            Urgency.DUE,
+            ["due in 900 km (p10 500 km)", "no data since 2026-01-03"],
+        ),
+        (BEYOND, [alert("identity", Severity.INFO)], Urgency.UNKNOWN, None),
+    ],
+)
+def test_the_most_urgent_reason_decides_and_all_are_said(
+    of: Ahead, alerts: list[OpenAlert], urgency: Urgency, texts: list[str] | None
+) -> None:
+    found = verdict(of, *alerts)
+    assert found.urgency is urgency
+    assert texts is None or [reason.text for reason in found.reasons] == texts
+
+
+def test_no_data_ever_is_said_as_such() -> None:
+    found = verdict(UNKNOWN, alert("no_data"), last_ns=None)
+    assert [reason.text for reason in found.reasons] == ["no data ever", "the data leave it open"]
+
+
+def test_what_is_not_mounted_comes_last_whatever_it_was() -> None:
+    found = verdict(ahead(0.0, 0.0, 0.99), mounted=False)
+    assert found.urgency is Urgency.NOT_MOUNTED
+    assert [reason.code for reason in found.reasons] == [ReasonCode.NOT_MOUNTED, ReasonCode.LIMIT_EXCEEDED]
+
+
+def test_the_unknown_come_before_all_that_last() -> None:
+    assert [urgency.rank for urgency in Urgency] == [1, 2, 3, 4, 5, 6, 7]
+    assert Urgency.UNKNOWN.rank < Urgency.NOT_DUE.rank
