@@ -67,7 +67,7 @@ def _refuse_unknown_parameters(request: Request, known: frozenset[str]) -> None:
 
 def _refuse_other_body(request: Request) -> None:
     given = request.headers.get("content-type", JSON).split(";", maxsplit=1)[0].strip().lower()
-    if request.method == HTTPMethod.POST and given != JSON:
+    if request.method in {HTTPMethod.POST, HTTPMethod.PUT} and given != JSON:
         raise ProblemError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", f"send {JSON}")
 
 

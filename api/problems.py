@@ -15,7 +15,9 @@ from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 
 from api.allowed_methods import allowed_methods
+from api.times import to_rfc3339
 from estimation.errors import BusyError, ConflictError, InputError, MigrationError, NotFoundError, StorageError
+from ingest.registry_entry.contents import RegistryRefusedError
 
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 _KIND_OF_STATUS = {404: "not-found"}
@@ -56,6 +58,14 @@ class ProblemItem(BaseModel):
     detail: str = Field(examples=["Input should be less than or equal to 1000"])
 
 
+class ContradictedRecord(BaseModel):
+    """A record, or a window, that what was sent contradicts."""
+
+    kind: str = Field(description="As the arrays of a registry file are called.", examples=["reprofilings"])
+    key: str = Field(description="Code, or serial of the wheelset.", examples=["WS-0001"])
+    at: str | None = Field(default=None, description="Time of a dated record.", examples=["2026-03-01T06:00:00Z"])
+
+
 class Problem(BaseModel):
     """What went wrong, as in RFC 9457."""
 
@@ -65,6 +75,9 @@ class Problem(BaseModel):
     detail: str | None = Field(default=None, examples=["no wheelset 'WS-9999'"])
     instance: str | None = Field(default=None, examples=["/v1/wheelsets/WS-9999"])
     errors: list[ProblemItem] | None = None
+    contradicts: list[ContradictedRecord] | None = Field(
+        default=None, description="The records on file that what was sent contradicts."
+    )
     reason_code: Literal["waits_for_database"] | None = Field(
         default=None, description="What is waited for, where the service has not had its database since its start."
     )
@@ -92,6 +105,7 @@ class ProblemError(Exception):
         headers: Mapping[str, str] = {},
         go_on: GoOn | None = None,
         reason_code: Literal["waits_for_database"] | None = None,
+        contradicts: Sequence[ContradictedRecord] = (),
     ) -> None:
         self.status = status
         self.kind = kind
@@ -100,6 +114,7 @@ class ProblemError(Exception):
         self.headers = dict(headers)
         self.go_on = go_on
         self.reason_code = reason_code
+        self.contradicts = list(contradicts)
         super().__init__(detail)
 
 
@@ -113,6 +128,7 @@ def problem_response(request: Request, error: ProblemError) -> Response:
         instance=request.scope.get("path"),
         errors=error.errors or None,
         reason_code=error.reason_code,
+        contradicts=error.contradicts or None,
         next_cursor=None if error.go_on is None else error.go_on.cursor,
         next=None if error.go_on is None else error.go_on.path,
     )
@@ -141,6 +157,24 @@ def _bad_input(error: InputError) -> ProblemError:
     place = [error.field] if error.field else []
     item = ProblemItem(part="body", pointer=pointer(place), detail=error.reason)
     return ProblemError(422, "invalid-request", error.reason, [item])
+
+
+def _refused_record(error: RegistryRefusedError) -> ProblemError:
+    """Return 409 where a record contradicts others, else 422: it is impossible by itself."""
+    items = [
+        ProblemItem(part="body", pointer=pointer([one.error.field] if one.error.field else []), detail=one.error.reason)
+        for one in error.refusals
+    ]
+    others = dict.fromkeys(
+        name for one in error.refusals if one.contradiction is not None for name in one.contradiction.others
+    )
+    records = [
+        ContradictedRecord(kind=name.kind, key=name.key, at=None if name.at_ns is None else to_rfc3339(name.at_ns))
+        for name in others
+    ]
+    if not records:
+        return ProblemError(422, "invalid-request", error.reason, items)
+    return ProblemError(409, "conflict", error.reason, items, contradicts=records)
 
 
 def _plain(error: HTTPException) -> ProblemError:
@@ -172,6 +206,7 @@ _TABLE: tuple[tuple[type[Exception], Callable[[Any], ProblemError]], ...] = (
     (HTTPException, _plain),
     (NotFoundError, lambda error: ProblemError(404, "not-found", str(error))),
     (ConflictError, lambda error: ProblemError(409, "conflict", str(error))),
+    (RegistryRefusedError, _refused_record),
     (InputError, _bad_input),
     (MigrationError, lambda error: ProblemError(503, "not-ready", str(error))),
     (BusyError, _busy),

@@ -6,8 +6,8 @@ from urllib.parse import quote
 
 from pydantic import Field
 
-from api.schemas.common import Links, Representation, Request
-from api.times import Moment, Timestamp, to_rfc3339
+from api.schemas.common import Links, Representation
+from api.times import Timestamp, to_rfc3339
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 
@@ -54,14 +54,6 @@ class ReprofilingRecord(Representation):
     reprofiled_at: Timestamp
     mileage_km: float = Field(examples=[151200.0])
     note: str
-
-
-class NewReprofiling(Request):
-    """A visit to the lathe, as it is reported."""
-
-    reprofiled_at: Moment = Field(examples=["2026-03-01T06:00:00Z"])
-    mileage_km: float = Field(ge=0.0, le=1e8, description="Of the wheelset since new.", examples=[151200.0])
-    note: str = Field(default="", max_length=2000, pattern=r"^[^\x00]*$", examples=["Depot North, lathe 2"])
 
 
 class MeasuredProfilesRecord(Representation):

@@ -1,0 +1,146 @@
+"""Changes of the registry by REST: under preconditions, entered as a file is, answered with the record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from http import HTTPStatus
+
+from fastapi import Request, Response
+from pydantic import BaseModel
+
+from api.access.caller import Caller
+from api.answers import answer, require_match
+from api.idempotency import IdempotentPost, idempotent_post
+from api.schemas.registry_changes import RegistryChange
+from api.services import Services
+from estimation.errors import InputError
+from fleet_db.registry_events import Decision
+from fleet_db.storage import SqlUnitOfWork
+from ingest.input_file import Location, dotted
+from ingest.registry_entry.contents import Entry, RegistryContents
+from ingest.registry_entry.contradiction import Rule
+from ingest.registry_entry.enter import enter
+
+UNNAMED = "unnamed client"
+"""Who changes something where access is open and nobody says who it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class BodySource:
+    """Names the field of a request's body for a field of a registry file.
+
+    Attributes
+    ----------
+    names
+        By field of the file; by array and index before it (``mountings[1].from``) where several records are entered.
+    """
+
+    names: Mapping[str, str] = field(default_factory=dict)
+
+    def error(self, reason: str, location: Location = ()) -> InputError:
+        """Return the error that names the field of the body.
+
+        Parameters
+        ----------
+        reason
+            What is wrong.
+        location
+            Array, index and field of a registry file.
+        """
+        last = next((str(part) for part in location[2:3]), "")
+        return InputError(reason, field=self.names.get(dotted(location)) or self.names.get(last, last) or None)
+
+
+@dataclass(frozen=True, slots=True)
+class RegistryRequest:
+    """A request that changes the registry.
+
+    Attributes
+    ----------
+    request, services, caller, body
+        Of the route.
+    if_match
+        Its ``If-Match``; None in requests that create something.
+    key
+        Its ``Idempotency-Key``.
+    """
+
+    request: Request
+    services: Services
+    caller: Caller
+    body: RegistryChange
+    if_match: str | None = None
+    key: str | None = None
+
+    def decision(self, now_ns: int) -> Decision:
+        """Return who decides, why, and when.
+
+        Parameters
+        ----------
+        now_ns
+            Our time.
+        """
+        return Decision(self.caller.name or self.body.by or UNNAMED, self.body.why, now_ns)
+
+    def visible(self, find: Callable[[SqlUnitOfWork], object]) -> None:
+        """Refuse what the body names and the caller does not see, as if it did not exist.
+
+        Parameters
+        ----------
+        find
+            Raises where there is no such thing in a transaction that shows the caller's fleets only.
+        """
+        with self.services.storage.read() as unit:
+            find(unit)
+
+    def change(
+        self,
+        current: Callable[[SqlUnitOfWork], BaseModel] | None,
+        apply: Callable[[SqlUnitOfWork, Decision], BaseModel],
+        status: HTTPStatus = HTTPStatus.CREATED,
+    ) -> Response:
+        """Change something in one transaction; the same request again changes nothing and gets the same answer.
+
+        Parameters
+        ----------
+        current
+            Representation of the asset that is changed, for ``If-Match``; None where there is none yet.
+        apply
+            Changes it; returns what is answered.
+        status
+            Of the answer.
+        """
+        post: IdempotentPost = idempotent_post(self.request, self.key, self.body)
+        now_ns = self.services.clock.now_ns()
+        with self.services.storage.write() as unit:
+            earlier = post.earlier(self.request, unit)
+            if earlier is not None:
+                return earlier
+            if current is not None:
+                require_match(self.if_match, current(unit))
+            done = apply(unit, self.decision(now_ns))
+            post.remember(unit, status, done, now_ns)
+        return answer(self.request, done, status=status)
+
+    def enter(self, unit: SqlUnitOfWork, decision: Decision, contents: RegistryContents, source: BodySource) -> None:
+        """Enter records as a registry file does.
+
+        Parameters
+        ----------
+        unit
+            A writing transaction.
+        decision
+            Who, why and when.
+        contents
+            The records.
+        source
+            Names fields of the body.
+
+        Raises
+        ------
+        RegistryRefusedError
+            They are impossible or contradict what is on file.
+        """
+        confirmed = frozenset(map(Rule, self.body.confirm))
+        enter(contents, unit, source, Entry(decision, decision.recorded_ns, confirmed))
