@@ -81,7 +81,7 @@ class RegistryRequest:
         now_ns
             Our time.
         """
-        return Decision(self.caller.name or self.body.by or UNNAMED, self.body.why, now_ns)
+        return Decision(self.caller.acts_as(self.body.by, UNNAMED), self.body.why, now_ns)
 
     def visible(self, find: Callable[[SqlUnitOfWork], object]) -> None:
         """Refuse what the body names and the caller does not see, as if it did not exist.
