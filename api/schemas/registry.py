@@ -165,7 +165,8 @@ def wheelset(record: WheelsetRecord) -> Wheelset:
     """Return the representation of a wheelset, with paths to everything known of it."""
     own = f"/v1/wheelsets/{segment(record.serial)}"
     links = {name: f"{own}/{name}" for name in ("geometry", "trend", "contact", "windows", "mountings", "reprofilings")}
-    links["measured_profiles"] = f"{own}/measured-profiles"
+    links |= {"measured_profiles": f"{own}/measured-profiles", "intervals": f"{own}/intervals"}
+    links["data_quality"] = f"{own}/data-quality"
     links["state"] = f"{own}/state"
     links = {"self": own, "fleet": f"/v1/fleets/{segment(record.fleet)}", **links}
     links["alerts"] = f"/v1/alerts?wheelset={segment(record.serial)}"
