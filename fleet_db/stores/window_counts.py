@@ -53,12 +53,10 @@ def window_counts(connection: Connection, wheelset: str, most: int) -> WindowCou
         return WindowCounts(DAY_NS, ())
     begin = first // DAY_NS * DAY_NS
     stretch_ns = DAY_NS * (1 + (last - begin) // (most * DAY_NS))
-    place = (WINDOWS.c.start_ns - begin).op("/")(stretch_ns).label("place")  # of integers: without a rest
-    rows = connection.execute(
-        select(place, WINDOWS.c.state, WINDOWS.c.reason_code, func.count().label("windows"))
-        .where(of_wheelset)
-        .group_by(place, WINDOWS.c.state, WINDOWS.c.reason_code)
-    )
+    place = ((WINDOWS.c.start_ns - begin) // stretch_ns).label("place")
+    placed = select(place, WINDOWS.c.state, WINDOWS.c.reason_code).where(of_wheelset).subquery()
+    key = (placed.c.place, placed.c.state, placed.c.reason_code)
+    rows = connection.execute(select(*key, func.count().label("windows")).group_by(*key))
     found = [
         WindowCount(
             begin + int(row.place) * stretch_ns,
