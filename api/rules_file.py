@@ -2,41 +2,69 @@
 
 ::
 
-    [conicity_limit]
-    raise_probability = 0.9
-    delays = { on_evaluations = 2 }
+    version = 2                  # of the format; without it 1, which has neither a name nor [[class]] and [[fleet]]
+    name = "plan 2027-01"        # what alerts keep of the rules that raised them, with a digest
 
-    [[conicity_limit.bands]]
-    vehicle_class = "freight"
-    up_to_km_h = 120
-    limit = 0.45
+    [conicity_limit]             # of all fleets and classes
+    raise_probability = 0.9
+    delays = { on_delay_km = 500 }
+
+    [[class]]                    # of the vehicles of a class
+    class = "freight"
+    [class.no_data]
+    days = 14
+
+    [[fleet]]                    # of a fleet; goes before [[class]]
+    fleet = "north"
+    [fleet.no_data]
+    days = 3
+
+    [[fleet]]                    # of a class in a fleet; goes before both
+    fleet = "north"
+    class = "freight"
+    [fleet.no_data]
+    days = 5
 
 A table is named after the ``kind`` of a rule; its keys are the fields of the rule, and their ranges stand there.
 """
 
 from __future__ import annotations
 
-import math
-import operator
-from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields, is_dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal
 
-from annotated_types import Interval
-from pydantic import BaseModel, create_model
-from pydantic import Field as Key
-from pydantic.types import AllowInfNan
+from pydantic import BaseModel, Field, create_model
 
+from api.rules_contradictions import contradiction
+from api.rules_tables import both_units, changed, table_of
 from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
-from estimation.alerts.rules.rule import AlertRule
-from ingest.input_file import InputFile, InputTable, read_toml
+from ingest.input_file import Code, InputFile, InputTable, Location, read_toml
 
-_Value = TypeVar("_Value")
-
-_USUAL_RANGE = Interval(ge=0.0, le=1e9)  # of a number whose rule gives none
-_RELATIONS = {"<=": (operator.le, "is above"), ">=": (operator.ge, "is below")}
+NEWEST = 2
 _ALARM_FLOOD = "alarm_flood"
+_COMPARED = frozenset({"parameters"})  # of comparisons between all fleets
+_OF_NEWEST = ("name", "class", "fleet")
+
+
+@dataclass(frozen=True, slots=True)
+class _Layer:
+    """Tables of rules for a scope: (fleet, class), None where it holds for any."""
+
+    fleet: str | None
+    vehicle_class: str | None
+    tables: BaseModel
+    location: Location
+
+    @property
+    def named(self) -> str:
+        parts = (("fleet", self.fleet), ("class", self.vehicle_class))
+        return ", ".join(f"{what} {code}" for what, code in parts if code is not None)
+
+    def holds(self, fleet: str | None, vehicle_class: str | None) -> bool:
+        return self.fleet in (None, fleet) and self.vehicle_class in (None, vehicle_class)
 
 
 def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
@@ -52,66 +80,133 @@ def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
     Raises
     ------
     InputError
-        The file cannot be read or is no TOML; an unknown table or key; a value of the wrong type or outside its range;
-        a clear limit on the wrong side of its raise limit. Names the file, the line and the field.
+        The file cannot be read or is no TOML; a version that is not known; an unknown table or key; a value of the
+        wrong type or outside its range; values that contradict each other, such as a clear limit on the wrong side of
+        its raise limit; one scope twice. Names the file, the line and the field.
     """
     book = book if book is not None else RuleBook()
     file = read_toml(path)
-    tables: dict[str, Any] = {rule.kind: (_table_of(type(rule)) | None, None) for rule in book.rules}
-    tables[_ALARM_FLOOD] = (_table_of(AlarmFloodRule) | None, None)
-    model = create_model("Rules", __base__=InputTable, **tables)
-    given = file.parse(model)
-    rules = [_changed(rule, getattr(given, rule.kind)) for rule in book.rules]
-    for rule in rules:
-        _check_relations(rule, file)
-    return replace(book, rules=tuple(rules), alarm_flood=_changed(book.alarm_flood, getattr(given, _ALARM_FLOOD)))
+    _check_version(file)
+    given = file.parse(_schema(book))
+    everywhere = _with(book, _Layer(None, None, given, ()), file)
+    layers = list(_layers(given, file))
+    books = {}
+    for scope in _scopes(layers):
+        found = everywhere
+        for layer in layers:
+            if layer.holds(*scope):
+                found = _with(found, layer, file)
+        books[scope] = found
+    return replace(everywhere, name=getattr(given, "name", None) or "", scoped=books)
 
 
-def _table_of(value_type: type[Any]) -> type[InputTable]:
-    """Return the schema of a table that sets fields of a dataclass; fields with a default may be left out."""
-    hints = get_type_hints(value_type, include_extras=True)
-    keys: dict[str, Any] = {item.name: _key_of(item, hints[item.name]) for item in fields(value_type)}
-    return create_model(value_type.__name__, __base__=InputTable, **keys)
+def _check_version(file: InputFile) -> None:
+    version = file.values.get("version", 1)
+    if isinstance(version, bool) or version not in (1, NEWEST):
+        raise file.error(f"{version!r} is not known; this release reads 1 and {NEWEST}", ("version",))
+    later = next((key for key in _OF_NEWEST if key in file.values), None)
+    if version != NEWEST and later is not None:
+        where = (later, 0) if isinstance(file.values[later], list) else (later,)
+        raise file.error(f"is of version {NEWEST}: write 'version = {NEWEST}' at the top of the file", where)
 
 
-def _key_of(item: Field[Any], hint: object) -> tuple[object, object]:
-    """Return type and default of a key, as pydantic takes them."""
-    default = ... if item.default is MISSING and item.default_factory is MISSING else None
-    if is_dataclass(hint) and isinstance(hint, type):
-        return _table_of(hint) | None, default
-    if get_origin(hint) is tuple:
-        return Annotated[list[_table_of(get_args(hint)[0])], Key(min_length=1)], default  # type: ignore[misc]  # of values
-    if hint in (float, int):
-        return Annotated[hint, _USUAL_RANGE], default
-    if item.default == math.inf:
-        return Annotated[hint, AllowInfNan(True)], default  # noqa: FBT003 - its own signature
-    return hint, default
+def _schema(book: RuleBook) -> type[InputTable]:
+    """Return the schema of the whole file."""
+    everywhere: dict[str, Any] = {rule.kind: (table_of(type(rule)) | None, None) for rule in book.rules}
+    flood: dict[str, Any] = {_ALARM_FLOOD: (table_of(AlarmFloodRule) | None, None)}
+    scoped: dict[str, Any] = {rule.kind: (table_of(type(rule), _COMPARED) | None, None) for rule in book.rules}
+    of_class = create_model("OfClass", __base__=InputTable, code=(Code, Field(alias="class")), **scoped)
+    of_fleet = create_model(
+        "OfFleet",
+        __base__=InputTable,
+        fleet=(Code, ...),
+        code=(Code | None, Field(default=None, alias="class")),
+        **scoped,
+        **flood,
+    )
+    return create_model(
+        "Rules",
+        __base__=InputTable,
+        version=(Literal[1, 2], 1),
+        name=(Code | None, None),
+        classes=(list[of_class], Field(default=[], alias="class")),  # type: ignore[valid-type]  # made here
+        fleets=(list[of_fleet], Field(default=[], alias="fleet")),  # type: ignore[valid-type]  # made here
+        **everywhere,
+        **flood,
+    )
 
 
-def _changed(value: _Value, given: BaseModel | None) -> _Value:
-    """Return a dataclass with the fields that a table sets."""
-    if given is None:
-        return value
-    return replace(value, **_set_fields(value, given))  # type: ignore[type-var]  # a dataclass
+def _layers(given: Any, file: InputFile) -> Iterator[_Layer]:  # noqa: ANN401 - of the schema made above
+    """Yield what the file says of classes, of fleets, and of classes in fleets: the later go before the earlier.
+
+    Raises
+    ------
+    InputError
+        One scope twice, or the alarm flood of a class.
+    """
+    classes = [_Layer(None, one.code, one, ("class", i)) for i, one in enumerate(given.classes)]
+    fleets = [_Layer(one.fleet, one.code, one, ("fleet", i)) for i, one in enumerate(given.fleets)]
+    seen: dict[tuple[str | None, str | None], _Layer] = {}
+    for layer in (*classes, *fleets):
+        scope = (layer.fleet, layer.vehicle_class)
+        if scope in seen:
+            raise file.error(f"{layer.named} is there twice", layer.location)
+        seen[scope] = layer
+        if layer.vehicle_class is not None and getattr(layer.tables, _ALARM_FLOOD, None) is not None:
+            raise file.error("is of a whole fleet: leave `class` out", (*layer.location, _ALARM_FLOOD))
+    yield from sorted(seen.values(), key=lambda one: (one.fleet is not None, one.vehicle_class is not None))
 
 
-def _set_fields(value: Any, given: BaseModel) -> Mapping[str, Any]:  # noqa: ANN401 - any dataclass or its type
-    found: dict[str, Any] = {}
-    hints = get_type_hints(value if isinstance(value, type) else type(value))
-    for name in given.model_fields_set:
-        item = getattr(given, name)
-        if isinstance(item, BaseModel):
-            item = _changed(getattr(value, name), item)
-        elif isinstance(item, list):
-            element = get_args(hints[name])[0]
-            item = tuple(element(**_set_fields(element, entry)) for entry in item)
-        found[name] = float(item) if hints[name] is float else item
+def _scopes(layers: Sequence[_Layer]) -> list[tuple[str | None, str | None]]:
+    """Return every pair of a fleet and a class that are named, or any other."""
+    fleets = [None, *dict.fromkeys(one.fleet for one in layers if one.fleet is not None)]
+    classes = [None, *dict.fromkeys(one.vehicle_class for one in layers if one.vehicle_class is not None)]
+    return list(product(fleets, classes)) if layers else []
+
+
+def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
+    """Return a book with what a layer changes.
+
+    Raises
+    ------
+    InputError
+        What comes out contradicts itself.
+    """
+    rules = []
+    for rule in book.rules:
+        table = getattr(layer.tables, rule.kind)
+        found = changed(rule, table)
+        if table is not None:
+            twice = both_units(getattr(table, "delays", None))
+            if twice is not None:
+                reason = (
+                    f"a delay is in evaluations or in kilometres: leave {twice.replace('delay_km', 'evaluations')} out"
+                )
+                raise file.error(reason, (*layer.location, rule.kind, "delays", twice))
+            wrong = contradiction(found)
+            if wrong is not None:
+                where, reason = wrong
+                raise file.error(reason + _of(layer), (*layer.location, rule.kind, *where))
+        rules.append(found)
+    flood = changed(book.alarm_flood, getattr(layer.tables, _ALARM_FLOOD, None))
+    return replace(book, rules=tuple(rules), alarm_flood=flood)
+
+
+def _of(layer: _Layer) -> str:
+    return f", for {layer.named}" if layer.named else ""
+
+
+def resolved(book: RuleBook) -> Mapping[str, RuleBook]:
+    """Return the book of every scope that a file names, by the name of the scope.
+
+    Parameters
+    ----------
+    book
+        Of a file.
+    """
+    found = {"all fleets and classes": book}
+    for (fleet, vehicle_class), one in book.scoped.items():
+        names = [f"{what} {code}" for what, code in (("fleet", fleet), ("class", vehicle_class)) if code is not None]
+        if names:
+            found[", ".join(names)] = one
     return found
-
-
-def _check_relations(rule: AlertRule, file: InputFile) -> None:
-    for name, relation, other in rule.relations:
-        holds, contrary = _RELATIONS[relation]
-        value, limit = getattr(rule, name), getattr(rule, other)
-        if not holds(value, limit):
-            raise file.error(f"{value:g} {contrary} {other} ({limit:g})", (rule.kind, name))

@@ -21,6 +21,12 @@ class Delays(Representation):
 
     on_evaluations: int | None = Field(description="Evaluations on end before it is raised.")
     off_evaluations: int | None = Field(description="Evaluations on end before it is cleared.")
+    on_delay_km: float | None = Field(
+        description="Distance that findings on end must cover before it is raised; null where evaluations are counted."
+    )
+    off_delay_km: float | None = Field(
+        description="Distance that findings on end must cover before it is cleared; null where evaluations are counted."
+    )
     acknowledgement_days: float | None = Field(description="After which an acknowledgement ends by itself.")
     clear_seen: int | None = Field(description="Evaluations on end beyond the clear limit so far.")
     counted_at: Timestamp | None = Field(description="Time of the newest data that were counted.")

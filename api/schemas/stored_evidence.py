@@ -41,6 +41,8 @@ def _delays(stored: Stored) -> kinds.Delays | None:
     return kinds.Delays(
         on_evaluations=count(found.get("on_evaluations")),
         off_evaluations=count(found.get("off_evaluations")),
+        on_delay_km=number(found.get("on_delay_km")) or None,
+        off_delay_km=number(found.get("off_delay_km")) or None,
         acknowledgement_days=number(found.get("acknowledgement_days")),
         clear_seen=count(found.get("clear_seen")),
         counted_at=moment(found.get("counted_ns")),

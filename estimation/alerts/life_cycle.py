@@ -23,6 +23,7 @@ from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Conditi
 from estimation.values.json_value import JsonValue
 
 DELAYS = "delays"
+RUN_FROM = "run_from_km"  # among them: mileage of the first of the findings on end that are counted
 DAY_NS = 86_400_000_000_000
 PROBABILITY_BANDS = (0.05, 0.5, 0.8, 0.95, 0.99)
 SEVERITY_RANK = {severity: rank for rank, severity in enumerate(Severity)}
@@ -35,6 +36,7 @@ def transition(
     *,
     fleet: str,
     delays: AlertDelays | None = None,
+    rules_version: str | None = None,
 ) -> Transition | None:
     """Return what a finding does to the open alert of its wheelset and kind.
 
@@ -50,6 +52,8 @@ def transition(
         Fleet of the wheelset, for a new alert.
     delays
         Delays of the rule, for a new alert; an open alert keeps those that it was raised with.
+    rules_version
+        Names the rules, for a new alert.
 
     Returns
     -------
@@ -64,7 +68,10 @@ def transition(
     """
     if open_alert is None:
         opens = finding.breached if finding.stands is None else finding.stands
-        return _opened(finding, fleet, delays or AlertDelays()) if opens else None
+        if not opens:
+            return None
+        found = _opened(finding, fleet, delays or AlertDelays())
+        return replace(found, alert=replace(found.alert, rules_version=rules_version))
     must_be_open(open_alert)
     if (open_alert.wheelset, open_alert.kind) != (finding.wheelset, finding.kind):
         raise ConflictError("the finding is not about this alert", kind="alert", key=str(open_alert.alert_id))
@@ -74,7 +81,9 @@ def transition(
 
 
 def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
-    at_once = delays.on_evaluations <= 1 or finding.stands is True  # its delays have run in vehicle time
+    in_km = delays.on_delay_km > 0.0
+    # where it stands, its delays have run in vehicle time
+    at_once = finding.stands is True or (delays.on_evaluations <= 1 and not in_km)
     counters: dict[str, JsonValue] = {
         "on_evaluations": delays.on_evaluations,
         "off_evaluations": delays.off_evaluations,
@@ -82,6 +91,9 @@ def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
         "clear_seen": 0,
         "counted_ns": finding.measured_ns,
     }
+    if in_km or delays.off_delay_km > 0.0:
+        counters |= {"on_delay_km": delays.on_delay_km, "off_delay_km": delays.off_delay_km}
+        counters[RUN_FROM] = finding.mileage_km
     alert = Alert(
         alert_id=0,
         fleet=fleet,
@@ -119,7 +131,7 @@ def _pending(alert: Alert, finding: Finding) -> Transition | None:
         )
         return _changed(alert, gone, ())
     seen = _seen_again(alert, finding)
-    if finding.stands is None and seen.occurrence_count < _delay(alert, "on_evaluations"):
+    if finding.stands is None and not _run_over(seen, finding, seen.occurrence_count, "on"):
         return _changed(alert, seen, ())
     return _changed(alert, replace(seen, condition=Condition.ACTIVE), (AlertEventKind.RAISED,))
 
@@ -153,7 +165,7 @@ def _clearing(alert: Alert, stored: Alert, finding: Finding) -> Transition | Non
     news = _is_news(alert, finding)
     seen = _delay(alert, "clear_seen") + (1 if news else 0)
     after = _counted(_refreshed(alert, finding), finding, clear_seen=seen)
-    if seen < _delay(alert, "off_evaluations"):
+    if not _run_over(after, finding, seen, "off"):
         return updated(stored, replace(after, condition=Condition.ACTIVE))
     return _cleared(stored, after, finding)
 
@@ -235,7 +247,18 @@ def _counters(alert: Alert) -> Mapping[str, JsonValue]:
 
 def _counted(alert: Alert, finding: Finding, *, clear_seen: int) -> Alert:
     counters = {**_counters(alert), "clear_seen": clear_seen, "counted_ns": finding.measured_ns}
+    if clear_seen == 1 and RUN_FROM in counters:
+        counters[RUN_FROM] = finding.mileage_km
     return replace(alert, evidence={**alert.evidence, DELAYS: counters})
+
+
+def _run_over(alert: Alert, finding: Finding, seen: int, which: str) -> bool:
+    """Return whether findings on end, with this one, have lasted for the on-delay or off-delay."""
+    km = _number(_counters(alert).get(f"{which}_delay_km"), 0.0)
+    if km <= 0.0:
+        return seen >= _delay(alert, f"{which}_evaluations")
+    begin = _counters(alert).get(RUN_FROM)
+    return isinstance(begin, (int, float)) and finding.mileage_km is not None and finding.mileage_km - begin >= km
 
 
 def _delay(alert: Alert, name: str) -> int:

@@ -16,8 +16,7 @@ from estimation.alerts.rules.hunting import HuntingRule
 from estimation.alerts.rules.identity import IdentityRule
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.alerts.rules.sensor_fault import SensorFaultRule
-from estimation.alerts.rules.standing import LOOK_BACK
-from estimation.alerts.rules.suspension_change import SuspensionChangeRule
+from estimation.alerts.rules.standing import LOOK_BACK, reach_km, within_reach
 from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import JobSettings
@@ -29,7 +28,7 @@ from estimation.values.alerts import Alert, AlertEventKind, Condition, Transitio
 from estimation.values.geometry import GeometryRecord
 from estimation.values.identity import since_change
 from estimation.values.quarantine import SubjectKind
-from estimation.values.registry import WheelsetRecord
+from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.suspension import SuspensionShown
 from estimation.values.windows import WindowRecord
 
@@ -56,7 +55,7 @@ def raise_in_fleet(
     found
         What raises an alert of one of its wheelsets; not stored yet.
     book
-        Rules.
+        Rules, of which those of the fleet are taken.
     now_ns
         Our time, as which the events are recorded.
 
@@ -65,12 +64,14 @@ def raise_in_fleet(
     list of AlertEventKind
         The events recorded, those of members included.
     """
+    version, book = book.version, book.of(fleet, None)
     standing = _standing(unit, fleet)
     joining = _joining(unit, standing, [change.alert for change in found], book)
     fleet_alerts = dict(standing.of_fleet)
     for kind, members in joining.items():
         if kind not in fleet_alerts:
-            fleet_alerts[kind] = unit.alerts.save(opened(fleet, kind, members, book), (), now_ns)
+            new = replace(opened(fleet, kind, members, book), rules_version=version)
+            fleet_alerts[kind] = unit.alerts.save(new, (), now_ns)
     joined = {(alert.wheelset, kind) for kind, members in joining.items() for alert in members}
     announced = [alert for alert in standing.alone if (alert.wheelset, alert.kind) in joined]
     events: list[AlertEventKind] = []
@@ -133,7 +134,7 @@ def run(context: JobContext) -> Mapping[str, int]:
         serials = [wheelset.serial for wheelset in unit.registry.wheelsets()]
         fleets = [fleet.code for fleet in unit.registry.fleets()]
         of_before = frozenset(unit.worklist.outdated())
-    compared = _compared(context, isolation)
+    compared, version = _compared(context, isolation), context.settings.rules.version
     counts: Counter[str] = Counter(dict.fromkeys(("wheelsets", *(kind.value for kind in AlertEventKind)), 0))
     found: list[Transition] = []
     try:
@@ -144,7 +145,7 @@ def run(context: JobContext) -> Mapping[str, int]:
                 continue
             with isolation.alone(SubjectKind.WHEELSET, serial, inputs):
                 with context.storage.write() as unit:
-                    events, to_raise = _evaluate(unit, serial, context, compared.of(serial))
+                    events, to_raise = _evaluate(unit, serial, context, compared.of(serial), version)
                     unit.worklist.renew([serial] if serial in of_before else [])
                 counts.update(kind.value for kind in events)
                 found += to_raise
@@ -188,18 +189,21 @@ def _compared(context: JobContext, isolation: Isolation) -> _Compared:
     with isolation.alone(SubjectKind.FLEET, "comparison of identities"), context.storage.read() as unit:
         compared.identities = new_events(unit, unit.registry.wheelsets(), rules.rule(IdentityRule).parameters)
     with isolation.alone(SubjectKind.FLEET, "comparison of suspensions"), context.storage.read() as unit:
-        compared.suspensions = shown_by_wheelset(unit, rules.rule(SuspensionChangeRule))
+        compared.suspensions = shown_by_wheelset(unit, rules)
     with isolation.alone(SubjectKind.FLEET, "rejected recordings"), context.storage.read() as unit:
         compared.rejected = at_first_axles(unit, unit.plausibility.rejected())
     return compared
 
 
 def _evaluate(
-    unit: UnitOfWork, serial: str, context: JobContext, found: _Found
+    unit: UnitOfWork, serial: str, context: JobContext, found: _Found, version: str
 ) -> tuple[list[AlertEventKind], list[Transition]]:
     """Store what changes on the open alerts of a wheelset; return the events of that, and what is to be raised."""
-    book, now_ns = context.settings.rules, context.clock.now_ns()
-    stored = _facts(unit, unit.registry.wheelset(serial), context.settings)
+    wheelset, now_ns = unit.registry.wheelset(serial), context.clock.now_ns()
+    mounting = wheelset.mounting
+    vehicle = None if mounting is None else unit.registry.vehicle(mounting.vehicle)
+    book = context.settings.rules.of(wheelset.fleet, None if vehicle is None else vehicle.vehicle_class)
+    stored = _facts(unit, wheelset, vehicle, book, context.settings)
     facts = replace(stored, identity=found.identity, suspension=found.suspension, rejected_recordings=found.rejected)
     events: list[AlertEventKind] = []
     to_raise: list[Transition] = []
@@ -215,6 +219,7 @@ def _evaluate(
             now_ns,
             fleet=facts.wheelset.fleet,
             delays=book.delays_of(finding.kind),
+            rules_version=version,
         )
         if change is None:
             continue
@@ -230,17 +235,23 @@ def _save(unit: UnitOfWork, change: Transition, now_ns: int, note: str) -> Seque
     return change.events
 
 
-def _facts(unit: UnitOfWork, wheelset: WheelsetRecord, settings: JobSettings) -> WheelsetFacts:
+def _facts(
+    unit: UnitOfWork,
+    wheelset: WheelsetRecord,
+    vehicle: VehicleRecord | None,
+    book: RuleBook,
+    settings: JobSettings,
+) -> WheelsetFacts:
     mounting = wheelset.mounting
     alerts: Sequence[Alert] = unit.alerts.all_open(wheelset.serial)
     if mounting is None:
         return WheelsetFacts(wheelset=wheelset, vehicle=None, geometry=None, trend=None, windows=(), open_alerts=alerts)
     return WheelsetFacts(
         wheelset=wheelset,
-        vehicle=unit.registry.vehicle(mounting.vehicle),
+        vehicle=vehicle,
         geometry=unit.geometries.current(wheelset.serial),
         trend=unit.trends.latest(wheelset.serial),
-        windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, _windows_wanted(settings.rules)),
+        windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, *_windows_wanted(book)),
         intervals=_intervals(unit, wheelset, mounting.from_ns),
         open_alerts=alerts,
         trend_parameters=settings.trend,
@@ -254,13 +265,14 @@ def _intervals(unit: UnitOfWork, wheelset: WheelsetRecord, since_ns: int) -> Seq
     return sorted(held, key=lambda record: record.to_ns)
 
 
-def _windows_wanted(book: RuleBook) -> int:
+def _windows_wanted(book: RuleBook) -> tuple[int, float]:
+    """Return how many windows and how many kilometres the rules look back."""
     rules = (book.rule(SensorFaultRule), book.rule(HuntingRule), book.rule(DataQualityRule))
-    return LOOK_BACK * max(rule.latest_windows for rule in rules)
+    return LOOK_BACK * max(rule.latest_windows for rule in rules), max(reach_km(rule.delays) for rule in rules)
 
 
-def _latest_windows(unit: UnitOfWork, serial: str, since_ns: int, wanted: int) -> Sequence[WindowRecord]:
-    """Return at least the latest ``wanted`` windows since a time, looking back further until there are as many."""
+def _latest_windows(unit: UnitOfWork, serial: str, since_ns: int, wanted: int, far_km: float) -> Sequence[WindowRecord]:
+    """Return the latest ``wanted`` windows since a time and all of the last kilometres; looks back as far as needed."""
     newest = unit.windows.latest(serial)
     if newest is None or newest.start_ns < since_ns:
         return ()
@@ -268,8 +280,11 @@ def _latest_windows(unit: UnitOfWork, serial: str, since_ns: int, wanted: int) -
     while True:
         from_ns = max(since_ns, newest.start_ns - look_back)
         found = unit.windows.list(serial, from_ns)
-        if len(found) >= wanted or from_ns == since_ns:
-            return found[-wanted:]
+        mileages = [None if window.implausible else window.mileage_km for window in found]
+        known = [at for at in mileages if at is not None]
+        as_far = far_km <= 0.0 or (bool(known) and known[0] < known[-1] - far_km)
+        if (len(found) >= wanted and as_far) or from_ns == since_ns:
+            return found[-within_reach(mileages, wanted, far_km) :] if found else ()
         look_back *= 8
 
 

@@ -86,7 +86,8 @@ def _limit(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> float 
     mounting = wheelset.mounting or max(unit.registry.mountings(wheelset.serial), key=lambda m: m.from_ns, default=None)
     if mounting is None:
         return None
-    return book.rule(ConicityLimitRule).limit_for(unit.registry.vehicle(mounting.vehicle))
+    vehicle = unit.registry.vehicle(mounting.vehicle)
+    return book.of(wheelset.fleet, vehicle.vehicle_class).rule(ConicityLimitRule).limit_for(vehicle)
 
 
 def _digest(records: Sequence[GeometryRecord], limit: float, params: TrendParameters) -> str:

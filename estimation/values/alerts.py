@@ -78,7 +78,7 @@ class Finding:
     """The result of one rule for one wheelset at one time; ``breached`` is None where the data do not decide.
 
     ``stands`` is whether an alert stands by all data in vehicle time; where None, evaluations are counted. ``since_ns``
-    is when it was raised by them.
+    is when it was raised by them. ``mileage_km`` is that of the data, for delays in kilometres.
     """
 
     wheelset: str
@@ -94,6 +94,7 @@ class Finding:
     measured_ns: int
     stands: bool | None = None
     since_ns: int | None = None
+    mileage_km: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,6 +43,8 @@ UNEXPLAINED = {"reason": None, "reason_code": None}
 DELAYS = {
     "on_evaluations": 1,
     "off_evaluations": 2,
+    "on_delay_km": None,
+    "off_delay_km": None,
     "acknowledgement_days": 90.0,
     "clear_seen": 0,
     "counted_at": "2026-01-01T00:00:00.123456789Z",

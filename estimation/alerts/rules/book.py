@@ -6,6 +6,8 @@ combinations of speed and equivalent conicity at which EN 14363 asks for stabili
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, TypeVar
 
@@ -22,6 +24,8 @@ from estimation.alerts.rules.sensor_fault import SensorFaultRule
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule
 from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule
 
+SHIPPED = "shipped"  # name of the rules where no file changes them
+DIGEST_LETTERS = 12
 Rule = TypeVar("Rule", bound=AlertRule)
 
 ALERT_RULES: tuple[type[AlertRule], ...] = (
@@ -47,10 +51,45 @@ class AlarmFloodRule:
 
 @dataclass(frozen=True, slots=True)
 class RuleBook:
-    """One rule of every type; ``RuleBook()`` holds the shipped defaults."""
+    """One rule of every type; ``RuleBook()`` holds the shipped defaults.
+
+    Attributes
+    ----------
+    rules, alarm_flood
+        What holds where nothing else is said.
+    name
+        What the operator calls this version of the rules.
+    scoped
+        The books of fleets and classes, by (fleet, class) with None for any other: of every pair of a fleet and a class
+        that are named, so that one look-up decides. They have no scopes themselves.
+    """
 
     rules: tuple[AlertRule, ...] = field(default_factory=lambda: tuple(rule() for rule in ALERT_RULES))
     alarm_flood: AlarmFloodRule = field(default_factory=AlarmFloodRule)
+    name: str = ""
+    scoped: Mapping[tuple[str | None, str | None], RuleBook] = field(default_factory=dict)
+
+    @property
+    def version(self) -> str:
+        """Return what an alert keeps of the rules that raised it: their name, and a digest of all that they set."""
+        scoped = sorted(((scope, book.rules, book.alarm_flood) for scope, book in self.scoped.items()), key=repr)
+        digest = hashlib.sha256(repr((self.rules, self.alarm_flood, scoped)).encode()).hexdigest()[:DIGEST_LETTERS]
+        shipped = self.name or ("unnamed" if self != RuleBook() else SHIPPED)
+        return f"{shipped} {digest}"
+
+    def of(self, fleet: str, vehicle_class: str | None) -> RuleBook:
+        """Return the rules of the vehicles of a class in a fleet.
+
+        Parameters
+        ----------
+        fleet
+            Its code.
+        vehicle_class
+            Code; None where it is not known.
+        """
+        named_fleet = fleet if any(one == fleet for one, _ in self.scoped) else None
+        named_class = vehicle_class if any(one == vehicle_class for _, one in self.scoped) else None
+        return self.scoped.get((named_fleet, named_class), self)
 
     def with_rules(self, *rules: AlertRule) -> RuleBook:
         """Return a book with these rules in place of those of their types, or added to them.

@@ -60,6 +60,7 @@ class ConicityLimitRule(AlertRule):
 
     kind: ClassVar[str] = "conicity_limit"
     limit_unit: ClassVar[str] = "1"
+    counts_km: ClassVar[bool] = True
     of_wear: ClassVar[bool] = True
 
     raise_probability: Probability = 0.9

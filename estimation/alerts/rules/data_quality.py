@@ -31,7 +31,11 @@ class DataQualityRule(AlertRule):
 
     kind: ClassVar[str] = "data_quality"
     limit_unit: ClassVar[str] = "windows"
-    relations: ClassVar[Sequence[tuple[str, str, str]]] = (("raise_windows", "<=", "latest_windows"),)
+    counts_km: ClassVar[bool] = True
+    relations: ClassVar[Sequence[tuple[str, str, str]]] = (
+        ("raise_windows", "<=", "latest_windows"),
+        ("minimum_windows", "<=", "latest_windows"),
+    )
 
     latest_windows: Annotated[int, Interval(ge=1, le=1000)] = 10
     raise_windows: WindowCount = 2

@@ -32,10 +32,12 @@ class HuntingRule(AlertRule):
 
     kind: ClassVar[str] = "hunting"
     limit_unit: ClassVar[str] = "windows"
+    counts_km: ClassVar[bool] = True
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (
         ("raise_windows", "<=", "latest_windows"),
         ("critical_windows", "<=", "latest_windows"),
         ("critical_windows", ">=", "raise_windows"),
+        ("minimum_windows", "<=", "latest_windows"),
     )
 
     latest_windows: Annotated[int, Interval(ge=1, le=1000)] = 20

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import chain
@@ -10,10 +10,11 @@ from itertools import chain
 import numpy as np
 
 from estimation.alerts.rules.rule import AlertDelays, WheelsetFacts
-from estimation.alerts.rules.standing import began, latest_run
+from estimation.alerts.rules.standing import began, latest_run, reach_km, within_reach
 from estimation.trend.points import conicity_points
 from estimation.trend.trend import TrendParameters, TrendPoint, refresh
 from estimation.values.alerts import Finding
+from estimation.values.geometry import GeometryRecord
 from estimation.values.trend import TrendRecord, WearTrend
 
 LOOK_BACK = 24  # intervals of mileage: what was earlier raises nothing any more
@@ -34,15 +35,18 @@ def with_standing(
         Finding of facts; None where the rule does not apply.
     facts
         Of one wheelset; without ``intervals`` the finding leaves open whether an alert stands. The newest
-        ``LOOK_BACK`` intervals count.
+        ``LOOK_BACK`` intervals count, with delays in kilometres also those of the last ``reach_km``.
     delays
-        Intervals before it is raised and cleared.
+        How long before it is raised and cleared.
     """
     now = find(facts)
-    if now is None or not facts.intervals:
+    if now is None:
+        return None
+    now = replace(now, mileage_km=None if facts.geometry is None else facts.geometry.mileage_km)
+    if not facts.intervals:
         return now
     read: list[Finding] = []
-    deciding = _deciding(find, facts, read)
+    deciding = _deciding(find, facts, read, delays)
     standing = latest_run(deciding, delays)
     if not read:
         return now
@@ -54,21 +58,39 @@ def with_standing(
 
 
 def _deciding(
-    find: Callable[[WheelsetFacts], Finding | None], facts: WheelsetFacts, read: list[Finding]
+    find: Callable[[WheelsetFacts], Finding | None],
+    facts: WheelsetFacts,
+    read: list[Finding],
+    delays: AlertDelays,
 ) -> Iterator[Finding]:
-    """Yield the findings that decide, newest first, and keep what was read."""
-    for one in _newest_first(facts):
+    """Yield the findings that decide, newest first, each at the mileage of its interval, and keep what was read."""
+    intervals = facts.intervals[-counting(facts, delays) :]
+    for record, one in zip(reversed(intervals), _newest_first(facts, intervals), strict=True):
         found = find(one)
         if found is not None and found.breached is not None:
+            found = replace(found, mileage_km=record.mileage_km)
             read.append(found)
             yield found
 
 
-def _newest_first(facts: WheelsetFacts) -> Iterator[WheelsetFacts]:
+def counting(facts: WheelsetFacts, delays: AlertDelays) -> int:
+    """Return how many of the newest intervals count.
+
+    Parameters
+    ----------
+    facts
+        Of one wheelset.
+    delays
+        Those in kilometres may reach further back.
+    """
+    return within_reach([record.mileage_km for record in facts.intervals], LOOK_BACK, reach_km(delays))
+
+
+def _newest_first(facts: WheelsetFacts, intervals: Sequence[GeometryRecord]) -> Iterator[WheelsetFacts]:
     """Yield the facts as they are, and as they were after each earlier interval, had all earlier data been there."""
     yield replace(facts, not_assessable_reason=None)
     shared_std: float | None = None
-    for record in reversed(facts.intervals[-LOOK_BACK:-1]):
+    for record in reversed(intervals[:-1]):
         trend = None
         if facts.current_trend is not None and facts.current_trend.trend.not_comparable is None:
             if shared_std is None:

@@ -32,6 +32,7 @@ class LimitForecastRule(AlertRule):
 
     kind: ClassVar[str] = "limit_forecast"
     limit_unit: ClassVar[str] = "km"
+    counts_km: ClassVar[bool] = True
     of_wear: ClassVar[bool] = True
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (("clear_within_km", ">=", "within_km"),)
 

@@ -31,6 +31,7 @@ Share = Annotated[float, Interval(ge=0.0, le=1.0)]
 Days = Annotated[float, Interval(ge=0.01, le=3650.0)]
 Evaluations = Annotated[int, Interval(ge=1, le=1000)]
 WindowCount = Annotated[int, Interval(ge=1, le=1_000_000)]
+Kilometres = Annotated[float, Interval(ge=0.0, le=100_000.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +41,16 @@ class AlertDelays:
     An evaluation is one in vehicle time: after a window, or after an interval of mileage for what rests on geometries.
     How often the job ran does not count. Only where nothing is kept of earlier data (geometries without intervals) runs
     count, each with newer data than the last one.
+
+    A delay in kilometres stands in place of that in evaluations: from the first finding that breaches (or is beyond the
+    clear limit) to the last, none between them saying otherwise, the wheelset has run as far. 0 counts evaluations.
     """
 
     on_evaluations: Evaluations = 1
     off_evaluations: Evaluations = 2
     acknowledgement_days: Days = 90.0  # after which an acknowledgement ends by itself
+    on_delay_km: Kilometres = 0.0
+    off_delay_km: Kilometres = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,6 +100,8 @@ class AlertRule(ABC):
         It judges the profile: its alerts end with a reprofiling, and it is asked with ``not_assessable_reason``.
     hides_wear
         Why the profile cannot be judged while this rule is breached; empty where it can.
+    counts_km
+        Its findings have a mileage, so that its delays may be in kilometres.
     relations
         Fields of which one limits another, each as (field, "<=" or ">=", field).
     enabled, delays
@@ -104,6 +112,7 @@ class AlertRule(ABC):
     limit_unit: ClassVar[str]
     of_wear: ClassVar[bool] = False
     hides_wear: ClassVar[Reason | None] = None
+    counts_km: ClassVar[bool] = False
     relations: ClassVar[Sequence[tuple[str, str, str]]] = ()
 
     enabled: bool = True

@@ -33,8 +33,12 @@ class SensorFaultRule(AlertRule):
 
     kind: ClassVar[str] = "sensor_fault"
     limit_unit: ClassVar[str] = "1"
+    counts_km: ClassVar[bool] = True
     hides_wear: ClassVar[Reason | None] = Reason(ReasonCode.SENSOR_FAULTY, "the sensor is faulty")
-    relations: ClassVar[Sequence[tuple[str, str, str]]] = (("clear_share", "<=", "raise_share"),)
+    relations: ClassVar[Sequence[tuple[str, str, str]]] = (
+        ("clear_share", "<=", "raise_share"),
+        ("minimum_windows", "<=", "latest_windows"),
+    )
 
     latest_windows: Annotated[int, Interval(ge=1, le=1000)] = 20
     minimum_windows: WindowCount = 3

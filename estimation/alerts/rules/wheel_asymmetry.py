@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import ndtr
 
-from estimation.alerts.rules.intervals import LOOK_BACK
+from estimation.alerts.rules.intervals import counting
 from estimation.alerts.rules.rule import (
     AlertRule,
     Probability,
@@ -26,6 +26,7 @@ from estimation.alerts.rules.rule import (
     too_few_windows,
     unknown_evidence,
 )
+from estimation.alerts.rules.standing import Standing
 from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
@@ -44,6 +45,7 @@ class WheelAsymmetryRule(AlertRule):
 
     kind: ClassVar[str] = "wheel_asymmetry"
     limit_unit: ClassVar[str] = "mm"
+    counts_km: ClassVar[bool] = True
     of_wear: ClassVar[bool] = True
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (
         ("offset_clear_mm", "<=", "offset_limit_mm"),
@@ -63,19 +65,19 @@ class WheelAsymmetryRule(AlertRule):
         if facts.geometry is None:
             return None
         if not facts.intervals:
-            return self._of(facts, facts.geometry, _raised_by(facts.open_alerts), facts.not_assessable_reason)
-        since_ns, counted, blamed = None, 0, list[str]()
-        for record in (*facts.intervals[-LOOK_BACK:-1], facts.geometry):
-            found = self._of(facts, record, blamed)
+            now = self._of(facts, facts.geometry, _raised_by(facts.open_alerts), facts.not_assessable_reason)
+            return replace(now, mileage_km=facts.geometry.mileage_km)
+        standing, blamed = Standing(), list[str]()
+        counted = facts.intervals[-counting(facts, self.delays) :]
+        for interval in counted:
+            record = facts.geometry if interval is counted[-1] else interval
+            found = replace(self._of(facts, record, blamed), mileage_km=interval.mileage_km)
             if found.breached is None:
                 continue
-            towards = found.breached if since_ns is None else bool(found.cleared)
-            counted = counted + 1 if towards else 0
-            if counted >= (self.delays.on_evaluations if since_ns is None else self.delays.off_evaluations):
-                since_ns, counted = found.measured_ns if since_ns is None else None, 0
-            blamed = [] if since_ns is None else _names(found.evidence.get("raised_by"))
+            standing = standing.after(found, self.delays)
+            blamed = [] if standing.since_ns is None else _names(found.evidence.get("raised_by"))
         now = self._of(facts, facts.geometry, blamed, facts.not_assessable_reason)
-        return replace(now, stands=since_ns is not None, since_ns=since_ns)
+        return replace(now, stands=standing.since_ns is not None, since_ns=standing.since_ns)
 
     def _of(
         self, facts: WheelsetFacts, record: GeometryRecord, raised_by: Sequence[str], reason: Reason | None = None

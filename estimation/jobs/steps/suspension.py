@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.standing import latest_run, raised_at
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
 from estimation.jobs.job import JobContext
@@ -73,21 +74,26 @@ def store_suspension(
     return known
 
 
-def shown_by_wheelset(unit: UnitOfWork, rule: SuspensionChangeRule) -> Mapping[str, SuspensionShown]:
+def shown_by_wheelset(unit: UnitOfWork, book: RuleBook) -> Mapping[str, SuspensionShown]:
     """Return what is shown of all vehicles, each at the wheelset of the vehicle's first axle that has one.
 
     Parameters
     ----------
     unit
         Findings and the registry are read.
-    rule
-        What counts as now, what friction may do, and what raises and clears.
+    book
+        What counts as now and what friction may do, the same for all; what raises and clears, by fleet and class.
     """
-    p = rule.parameters
+    p = book.rule(SuspensionChangeRule).parameters
     histories = suspension_histories(unit.suspensions.newest(p.recent + p.most_past), p)
     mounted = {one.mounting.vehicle for one in unit.registry.wheelsets() if one.mounting is not None}
-    known = {code: histories.get(code, iter(())) for code in mounted}
-    return {serial: _shown(rule, serial, history) for serial, history in at_first_axles(unit, known).items()}
+    known = {code: (code, histories.get(code, iter(()))) for code in mounted}
+    shown = {}
+    for serial, (code, history) in at_first_axles(unit, known).items():
+        vehicle = unit.registry.vehicle(code)
+        rule = book.of(vehicle.fleet, vehicle.vehicle_class).rule(SuspensionChangeRule)
+        shown[serial] = _shown(rule, serial, history)
+    return shown
 
 
 def _shown(rule: SuspensionChangeRule, serial: str, history: Iterator[SuspensionChange]) -> SuspensionShown:

@@ -270,8 +270,9 @@ def test_probabilities_are_published_with_the_digits_they_are_worth() -> None:
     near = forecast(at_km(10_000.0, 17_000.0, 90_000.0))
     assert near.probability == 0.52  # 0.5 + 0.4 * 3 / 73
     assert near.evidence["distance_to_limit_km"] == {"p10": 10_000.0, "p50": 17_000.0, "p90": 90_000.0}
-    dated = forecast(replace(trend_of(), date_of_limit_ns=Forecast(1234567.0, None, None)))
-    assert dated.evidence["date_of_limit_ns"] == {"p10": 1234570.0, "p50": None, "p90": None}
+    second = 1_000_000_000
+    dated = forecast(replace(trend_of(), date_of_limit_ns=Forecast(1.5 * second + 1.0, 2.0**63, None)))
+    assert dated.evidence["date_of_limit_ns"] == {"p10": 2 * second, "p50": None, "p90": None}
 
 
 def test_evidence_has_no_float_noise() -> None:
