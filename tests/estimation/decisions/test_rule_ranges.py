@@ -42,6 +42,8 @@ DELAYS = {
     "delays.on_evaluations": Range(1, 1000, whole=True),
     "delays.off_evaluations": Range(1, 1000, whole=True),
     "delays.acknowledgement_days": Range(0.01, 3650.0),
+    "delays.on_delay_km": Range(0.0, 100_000.0),
+    "delays.off_delay_km": Range(0.0, 100_000.0),
 }
 RANGES: dict[str, dict[str, Range]] = {
     "conicity_limit": {
