@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from http import HTTPStatus
 
 from fastapi import APIRouter, Depends, Request, Response
 
 from api import cursors
+from api.access.caller import Caller, CallerDep
 from api.access.scopes import Scope, requires
 from api.answers import DEFAULT_LIMIT, Cursor, IdempotencyKey, IfNoneMatch, Limit, answer, answer_page, operation
 from api.idempotency import idempotent_post
@@ -15,41 +17,65 @@ from api.problems import described
 from api.schemas import jobs
 from api.schemas.common import Page
 from api.services import Services, ServicesDep, writer_slot
+from estimation.values.runs import JobRun
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
 
-def _job(services: Services, name: str) -> jobs.Job:
+FOR_ALL_FLEETS = "the message is shown to keys of all fleets"
+
+
+def _seen(run: JobRun, caller: Caller) -> JobRun:
+    """Return a run; without its counts and its message, which are of all fleets, for a caller who is bound to some."""
+    if caller.fleets is None:
+        return run
+    return replace(run, counts={}, error=None if run.error is None else FOR_ALL_FLEETS)
+
+
+def _job(services: Services, caller: Caller, name: str) -> jobs.Job:
     found = services.job(name)
     with services.storage.read() as unit:
         last = next(iter(unit.jobs.page(name, None, 1)), None)
-    return jobs.job(found.name, found.description, found.every_s, last)
+    return jobs.job(found.name, found.description, found.every_s, None if last is None else _seen(last, caller))
 
 
 @router.get("/jobs", response_model=Page[jobs.Job], responses=described(400))
-def list_jobs(request: Request, services: ServicesDep, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT) -> Response:
+def list_jobs(
+    request: Request, services: ServicesDep, caller: CallerDep, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
+) -> Response:
     """List the jobs with their last runs, in the order of their names."""
     after = cursors.decode_text(operation(request), {}, cursor)
     names = [name for name in sorted(services.jobs) if after is None or name > after]
-    return answer_page(request, {}, limit, names[: limit + 1], lambda name: name, lambda name: _job(services, name))
+    return answer_page(
+        request, {}, limit, names[: limit + 1], lambda name: name, lambda name: _job(services, caller, name)
+    )
 
 
 @router.get("/jobs/{name}", response_model=jobs.Job, responses=described(404))
-def get_job(request: Request, services: ServicesDep, name: Code, _held: IfNoneMatch = None) -> Response:
+def get_job(
+    request: Request, services: ServicesDep, caller: CallerDep, name: Code, _held: IfNoneMatch = None
+) -> Response:
     """Return one job with its last run."""
-    return answer(request, _job(services, name))
+    return answer(request, _job(services, caller, name))
 
 
 @router.get("/jobs/{name}/runs", response_model=Page[jobs.JobRun], responses=described(400, 404))
 def list_job_runs(
-    request: Request, services: ServicesDep, name: Code, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
+    request: Request,
+    services: ServicesDep,
+    caller: CallerDep,
+    name: Code,
+    cursor: Cursor = None,
+    limit: Limit = DEFAULT_LIMIT,
 ) -> Response:
     """List the runs of a job, newest first."""
     filters = {"job": services.job(name).name}
     before = cursors.decode_number(operation(request), filters, cursor)
     with services.storage.read() as unit:
         rows = unit.jobs.page(name, before, limit + 1)
-    return answer_page(request, filters, limit, rows, lambda record: record.run_id, jobs.run)
+    return answer_page(
+        request, filters, limit, rows, lambda record: record.run_id, lambda record: jobs.run(_seen(record, caller))
+    )
 
 
 @router.post(
@@ -60,7 +86,7 @@ def list_job_runs(
     dependencies=[Depends(requires(Scope.ACT)), Depends(writer_slot)],
 )
 def run_job_now(
-    request: Request, services: ServicesDep, name: Code, idempotency_key: IdempotencyKey = None
+    request: Request, services: ServicesDep, caller: CallerDep, name: Code, idempotency_key: IdempotencyKey = None
 ) -> Response:
     """Run a job now, in the background; `Location` is where its run can be watched."""
     job = services.job(name)
@@ -69,15 +95,17 @@ def run_job_now(
         earlier = post.earlier(request, unit)
     if earlier is not None:
         return earlier
-    body = jobs.run(services.runner.start(job))
+    body = jobs.run(_seen(services.runner.start(job), caller))
     with services.storage.write() as unit:
         post.remember(unit, HTTPStatus.ACCEPTED, body, services.clock.now_ns())
     return answer(request, body, status=HTTPStatus.ACCEPTED, headers={"Location": body.links["self"]})
 
 
 @router.get("/job-runs/{run_id}", response_model=jobs.JobRun, responses=described(404))
-def get_job_run(request: Request, services: ServicesDep, run_id: Number, _held: IfNoneMatch = None) -> Response:
+def get_job_run(
+    request: Request, services: ServicesDep, caller: CallerDep, run_id: Number, _held: IfNoneMatch = None
+) -> Response:
     """Return one run of a job."""
     with services.storage.read() as unit:
         found = unit.jobs.get(run_id)
-    return answer(request, jobs.run(found))
+    return answer(request, jobs.run(_seen(found, caller)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
@@ -14,9 +15,25 @@ from api.schemas import tracks
 from api.schemas.common import Page
 from api.services import ServicesDep
 from estimation.errors import NotFoundError
+from estimation.values.json_value import JsonValue
+from estimation.values.track import TrackReport
+from fleet_db.storage import SqlUnitOfWork
 
 router = APIRouter(prefix="/v1/track-sections", tags=["track sections"])
 Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]
+
+
+def _seen(unit: SqlUnitOfWork, report: TrackReport | None) -> TrackReport | None:
+    """Return a report without the journeys of vehicles that the caller does not see: all fleets share a section."""
+    if report is None:
+        return None
+    journeys = report.report.get("journeys")
+    named = {one["vehicle"] for one in journeys if isinstance(one, dict)} if isinstance(journeys, list) else set()
+    hidden = named - unit.registry.visible_vehicles(sorted(map(str, named)))
+    if not hidden or not isinstance(journeys, list):
+        return report
+    kept: list[JsonValue] = [one for one in journeys if isinstance(one, dict) and one["vehicle"] not in hidden]
+    return replace(report, report={**report.report, "journeys": kept})
 
 
 @router.get("", response_model=Page[tracks.TrackSection], responses=described(400))
@@ -51,7 +68,7 @@ def get_alignment(
             what = code if version is None else f"{code} version {version}"
             raise NotFoundError("alignment of track section", what)
         (record,) = unit.tracks.versions(code, found.version - 1, 1)
-        report = unit.tracks.report(code, found.version)
+        report = _seen(unit, unit.tracks.report(code, found.version))
     return answer(request, tracks.alignment(found, record, report))
 
 
@@ -73,7 +90,7 @@ def get_alignment_report(request: Request, services: ServicesDep, code: Code, _h
     """Return what the last run of the alignment job found of the section, also where it found nothing."""
     with services.storage.read() as unit:
         unit.tracks.section(code)
-        found = unit.tracks.report(code)
+        found = _seen(unit, unit.tracks.report(code))
     if found is None:
         raise NotFoundError("alignment report yet of track section", code)
     return answer(request, tracks.report(found))

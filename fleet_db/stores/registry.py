@@ -78,6 +78,10 @@ class RegistryStore:
             raise NotFoundError("vehicle", code)
         return found[0]
 
+    def visible_vehicles(self, codes: Sequence[str]) -> set[str]:
+        """Return which of these codes are those of vehicles that this transaction sees."""
+        return set(self.connection.scalars(select(VEHICLES.c.code).where(VEHICLES.c.code.in_(codes))))
+
     def vehicles_page(self, fleet: str | None, after: str | None, limit: int) -> Sequence[VehicleRecord]:
         """Return at most ``limit`` vehicles with a code behind ``after``."""
         statement = _in_fleet(select(VEHICLES), VEHICLES.c.fleet, fleet)

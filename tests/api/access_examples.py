@@ -1,0 +1,116 @@
+"""What the test of access sends to each operation; a new operation of a new shape needs an example here.
+
+The database is that of ``api_fleet``, whose fleets are foreign to the caller, and a fleet of the caller's own. Each
+identifier of a foreign object has one beside it that names nothing: the answers to both must be the same.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import api_fleet
+
+from estimation.storage import Storage
+from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
+from estimation.values.runs import JobOutcome, JobTrigger
+from fleet_db.storage import SqlStorage
+
+FLEET, VEHICLE, WHEELSET, ALERT = "own", "OWN-V", "OWN-WS", "own alert"
+FOREIGN_ALERT = "foreign alert"
+MARKERS = re.compile(rb"WS-0\d\d|\bV-[0-2]\b|alpha|=beta|Alpha railway|=1\+1")
+"""Whatever stands in the database of the foreign fleets and nowhere else."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """An object of a foreign fleet, a name of nothing, and an object of the caller's own."""
+
+    foreign: str
+    missing: str
+    own: str
+
+
+PATHS: Mapping[str, Named | str] = {
+    "/v1/alerts/{alert_id}": Named(FOREIGN_ALERT, "987654321", ALERT),
+    "/v1/fleets/{code}": Named("alpha", "gamma", FLEET),
+    "/v1/vehicles/{code}": Named("V-0", "V-9", VEHICLE),
+    "/v1/wheelsets/{serial}": Named("WS-000", "WS-999", WHEELSET),
+    "/v1/jobs/{name}": "estimate_windows",
+    "/v1/job-runs/{run_id}": "1",
+    "/v1/keys/{prefix}": "aaaaaaaa",
+    "/v1/track-sections/{code}": "S-3",
+    "/v1/vehicle-classes/{code}": "regional",
+}
+"""How a path begins, and what stands in it; a plain text is shared by all fleets, or of none."""
+DEEPER: Mapping[str, str] = {"measured_at": "2025-06-20T15:06:40Z"}
+"""Parameters behind the first, by name."""
+FILTERS: Mapping[str, Named] = {
+    "fleet": Named("alpha", "gamma", FLEET),
+    "vehicle": Named("V-0", "V-9", VEHICLE),
+    "wheelset": Named("WS-000", "WS-999", WHEELSET),
+    "fleet_alert": Named(FOREIGN_ALERT, "987654321", ALERT),
+}
+"""Query parameters that name an object."""
+NAMING_NOTHING = frozenset(
+    [
+        "after",
+        "alert_kind",
+        "alert_severity",
+        "as_of",
+        "condition",
+        "cursor",
+        "from",
+        "key_prefix",
+        "kind",
+        "limit",
+        "method",
+        "open",
+        "owner",
+        "reason_code",
+        "scope",
+        "sort",
+        "state",
+        "status",
+        "to",
+        "urgency",
+        "vehicle_class",
+        "version",
+    ]
+)
+"""Query parameters that name no object of a fleet."""
+BODIES: Mapping[str, Mapping[str, object]] = {
+    "acknowledge_alert": {"note": "seen"},
+    "add_external_ref": {"ref": "maximo:1"},
+    "add_reprofiling": {"reprofiled_at": "2025-07-20T00:00:00Z", "mileage_km": 10.0},
+    "create_key": {"owner": "stranger", "scopes": ["read"], "fleets": ["alpha"]},
+    "shelve_alert": {"until": "2100-01-01T00:00:00Z", "reason": "later"},
+    "unshelve_alert": {"note": "again"},
+}
+"""A valid body of every operation that takes one; it names foreign objects wherever it can name any."""
+WITHOUT_NAMES = frozenset(
+    {"acknowledge_alert", "add_external_ref", "add_reprofiling", "shelve_alert", "unshelve_alert"}
+)
+"""Operations whose body names no object."""
+
+
+def populate(storage: SqlStorage) -> Mapping[str, str]:
+    """Store the foreign fleets and the caller's own; return the numbers of the alerts."""
+    api_fleet.populate(storage)
+    _own(storage)
+    with storage.write() as unit:
+        run = unit.jobs.start("estimate_windows", JobTrigger.SCHEDULE, api_fleet.RECORDED + 100)
+        unit.jobs.finish(run.run_id, JobOutcome.FAILED, {"estimated": 3}, api_fleet.RECORDED + 200, "WS-000 of alpha")
+    own = api_fleet.raised(storage, WHEELSET, fleet=FLEET)
+    foreign = api_fleet.raised(storage, "WS-000")
+    return {ALERT: str(own.alert_id), FOREIGN_ALERT: str(foreign.alert_id)}
+
+
+def _own(storage: Storage) -> None:
+    record = api_fleet.wheelset(20)
+    mounting = Mounting(WHEELSET, VEHICLE, 1, api_fleet.START, None, 1.0, 2.0)
+    with storage.write() as unit:
+        unit.registry.add_fleet(FleetRecord(FLEET, "Own railway"))
+        unit.registry.add_vehicle(VehicleRecord(VEHICLE, FLEET, "regional", 4, 44.5, (0.0, 2.5, 17.0, 19.5)))
+        unit.registry.add_wheelset(replace(record, serial=WHEELSET, fleet=FLEET, mounting=mounting))
