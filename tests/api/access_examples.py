@@ -83,14 +83,39 @@ NAMING_NOTHING = frozenset(
 BODIES: Mapping[str, Mapping[str, object]] = {
     "acknowledge_alert": {"note": "seen"},
     "add_external_ref": {"ref": "maximo:1"},
+    "add_measured_profiles": {"measured_at": "2025-07-20T00:00:00Z"},
     "add_reprofiling": {"reprofiled_at": "2025-07-20T00:00:00Z", "mileage_km": 10.0},
     "create_key": {"owner": "stranger", "scopes": ["read"], "fleets": ["alpha"]},
+    "dismount_wheelset": {"dismounted_at": "2025-07-20T00:00:00Z"},
+    "exchange_wheelset": {
+        "fitted": "WS-001",
+        "exchanged_at": "2025-07-20T00:00:00Z",
+        "vehicle_odometer_km": 5000.0,
+        "fitted_mileage_km": 9.0,
+    },
+    "mount_wheelset": {
+        "vehicle": "V-0",
+        "axle": 4,
+        "mounted_from": "2025-07-20T00:00:00Z",
+        "vehicle_odometer_km": 5000.0,
+        "wheelset_mileage_km": 9.0,
+    },
     "shelve_alert": {"until": "2100-01-01T00:00:00Z", "reason": "later"},
     "unshelve_alert": {"note": "again"},
 }
-"""A valid body of every operation that takes one; it names foreign objects wherever it can name any."""
+"""A body of every operation that takes one; it names foreign objects wherever it can name any."""
+NOWHERE: Mapping[str, str] = {"WS-001": "WS-998", "V-0": "V-9", "alpha": "gamma"}
+"""Names of nothing for the foreign names in the bodies."""
 WITHOUT_NAMES = frozenset(
-    {"acknowledge_alert", "add_external_ref", "add_reprofiling", "shelve_alert", "unshelve_alert"}
+    [
+        "acknowledge_alert",
+        "add_external_ref",
+        "add_measured_profiles",
+        "add_reprofiling",
+        "dismount_wheelset",
+        "shelve_alert",
+        "unshelve_alert",
+    ]
 )
 """Operations whose body names no object."""
 
