@@ -17,6 +17,9 @@ from api import contract, docs_page, problems
 from api.access.guard import allow_pages, guard_of
 from api.access.plan import AccessPlan
 from api.access.scopes import authorise
+from api.feed.ending import ending
+from api.feed.places import WaitingPlaces
+from api.feed.watch import FeedWatch
 from api.head_requests import HeadMiddleware
 from api.http_limits import HttpLimits
 from api.metrics import RequestMeasures, StoredMeasures
@@ -27,6 +30,7 @@ from api.page import routes as page
 from api.routes import (
     accuracy,
     alert_actions,
+    alert_feed,
     alerts,
     audit,
     fleets,
@@ -60,6 +64,7 @@ RESOURCES = (
     geometry,
     accuracy,
     life,
+    alert_feed,  # before the alerts, whose path it would be taken for
     alerts,
     alert_actions,
     jobs,
@@ -137,11 +142,13 @@ def build_app(services: Services | None, limits: HttpLimits | None = None, acces
     app.state.document = committed_document()
     app.state.contracts = contract.contracts_of(orjson.loads(app.state.document))
     guard = guard_of(access or AccessPlan(), lambda: app.state.services.storage)
-    app.state.streams, app.state.access_book = guard.streams, guard.book
+    app.state.access_book = guard.book
+    limits = limits or HttpLimits()
+    app.state.feed_watch = FeedWatch(lambda: None if (ours := app.state.services) is None else ours.storage, ending)
+    app.state.waiting_places = WaitingPlaces(limits.streams, guard.streams)
+    registry.register(app.state.waiting_places)
     app.add_middleware(HeadMiddleware)
-    app.add_middleware(
-        RequestContextMiddleware, measures=RequestMeasures(registry), limits=limits or HttpLimits(), access=guard
-    )
+    app.add_middleware(RequestContextMiddleware, measures=RequestMeasures(registry), limits=limits, access=guard)
     allow_pages(app, guard.origins)
     return app
 

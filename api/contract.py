@@ -17,10 +17,14 @@ CSV = "text/csv"
 
 @dataclass(frozen=True, slots=True)
 class OperationContract:
-    """What one operation offers and takes: media types of success, best first, and names of query parameters."""
+    """What one operation offers and takes: media types of success, best first, and names of query parameters.
+
+    Those that are lists may be repeated.
+    """
 
     media_types: tuple[str, ...]
     query_parameters: frozenset[str]
+    repeatable: frozenset[str]
 
 
 Contracts = Mapping[tuple[str, str], OperationContract]
@@ -31,11 +35,20 @@ def contracts_of(document: Mapping[str, Any]) -> Contracts:
     return {
         (path, method.upper()): OperationContract(
             _media_types(operation),
-            frozenset(entry["name"] for entry in operation.get("parameters", ()) if entry["in"] == "query"),
+            frozenset(entry["name"] for entry in _in_query(operation)),
+            frozenset(entry["name"] for entry in _in_query(operation) if _is_list(entry["schema"])),
         )
         for path, operations in document["paths"].items()
         for method, operation in operations.items()
     }
+
+
+def _in_query(operation: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    return [entry for entry in operation.get("parameters", ()) if entry["in"] == "query"]
+
+
+def _is_list(schema: Mapping[str, Any]) -> bool:
+    return any(one.get("type") == "array" for one in (schema, *schema.get("anyOf", ())))
 
 
 def _media_types(operation: Mapping[str, Any]) -> tuple[str, ...]:
@@ -48,7 +61,8 @@ def _media_types(operation: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _refuse_unknown_parameters(request: Request, known: frozenset[str]) -> None:
+def _refuse_unknown_parameters(request: Request, contract: OperationContract) -> None:
+    known = contract.query_parameters
     names = [name for name, _ in request.query_params.multi_items()]
     items = [
         ProblemItem(part="query", pointer=pointer([name]), detail="there is no such parameter")
@@ -58,7 +72,7 @@ def _refuse_unknown_parameters(request: Request, known: frozenset[str]) -> None:
     items += [
         ProblemItem(part="query", pointer=pointer([name]), detail="may be given once only")
         for name in dict.fromkeys(names)
-        if name in known and names.count(name) > 1
+        if name in known - contract.repeatable and names.count(name) > 1
     ]
     if items:
         detail = f"query {items[0].pointer}: {items[0].detail}"
@@ -91,7 +105,7 @@ async def media_type(request: Request) -> str:
         offered = ", ".join(contract.media_types)
         raise ProblemError(HTTPStatus.NOT_ACCEPTABLE, "not-acceptable", f"offered: {offered}")
     _refuse_other_body(request)
-    _refuse_unknown_parameters(request, contract.query_parameters)
+    _refuse_unknown_parameters(request, contract)
     request.state.media_type = chosen
     return chosen
 

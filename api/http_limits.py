@@ -22,16 +22,22 @@ RESERVED_DESCRIPTORS = 64 + 5 * ACCEPTED_AT_ONCE
 
 @dataclass(frozen=True, slots=True)
 class HttpLimits:
-    """How long a request may take, until its body is there and until it is answered, and how large a body may be."""
+    """What a request may take: time until its body is there and until it is answered, size of the body.
+
+    ``streams`` is how many clients may wait for news, with a stream or a long poll.
+    """
 
     body_timeout_s: float = 30.0
     request_timeout_s: float = 60.0
     max_body_bytes: int = MAX_BODY_BYTES
+    streams: int = 500
 
 
 def limits_of(settings: Settings) -> HttpLimits:
     """Return the limits that a deployment sets."""
-    return HttpLimits(settings.body_timeout_s, settings.request_timeout_s, settings.max_body_kb << 10)
+    return HttpLimits(
+        settings.body_timeout_s, settings.request_timeout_s, settings.max_body_kb << 10, settings.max_streams
+    )
 
 
 def open_connections(wanted: int) -> int:

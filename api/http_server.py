@@ -29,6 +29,12 @@ class HttpServer(uvicorn.Server):
                 with listening.dup() as same:  # its queue need not be as short as what is accepted at once
                     same.listen(WAITING_TO_BE_ACCEPTED)
 
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End streams and long polls, then wait for what else is being answered."""
+        app: FastAPI = self.config.app  # type: ignore[assignment] # given by http_server, below
+        app.state.feed_watch.stop()
+        await super().shutdown(sockets)
+
 
 def http_server(app: FastAPI, settings: Settings) -> HttpServer:
     """Return the server of an app, which answers running requests before it ends on a signal.

@@ -6,7 +6,8 @@ import asyncio
 import re
 import time
 import uuid
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from http import HTTPMethod, HTTPStatus
 
 import structlog
@@ -23,6 +24,7 @@ ALWAYS_ANSWERED = "/healthz"
 WITHOUT_DATABASE = (ALWAYS_ANSWERED, "/metrics")
 """What is answered before the database has answered for the first time."""
 OTHER = "other"
+TURN = "treadwatch.turn"
 _METHODS = frozenset(HTTPMethod)
 _IDENTITY = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 _CLOSING = {"Connection": "close"}
@@ -70,6 +72,45 @@ class _Answer:
             headers["X-Request-Id"] = self._identity
             await self._before(message["status"], headers)
         await self._send(message)
+
+
+class Turn:
+    """The place of a request among those that are answered; one that waits for news gives it back meanwhile.
+
+    Parameters
+    ----------
+    count
+        Called with the change of how many are being answered.
+    """
+
+    def __init__(self, count: Callable[[int], None]) -> None:
+        self._count = count
+        self._waited_s = 0.0
+        self._began = time.monotonic()
+        self.waiting = False
+
+    @contextmanager
+    def given_back(self) -> Iterator[None]:
+        """Neither count the request nor its time."""
+        self._count(-1)
+        self.waiting, began = True, time.monotonic()
+        try:
+            yield
+        finally:
+            self._waited_s += time.monotonic() - began
+            self.waiting = False
+            self._count(1)
+
+    def left_s(self, timeout_s: float) -> float:
+        """Return how long the answer may still take; while it waits for news, how long until this is asked again."""
+        left = timeout_s - (time.monotonic() - self._began - self._waited_s)
+        return timeout_s if self.waiting else max(0.0, left)
+
+
+def turn_of(scope: Scope) -> Turn:
+    """Return the turn of the request of this scope."""
+    turn: Turn = scope[TURN]
+    return turn
 
 
 class RequestContextMiddleware:
@@ -132,11 +173,13 @@ class RequestContextMiddleware:
         if self._running >= REQUESTS and scope["path"] != ALWAYS_ANSWERED:
             detail = f"{REQUESTS} requests are being answered; try again"
             raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "1"})
+        turn = scope[TURN] = Turn(self._count)
         task = asyncio.ensure_future(self.app(scope, receive, answer.send))
         self._running += 1
         task.add_done_callback(self._ended)
         try:
-            await asyncio.wait({task}, timeout=self.limits.request_timeout_s)
+            while not task.done() and answer.status is None and (left_s := turn.left_s(self.limits.request_timeout_s)):
+                await asyncio.wait({task}, timeout=left_s)
         except asyncio.CancelledError:
             task.cancel()
             raise
@@ -148,6 +191,9 @@ class RequestContextMiddleware:
     def _refuse_without_database(self, scope: Scope) -> None:
         if scope["app"].state.services is None and scope["path"] not in WITHOUT_DATABASE:
             raise _waits_for_database()
+
+    def _count(self, change: int) -> None:
+        self._running += change
 
     def _ended(self, task: asyncio.Future[None]) -> None:
         self._running -= 1

@@ -16,9 +16,11 @@ RESPONSE_HEADERS: Mapping[str, str] = {
     "Retry-After": "Seconds after which to try again.",
     "Vary": "`Accept`: another media type is another representation.",
     "WWW-Authenticate": "How to authenticate (RFC 6750).",
+    "X-Accel-Buffering": "`no`: proxies hand each part on at once.",
     "X-Request-Id": "Name of this request in the log; that of the request's own `X-Request-Id` where it sent one.",
 }
 _REPRESENTATION = ("ETag", "Cache-Control", "Vary")
+_STREAM = ("Cache-Control", "X-Accel-Buffering")
 _OF_STATUS: Mapping[str, tuple[str, ...]] = {
     "200": _REPRESENTATION,
     "201": (*_REPRESENTATION, "Location"),
@@ -54,6 +56,8 @@ def describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[st
             parameter["schema"] = {"type": "string", "title": IF_MATCH, "examples": ['"9f86d081884c7d65"']}
     for status, response in operation["responses"].items():
         names = {"X-Request-Id", *_OF_STATUS.get(status, ())}
+        if "text/event-stream" in response.get("content", {}):
+            names = {"X-Request-Id", *_STREAM}
         if status.startswith("2") and method.upper() == HTTPMethod.POST:
             names.add("Idempotency-Replayed")
         if status == "200" and _is_page(response, schemas):

@@ -51,7 +51,7 @@ _OF_STATUS: Mapping[str, str] = {
     "500": "internal-error",
     "503": "not-ready",
 }
-_FEED = "poll_alert_feed"
+_FEED = ("poll_alert_feed", "stream_alert_feed")
 _POINTED = [{"in": "query", "pointer": "#/limit", "detail": "Input should be less than or equal to 1000"}]
 
 
@@ -72,7 +72,7 @@ def describe_problems(path: str, operation: dict[str, Any]) -> None:
 
 
 def _example(path: str, status: str, name: str) -> dict[str, Any]:
-    kind = "cursor-of-another-database" if (name, status) == (_FEED, "409") else _OF_STATUS.get(status)
+    kind = "cursor-of-another-database" if name in _FEED and status == "409" else _OF_STATUS.get(status)
     example: dict[str, Any] = {
         "type": "about:blank" if kind is None else f"urn:treadwatch:problem:{kind}",
         "title": HTTPStatus(int(status)).phrase if kind is None else TYPES[kind],

@@ -1,4 +1,4 @@
-"""Alerts and their feed."""
+"""Alerts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
-from api import cursors, feed_cursors
+from api import cursors
 from api.answers import (
     DEFAULT_LIMIT,
     Cursor,
@@ -14,7 +14,6 @@ from api.answers import (
     Limit,
     answer,
     answer_page,
-    next_path,
     operation,
 )
 from api.known import require_known
@@ -33,7 +32,6 @@ MemberOf = Annotated[
     int | None, Query(ge=1, le=2**63 - 1, description="Only members of the fleet alert with this `id`.", examples=[1])
 ]
 OpenOnly = Annotated[bool, Query(alias="open", description="Only alerts that are not closed.")]
-After = Annotated[str | None, Query(description="`next_cursor` of the last poll; left out, from the beginning.")]
 
 
 @router.get("", response_model=Page[alerts.Alert], responses=described(400, 404))
@@ -79,27 +77,6 @@ def list_alerts(
     return answer_page(
         request, filters, limit, rows, lambda record: record.alert_id, lambda record: alerts.alert(record, now_ns)
     )
-
-
-@router.get("/feed", response_model=alerts.Feed, responses=described(400, 409))
-def poll_alert_feed(
-    request: Request, services: ServicesDep, after: After = None, limit: Limit = DEFAULT_LIMIT
-) -> Response:
-    """Return what happened to alerts, in commit order; keep `next_cursor` and poll with it, nothing is missed.
-
-    A fleet alert stands for members that were raised with it; what happens to those is in their own `events`. A cursor
-    from before the database was restored is refused (409) where its history has changed, with where to go on.
-    """
-    name = operation(request)
-    given = feed_cursors.decode(name, after)
-    with services.storage.read() as unit:
-        last = feed_cursors.position(unit, name, request.scope["path"], given)
-        found = unit.alerts.feed(0 if last is None else last.sequence, limit)
-        branch = unit.feed_branches.all()[-1]
-    cursor = feed_cursors.encode(name, branch, found[-1] if found else last)
-    path = next_path(request, "after", cursor)
-    body = alerts.Feed(items=[alerts.event(record) for record in found], next_cursor=cursor, next=path)
-    return answer(request, body, headers={"Link": f'<{path}>; rel="next"'})
 
 
 @router.get("/{alert_id}", response_model=alerts.Alert, responses=described(404))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -88,12 +88,58 @@ class AlertStore:
             statement = statement.where(ALERTS.c.alert_id > after_id)
         return self._alerts(statement.order_by(ALERTS.c.alert_id).limit(limit))
 
-    def feed(self, after_sequence: int, limit: int) -> Sequence[AlertEvent]:
+    def feed(
+        self,
+        after_sequence: int,
+        limit: int,
+        *,
+        fleets: Collection[str] = (),
+        kinds: Collection[str] = (),
+        severities: Collection[str] = (),
+    ) -> Sequence[AlertEvent]:
         """Return at most ``limit`` events behind ``after_sequence``, in commit order; none ever appears before it.
 
         Without those of members that were raised with their fleet alert, which stands for them here.
+
+        Parameters
+        ----------
+        after_sequence
+            Number of the last event known.
+        limit
+            How many at most.
+        fleets, kinds
+            Only of these, where there are some.
+        severities
+            Only of alerts that have had one of these until then, where there are some: an alert that was listed is
+            followed to its end, also when it becomes less urgent.
         """
-        return self._events(select(EVENTS).where(EVENTS.c.sequence > after_sequence, EVENTS.c.in_feed).limit(limit))
+        statement = select(EVENTS).where(EVENTS.c.sequence > after_sequence, EVENTS.c.in_feed).limit(limit)
+        for column, wanted in ((ALERTS.c.fleet, fleets), (ALERTS.c.kind, kinds)):
+            if wanted:
+                of_them = select(ALERTS.c.alert_id).where(column.in_(sorted(wanted)))
+                statement = statement.where(EVENTS.c.alert_id.in_(of_them))
+        if severities:
+            earlier = EVENTS.alias()
+            has_had = select(earlier.c.sequence).where(
+                earlier.c.alert_id == EVENTS.c.alert_id,
+                earlier.c.sequence <= EVENTS.c.sequence,
+                earlier.c.alert["severity"].as_string().in_(sorted(severities)),
+            )
+            statement = statement.where(has_had.correlate(EVENTS).exists())
+        return self._events(statement)
+
+    def last_in_feed(self, up_to: int | None = None) -> AlertEvent | None:
+        """Return the newest event of the feed; None where there is none.
+
+        Parameters
+        ----------
+        up_to
+            Not behind this number; None for all.
+        """
+        statement = select(EVENTS).where(EVENTS.c.in_feed).order_by(EVENTS.c.sequence.desc()).limit(1)
+        if up_to is not None:
+            statement = statement.where(EVENTS.c.sequence <= up_to)
+        return next(iter(self._events(statement)), None)
 
     def event(self, sequence: int) -> AlertEvent | None:
         """Return the event of a number; None where there is none."""

@@ -17,6 +17,7 @@ from http import HTTPStatus
 import orjson
 
 from api import cursors
+from api.feed.filters import FeedFilter
 from api.problems import GoOn, ProblemError
 from estimation.values.alerts import AlertEvent
 from fleet_db.storage import SqlUnitOfWork
@@ -24,6 +25,8 @@ from fleet_db.stores.feed_branches import FeedBranch
 
 _FORM = re.compile(r"(?P<sequence>\d{1,19})\.(?P<identity>[0-9a-f]{32})\.(?P<check>[0-9a-f]{8})", re.ASCII)
 _NO_EVENT = "0" * 8
+FEED = "poll_alert_feed"
+"""Name of the operation that all cursors of the feed belong to, also those of its stream and its webhooks."""
 HOW_TO_GO_ON = "read what is open now from /v1/alerts?open=true, then follow `next`"
 
 
@@ -52,38 +55,38 @@ def check_of(event: AlertEvent | None) -> str:
     return hashlib.blake2b(facts, digest_size=4).hexdigest()
 
 
-def encode(operation: str, branch: FeedBranch, event: AlertEvent | None) -> str:
+def encode(narrowed: FeedFilter, branch: FeedBranch, event: AlertEvent | None) -> str:
     """Return the cursor behind an event.
 
     Parameters
     ----------
-    operation
-        Name of the feed's operation.
+    narrowed
+        The filter that it is bound to.
     branch
         The current one.
     event
         The last one seen; None at the beginning.
     """
     sequence = 0 if event is None else event.sequence
-    return cursors.encode(operation, {}, f"{sequence}.{branch.identity}.{check_of(event)}")
+    return cursors.encode(FEED, narrowed.bound, f"{sequence}.{branch.identity}.{check_of(event)}")
 
 
-def decode(operation: str, cursor: str | None) -> FeedCursor | None:
+def decode(narrowed: FeedFilter, cursor: str | None) -> FeedCursor | None:
     """Return what a cursor says; None without one.
 
     Parameters
     ----------
-    operation
-        Name of the feed's operation.
+    narrowed
+        The filter of the request.
     cursor
         As the client sent it.
 
     Raises
     ------
     ProblemError
-        400: it is none of the feed.
+        400: it is none of the feed under this filter.
     """
-    key = cursors.decode(operation, {}, cursor)
+    key = cursors.decode(FEED, narrowed.bound, cursor)
     if key is None:
         return None
     if isinstance(key, int) and not isinstance(key, bool) and 0 <= key < cursors.INT64:
@@ -94,15 +97,17 @@ def decode(operation: str, cursor: str | None) -> FeedCursor | None:
     return FeedCursor(int(form["sequence"]), form["identity"], form["check"])
 
 
-def position(unit: SqlUnitOfWork, operation: str, path: str, cursor: FeedCursor | None) -> AlertEvent | None:
+def position(unit: SqlUnitOfWork, narrowed: FeedFilter, path: str, cursor: FeedCursor | None) -> AlertEvent | None:
     """Return the event behind which the next poll begins; None at the beginning.
 
     Parameters
     ----------
     unit
         One snapshot of the database.
-    operation, path
-        Of the feed.
+    narrowed
+        The filter of the request.
+    path
+        Where to go on, with the filter.
     cursor
         Of the client; one of an earlier version belongs to the first branch.
 
@@ -119,7 +124,7 @@ def position(unit: SqlUnitOfWork, operation: str, path: str, cursor: FeedCursor 
         raise _of_another(path, "the cursor is of another database", None)
     shared = min((later.after_sequence for later in branches[place + 1 :]), default=None)
     if shared is not None and cursor.sequence > shared:
-        begin = encode(operation, branches[-1], unit.alerts.event(shared))
+        begin = encode(narrowed, branches[-1], unit.alerts.last_in_feed(shared))
         raise _of_another(path, "the cursor is of this database before it was restored", begin)
     event = unit.alerts.event(cursor.sequence)
     if (event is None and cursor.sequence) or cursor.check not in {None, check_of(event)}:
@@ -135,6 +140,7 @@ def _place(branches: Sequence[FeedBranch], cursor: FeedCursor) -> int | None:
 
 def _of_another(path: str, detail: str, begin: str | None) -> ProblemError:
     """Return the problem; ``begin`` is the cursor where the common history ends, None where nothing is known of it."""
-    go_on = GoOn(path if begin is None else f"{path}?after={begin}", begin)
+    separator = "&" if "?" in path else "?"
+    go_on = GoOn(path if begin is None else f"{path}{separator}after={begin}", begin)
     detail = f"{detail}: {HOW_TO_GO_ON}"
     return ProblemError(HTTPStatus.CONFLICT, "cursor-of-another-database", detail, go_on=go_on)

@@ -1,0 +1,1 @@
+"""The feed of alerts: filters, cursors, pages, and what waits for news."""

@@ -1,0 +1,78 @@
+"""Places for those who wait for news: so many in a process, and of one key what access allows."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+
+from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from api.access.caller import Caller
+from api.access.streams import StreamPlaces
+from api.problems import ProblemError
+
+TRY_AGAIN = {"Retry-After": "10"}
+
+
+class Waits(StrEnum):
+    """How a client waits."""
+
+    STREAM = "stream"
+    LONG_POLL = "long_poll"
+
+
+class WaitingPlaces(Collector):
+    """Counts who waits, refuses who would be too many, and shows it to Prometheus.
+
+    Parameters
+    ----------
+    limit
+        Of all in this process.
+    of_keys
+        Those of each key.
+    """
+
+    def __init__(self, limit: int, of_keys: StreamPlaces) -> None:
+        self._limit = limit
+        self._of_keys = of_keys
+        self._waiting: Counter[Waits] = Counter()
+
+    @contextmanager
+    def held(self, how: Waits, caller: Caller) -> Iterator[None]:
+        """Hold a place.
+
+        Parameters
+        ----------
+        how
+            The client waits.
+        caller
+            Whose client it is.
+
+        Raises
+        ------
+        ProblemError
+            503: the process has no more places; 429: the key has no more.
+        """
+        if sum(self._waiting.values()) >= self._limit:
+            detail = f"limit max_streams: {self._limit} clients wait for news; try again"
+            raise ProblemError(503, "overloaded", detail, headers=TRY_AGAIN)
+        with self._of_keys.place(caller):
+            self._waiting[how] += 1
+            try:
+                yield
+            finally:
+                self._waiting[how] -= 1
+
+    def describe(self) -> Iterable[Metric]:
+        """Return nothing that would have to be measured."""
+        return ()
+
+    def collect(self) -> Iterable[Metric]:
+        """Return the measures of now."""
+        family = GaugeMetricFamily("treadwatch_feed_waiting", "Clients that wait for news of the feed.", labels=["how"])
+        for how in Waits:
+            family.add_metric([how.value], self._waiting[how])
+        return [family]
