@@ -42,6 +42,8 @@ from api.routes import (
     measured_profiles,
     mountings,
     quarantine,
+    recording_corrections,
+    recordings,
     reprofilings,
     tracks,
     vehicle_classes,
@@ -72,6 +74,8 @@ RESOURCES = (
     quarantine,
     keys,
     audit,
+    recordings,
+    recording_corrections,
 )
 # Multi-row reads of SQLite slow each other down in threads: one thread to read, one that may wait to write.
 EMBEDDED_THREADS = 2

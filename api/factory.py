@@ -175,7 +175,14 @@ def upkeep_jobs(settings: Settings) -> tuple[Job, ...]:
     return (purge_job(retention_of(settings), _sql_storage),)
 
 
-def receiver(settings: Settings, storage: SqlStorage, clock: Clock, catalogues: Sequence[Path] = ()) -> Receiver:
+def receiver(
+    settings: Settings,
+    storage: SqlStorage,
+    clock: Clock,
+    catalogues: Sequence[Path] = (),
+    *,
+    deleted_taken_by: str | None = None,
+) -> Receiver:
     """Return what takes recordings in and makes their windows.
 
     Parameters
@@ -188,6 +195,8 @@ def receiver(settings: Settings, storage: SqlStorage, clock: Clock, catalogues: 
         Ours.
     catalogues
         Mapping files of buses of one's own; by default those of the settings.
+    deleted_taken_by
+        Who wants recordings that were deleted to be taken in again; None where they are refused.
 
     Raises
     ------
@@ -196,7 +205,14 @@ def receiver(settings: Settings, storage: SqlStorage, clock: Clock, catalogues: 
     """
     buses = [load_own_bus(path) for path in catalogues or settings.catalogue_files]
     chosen = claim(storage, bus_choice(default_catalogue(), buses), _length_ns(settings), clock.now_ns())
-    return Receiver(storage, raw_store(settings), chosen, clock, window_length_s=settings.window_length_s)
+    return Receiver(
+        storage,
+        raw_store(settings),
+        chosen,
+        clock,
+        window_length_s=settings.window_length_s,
+        deleted_taken_by=deleted_taken_by,
+    )
 
 
 def _length_ns(settings: Settings) -> int:
@@ -225,6 +241,7 @@ def open_services(settings: Settings) -> Services:
     context = job_context(settings, storage)
     one_reader = not settings.on_server
     return Services(
+        raw=raw_store(settings),
         storage=storage,
         clock=context.clock,
         jobs={job.name: job for job in (*scheduled_jobs(settings), *upkeep_jobs(settings))},

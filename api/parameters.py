@@ -26,8 +26,15 @@ MeasuredFrom = Annotated[Moment | None, Query(alias="from", description="Measure
 MeasuredTo = Annotated[Moment | None, Query(alias="to", description="Measured before this time.")]
 
 
-def require_order(from_ns: int | None, to_ns: int | None) -> None:
+def require_order(from_ns: int | None, to_ns: int | None, begin: str = "from", end: str = "to") -> None:
     """Refuse a range that ends before it begins; an empty one, `[t, t)`, is allowed.
+
+    Parameters
+    ----------
+    from_ns, to_ns
+        The range; None is open.
+    begin, end
+        Names of the parameters.
 
     Raises
     ------
@@ -35,8 +42,8 @@ def require_order(from_ns: int | None, to_ns: int | None) -> None:
         422.
     """
     if from_ns is not None and to_ns is not None and from_ns > to_ns:
-        item = ProblemItem(part="query", pointer="#/from", detail="is after `to`")
-        raise ProblemError(422, "invalid-request", "from is after to", [item])
+        item = ProblemItem(part="query", pointer=f"#/{begin}", detail=f"is after `{end}`")
+        raise ProblemError(422, "invalid-request", f"{begin} is after {end}", [item])
 
 
 def not_in_the_future(as_of_ns: int | None, now_ns: int) -> None:

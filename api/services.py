@@ -16,17 +16,19 @@ from api.writer_slots import WriterSlots
 from estimation.errors import NotFoundError
 from estimation.jobs.job import Job
 from estimation.storage import Clock
+from fleet_db.raw import RawStore
 from fleet_db.storage import SqlStorage
 
 
 @dataclass(frozen=True, slots=True)
 class Services:
-    """SqlStorage, time and jobs.
+    """Database, raw recordings, time and jobs.
 
     ``check`` raises where the database is unreachable or at another migration; ``close`` closes the storage.
     """
 
     storage: SqlStorage
+    raw: RawStore
     clock: Clock
     jobs: Mapping[str, Job]
     runner: JobRunner

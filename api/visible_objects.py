@@ -32,6 +32,11 @@ def _alert(unit: SqlUnitOfWork, alert_id: str) -> object:
     return unit.alerts.get(int(alert_id))
 
 
+def _recording(unit: SqlUnitOfWork, digest: str) -> None:
+    if unit.chunks.get(digest) is None:
+        raise NotFoundError("recording", digest)
+
+
 SHARED: Find = lambda _unit, _name: None  # noqa: E731 - a name for what needs no look
 FINDERS: Mapping[str, Find] = {
     "/v1/alerts/{alert_id}": _alert,
@@ -40,6 +45,7 @@ FINDERS: Mapping[str, Find] = {
     "/v1/wheelsets/{serial}": lambda unit, serial: unit.registry.wheelset(serial),
     "/v1/jobs/{name}": SHARED,
     "/v1/keys/{prefix}": SHARED,
+    "/v1/recordings/{digest}": _recording,
 }
 """How the first object in a path is found, by the template of the path up to it."""
 

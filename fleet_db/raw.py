@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,8 +85,27 @@ class RawStore:
                 write_atomically(path, data, durable=True)
         return digest
 
-    def put_file(self, source: Path) -> str:
+    def remove(self, digest: str, suffix: str) -> None:
+        """Remove a recording; one that is not there is removed already.
+
+        Raises
+        ------
+        PassingFaultError
+            Its file cannot be removed now.
+        """
+        path = self.path(digest, suffix)
+        with passing_faults(path):
+            path.unlink(missing_ok=True)
+
+    def put_file(self, source: Path, admit: Callable[[str], None] = lambda _digest: None) -> str:
         """Store the file ``source`` durably without holding it in memory; return its digest.
+
+        Parameters
+        ----------
+        source
+            The file.
+        admit
+            Called with the digest before the recording is stored; what it raises leaves nothing behind.
 
         Raises
         ------
@@ -107,6 +126,7 @@ class RawStore:
                     os.fsync(target.fileno())
                     target.seek(0)
                     digest = hashlib.file_digest(target, "sha256").hexdigest()
+                admit(digest)
                 self._move(copy, self.path(digest, source.suffix.lower()), digest)
             finally:
                 copy.unlink(missing_ok=True)

@@ -16,6 +16,7 @@ class ChunkState(StrEnum):
     DECODED = "decoded"
     REJECTED = "rejected"
     SET_ASIDE = "set_aside"  # by hand: its frames count for no window
+    DELETED = "deleted"  # by hand: as if it had never come; its receipt stays, its bytes do not
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +37,7 @@ class ChunkRecord:
     recorded_ns: int
     purged_ns: int | None = None  # our time at which its raw bytes were deleted; its windows stay as they are
     clock_checked_ns: int | None = None  # our time against which the vehicle's is checked where received_ns was wrong
+    file_name: str | None = None  # under which it came; None where an older version received it
 
     @property
     def our_ns(self) -> int:
@@ -74,7 +76,9 @@ class RecordingAction(StrEnum):
     RETRY = "retry"
     SET_ASIDE = "set_aside"
     RESTORE = "restore"
-    MOVE = "move"
+    REASSIGN = "reassign"
+    DELETE = "delete"
+    TAKE_AGAIN = "take_again"  # received again after it had been deleted, because that was asked for
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,6 +41,11 @@ def _of_vehicle(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
     return _in(columns.vehicle, _VEHICLES, "code", fleets)
 
 
+def _of_vehicle_before_and_after(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
+    before, after = (_in(one, _VEHICLES, "code", fleets) for one in (columns.vehicle_before, columns.vehicle_after))
+    return before & after
+
+
 def _of_wheelset(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
     return _in(columns.wheelset, _WHEELSETS, "serial", fleets)
 
@@ -67,6 +72,7 @@ RULES: Mapping[str, Rule] = {
     "alert_events": _of_alert,
     "chunks": _of_vehicle,
     "sensor_changes": _of_vehicle,
+    "recording_changes": _of_vehicle_before_and_after,
     "stale_spans": _of_vehicle,
     "suspension_findings": _of_vehicle,
     "mountings": _of_both,
@@ -102,7 +108,7 @@ SHARED = frozenset(
     }
 )
 """Tables of no fleet. What a row of them says of a fleet's vehicles is left out by its representation."""
-HIDDEN = frozenset({"api_keys", "audit_entries", "quarantine", "raw_marks", "recording_changes", "registry_events"})
+HIDDEN = frozenset({"api_keys", "audit_entries", "quarantine", "raw_marks", "registry_events"})
 """Tables that a bound caller does not see at all."""
 
 

@@ -1,4 +1,4 @@
-"""Recordings corrected by hand: tried again, set aside, restored, moved to another vehicle.
+"""Recordings corrected by hand: tried again, set aside, restored, given to another vehicle, deleted.
 
 Each correction is one transaction with its record and the stale spans of the vehicles' clocks. The recording is decoded
 and windows are made again afterwards, by whoever works off what is stored and stale.
@@ -6,13 +6,17 @@ and windows are made again afterwards, by whoever works off what is stored and s
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 
-from estimation.errors import ConflictError, NotFoundError
+from estimation.errors import ConflictError, NotFoundError, PassingFaultError
 from estimation.storage import Clock
 from estimation.values.quarantine import SubjectKind, resolved
 from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.keeping.exclusive import keeping_alone
+from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import STAGE
@@ -20,11 +24,15 @@ from ingest.align.clock import CONTEXT_NS, TIME_REACH_NS
 from ingest.assembly import OWN_TIME, WAITING
 from ingest.recordings import ALWAYS, RECORDER_FIRST, RECORDER_LAST
 
+STANDING = tuple(state for state in ChunkState if state is not ChunkState.DELETED)
+_log = logging.getLogger(__name__)
+SECOND_NS = 1_000_000_000
 ALLOWED = {
     RecordingAction.RETRY: (ChunkState.REJECTED, ChunkState.STORED),
     RecordingAction.SET_ASIDE: (ChunkState.STORED, ChunkState.DECODED, ChunkState.REJECTED),
     RecordingAction.RESTORE: (ChunkState.SET_ASIDE,),
-    RecordingAction.MOVE: tuple(ChunkState),
+    RecordingAction.REASSIGN: STANDING,
+    RecordingAction.DELETE: STANDING,
 }
 """States of recordings to which each may be done."""
 
@@ -67,7 +75,7 @@ class RecordingCorrections:
         """Let a recording that was set aside count again; return its receipt. Raises as :meth:`retry`."""
         return self._correct(digest, RecordingAction.RESTORE, author)
 
-    def move(self, digest: str, vehicle: str, author: Author) -> ChunkRecord:
+    def reassign(self, digest: str, vehicle: str, author: Author) -> ChunkRecord:
         """Give a recording to another vehicle, whose windows it counts for from now on; return its receipt.
 
         One that was set aside stays so.
@@ -79,7 +87,27 @@ class RecordingCorrections:
         ConflictError
             It is of that vehicle already, or its raw bytes were purged.
         """
-        return self._correct(digest, RecordingAction.MOVE, author, vehicle)
+        return self._correct(digest, RecordingAction.REASSIGN, author, vehicle)
+
+    def delete(self, digest: str, author: Author, raw: RawStore) -> ChunkRecord:
+        """Make everything as if a recording had never come; return its receipt, which stays and says so.
+
+        Its raw file is removed. Where that cannot be done now, the next purge removes it.
+
+        Raises
+        ------
+        NotFoundError
+            There is none of that digest.
+        ConflictError
+            It was deleted already, or a backup is being made.
+        """
+        with keeping_alone(self.storage.engine):
+            record = self._correct(digest, RecordingAction.DELETE, author)
+            try:
+                raw.remove(record.digest, record.suffix)
+            except PassingFaultError as error:
+                _log.warning("recording %s was deleted, its raw file is left to the purge: %s", record.digest, error)
+        return record
 
     def _correct(
         self,
@@ -99,11 +127,15 @@ class RecordingCorrections:
                 raise _conflict(before, f"is of vehicle {vehicle} already")
             if before.state not in ALLOWED[action]:
                 raise _conflict(before, f"is {before.state}")
-            if before.purged_ns is not None and action is not RecordingAction.SET_ASIDE:
+            if before.purged_ns is not None and action not in {RecordingAction.SET_ASIDE, RecordingAction.DELETE}:
                 raise _conflict(before, "has no raw bytes any more: they were purged")
-            after = _after(before, action, vehicle or before.vehicle)
+            now_ns = self.clock.now_ns()
+            if action is RecordingAction.DELETE:
+                after = _deleted(before, author, now_ns)
+            else:
+                after = _after(before, action, vehicle or before.vehicle)
             if our_clock_was_behind:
-                after = replace(after, clock_checked_ns=self.clock.now_ns())
+                after = replace(after, clock_checked_ns=now_ns)
             _make_stale(unit, before, after, action)
             unit.chunks.update(after)
             held = unit.quarantine.get(SubjectKind.RECORDING, before.digest, STAGE)
@@ -113,7 +145,7 @@ class RecordingCorrections:
                 RecordingChange(
                     before.digest,
                     action,
-                    self.clock.now_ns(),
+                    now_ns,
                     author.actor,
                     author.why,
                     before.vehicle,
@@ -151,10 +183,18 @@ def receipt_of(unit: SqlUnitOfWork, digest: str) -> ChunkRecord:
 
 
 def _after(before: ChunkRecord, action: RecordingAction, vehicle: str) -> ChunkRecord:
-    if action is RecordingAction.SET_ASIDE or (action is RecordingAction.MOVE and before.state is ChunkState.SET_ASIDE):
+    if action is RecordingAction.SET_ASIDE or (
+        action is RecordingAction.REASSIGN and before.state is ChunkState.SET_ASIDE
+    ):
         reason = Reason(ReasonCode.SET_ASIDE, "set aside by hand")
         return replace(before, vehicle=vehicle, state=ChunkState.SET_ASIDE, reason=reason)
     return replace(before, vehicle=vehicle, state=ChunkState.STORED, reason=None, first_ns=None, last_ns=None)
+
+
+def _deleted(before: ChunkRecord, author: Author, now_ns: int) -> ChunkRecord:
+    at = datetime.fromtimestamp(now_ns // SECOND_NS, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    reason = Reason(ReasonCode.DELETED, f"deleted at {at} by {author.actor}: {author.why}")
+    return replace(before, state=ChunkState.DELETED, reason=reason, first_ns=None, last_ns=None, purged_ns=now_ns)
 
 
 def _make_stale(unit: SqlUnitOfWork, before: ChunkRecord, after: ChunkRecord, action: RecordingAction) -> None:

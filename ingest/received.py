@@ -12,6 +12,9 @@ from fleet_db.storage import SqlUnitOfWork
 from ingest.recordings import Recording
 from ingest.span_assembly import SpanAssembly
 
+UNDECODABLE = frozenset({ChunkState.REJECTED, ChunkState.SET_ASIDE, ChunkState.DELETED})
+"""States of recordings that count for no window."""
+
 
 @dataclass(frozen=True, slots=True)
 class ReceivedFile:
@@ -31,6 +34,18 @@ class Decoded:
     assembly: SpanAssembly | None
 
 
+def printable_name(path: Path) -> str:
+    """Return the name of a file as it is kept with the receipt: what is no text in it is replaced.
+
+    Parameters
+    ----------
+    path
+        The file.
+    """
+    name = path.name.encode("utf-8", "replace").decode()
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
+
+
 def read_or_raise(recording: Recording | Exception) -> Recording:
     """Return what was read; raise what was raised at reading.
 
@@ -45,7 +60,7 @@ def read_or_raise(recording: Recording | Exception) -> Recording:
 
 
 def check_undecided(unit: SqlUnitOfWork, receipts: Iterable[ChunkRecord]) -> None:
-    """Raise where a recording was moved, set aside or rejected while its windows were assembled.
+    """Raise where a recording was reassigned, deleted, set aside or rejected while its windows were assembled.
 
     Parameters
     ----------
@@ -61,5 +76,5 @@ def check_undecided(unit: SqlUnitOfWork, receipts: Iterable[ChunkRecord]) -> Non
     """
     for receipt in receipts:
         now = unit.chunks.get(receipt.digest)
-        if now is None or now.vehicle != receipt.vehicle or now.state in {ChunkState.REJECTED, ChunkState.SET_ASIDE}:
+        if now is None or now.vehicle != receipt.vehicle or now.state in UNDECODABLE:
             raise ConflictError(f"recording {receipt.digest[:12]} changed meanwhile", kind="chunk", key=receipt.digest)

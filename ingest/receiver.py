@@ -23,6 +23,7 @@ from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import Assembler, extent
 from ingest.catalogue import Catalogue
+from ingest.deleted import DeletedRecordings
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.bundle import write_bundle
 from ingest.exchange.intake import checked_exchange
@@ -31,7 +32,7 @@ from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
 from ingest.own_bus.choice import BusChoice
 from ingest.reassembly import Reassembler
-from ingest.received import Decoded, ReceivedFile, check_undecided, read_or_raise
+from ingest.received import Decoded, ReceivedFile, check_undecided, printable_name, read_or_raise
 from ingest.recordings import Recording, Recordings
 from ingest.span_commit import NO_CHANGES, commit, still_so
 
@@ -63,6 +64,8 @@ class Receiver:
         Ours.
     window_length_s
         Length of a window; a whole number of sampling intervals.
+    deleted_taken_by
+        Who wants recordings that were deleted to be taken in again; None where they are refused.
     """
 
     def __init__(
@@ -72,6 +75,7 @@ class Receiver:
         catalogue: Catalogue | BusChoice,
         clock: Clock,
         window_length_s: float = 60.0,
+        deleted_taken_by: str | None = None,
     ) -> None:
         self._storage = storage
         self._raw = raw
@@ -79,6 +83,7 @@ class Receiver:
         self._clock = clock
         self._recordings = Recordings(raw, self._bus_of)
         self._held = HeldRecordings(storage, clock)
+        self._deleted = DeletedRecordings(storage, deleted_taken_by)
         self._mark: str | None = None
         self._assembler = Assembler(self._recordings, round(window_length_s * SECOND_NS))
         self.reassembler = Reassembler(storage, self._assembler, clock)
@@ -97,7 +102,7 @@ class Receiver:
         NotFoundError
             The registry does not know the vehicle. The recording is kept, and decoded once it does.
         ConflictError
-            The same recording was received from another vehicle.
+            The same recording was received from another vehicle, or was deleted.
         PassingFaultError
             Its bytes cannot be stored now: nothing is.
         """
@@ -187,6 +192,9 @@ class Receiver:
             It cannot be stored now: nothing is.
         """
         self._check_raw()
+        deleted = self._deleted.receipt(hashlib.sha256(content).hexdigest())
+        if deleted is not None:  # its receipt had been there, and somebody decided on it
+            return deleted, True
         return self._receipt(Path(name).with_suffix(suffix), vehicle, self._raw.put_bytes(content, suffix))
 
     def decode_one(self, record: ChunkRecord) -> ChunkReceipt:
@@ -295,7 +303,7 @@ class Receiver:
     def _store_and_read(self, path: Path, vehicle: str) -> ReceivedFile:
         suffix = _suffix_of(path)
         self._check_raw()
-        digest = self._raw.put_file(path)
+        digest = self._raw.put_file(path, self._deleted.admit)
         recording: Recording | Exception
         try:
             recording = self._recordings.read(self._raw.path(digest, suffix), digest, vehicle)
@@ -320,11 +328,15 @@ class Receiver:
             counts={},
             received_ns=now_ns,
             recorded_ns=now_ns,
+            file_name=printable_name(path),
         )
         with self._storage.write() as unit:
             if unit.chunks.put(record):
                 return record, False
             found = unit.chunks.get(digest)
+            if found is not None and found.state is ChunkState.DELETED:
+                self._deleted.take_again(unit, found, record)
+                return record, False
             if found is not None and found.purged_ns is not None:  # its bytes are there again
                 found = replace(found, purged_ns=None)
                 unit.chunks.update(found)
@@ -334,7 +346,7 @@ class Receiver:
         if found.vehicle != vehicle:
             raise ConflictError(
                 f"{path}: the same recording was received from vehicle {found.vehicle};"
-                f" where that is wrong: treadwatch recordings move {digest[:12]} --vehicle {vehicle}",
+                f" where that is wrong: treadwatch recordings reassign {digest[:12]} --vehicle {vehicle}",
                 kind="chunk",
                 key=digest,
             )

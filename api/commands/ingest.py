@@ -34,6 +34,9 @@ def ingest(
         list[Path] | None,
         typer.Option(help="Mapping file of a bus of your own, beside its DBC file; by default TREADWATCH_CATALOGUES."),
     ] = None,
+    take_deleted: Annotated[
+        bool, typer.Option("--take-deleted", help="Take recordings in again that were deleted.")
+    ] = False,
     chunk_seconds: Annotated[float, typer.Option(min=1.0, help="Length of a recording cut from a live bus.")] = 60.0,
     health_port: Annotated[
         int | None, typer.Option(min=0, max=65535, help="Serve /healthz, /readyz and /metrics of a live bus here.")
@@ -57,7 +60,7 @@ def ingest(
         raise ParameterError("an exchange names its vehicle itself", field="--vehicle")
     if interface is None:
         source = Exchanges(tuple(exchange)) if exchange else files or []
-        ingest_and_report(source, vehicle, registry, catalogue or ())
+        ingest_and_report(source, vehicle, registry, catalogue or (), take_deleted=take_deleted)
         return
     if channel is None or vehicle is None:
         raise ParameterError("a live bus needs --channel and --vehicle", field="--interface")

@@ -1,4 +1,4 @@
-"""``treadwatch recordings``: list and show what was received; try it again, set it aside, restore it, move it."""
+"""``treadwatch recordings``: list and show what was received, and correct it."""
 
 from __future__ import annotations
 
@@ -21,13 +21,16 @@ def list_recordings(
     *,
     state: Annotated[ChunkState | None, typer.Option(help="Only those in this state.")] = None,
     vehicle: Annotated[str | None, typer.Option(help="Only those of this vehicle.")] = None,
+    fleet: Annotated[str | None, typer.Option(help="Only those of vehicles of this fleet.")] = None,
     code: Annotated[ReasonCode | None, typer.Option("--reason", help="Only those with this reason code.")] = None,
     limit: Annotated[int, typer.Option(min=1, help="At most so many, the newest.")] = 100,
 ) -> None:
-    """List recordings, the newest first."""
+    """List recordings, the newest first; deleted ones with --state deleted only."""
     from api.terminal.recordings import recording_list
+    from fleet_db.stores.chunks import ChosenChunks
 
-    typer.echo(recording_list(state, vehicle, code, limit))
+    chosen = ChosenChunks(state=state, vehicle=vehicle, fleet=fleet, code=code)
+    typer.echo(recording_list(chosen, limit))
 
 
 @recordings.command("show")
@@ -70,8 +73,8 @@ def restore_recording(digest: _Digest, *, why: _Why, actor: _Actor = "") -> None
     correct_and_report(RecordingAction.RESTORE, digest, actor, why)
 
 
-@recordings.command("move")
-def move_recording(
+@recordings.command("reassign")
+def reassign_recording(
     digest: _Digest,
     *,
     vehicle: Annotated[str, typer.Option(help="The vehicle that it is of.")],
@@ -81,4 +84,12 @@ def move_recording(
     """Give a recording to the vehicle that it is of; the windows of both are made again."""
     from api.terminal.recordings import correct_and_report
 
-    correct_and_report(RecordingAction.MOVE, digest, actor, why, vehicle)
+    correct_and_report(RecordingAction.REASSIGN, digest, actor, why, vehicle)
+
+
+@recordings.command("delete")
+def delete_recording(digest: _Digest, *, why: _Why, actor: _Actor = "") -> None:
+    """Make everything as if a recording had never come: its bytes and windows go, its receipt stays and says so."""
+    from api.terminal.recordings import correct_and_report
+
+    correct_and_report(RecordingAction.DELETE, digest, actor, why)

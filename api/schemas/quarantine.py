@@ -37,6 +37,11 @@ class QuarantinedItem(Representation):
     links: Links
 
 
+def without_folders(message: str) -> str:
+    """Return a message without the folders of the machine."""
+    return _FOLDERS.sub("", message)
+
+
 def quarantined(item: Quarantined) -> QuarantinedItem:
     """Return the representation of what is kept of a failure; its message without the folders of the machine."""
     resource = _RESOURCES.get(item.kind)
@@ -46,7 +51,7 @@ def quarantined(item: Quarantined) -> QuarantinedItem:
         stage=item.stage,
         state=item.state,
         reason_code=item.code,
-        reason=_FOLDERS.sub("", item.error),
+        reason=without_folders(item.error),
         attempts=item.attempts,
         first_failed_at=to_rfc3339(item.first_ns),
         last_failed_at=to_rfc3339(item.last_ns),

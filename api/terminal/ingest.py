@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
@@ -46,6 +47,8 @@ def ingest_and_report(
     vehicle: str | None,
     registry: Path | None,
     catalogues: Sequence[Path] = (),
+    *,
+    take_deleted: bool = False,
 ) -> None:
     """Receive recordings, and print a summary.
 
@@ -59,6 +62,8 @@ def ingest_and_report(
         File of fleets, vehicles, wheelsets and sections to load first.
     catalogues
         Mapping files of buses of one's own; by default those of the settings.
+    take_deleted
+        Whether recordings that were deleted are taken in again.
 
     Raises
     ------
@@ -76,7 +81,8 @@ def ingest_and_report(
     with closing(open_store(settings)) as storage:
         if registry is not None:
             load_and_say(registry, storage, console)
-        receiver = factory.receiver(settings, storage, SystemClock(), catalogues)
+        taken_by = getpass.getuser() if take_deleted else None
+        receiver = factory.receiver(settings, storage, SystemClock(), catalogues, deleted_taken_by=taken_by)
         outcomes = _unfinished(receiver, console)
         work_off(receiver, console)
         if isinstance(source, Exchanges):

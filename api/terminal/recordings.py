@@ -15,8 +15,8 @@ from api.terminal.ingest import changes_line
 from api.times import to_rfc3339
 from estimation.errors import TreadwatchError
 from estimation.values.quarantine import Quarantined, SubjectKind
-from estimation.values.reasons import ReasonCode
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
+from fleet_db.stores.chunks import ChosenChunks
 from fleet_db.stores.decoded_again import STAGE
 from ingest.corrections import Author, RecordingCorrections, receipt_of
 from ingest.receiver import ChunkReceipt, Receiver
@@ -27,13 +27,13 @@ DIGITS = 12
 MOST_LISTED = 10_000
 
 
-def recording_list(state: ChunkState | None, vehicle: str | None, code: ReasonCode | None, limit: int) -> str:
+def recording_list(chosen: ChosenChunks, limit: int) -> str:
     """Return recordings as lines, the newest first.
 
     Parameters
     ----------
-    state, vehicle, code
-        Only those; None for all.
+    chosen
+        Which.
     limit
         At most so many.
 
@@ -43,7 +43,7 @@ def recording_list(state: ChunkState | None, vehicle: str | None, code: ReasonCo
         The database cannot be used.
     """
     with closing(open_store(load_settings())) as storage, storage.read() as unit:
-        found = unit.chunks.list(state, vehicle, code, limit)
+        found = unit.chunks.page(chosen, limit)
     head = ("digest", "kind", "vehicle", "received", "first", "last", "frames", "state", "reason")
     return _columns([head, *map(_line, found)])
 
@@ -70,6 +70,7 @@ def recording_text(digest: str) -> str:
     rows = [
         ("digest", record.digest),
         ("kind", record.suffix),
+        ("file name", record.file_name or ""),
         ("bytes", str(record.size_bytes)),
         ("vehicle", record.vehicle),
         ("received", to_rfc3339(record.received_ns)),
@@ -104,7 +105,7 @@ def correct_and_report(
     actor, why
         Who, by default the user of the system, and why.
     vehicle
-        That it is moved to.
+        That it is given to.
     our_clock_was_behind
         When it was received: for one that is tried again.
 
@@ -124,9 +125,11 @@ def correct_and_report(
             before = receipt_of(unit, digest)
         corrections, author = RecordingCorrections(storage, clock), Author(actor or getpass.getuser(), why)
         if vehicle is not None:
-            record = corrections.move(before.digest, vehicle, author)
+            record = corrections.reassign(before.digest, vehicle, author)
         elif action is RecordingAction.RETRY:
             record = corrections.retry(before.digest, author, our_clock_was_behind=our_clock_was_behind)
+        elif action is RecordingAction.DELETE:
+            record = corrections.delete(before.digest, author, factory.raw_store(settings))
         elif action is RecordingAction.SET_ASIDE:
             record = corrections.set_aside(before.digest, author)
         else:
@@ -229,11 +232,11 @@ def _times(record: ChunkRecord) -> tuple[str, str]:
 
 
 def _change_line(change: RecordingChange) -> str:
-    moved = (
+    vehicles = (
         "" if change.vehicle_before == change.vehicle_after else f" {change.vehicle_before} -> {change.vehicle_after}"
     )
     states = f"{change.state_before} -> {change.state_after}"
-    return f"{to_rfc3339(change.recorded_ns)} {change.action}{moved} ({states}) by {change.actor}: {change.why}"
+    return f"{to_rfc3339(change.recorded_ns)} {change.action}{vehicles} ({states}) by {change.actor}: {change.why}"
 
 
 def _quarantine_line(item: Quarantined) -> tuple[str, ...]:

@@ -190,6 +190,7 @@ class ReasonCode(StrEnum):
     VEHICLE_UNKNOWN = "vehicle_unknown", "The registry does not contain the vehicle. Register it; then decode again."
     WAITS_FOR_TIME = "waits_for_time", "The recording has no TIME frame and waits for the recording next to it."
     SET_ASIDE = "set_aside", "The recording was set aside by hand. Restore it to count it again."
+    DELETED = "deleted", "The recording was deleted by hand. To take it in again, say so at its ingest."
     # passing faults, and failures of the program
     WAITS_FOR_STORAGE = (
         "waits_for_storage",

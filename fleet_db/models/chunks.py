@@ -20,6 +20,7 @@ class ChunkRow(Base):
         CheckConstraint("size_bytes >= 0", name="size_counted"),
         Index(None, "vehicle", "first_ns"),
         Index(None, "state", "recorded_ns"),
+        Index(None, "received_ns", "digest"),
     )
 
     digest: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -37,3 +38,4 @@ class ChunkRow(Base):
     recorded_ns: Mapped[Nanoseconds]
     purged_ns: Mapped[Nanoseconds | None]
     clock_checked_ns: Mapped[Nanoseconds | None]
+    file_name: Mapped[Name | None]

@@ -7,15 +7,57 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, exists, func, select, update
+from sqlalchemy import ColumnElement, Connection, Row, exists, func, select, tuple_, update
 
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
-from fleet_db.models import ChunkRow, VehicleRow
+from estimation.values.windows import WindowState
+from fleet_db.models import ChunkRow, MountingRow, VehicleRow, WindowRow
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.rows import insert_new, reason_columns, stored_reason, table_of
 
 CHUNKS, VEHICLES = table_of(ChunkRow), table_of(VehicleRow)
+MOUNTINGS, WINDOWS = table_of(MountingRow), table_of(WindowRow)
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenChunks:
+    """Which receipts are listed; None is no filter.
+
+    Attributes
+    ----------
+    state, vehicle, fleet, code
+        Of the recording, of its vehicle now, and of its reason. Deleted recordings are listed where their state is
+        asked for only.
+    received_from_ns, received_to_ns
+        Received in this range, ns of our clock, half-open.
+    measured_from_ns, measured_to_ns
+        With frames in this range of the vehicle's clock, half-open.
+    """
+
+    state: ChunkState | None = None
+    vehicle: str | None = None
+    fleet: str | None = None
+    code: ReasonCode | None = None
+    received_from_ns: int | None = None
+    received_to_ns: int | None = None
+    measured_from_ns: int | None = None
+    measured_to_ns: int | None = None
+
+    def conditions(self) -> builtins.list[ColumnElement[bool]]:
+        """Return the conditions of a statement over the receipts."""
+        of_fleet = None if self.fleet is None else select(VEHICLES.c.code).where(VEHICLES.c.fleet == self.fleet)
+        not_deleted = CHUNKS.c.state != ChunkState.DELETED.value
+        return [
+            not_deleted if self.state is None else CHUNKS.c.state == self.state.value,
+            *([] if self.vehicle is None else [CHUNKS.c.vehicle == self.vehicle]),
+            *([] if of_fleet is None else [CHUNKS.c.vehicle.in_(of_fleet)]),
+            *([] if self.code is None else [CHUNKS.c.reason_code == self.code.value]),
+            *([] if self.received_from_ns is None else [CHUNKS.c.received_ns >= self.received_from_ns]),
+            *([] if self.received_to_ns is None else [CHUNKS.c.received_ns < self.received_to_ns]),
+            *([] if self.measured_from_ns is None else [CHUNKS.c.last_ns >= self.measured_from_ns]),
+            *([] if self.measured_to_ns is None else [CHUNKS.c.first_ns < self.measured_to_ns]),
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,18 +133,44 @@ class ChunkStore:
         begins = func.substr(CHUNKS.c.digest, 1, len(digest)) == digest
         return [_record(row) for row in self.connection.execute(select(CHUNKS).where(begins).limit(2))]
 
-    def list(
-        self, state: ChunkState | None, vehicle: str | None, code: ReasonCode | None, limit: int
+    def page(
+        self, chosen: ChosenChunks, limit: int, before: tuple[int, str] | None = None
     ) -> builtins.list[ChunkRecord]:
-        """Return the newest receipts of a state, a vehicle and a reason, where given; newest first."""
-        statement = select(CHUNKS).order_by(CHUNKS.c.recorded_ns.desc(), CHUNKS.c.digest).limit(limit)
-        if state is not None:
-            statement = statement.where(CHUNKS.c.state == state.value)
-        if vehicle is not None:
-            statement = statement.where(CHUNKS.c.vehicle == vehicle)
-        if code is not None:
-            statement = statement.where(CHUNKS.c.reason_code == code.value)
+        """Return receipts, the one that was received last first.
+
+        Parameters
+        ----------
+        chosen
+            Which.
+        limit
+            At most so many.
+        before
+            Time of receipt and digest of the last one of the page before; None for the first page.
+        """
+        place = (CHUNKS.c.received_ns, CHUNKS.c.digest)
+        statement = select(CHUNKS).where(*chosen.conditions()).order_by(*(one.desc() for one in place)).limit(limit)
+        if before is not None:
+            statement = statement.where(tuple_(*place) < tuple_(*before))
         return [_record(row) for row in self.connection.execute(statement)]
+
+    def window_counts(self, record: ChunkRecord) -> dict[WindowState, int]:
+        """Return how many windows share time and vehicle with a recording, by their state.
+
+        Parameters
+        ----------
+        record
+            Its receipt.
+        """
+        if record.first_ns is None or record.last_ns is None:
+            return {}
+        mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == record.vehicle)
+        statement = (
+            select(WINDOWS.c.state, func.count())
+            .where(WINDOWS.c.wheelset.in_(mounted), WINDOWS.c.vehicle == record.vehicle)
+            .where(WINDOWS.c.start_ns <= record.last_ns, WINDOWS.c.start_ns > record.first_ns - WINDOWS.c.length_ns)
+            .group_by(WINDOWS.c.state)
+        )
+        return {WindowState(state): int(count) for state, count in self.connection.execute(statement)}
 
     def ends(self, count: int) -> Sequence[ChunkRecord]:
         """Return at most ``count`` of the oldest and of the newest receipts whose raw bytes are kept."""

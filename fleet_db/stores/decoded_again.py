@@ -11,7 +11,7 @@ from estimation.failures import after_failure
 from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.receipts import ChunkRecord, ChunkState
-from fleet_db.stores.chunks import ChunkStore
+from fleet_db.stores.chunks import ChosenChunks, ChunkStore
 from fleet_db.stores.quarantine import QuarantineStore
 
 STAGE = "ingest"
@@ -61,6 +61,6 @@ def decode_undecoded(connection: Connection, vehicle: str, why: str, now_ns: int
         Our time.
     """
     for state, code in UNDECODED:
-        for record in ChunkStore(connection).list(state, vehicle, code, MOST):
+        for record in ChunkStore(connection).page(ChosenChunks(state=state, vehicle=vehicle, code=code), MOST):
             if record.purged_ns is None:
                 decode_again(connection, record, why, now_ns)

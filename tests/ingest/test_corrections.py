@@ -123,21 +123,21 @@ def test_one_that_came_from_the_wrong_vehicle_is_moved_as_if_it_had_come_from_th
     deployment.receive(first)
     digest = deployment.receive(second)
     of_one = deployment.windows()
-    with pytest.raises(ConflictError, match=f"recordings move {digest[:12]} --vehicle {OTHER}"):
+    with pytest.raises(ConflictError, match=f"recordings reassign {digest[:12]} --vehicle {OTHER}"):
         deployment.receive(second, OTHER)
-    deployment.corrections.move(digest, OTHER, AUTHOR)
+    deployment.corrections.reassign(digest, OTHER, AUTHOR)
     deployment.rest()
     moved = deployment.windows()
     assert {row[0] for row in moved} == {VEHICLE, OTHER}
     assert {row[2] for row in moved if row[0] == OTHER} == {"OT-1", "OT-2"}
     assert deployment.receive(second, OTHER) == digest
-    deployment.corrections.move(digest, VEHICLE, AUTHOR)  # and back
+    deployment.corrections.reassign(digest, VEHICLE, AUTHOR)  # and back
     deployment.rest()
     assert deployment.windows() == of_one
     with pytest.raises(ConflictError, match=f"is of vehicle {VEHICLE} already"):
-        deployment.corrections.move(digest, VEHICLE, AUTHOR)
+        deployment.corrections.reassign(digest, VEHICLE, AUTHOR)
     with pytest.raises(NotFoundError, match="no vehicle 'nobody'"):
-        deployment.corrections.move(digest, "nobody", AUTHOR)
+        deployment.corrections.reassign(digest, "nobody", AUTHOR)
 
 
 def test_those_that_it_had_given_their_time_wait_without_it(deployment: Deployment, tmp_path: Path) -> None:
@@ -179,3 +179,59 @@ def test_one_that_was_rejected_is_tried_again_by_hand_only(deployment: Deploymen
         deployment.corrections.retry("ffff", AUTHOR)
     with deployment.storage.read() as unit:
         assert unit.quarantine.get(SubjectKind.RECORDING, record.digest, "ingest") is None
+
+
+def test_one_that_was_deleted_is_as_if_it_had_never_come_and_comes_back_only_when_asked(
+    deployment: Deployment, tmp_path: Path
+) -> None:
+    first, second = halves(tmp_path)
+    deployment.receive(first)
+    never = deployment.windows()
+    digest = deployment.receive(second)
+    both = deployment.windows()
+    assert never != both
+    raw = RawStore(tmp_path / "raw")
+    record = deployment.corrections.delete(digest, AUTHOR, raw)
+    deployment.rest()
+    assert deployment.windows() == never
+    assert not raw.path(digest, ".blf").exists()
+    assert record.reason is not None
+    assert record.reason.text.endswith(" by kim: was mixed up")
+    with pytest.raises(ConflictError, match=rf"{digest[:12]} was deleted at .* by kim: was mixed up; .*--take-deleted"):
+        deployment.receive(second)
+    assert not raw.path(digest, ".blf").exists()  # nothing of what was refused stays
+    assert deployment.receiver.keep(second.read_bytes(), ".blf", VEHICLE, "a")[0].state is ChunkState.DELETED
+    assert not raw.path(digest, ".blf").exists()
+    with pytest.raises(ConflictError, match="is deleted"):
+        deployment.corrections.restore(digest, AUTHOR)
+    deployment.receiver = Receiver(
+        deployment.storage, raw, default_catalogue(), CountingClock(), 10.0, deleted_taken_by="lee"
+    )
+    assert deployment.receive(second) == digest
+    assert deployment.windows() == both
+    with deployment.storage.read() as unit:
+        changes = unit.recording_changes.list(digest)
+    assert [(one.action, one.actor) for one in changes] == [("delete", "kim"), ("take_again", "lee")]
+
+
+def test_one_under_the_name_of_no_vehicle_is_as_if_it_had_come_for_the_one_that_it_is_given_to(
+    deployment: Deployment, tmp_path: Path
+) -> None:
+    first, second = halves(tmp_path)
+    digests = [deployment.receive(path) for path in (first, second)]
+    at_first = deployment.windows()
+    raw = RawStore(tmp_path / "raw")
+    for digest in digests:
+        deployment.corrections.delete(digest, AUTHOR, raw)
+    deployment.rest()
+    assert deployment.windows() == set()
+    deployment.receiver = Receiver(
+        deployment.storage, raw, default_catalogue(), CountingClock(), 10.0, deleted_taken_by="lee"
+    )
+    for path in (first, second):
+        with pytest.raises(NotFoundError, match="no vehicle 'nobody'"):
+            deployment.receive(path, "nobody")
+    for digest in digests:
+        assert deployment.corrections.reassign(digest, VEHICLE, AUTHOR).state is ChunkState.STORED
+    deployment.rest()
+    assert deployment.windows() == at_first

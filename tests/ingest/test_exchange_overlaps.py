@@ -12,6 +12,7 @@ from estimation.errors import ConflictError
 from estimation.values.arrays import FloatArray
 from fleet_db.raw import RawStore
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.chunks import ChosenChunks
 from ingest.catalogue import default_catalogue
 from ingest.corrections import Author, RecordingCorrections
 from ingest.receiver import Receiver
@@ -47,6 +48,6 @@ def test_a_run_of_a_time_that_another_one_has_is_refused_and_taken_once_that_is_
     with pytest.raises(ConflictError, match=f"recordings set-aside {first.digest[:12]}"):
         receiver.receive_exchange(run)
     with sqlite_storage.read() as unit:
-        assert len(unit.chunks.list(None, None, None, 10)) == 1
+        assert len(unit.chunks.page(ChosenChunks(), 10)) == 1
     RecordingCorrections(sqlite_storage, Clock()).set_aside(first.digest, Author("kim", "the other is right"))
     assert receiver.receive_exchange(run).windows_changed == 6

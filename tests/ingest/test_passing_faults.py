@@ -26,6 +26,7 @@ from fleet_db.raw_mark import MARK_FILE
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.chunks import ChosenChunks
 from ingest.assemble_windows import assemble_windows
 from ingest.canopen import TIME_ID
 from ingest.catalogue import default_catalogue
@@ -72,7 +73,7 @@ def recording(folder: Path, number: int = 0) -> Path:
 
 def states(storage: SqlStorage) -> list[tuple[ChunkState, ReasonCode | None]]:
     with storage.read() as unit:
-        found: list[ChunkRecord] = unit.chunks.list(None, None, None, 100)
+        found: list[ChunkRecord] = unit.chunks.page(ChosenChunks(), 100)
     return sorted((one.state, None if one.reason is None else one.reason.code) for one in found)
 
 

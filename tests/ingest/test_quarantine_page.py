@@ -14,6 +14,7 @@ from estimation.values.registry import VehicleRecord
 from fleet_db.receipts import ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.chunks import ChosenChunks
 from ingest.logs import write_blf
 
 PAGE = Path(__file__).parents[2] / "docs" / "quarantine.md"
@@ -50,13 +51,13 @@ def test_every_command_of_the_page_does_what_it_says(treadwatch: Command, sqlite
             unit.registry.add_vehicle(VehicleRecord("N-8", "north", "multiple unit", 2, 40.0, OFFSETS_M))
         ran = [_ran(treadwatch, storage, tmp_path, indented or tabled, environment) for indented, tabled in COMMANDS]
         with storage.read() as unit:
-            records = unit.chunks.list(None, None, None, 10)
+            records = unit.chunks.page(ChosenChunks(), 10)
     assert sorted((one.vehicle, one.state) for one in records) == [
         ("N-7", ChunkState.DECODED),
         ("N-7", ChunkState.DECODED),
         ("N-8", ChunkState.DECODED),
     ]
-    assert [name.split()[1] for name in ran].count("move") == 1
+    assert [name.split()[1] for name in ran].count("reassign") == 1
     assert len(ran) == 13
 
 
@@ -64,7 +65,7 @@ def _ran(treadwatch: Command, storage: SqlStorage, folder: Path, command: str, e
     if command in NEED_ONE:
         held(treadwatch, folder, 1 + NEED_ONE.index(command), environment)
     with storage.read() as unit:
-        newest = unit.chunks.list(None, None, None, 1)[0].digest[:12]
+        newest = unit.chunks.page(ChosenChunks(), 1)[0].digest[:12]
     done = treadwatch(*shlex.split(command.replace("3f2a", newest)), **environment)
     assert done.returncode == 0, (command, done.stdout, done.stderr)
     shown = {"quarantine list": "waits_for_storage", "recordings list": newest, "recordings show 3f2a": "state"}
