@@ -58,10 +58,27 @@ def decode_number(operation: str, filters: Mapping[str, object], cursor: str | N
 
     Parameters and errors are those of :func:`decode`.
     """
-    key = decode(operation, filters, cursor)
-    if key is not None and (not isinstance(key, int) or isinstance(key, bool) or not -INT64 <= key < INT64):
-        raise refused("this is no cursor of this list")
-    return key
+    return number_of(decode(operation, filters, cursor))
+
+
+def number_of(key: object) -> int | None:
+    """Return the key of a list that is ordered by a number; None at its beginning.
+
+    Raises
+    ------
+    ProblemError
+        400: it is no such key.
+    """
+    if key is None:
+        return None
+    if isinstance(key, int) and is_number(key):
+        return key
+    raise refused("this is no cursor of this list")
+
+
+def is_number(key: float) -> bool:
+    """Return whether a number may be a key: it is one, and a database can hold it."""
+    return not isinstance(key, bool) and -INT64 <= key < INT64
 
 
 def decode_text(operation: str, filters: Mapping[str, object], cursor: str | None) -> str | None:

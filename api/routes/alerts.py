@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
@@ -19,10 +21,10 @@ from api.answers import (
 from api.known import require_known
 from api.parameters import FleetFilter, Number, WheelsetFilter
 from api.problems import described
-from api.schemas import alerts
+from api.schemas import alert_rows, alerts
 from api.schemas.common import Page
 from api.services import ServicesDep
-from estimation.values.alerts import AlertScope, Condition
+from estimation.values.alerts import Alert, AlertScope, Condition, Severity
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
 Kind = Annotated[alerts.KnownKind | None, Query(description="Only of this kind.")]
@@ -31,10 +33,15 @@ Scope = Annotated[AlertScope | None, Query(description="Only alerts of wheelsets
 MemberOf = Annotated[
     int | None, Query(ge=1, le=2**63 - 1, description="Only members of the fleet alert with this `id`.", examples=[1])
 ]
+OfSeverity = Annotated[Severity | None, Query(description="Only of this severity.")]
+Sort = Annotated[
+    alert_rows.AlertSort,
+    Query(description="Oldest first (`id`), newest first (`-id`), or the worst first and of those the newest."),
+]
 OpenOnly = Annotated[bool, Query(alias="open", description="Only alerts that are not closed.")]
 
 
-@router.get("", response_model=Page[alerts.Alert], responses=described(400, 404))
+@router.get("", response_model=Page[alert_rows.AlertRow], responses=described(400, 404))
 def list_alerts(
     request: Request,
     services: ServicesDep,
@@ -42,41 +49,89 @@ def list_alerts(
     wheelset: WheelsetFilter = None,
     kind: Kind = None,
     condition: InCondition = None,
+    severity: OfSeverity = None,
     scope: Scope = None,
     fleet_alert: MemberOf = None,
     open_only: OpenOnly = False,  # noqa: FBT002 - a query parameter
+    sort: Sort = alert_rows.AlertSort.OLDEST,
     cursor: Cursor = None,
     limit: Limit = DEFAULT_LIMIT,
 ) -> Response:
-    """List the alerts, oldest first; fleet alerts and their members both."""
+    """List the alerts with where their wheelsets ran, by `sort`; fleet alerts and their members both."""
     filters = {
         "fleet": fleet,
         "wheelset": wheelset,
         "kind": kind,
         "condition": condition,
+        "severity": severity,
         "scope": scope,
         "fleet_alert": fleet_alert,
         "open": open_only,
+        "sort": None if sort is alert_rows.AlertSort.OLDEST else sort,
     }
-    after = cursors.decode_number(operation(request), filters, cursor)
+    after = cursors.decode(operation(request), filters, cursor)
     with services.storage.read() as unit:
-        rows = unit.alerts.page(
+        page = partial(
+            unit.alerts.page,
             fleet=fleet,
             wheelset=wheelset,
             kind=kind,
             condition=condition,
             open_only=open_only,
-            after_id=after,
-            limit=limit + 1,
             scope=scope,
             fleet_alert_id=fleet_alert,
         )
+        rows = _rows(page, sort, severity, after, limit + 1)
         if not rows:
             require_known(unit, fleet=fleet, wheelset=wheelset, fleet_alert=fleet_alert)
+        places = unit.alerts.places([record.alert_id for record in rows])
     now_ns = services.clock.now_ns()
+    by_severity = sort is alert_rows.AlertSort.WORST
     return answer_page(
-        request, filters, limit, rows, lambda record: record.alert_id, lambda record: alerts.alert(record, now_ns)
+        request,
+        filters,
+        limit,
+        rows,
+        lambda record: [record.severity.value, record.alert_id] if by_severity else record.alert_id,
+        lambda record: alert_rows.alert_row(record, now_ns, places),
     )
+
+
+def _rows(
+    page: Callable[..., Sequence[Alert]],
+    sort: alert_rows.AlertSort,
+    severity: Severity | None,
+    after: object,
+    limit: int,
+) -> Sequence[Alert]:
+    """Return the alerts behind a place; the worst first, each severity is a list of its own, newest first."""
+    if sort is not alert_rows.AlertSort.WORST:
+        number = cursors.number_of(after)
+        newest_first = sort is alert_rows.AlertSort.NEWEST
+        return page(severity=severity, after_id=number, limit=limit, newest_first=newest_first)
+    worst, number = _place(after)
+    rows: list[Alert] = []
+    for one in reversed(list(Severity)[: list(Severity).index(worst) + 1]):
+        if severity in {None, one} and len(rows) < limit:
+            rows += page(severity=one, after_id=number, limit=limit - len(rows), newest_first=True)
+        number = None
+    return rows
+
+
+def _place(after: object) -> tuple[Severity, int | None]:
+    """Return severity and number of the last alert of the page before; the worst, and none, at the beginning.
+
+    Raises
+    ------
+    ProblemError
+        400: it is no place of this list.
+    """
+    if after is None:
+        return list(Severity)[-1], None
+    match after:
+        case [str() as severity, int() as number] if severity in list(Severity) and cursors.is_number(number):
+            return Severity(severity), number
+    raise cursors.refused("this is no cursor of this list")
 
 
 @router.get("/{alert_id}", response_model=alerts.Alert, responses=described(404))

@@ -100,10 +100,6 @@ def _row(entry: WorklistEntry) -> worklist.WheelsetRow:
     return worklist.row_of_document(entry.document)
 
 
-def _possible(number: float | None) -> bool:
-    return number is None or (not isinstance(number, bool) and abs(number) < cursors.INT64)
-
-
 def _place(key: object) -> WorklistPlace | None:
     """Return the place in a cursor; None at the beginning.
 
@@ -115,6 +111,8 @@ def _place(key: object) -> WorklistPlace | None:
     if key is None:
         return None
     match key:
-        case [None | int() | float() as number, str() as serial] if _possible(number) and "\0" not in serial:
+        case [None | int() | float() as number, str() as serial] if (
+            number is None or cursors.is_number(number)
+        ) and "\0" not in serial:
             return WorklistPlace(number, serial)
     raise cursors.refused("this is no cursor of this list")

@@ -44,6 +44,7 @@ class AlertRow(Base):
         ),
         CheckConstraint("wheelset IS NOT NULL OR fleet_alert_id IS NULL", name="members_have_wheelset"),
         Index(None, "wheelset"),
+        Index(None, "severity", "alert_id"),
         Index(None, "fleet_alert_id"),
         {"sqlite_autoincrement": True},
     )

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from sqlalchemy import Connection, Select, insert, select, update
+from sqlalchemy import Connection, Select, insert, or_, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
 from estimation.values.identity import IDENTITY
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import AlertEventRow, AlertRow
+from fleet_db.models import AlertEventRow, AlertRow, MountingRow
 from fleet_db.rows import table_of
 from fleet_db.session import to_json
 
-ALERTS, EVENTS = table_of(AlertRow), table_of(AlertEventRow)
+ALERTS, EVENTS, MOUNTINGS = table_of(AlertRow), table_of(AlertEventRow), table_of(MountingRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +72,12 @@ class AlertStore:
         limit: int,
         scope: AlertScope | None = None,
         fleet_alert_id: int | None = None,
+        severity: Severity | None = None,
+        newest_first: bool = False,
     ) -> Sequence[Alert]:
-        """Return at most ``limit`` alerts with a number behind ``after_id`` that match every filter given."""
+        """Return at most ``limit`` alerts that match every filter given, by number, from behind ``after_id`` on."""
         statement = _open() if open_only else select(ALERTS)
-        wanted = {"fleet": fleet, "wheelset": wheelset, "kind": kind, "condition": condition}
+        wanted = {"fleet": fleet, "wheelset": wheelset, "kind": kind, "condition": condition, "severity": severity}
         for name, value in wanted.items():
             if value is not None:
                 statement = statement.where(ALERTS.c[name] == str(value))
@@ -85,8 +87,23 @@ class AlertStore:
         if fleet_alert_id is not None:
             statement = statement.where(ALERTS.c.fleet_alert_id == fleet_alert_id)
         if after_id is not None:
-            statement = statement.where(ALERTS.c.alert_id > after_id)
-        return self._alerts(statement.order_by(ALERTS.c.alert_id).limit(limit))
+            number = ALERTS.c.alert_id
+            statement = statement.where(number < after_id if newest_first else number > after_id)
+        order = ALERTS.c.alert_id.desc() if newest_first else ALERTS.c.alert_id
+        return self._alerts(statement.order_by(order).limit(limit))
+
+    def places(self, alert_ids: Sequence[int]) -> Mapping[int, tuple[str, int]]:
+        """Return vehicle and axle that the wheelsets of alerts ran under when they were opened, by number.
+
+        An alert of a fleet has none, nor has one of a time of which no mounting is on file.
+        """
+        statement = (
+            select(ALERTS.c.alert_id, MOUNTINGS.c.vehicle, MOUNTINGS.c.axle)
+            .join(MOUNTINGS, MOUNTINGS.c.wheelset == ALERTS.c.wheelset)
+            .where(ALERTS.c.alert_id.in_(alert_ids), MOUNTINGS.c.from_ns <= ALERTS.c.opened_ns)
+            .where(or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > ALERTS.c.opened_ns))
+        )
+        return {row.alert_id: (row.vehicle, row.axle) for row in self.connection.execute(statement)}
 
     def feed(
         self,

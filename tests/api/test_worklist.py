@@ -5,15 +5,18 @@ from __future__ import annotations
 import csv
 import io
 import json
+from dataclasses import replace
 from typing import Any
 
 import api_fleet
 import httpx
 import pytest
+from running_service import Service
 
 from api.app import document_text
 from api.csv_tables import columns_of
 from api.schemas.worklist import WheelsetRow, WorklistSort
+from estimation.values.alerts import AlertEventKind, Severity
 from estimation.values.worklist import Urgency
 
 DOCUMENT = json.loads(document_text())
@@ -123,3 +126,26 @@ def test_a_table_goes_on_by_its_link_and_guards_formulas(client: httpx.Client) -
 def test_urgencies_are_documented_with_their_meaning() -> None:
     described = DOCUMENT["components"]["schemas"]["Urgency"]["description"]
     assert all(f"`{urgency.value}`: {urgency.meaning}" in described for urgency in Urgency)
+
+
+def test_alerts_say_where_their_wheelset_ran_and_come_in_the_order_asked_for(service: Service) -> None:
+    client = service.client
+    for serial, severity in (("WS-020", Severity.CRITICAL), ("WS-021", Severity.INFO), ("WS-022", Severity.CRITICAL)):
+        alert = replace(api_fleet.alert(serial, "hunting"), severity=severity)
+        with service.storage.write() as unit:
+            unit.alerts.save(alert, [AlertEventKind.RAISED], api_fleet.RECORDED)
+    oldest = listed(client, "/v1/alerts?limit=4")
+    numbers = [alert["id"] for alert in oldest]
+    assert numbers == sorted(numbers)
+    assert [alert["id"] for alert in listed(client, "/v1/alerts?sort=-id&limit=4")] == numbers[::-1]
+    worst = listed(client, "/v1/alerts?sort=-severity&limit=2")
+    severities = ["info", "warning", "critical"]
+    assert [alert["id"] for alert in worst] == [
+        alert["id"] for alert in sorted(oldest, key=lambda one: (-severities.index(one["severity"]), -one["id"]))
+    ]
+    assert {alert["severity"] for alert in oldest} == set(severities)
+    places = {alert["wheelset"]: (alert["vehicle"], alert["axle"]) for alert in oldest}
+    assert (places["WS-000"], places["WS-005"], places["WS-009"]) == (("V-0", 1), ("V-1", 2), ("V-2", 2))
+    assert listed(client, "/v1/alerts?severity=critical") == [one for one in oldest if one["severity"] == "critical"]
+    cursor = client.get("/v1/alerts?sort=-severity&limit=1").json()["next_cursor"]
+    assert client.get(f"/v1/alerts?sort=-id&cursor={cursor}").status_code == 400
