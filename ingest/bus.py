@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -25,13 +26,15 @@ from ingest.frames import (
 )
 
 VIRTUAL = "virtual"
-INTERFACES = (VIRTUAL, "udp_multicast", "socketcan")
+MULTICAST = "udp_multicast"
+INTERFACES = (VIRTUAL, MULTICAST, "socketcan")
 
 RECEIVE_BYTES = 1 << 22
 """Of the socket: seconds of frames wait there while this process is held up. The kernel may grant less."""
 
 IDENTIFIER_BITS = 0x1FFF_FFFF
 
+_IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # linux/in.h, linux/in6.h
 _SO_RCVBUFFORCE = 33  # asm-generic/socket.h: beyond net.core.rmem_max, where this process may
 
 
@@ -61,6 +64,8 @@ def open_bus(interface: str, channel: str, **options: Any) -> can.BusABC:  # noq
     if interface != VIRTUAL:
         with socket.socket(fileno=os.dup(bus.fileno())) as end:
             _enlarge(end)
+            if interface == MULTICAST:
+                _hear_own_group_alone(end)
     return bus
 
 
@@ -69,6 +74,19 @@ def _enlarge(end: socket.socket) -> None:
         end.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BYTES)
     except OSError:
         end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
+
+
+def _hear_own_group_alone(end: socket.socket) -> None:
+    """Leave out what is sent to groups that other sockets of this machine have joined on the same port.
+
+    Linux hands a datagram of any joined group to every socket on its port unless this is switched off.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    if end.family == socket.AF_INET6:
+        end.setsockopt(socket.IPPROTO_IPV6, _IPV6_MULTICAST_ALL, 0)
+    else:
+        end.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
 
 
 def send(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
@@ -31,6 +32,7 @@ COUNTERS: Mapping[str, str] = MappingProxyType(
         "frames_unreadable": "Frames left out because they are none of a classic CAN bus.",
         "frames_spooled": "Frames that reached the disk.",
         "frames_dropped": "Frames of this vehicle that were dropped, also before this start.",
+        "frames_rejected": "Frames of pieces that were rejected, so that no window is made of them.",
         "pieces_stored": "Pieces that have their receipt.",
         "pieces_rejected": "Pieces that were stored and rejected.",
     }
@@ -41,6 +43,7 @@ GAUGES: Mapping[str, str] = MappingProxyType(
         "spool_bytes": "Frames on the disk without a receipt.",
         "spool_limit_bytes": "How much the spool may hold.",
         "pieces_waiting": "Pieces without a receipt.",
+        "rejected_in_a_row": "Pieces rejected since one was decoded.",
         "pieces_aside": "Pieces that could not be stored whatever was tried.",
     }
 )
@@ -97,9 +100,10 @@ def _health(status: LiveStatus) -> Answer:
 
 
 def _readiness(status: LiveStatus) -> Answer:
-    """Whether frames reach their receipts; a silent bus is no fault, a vehicle may be switched off."""
-    faults = status.faults
-    return _json(status.alive and not faults, {"faults": faults, "silent_since_s": status.silent_since_s})
+    """Whether frames reach their receipts, and windows can be made of them; a silent bus is no fault, a vehicle may be switched off."""
+    faults, last_s = status.faults, status.silent_since_s
+    silent_s = None if last_s is None else round(max(0.0, time.time() - last_s), 1)
+    return _json(status.alive and not faults, {"faults": faults, "silent_for_s": silent_s})
 
 
 def _json(well: bool, facts: Mapping[str, object]) -> Answer:  # noqa: FBT001 - the answer's first word
@@ -122,7 +126,7 @@ class _Measures(Collector):
             value = getattr(status, f"{name}_s") or 0.0
             yield GaugeMetricFamily(f"{PREFIX}{name}_timestamp_seconds", text, value=value)
         up = GaugeMetricFamily(f"{PREFIX}up", "Whether it works.", labels=["what"])
-        for what in ("bus", "spool", "raw", "database"):
+        for what in ("bus", "spool", "raw", "database", "recordings"):
             up.add_metric([what], 0.0 if what in status.faults else 1.0)
         yield up
 

@@ -9,6 +9,9 @@ from typing import Protocol
 
 from ingest.receiver import ChunkReceipt
 
+REJECTED_IN_A_ROW = 3
+"""Recordings that are rejected behind one that was decoded before the receiver is not ready; else the first one is."""
+
 
 @dataclass(slots=True)
 class LiveStatus:
@@ -26,6 +29,10 @@ class LiveStatus:
         What has no receipt yet: in memory, on the disk, and the pieces of it.
     pieces_stored, pieces_rejected
         Since the start; a rejected piece is stored too.
+    frames_rejected
+        Frames of the rejected pieces.
+    rejected_in_a_row, decoded, last_rejection
+        Rejected pieces since one was decoded, whether any was since the start, and why the last one was rejected.
     last_frame_s, last_receipt_s
         Seconds since the Unix epoch, of our clock; None before the first.
     silent_since_s
@@ -47,6 +54,10 @@ class LiveStatus:
     pieces_aside: int = 0
     pieces_stored: int = 0
     pieces_rejected: int = 0
+    frames_rejected: int = 0
+    rejected_in_a_row: int = 0
+    decoded: bool = False
+    last_rejection: str = ""
     last_frame_s: float | None = None
     last_receipt_s: float | None = None
     silent_since_s: float | None = None
@@ -59,14 +70,22 @@ class LiveStatus:
 
     @property
     def faults(self) -> dict[str, str]:
-        """What keeps frames from their receipts, by where it is."""
+        """What keeps frames from their receipts and windows, by where it is."""
         found = {
             "bus": self.bus_fault,
             "spool": self.spool_fault,
             "raw": self.raw_fault,
             "database": self.database_fault,
+            "recordings": self._recordings_fault,
         }
         return {where: fault for where, fault in found.items() if fault is not None}
+
+    @property
+    def _recordings_fault(self) -> str | None:
+        """Why nothing of what is received can be used; None while recordings are decoded."""
+        if self.rejected_in_a_row < (REJECTED_IN_A_ROW if self.decoded else 1):
+            return None
+        return f"every recording is rejected, the last {self.rejected_in_a_row}: {self.last_rejection}"
 
 
 class Say(Protocol):

@@ -154,7 +154,7 @@ class Storing:
             f"{name}{RECORDING_SUFFIX}: {recording.frames:,} frames stored, {recording.dropped:,} dropped",
             bad=recording.dropped > 0,
         )
-        self._decode(receiver, record, f"{name}{RECORDING_SUFFIX}")
+        self._decode(receiver, record, f"{name}{RECORDING_SUFFIX}", recording.frames)
 
     def _failed(self, piece: Piece, error: Exception) -> bool:
         """Try a piece that has a fault of its own again, in the end set it aside; return whether that is done."""
@@ -170,29 +170,35 @@ class Storing:
         self._reports.say(f"set aside {piece.path.name}, it cannot be stored: {first_line(error)}", bad=True)
         return True
 
-    def _decode(self, receiver: Receiver, record: ChunkRecord, name: str) -> None:
+    def _decode(self, receiver: Receiver, record: ChunkRecord, name: str, frames: int) -> None:
         """Decode what is stored; report what became of it."""
         outcome: ChunkReceipt | Exception
         try:
             outcome = receiver.decode_one(record)
         except Exception as error:  # noqa: BLE001 - one recording must not keep the others from being decoded
             outcome = error
-        if self._report(name, outcome):
+        if self._report(name, outcome, frames):
             return
         reason = outcome.record.reason if isinstance(outcome, ChunkReceipt) else first_line(outcome)
         self._reports.say(f"stored, not decoded yet: {name}: {reason}", bad=True)
 
-    def _report(self, name: str, outcome: ChunkReceipt | Exception) -> bool:
+    def _report(self, name: str, outcome: ChunkReceipt | Exception, frames: int = 0) -> bool:
         """Report a recording that is decoded or rejected; False where another attempt follows."""
         if isinstance(outcome, LogFileError):
             self._status.pieces_rejected += 1
-            self._reports.say(f"rejected {name}: {outcome.reason}", bad=True)
+            self._status.frames_rejected += frames
+            self._status.rejected_in_a_row += 1
+            self._status.last_rejection = outcome.reason
+            counted = f", {self._status.rejected_in_a_row} in a row" if self._status.rejected_in_a_row > 1 else ""
+            self._reports.say(f"rejected {name}{counted}: {outcome.reason}", bad=True)
         elif isinstance(outcome, Exception) or _waits(outcome.record):
             if self._decode_at is None:
                 self._decode_at = time.monotonic() + self._decode_delays.failed()
             return False
         else:
             self._decode_delays.succeeded()
+            if outcome.record.state is ChunkState.DECODED:
+                self._status.rejected_in_a_row, self._status.decoded = 0, True
         self._reports.received(name, outcome)
         return True
 

@@ -6,6 +6,7 @@ UTC. Stamps that count from the line before them are refused: after one lost lin
 
 from __future__ import annotations
 
+import io
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,7 +17,7 @@ from ingest.frames import DATA_BYTES, ERROR_FLAG, REMOTE_FLAG, channel_name
 from ingest.logs.frame_sink import FrameSink
 from ingest.logs.log_format import LogFormat
 from ingest.logs.read_limits import ReadLimits
-from ingest.logs.text_lines import LONGEST_LINE, SECOND_NS, Facts, LineFormat, identifier_limits
+from ingest.logs.text_lines import LONGEST_LINE, SECOND_NS, Facts, LineFormat, identifier_limits, skip_mark
 from ingest.logs.text_log import TextLog
 
 _TIME = r"\s*(?P<seconds>\d{1,10})\.(?P<fraction>\d{1,9})\s+"
@@ -95,7 +96,8 @@ def _facts(match: re.Match[str]) -> Facts | None:
 def _header(path: Path) -> tuple[int, str]:
     """Return the start time in ns and the base of the numbers."""
     start_ns = None
-    with path.open(encoding="latin-1") as file:
+    with path.open("rb") as content, io.TextIOWrapper(content, "latin-1") as file:
+        skip_mark(content)
         for number in range(1, _HEADER_LINES):
             line = file.readline(LONGEST_LINE)
             if date := _DATE.fullmatch(line):

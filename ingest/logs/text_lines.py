@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import itertools
 import re
+from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -87,6 +89,18 @@ class LineBlock:
         return self.text[self.starts[index] : self.ends[index]].decode("latin-1")
 
 
+def skip_mark(file: BinaryIO) -> None:
+    """Go to the first character of a text: behind the byte order mark, which some editors put there.
+
+    Parameters
+    ----------
+    file
+        At its begin.
+    """
+    if file.read(len(BOM_UTF8)) != BOM_UTF8:
+        file.seek(0)
+
+
 def line_blocks(path: Path, form: LineFormat) -> Iterator[LineBlock]:
     """Yield the lines of a file, a piece at a time.
 
@@ -104,6 +118,7 @@ def line_blocks(path: Path, form: LineFormat) -> Iterator[LineBlock]:
     """
     number, rest = 1, b""
     with path.open("rb") as file:
+        skip_mark(file)
         while block := file.read(BLOCK_BYTES):
             text, newline, rest = (rest + block).rpartition(b"\n")
             if len(rest) > LONGEST_LINE:

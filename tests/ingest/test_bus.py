@@ -9,6 +9,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 
 import can
 import numpy as np
@@ -221,3 +222,22 @@ def test_frames_are_sent_at_their_pace_until_a_stop_is_requested() -> None:
 def test_a_bus_that_is_not_there_is_named(interface: str, channel: str) -> None:
     with pytest.raises(ParameterError, match=f"{interface}|{channel}"):
         open_bus(interface, channel)
+
+
+def test_two_receivers_on_one_machine_do_not_hear_each_others_bus() -> None:
+    problem = multicast_problem()
+    if problem:
+        pytest.skip(problem)
+    groups, options = (GROUP, "239.74.163.78"), {"port": PORT + 2, "fd": False}
+    with ExitStack() as stack:
+        ours, senders = (
+            [stack.enter_context(open_bus("udp_multicast", group, **options)) for group in groups] for _ in range(2)
+        )
+        for number in range(50):
+            for place, sender in enumerate(senders):
+                sender.send(can.Message(arbitration_id=0x181 + place, is_extended_id=False, data=bytes([number])))
+        for place, bus in enumerate(ours):
+            heard = []
+            while (message := bus.recv(0.3)) is not None:
+                heard.append((message.arbitration_id, message.data[0]))
+            assert heard == [(0x181 + place, number) for number in range(50)]

@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -394,3 +395,22 @@ def arrived(port: int) -> int:
 def measure(port: int, name: str) -> float:
     lines = get(port, "/metrics")[1].splitlines()
     return next(float(line.split()[-1]) for line in lines if line.startswith(f"treadwatch_live_{name} "))
+
+
+def test_a_receiver_whose_recordings_are_all_rejected_is_not_ready_and_says_why(live: Live) -> None:
+    other_rate = Run(seconds=2.0).frames()
+    spooled(live, packed(replace(other_rate, t_ns=other_rate.t_ns[0] + 2 * (other_rate.t_ns - other_rate.t_ns[0]))))
+    with serving_health("127.0.0.1", 0, live.status) as port, live.running():
+        eventually(lambda: live.status.pieces_rejected == 1)
+        code, text = get(port, "/readyz")
+        assert code == 503
+        assert json.loads(text)["faults"]["recordings"].startswith("every recording is rejected, the last 1: SYNC")
+        measured = get(port, "/metrics")[1]
+        assert f"treadwatch_live_frames_rejected_total {float(len(other_rate))}" in measured
+        assert 'treadwatch_live_up{what="recordings"} 0.0' in measured
+        live.status.silent_since_s = time.time() - 90.0
+        assert 90.0 <= json.loads(get(port, "/readyz")[1])["silent_for_s"] < 3600.0
+        live.status.decoded = True  # one bad piece among good ones is no reason to restart a receiver
+        assert "recordings" not in live.status.faults
+        live.status.rejected_in_a_row = 3
+        assert "recordings" in live.status.faults

@@ -231,3 +231,15 @@ def test_what_counts_as_out_of_time() -> None:
     """A tenth of a second is more than recorders mix up; an hour is longer than a bus pauses between two frames."""
     assert STEP_BACK_NS == 100_000_000
     assert ALONE_NS == 3_600_000_000_000
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".log"])
+def test_a_byte_order_mark_in_front_changes_nothing(tmp_path: Path, suffix: str) -> None:
+    plain, marked = tmp_path / f"plain{suffix}", tmp_path / f"marked{suffix}"
+    write_recording(plain, random_frames(3, 50))
+    marked.write_bytes(b"\xef\xbb\xbf" + plain.read_bytes())
+    (expected, counted), (found, counts) = read_here(plain), read_here(marked)
+    assert counts == counted
+    assert len(found) == 50
+    for name in ("t_ns", "arbitration_id", "dlc", "data"):
+        assert np.array_equal(getattr(found, name), getattr(expected, name))
