@@ -100,7 +100,7 @@ def _health(status: LiveStatus) -> Answer:
 
 
 def _readiness(status: LiveStatus) -> Answer:
-    """Whether frames reach their receipts, and windows can be made of them; a silent bus is no fault, a vehicle may be switched off."""
+    """Whether frames reach their receipts and can be used; a silent bus is no fault, a vehicle may be switched off."""
     faults, last_s = status.faults, status.silent_since_s
     silent_s = None if last_s is None else round(max(0.0, time.time() - last_s), 1)
     return _json(status.alive and not faults, {"faults": faults, "silent_for_s": silent_s})
