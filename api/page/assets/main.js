@@ -1,5 +1,6 @@
 // The page begins here: views under their addresses, search, theme, keyboard, sign-in.
 import { get, segment, session } from "./client.js";
+import { alerts, alertView } from "./alerts.js";
 import { announce } from "./dom.js";
 import { showKeys, startKeys } from "./keys.js";
 import { keyFromAddress, startLogin } from "./login.js";
@@ -7,6 +8,8 @@ import { overview } from "./overview.js";
 import { route, show, start } from "./router.js";
 
 route("/", "overview", overview);
+route("/alerts", "alerts", alerts);
+route("/alerts/:id", "alerts", alertView);
 
 function startTheme() {
   const button = document.getElementById("theme");

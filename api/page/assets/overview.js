@@ -1,30 +1,104 @@
-// The fleet: every wheelset, where it runs, and the way to what is known of it.
-import { getAll, segment } from "./client.js";
-import { el } from "./dom.js";
-import { km } from "./format.js";
+// The fleet, ranked by urgency with reasons; filtered and sorted by the API, read page by page as it is scrolled.
+import { get, getAll, withQuery } from "./client.js";
+import { announce, el } from "./dom.js";
+import { address, columns, nameOf, URGENCIES } from "./fleet_columns.js";
+import { filters } from "./filters.js";
+import { KINDS } from "./alert_words.js";
+import { scaleOf } from "./interval.js";
 import { live } from "./live.js";
+import { keepQuery } from "./router.js";
+import { empty } from "./states.js";
 import { table } from "./table.js";
+import { saveButton } from "./table_file.js";
 
-const COLUMNS = [
-  { name: "serial", label: "Wheelset", cell: (row) => el("a", { href: address(row), tabindex: -1 }, row.serial) },
-  { name: "fleet", label: "Fleet", cell: (row) => row.fleet },
-  { name: "vehicle", label: "Vehicle", cell: (row) => row.mounting?.vehicle ?? "not mounted" },
-  { name: "axle", label: "Axle", class: "right", cell: (row) => row.mounting?.axle ?? "" },
-  { name: "profile", label: "Wheel profile", cell: (row) => row.wheel_profile },
-  { name: "mileage", label: "Mileage when mounted", class: "right", cell: (row) => km(row.mounting?.wheelset_mileage_km) },
-];
+const FIRST = 60, FURTHER = 250;
+const STATUSES = ["estimated", "unestimated", "invalid", "model_mismatch"];
+const FILTERS = ["fleet", "vehicle", "vehicle_class", "urgency", "status", "alert_kind"];
 
-const address = (row) => `#/wheelsets/${segment(row.serial)}`;
-
-export function overview({ signal, title }) {
+export async function overview({ query, signal, title }) {
   title("Fleet");
+  let { sort = "urgency", ...wanted } = query;
+  let rows = [], next = null, most = 0.6;
+  const [fleets, classes] = await Promise.all([
+    getAll("/v1/fleets?limit=1000", signal), getAll("/v1/vehicle-classes?limit=1000", signal),
+  ]);
+  const path = (limit) => withQuery("/v1/wheelsets", { ...pick(wanted), sort, limit });
+  const count = el("span", { class: "quiet" });
   const list = table({
-    columns: COLUMNS, label: "Wheelsets", rowHeight: 34, keyOf: (row) => row.serial,
-    onOpen: (row) => (location.hash = address(row)),
+    columns: columns(() => most), label: "Wheelsets by urgency", keyOf: (row) => row.serial, sorted: sort,
+    onOpen: (row) => (location.hash = address(row)), onSort: sortBy,
+    nothing: () => (Object.keys(pick(wanted)).length
+      ? empty("No wheelset fits these filters.", "Clear the filters to see all of them.")
+      : empty("No wheelset is registered.", "Load a registry: treadwatch registry load FILE.")),
   });
-  const load = () => getAll("/v1/wheelsets?limit=1000", signal);
+
+  /** Read as many rows as are shown, at least the first page. */
+  async function load() {
+    const found = [];
+    let following = path(FIRST);
+    do {
+      const page = await get(following, signal);
+      found.push(...page.items);
+      following = page.next;
+    } while (following !== null && found.length < rows.length);
+    return { found, following };
+  }
+
+  function show({ found, following }) {
+    rows = found;
+    next = following;
+    most = Math.max(0.6, scaleOf(rows));
+    return drawn();
+  }
+
+  function drawn() {
+    count.textContent = `${rows.length}${next === null ? "" : " of more"} wheelset${rows.length === 1 ? "" : "s"}`;
+    return list.setRows(rows, { more: next === null ? null : more });
+  }
+
+  async function more() {
+    try {
+      const page = await get(next.replace(/limit=\d+/, `limit=${FURTHER}`), signal);
+      rows = [...rows, ...page.items];
+      next = page.next;
+      drawn();
+    } catch (error) {
+      if (!signal.aborted) announce(error.message);
+    }
+  }
+
+  function again() {
+    rows = [];
+    keepQuery({ ...pick(wanted), sort: sort === "urgency" ? "" : sort });
+    list.setSorted(sort);
+    return shown.reload();
+  }
+
+  function sortBy(name) {
+    const turned = name.startsWith("-") ? name.slice(1) : `-${name}`;
+    sort = sort === name ? turned : name;
+    again();
+  }
+
+  const fields = [
+    { name: "fleet", label: "Fleet", options: fleets.map((fleet) => [fleet.code, fleet.code]) },
+    { name: "vehicle", label: "Vehicle" },
+    { name: "vehicle_class", label: "Class", options: classes.map((one) => [one.code, one.code]) },
+    { name: "urgency", label: "Urgency", options: URGENCIES.map((code) => [code, nameOf(code)]) },
+    { name: "status", label: "Status", options: STATUSES },
+    { name: "alert_kind", label: "Alert", options: KINDS },
+  ];
+  const chosen = (values) => {
+    wanted = values;
+    again();
+  };
+  const save = saveButton(el, () => path(1000), "wheelsets.csv");
+  const shown = live({ load, show, signal, everyS: 60, what: "Loading the fleet" });
   return el(
-    "div", {}, el("div", { class: "view-head" }, el("h1", {}, "Fleet")),
-    live({ load, signal, everyS: 60, show: (rows) => list.setRows(rows) }),
+    "div", {},
+    el("div", { class: "view-head" }, el("h1", {}, "Fleet, the most urgent first"), count),
+    filters(fields, wanted, chosen, save), shown,
   );
 }
+
+const pick = (values) => Object.fromEntries(FILTERS.filter((name) => values[name]).map((name) => [name, values[name]]));

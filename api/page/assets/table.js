@@ -60,7 +60,7 @@ export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, s
         style: { height: `${rowHeight}px` },
         on: { focus: () => mark(index) },
       },
-      columns.map((column) => el("td", { class: column.class }, column.cell(row))),
+      columns.map((column) => el("td", { class: classOf(column) }, column.cell(row))),
     );
   }
 
@@ -137,15 +137,17 @@ export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, s
   return element;
 }
 
+const classOf = (column) => `c-${column.name} ${column.class ?? ""}`;
+
 function headCell(column, sorted, onSort) {
   const label = column.sort ? el("button", { type: "button", on: { click: () => onSort(column.sort) } }, column.label) : column.label;
-  const cell = el("th", { scope: "col", class: column.class, title: column.title }, label);
+  const cell = el("th", { scope: "col", class: classOf(column), title: column.title }, label);
   sortMark(cell, column, sorted);
   return cell;
 }
 
 function sortMark(cell, column, name) {
   if (!column.sort) return;
-  const name_ = name?.replace(/^-/, "");
-  cell.setAttribute("aria-sort", column.sort !== name_ ? "none" : name.startsWith("-") ? "descending" : "ascending");
+  const same = column.sort.replace(/^-/, "") === name?.replace(/^-/, "");
+  cell.setAttribute("aria-sort", !same ? "none" : name.startsWith("-") ? "descending" : "ascending");
 }
