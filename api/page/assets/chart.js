@@ -9,8 +9,8 @@ const colour = (name) => getComputedStyle(document.documentElement).getPropertyV
  * A chart.
  *
  * `series` are `{label, x, y, low, high, role, kind, digits}`: `x` ascending; `low` and `high` the band; `role` a colour
- * of app.css (`estimate`, `design`, `measured`, `limit`, `forecast`); `kind` `line`, `dashed` or `points`; null in `y` is a
- * gap. `x` and `y` are `{label, time, range, digits}`. `marks` are `{x or y, label, role}`: lines across. `shades` are
+ * of app.css (`estimate`, `design`, `measured`, `limit`, `forecast`); `kind` `line`, `dashed` or `points`; `width` of
+ * the line; null in `y` is a gap. `x` and `y` are `{label, time, range, digits}`. `marks` are `{x or y, label, role}`: lines across. `shades` are
  * `{from, to}` of x that are shaded. `sync` names charts with one cursor. x of time is in seconds.
  */
 export function chart({ label, series, x = {}, y = {}, marks = [], shades = [], height = 260, sync }) {
@@ -68,7 +68,7 @@ function options({ series, x, y, marks, shades, height, width, sync, joined, rea
     const tint = colour(one.role ?? "estimate");
     const points = one.kind === "points";
     lines.push({
-      label: one.label, stroke: points ? undefined : tint, width: points ? 0 : 1.75, dash: one.kind === "dashed" ? [6, 4] : undefined,
+      label: one.label, stroke: points ? undefined : tint, width: points ? 0 : one.width ?? 1.75, dash: one.kind === "dashed" ? [6, 4] : undefined,
       points: { show: points, size: 6, fill: tint, stroke: tint }, spanGaps: false,
     });
     if (!one.low) continue;
@@ -77,7 +77,7 @@ function options({ series, x, y, marks, shades, height, width, sync, joined, rea
     bands.push({ series: [joined.places[place] + 1, joined.places[place] + 2], fill: faint(tint) });
   }
   const axis = (given, side) => ({
-    label: given.label, stroke: ink, font: "12px system-ui", labelFont: "12px system-ui", labelSize: 20, size: side ? 56 : 34,
+    label: given.label, stroke: ink, font: "12px system-ui", labelFont: "12px system-ui", labelSize: 18, size: side ? 56 : given.time ? 44 : 30,
     grid: { stroke: rule, width: 1 }, ticks: { stroke: rule, width: 1, size: 4 },
     values: given.time ? undefined : (_, values) => values.map((value) => (value === null ? "" : short(value))),
   });

@@ -74,7 +74,7 @@ function distance(state) {
     const beyond = state.distance_to_limit_km.reason_code === "beyond_horizon";
     return el("span", { class: beyond ? "quiet" : "unknown", title: reason }, beyond ? "beyond horizon" : "not estimated");
   }
-  if (p50 === null) return [`> ${roundKm(p10)}`, second("median beyond horizon")];
+  if (p50 === null) return [`> ${roundKm(p10)}`, second("median beyond")];
   const to = p90 === null ? "beyond" : roundKm(p90);
   return [el("b", {}, roundKm(p50)), second(`${roundKm(p10)} to ${to}`)];
 }

@@ -4,12 +4,18 @@ import { alerts, alertView } from "./alerts.js";
 import { announce } from "./dom.js";
 import { showKeys, startKeys } from "./keys.js";
 import { keyFromAddress, startLogin } from "./login.js";
+import { jobView, operation } from "./operation.js";
 import { overview } from "./overview.js";
 import { route, show, start } from "./router.js";
+import { track, tracks } from "./tracks.js";
 
 route("/", "overview", overview);
 route("/alerts", "alerts", alerts);
 route("/alerts/:id", "alerts", alertView);
+route("/tracks", "tracks", tracks);
+route("/tracks/:code", "tracks", track);
+route("/operation", "operation", operation);
+route("/operation/jobs/:name", "operation", jobView);
 
 function startTheme() {
   const button = document.getElementById("theme");
