@@ -11,7 +11,7 @@ export async function follow(signal, changed) {
     try {
       if (cursor === null) cursor = await newest(signal);
       const began = Date.now();
-      const page = await get(withQuery("/v1/alerts/feed", { after: cursor, limit: 100, wait: waits ? WAIT_S : "" }), signal);
+      const page = await get(withQuery("/v1/alerts/feed", { after: cursor, limit: 100, wait_s: waits ? WAIT_S : "" }), signal);
       cursor = page.next_cursor;
       if (page.items.length) changed(page.items);
       else if (Date.now() - began < 1000) await pause(POLL_MS);

@@ -89,11 +89,14 @@ function quarantine(page) {
 function recordings(page) {
   if (page === null) return el("p", { class: "quiet" }, "This service does not list recordings.");
   if (page.items.length === 0) return el("p", { class: "quiet" }, "No recording has been received yet. treadwatch ingest FILE receives one.");
+  const tones = { decoded: "good", rejected: "critical", set_aside: "warning", stored: "info" };
+  const frames = ({ counts: seen }) => (seen.frames === 0 ? "" : [`${number(seen.used)} of ${number(seen.frames)}`, seen.lost ? el("span", { class: "second" }, `${number(seen.lost)} lost`) : null]);
   return rows(
-    [["Received"], ["Vehicle"], ["Recording"], ["State"], ["Counts"]],
+    [["Received"], ["Vehicle"], ["File"], ["Measured"], ["State"], ["Frames used", true], ["Reason"]],
     page.items.map((item) => [
-      item.received_at ? ago(item.received_at) : "", item.vehicle ?? "", el("span", { class: "second mono" }, item.digest ?? item.id ?? ""),
-      el("span", { class: "badge", title: item.reason }, words(item.state ?? item.outcome ?? "")), item.counts ? counts(item) : "",
+      ago(item.received_at), item.vehicle, el("span", { title: item.digest }, item.file_name ?? item.digest.slice(0, 12)),
+      item.measured_from ? moment(item.measured_from) : "", el("span", { class: `badge ${tones[item.state] ?? ""}` }, words(item.state)), frames(item),
+      item.reason ? el("span", { class: "clamp", title: item.reason }, item.reason) : "",
     ]),
   );
 }
