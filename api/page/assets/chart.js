@@ -120,6 +120,8 @@ function markLines(u, marks) {
   ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
   ctx.clip();
   ctx.font = `${11 * devicePixelRatio}px system-ui`;
+  ctx.textAlign = "left"; // uPlot leaves that of its axes
+  ctx.textBaseline = "alphabetic";
   ctx.lineWidth = 1.25 * devicePixelRatio;
   for (const mark of marks) {
     ctx.strokeStyle = ctx.fillStyle = colour(mark.role ?? "limit");

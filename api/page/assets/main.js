@@ -7,13 +7,17 @@ import { keyFromAddress, startLogin } from "./login.js";
 import { jobView, operation } from "./operation.js";
 import { overview } from "./overview.js";
 import { route, show, start } from "./router.js";
+import { sheet } from "./sheet.js";
 import { track, tracks } from "./tracks.js";
+import { wheelset } from "./wheelset.js";
 
 route("/", "overview", overview);
 route("/alerts", "alerts", alerts);
 route("/alerts/:id", "alerts", alertView);
 route("/tracks", "tracks", tracks);
 route("/tracks/:code", "tracks", track);
+route("/wheelsets/:serial", "overview", wheelset);
+route("/wheelsets/:serial/sheet", "overview", sheet);
 route("/operation", "operation", operation);
 route("/operation/jobs/:name", "operation", jobView);
 
