@@ -42,6 +42,7 @@ COMMANDS = (
     Command("serve", "api.commands.serve", "serve", "Serve the REST API."),
     Command("keys", "api.commands.keys", "keys", "Make, list and revoke keys of the REST API."),
     Command("schedule", "api.commands.schedule", "schedule", "Run the jobs on schedule; one per deployment."),
+    Command("feed", "api.commands.feed", "feed", "Print what happens to alerts, or follow it."),
     Command("rules", "api.commands.rules", "rules", "Check alert rules, and try them on what is stored."),
     Command("contact", "api.commands.contact", "contact", "Compute the contact geometry of a wheel on a rail."),
     Command("vehicle", "api.commands.vehicle", "vehicle", "List, show and check vehicle classes."),
