@@ -37,6 +37,12 @@ class Registry(Protocol):
     def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]: ...
 
 
+class SensorChanges(Protocol):
+    """When the sensors of an axle were exchanged or calibrated."""
+
+    def at_axle(self, vehicle: str, axle: int) -> Sequence[int]: ...
+
+
 class Tracks(Protocol):
     """Track sections and versions of their alignment."""
 
@@ -234,6 +240,8 @@ class UnitOfWork(Protocol):
     def registry(self) -> Registry: ...
     @property
     def tracks(self) -> Tracks: ...
+    @property
+    def sensor_changes(self) -> SensorChanges: ...
     @property
     def epochs(self) -> Epochs: ...
     @property

@@ -33,6 +33,7 @@ from fleet_db.stores.recorded_times import RecordedTimeStore
 from fleet_db.stores.recording_changes import RecordingChangeStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RegistryHistoryStore
+from fleet_db.stores.sensor_changes import SensorChangeStore
 from fleet_db.stores.settings import StoredSettingStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.suspension import SuspensionStore
@@ -67,6 +68,7 @@ class SqlUnitOfWork:
     recording_changes: RecordingChangeStore = field(init=False)
     registry: RegistryStore = field(init=False)
     registry_history: RegistryHistoryStore = field(init=False)
+    sensor_changes: SensorChangeStore = field(init=False)
     corrections: CorrectionStore = field(init=False)
     tracks: TrackStore = field(init=False)
     epochs: EpochStore = field(init=False)
@@ -98,7 +100,10 @@ class SqlUnitOfWork:
         self.registry = RegistryStore(connection, self.changes, self.shipped)
         self.tracks = TrackStore(connection)
         self.registry_history = RegistryHistoryStore(connection)
-        self.corrections = CorrectionStore(connection, self.changes, self.registry, self.tracks, self.registry_history)
+        self.sensor_changes = SensorChangeStore(connection, self.changes)
+        self.corrections = CorrectionStore(
+            connection, self.changes, self.registry, self.tracks, self.registry_history, self.sensor_changes
+        )
         self.epochs = EpochStore(connection)
         self.windows = WindowStore(connection, self.changes, self.files)
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Engine, FromClause, Select, Table, event, false, select
+from sqlalchemy import ColumnElement, Connection, Engine, FromClause, Select, Table, and_, event, false, or_, select
 from sqlalchemy.sql import Executable, visitors
 from sqlalchemy.sql.selectable import Alias, Join
 
@@ -64,7 +64,19 @@ def _in(column: ColumnElement[Any], owner: Table, key: str, fleets: Fleets) -> C
     return column.in_(select(named.c[key]).where(_among(named.c.fleet, fleets)).correlate(None))
 
 
+_OF_WHEELSETS = ("mounting", "reprofiling", "measurement", "wheelset")  # kinds of records
+_OF_VEHICLES = ("vehicle", "sensor_change")
+
+
+def _of_subject(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
+    """Return the decisions on records of wheelsets and vehicles of the fleets; sections and classes are of none."""
+    of_wheelset = and_(columns.kind.in_(_OF_WHEELSETS), _in(columns.subject, _WHEELSETS, "serial", fleets))
+    of_vehicle = and_(columns.kind.in_(_OF_VEHICLES), _in(columns.subject, _VEHICLES, "code", fleets))
+    return or_(of_wheelset, of_vehicle)
+
+
 RULES: Mapping[str, Rule] = {
+    "registry_events": _of_subject,
     "fleets": _fleet_itself,
     "vehicles": _of_fleet,
     "wheelsets": _of_fleet,
@@ -108,7 +120,7 @@ SHARED = frozenset(
     }
 )
 """Tables of no fleet. What a row of them says of a fleet's vehicles is left out by its representation."""
-HIDDEN = frozenset({"api_keys", "audit_entries", "quarantine", "raw_marks", "registry_events"})
+HIDDEN = frozenset({"api_keys", "audit_entries", "quarantine", "raw_marks"})
 """Tables that a bound caller does not see at all."""
 
 

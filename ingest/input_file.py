@@ -184,7 +184,26 @@ def read_toml(path: Path, error_type: type[InputError] = InputError) -> InputFil
     InputError
         As ``error_type``: the file cannot be read, or is no TOML.
     """
-    text = read_text_within(path, SETTINGS_BYTES, error_type)
+    return parse_toml(read_text_within(path, SETTINGS_BYTES, error_type), path, error_type)
+
+
+def parse_toml(text: str, path: Path, error_type: type[InputError] = InputError) -> InputFile:
+    """Return the content of a TOML text.
+
+    Parameters
+    ----------
+    text
+        The content.
+    path
+        Its name in messages.
+    error_type
+        The error to raise, here and when the content is parsed.
+
+    Raises
+    ------
+    InputError
+        As ``error_type``: it is no TOML.
+    """
     try:
         return InputFile(path, tomllib.loads(text), key_lines(text), error_type)
     except tomllib.TOMLDecodeError as error:

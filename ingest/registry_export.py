@@ -11,7 +11,7 @@ from urllib.parse import quote
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import InputError
 from estimation.values.json_value import JsonValue
-from estimation.values.registry import Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.registry import Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
 from estimation.values.utc_text import utc_text
 from estimation.vehicle.class_on_file import class_document
@@ -49,15 +49,19 @@ def export_registry(unit: SqlUnitOfWork, folder: str) -> ExportedRegistry:
     registry, files = unit.registry, _Files(folder)
     serials = [one.serial for one in registry.wheelsets() if not registry.voided(one.serial)]
     wheelsets = [registry.wheelset(serial) for serial in serials]
+    vehicles = registry.vehicles_page(None, None, MOST_VEHICLES)
     arrays: dict[str, Sequence[Entry]] = {
         "fleets": [{"code": one.code, "name": one.name} for one in registry.fleets()],
         "vehicle_classes": [{"recorded": class_document(one.vehicle_class)} for one in registry.vehicle_classes()],
-        "vehicles": [_vehicle(one) for one in registry.vehicles_page(None, None, MOST_VEHICLES)],
+        "vehicles": [_vehicle(one) for one in vehicles],
         "wheelsets": [_wheelset(one) for one in wheelsets],
         "mountings": [_mounting(one) for serial in serials for one in registry.mountings(serial)],
         "reprofilings": [_reprofiling(one) for wheelset in wheelsets for one in wheelset.reprofilings],
         "measured_profiles": [
             _measurement(one, files) for serial in serials for one in registry.measured_profiles(serial)
+        ],
+        "sensor_changes": [
+            _sensor_change(one) for vehicle in vehicles for one in unit.sensor_changes.list(vehicle.code)
         ],
         "track_sections": [_section(unit, one, files) for one in unit.tracks.sections()],
     }
@@ -145,6 +149,11 @@ def _mounting(one: Mounting) -> Entry:
 
 def _reprofiling(one: Reprofiling) -> Entry:
     return {"wheelset": one.wheelset, "at": utc_text(one.at_ns), "mileage_km": one.mileage_km, "note": one.note}
+
+
+def _sensor_change(one: SensorChange) -> Entry:
+    place: Entry = {"vehicle": one.vehicle, "axle": one.axle, "at": utc_text(one.at_ns), "work": one.work.value}
+    return {**place, "removed": one.removed, "fitted": one.fitted, "note": one.note}
 
 
 def _measurement(one: MeasuredProfiles, files: _Files) -> Entry:

@@ -128,6 +128,7 @@ def _contents(file: InputFile) -> tuple[RegistryContents, list[Refusal]]:
         mountings=tuple(entry.record() for entry in entries.mountings),
         reprofilings=tuple(entry.record() for entry in entries.reprofilings),
         measured_profiles=tuple(measured),
+        sensor_changes=tuple(entry.record() for entry in entries.sensor_changes),
         sections=tuple(section for section, _, _ in sections),
         alignments=tuple(alignment for _, alignment, _ in sections if alignment is not None),
         layouts=tuple(layout for _, _, layout in sections if layout is not None),

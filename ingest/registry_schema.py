@@ -8,7 +8,15 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
-from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.registry import (
+    FleetRecord,
+    Mounting,
+    Reprofiling,
+    SensorChange,
+    SensorWork,
+    VehicleRecord,
+    WheelsetRecord,
+)
 from estimation.values.track import TrackSectionRecord
 from ingest.input_file import Code, FreeText, InputTable, NotNegative, Positive, Text, field_error
 
@@ -146,6 +154,24 @@ class ReprofilingEntry(InputTable):
         return Reprofiling(wheelset=self.wheelset, at_ns=self.at, mileage_km=self.mileage_km, note=self.note)
 
 
+class SensorChangeEntry(InputTable):
+    """An entry of ``sensor_changes``."""
+
+    vehicle: Code
+    axle: int = Field(ge=1, le=MAX_AXLES)
+    at: MomentNs
+    work: Literal["swap", "calibration"]
+    removed: FreeText = ""
+    fitted: FreeText = ""
+    note: FreeText = ""
+
+    def record(self) -> SensorChange:
+        """Return the work on the sensors of an axle; time in ns since 1970."""
+        return SensorChange(
+            self.vehicle, self.axle, self.at, SensorWork(self.work), self.removed, self.fitted, self.note
+        )
+
+
 class ProfileEntry(InputTable):
     """``left`` or ``right`` of a measurement."""
 
@@ -248,6 +274,7 @@ class RegistryObject(InputTable):
     mountings: list[MountingEntry] = Field(default_factory=list)
     reprofilings: list[ReprofilingEntry] = Field(default_factory=list)
     measured_profiles: list[MeasurementEntry] = Field(default_factory=list)
+    sensor_changes: list[SensorChangeEntry] = Field(default_factory=list)
     track_sections: list[SectionEntry] = Field(default_factory=list)
 
     @model_validator(mode="after")
@@ -269,6 +296,7 @@ _KEYS = (  # of the entries of each array
     ("mountings", ("wheelset", "from_ns")),
     ("reprofilings", ("wheelset", "at")),
     ("measured_profiles", ("wheelset", "at")),
+    ("sensor_changes", ("vehicle", "at")),
     ("track_sections", ("code",)),
     ("track_sections", ("number",)),
 )

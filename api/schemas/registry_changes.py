@@ -105,3 +105,84 @@ class NewMeasuredProfiles(RegistryChange):
         description="Std of the lateral displacement that follows from them at a rolling radius difference.",
         examples=[0.1],
     )
+
+
+class VehicleChange(RegistryChange):
+    """A vehicle as it is."""
+
+    fleet: Key = Field(examples=["demo"])
+    vehicle_class: Key = Field(description="Code of its class.", examples=["coach"])
+    axles: int = Field(ge=1, le=8, examples=[4])
+    max_speed_m_s: float = Field(ge=0.25, le=170.0, examples=[44.4])
+    axle_offsets_m: list[Annotated[float, Field(ge=-1000.0, le=1000.0)]] = Field(
+        min_length=1,
+        max_length=8,
+        description="Distance of each axle behind the position reference.",
+        examples=[[2.0, 4.5, 16.0, 18.5]],
+    )
+
+
+class NewVehicle(VehicleChange):
+    """A vehicle that is new."""
+
+    code: Key = Field(description="As recordings are named.", examples=["V-101"])
+
+
+class WheelsetChange(RegistryChange):
+    """A wheelset as it is."""
+
+    fleet: Key = Field(examples=["demo"])
+    wheel_profile: Annotated[str, Field(min_length=1, max_length=200, pattern=TEXT)] = Field(
+        description="Its design profile.", examples=["P8"]
+    )
+    nominal_radius_mm: float = Field(ge=100.0, le=1000.0, description="Not the diameter.", examples=[460.0])
+
+
+class NewWheelset(WheelsetChange):
+    """A wheelset that is new."""
+
+    serial: Key = Field(examples=["WS-0001"])
+
+
+class VehicleClassFile(RegistryChange):
+    """A vehicle class, as a class file describes it."""
+
+    text: str = Field(
+        max_length=MOST_TEXT,
+        description="Content of a vehicle class file (TOML): `treadwatch vehicle show coach` prints one to copy from.",
+        examples=['format = "treadwatch-vehicle-class-1"'],
+    )
+
+
+class NewSensorChange(RegistryChange):
+    """The sensors of an axle were exchanged or calibrated."""
+
+    axle: int = Field(ge=1, le=8, examples=[2])
+    worked_at: Moment = Field(description="On the vehicle's clock.", examples=["2026-03-01T06:00:00Z"])
+    work: Literal["swap", "calibration"] = Field(examples=["swap"])
+    removed: Note = Field(default="", description="Serial number of what was taken off.", examples=["N-0815"])
+    fitted: Note = Field(default="", description="Serial number of what is there since.", examples=["N-0816"])
+    note: Note = Field(default="", examples=["cable chafed"])
+
+
+RecordKindName = Literal[
+    "mounting", "reprofiling", "measurement", "wheelset", "section", "vehicle", "vehicle_class", "sensor_change"
+]
+
+
+class RecordDecision(Request):
+    """Which record is voided or restored, and why."""
+
+    kind: RecordKindName = Field(description="What kind of record.", examples=["reprofiling"])
+    key: Key = Field(description="Serial of the wheelset; code of the vehicle, class or section.", examples=["WS-0001"])
+    at: Moment | None = Field(
+        default=None,
+        description="Time of a mounting (`mounted_from`), reprofiling, measurement or sensor change.",
+        examples=["2026-03-01T06:00:00Z"],
+    )
+    reason: str = Field(
+        min_length=1, max_length=2000, pattern=TEXT, description="Kept for ever.", examples=["of another wheelset"]
+    )
+    by: Key | None = Field(
+        default=None, description="Who; read only where access control is off.", examples=["j.smith"]
+    )

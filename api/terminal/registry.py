@@ -15,6 +15,7 @@ from estimation.errors import ParameterError
 from estimation.values.json_value import JsonValue
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.stores.registry_history import RecordKey
+from ingest.registry_entry.restored import refuse_contradicted
 
 LONG = ("packed",)  # values of a record that are not for reading
 
@@ -43,12 +44,16 @@ def decide_and_report(
         It cannot be taken out or put back as things are.
     ParameterError
         A time is missing or none, or no reason is given.
+    RegistryRefusedError
+        What is put back contradicts what is on file now.
     """
     key = RecordKey(kind, subject, _at(kind, at))
     decision = Decision(actor or user_name(), why, SystemClock().now_ns())
     with closing(open_store(load_settings())) as storage, storage.write() as unit:
         decide = unit.corrections.void if action is RecordAction.VOIDED else unit.corrections.restore
         record = decide(key, decision)
+        if action is RecordAction.RESTORED:
+            refuse_contradicted(unit, key, decision.recorded_ns or 0)
         spans = len(unit.stale_spans.all())
     typer.echo(f"{action} {kind} {subject}: {_text(record)}")
     typer.echo(spans_line(spans))

@@ -255,6 +255,7 @@ def _facts(
         intervals=_intervals(unit, wheelset, mounting.from_ns),
         open_alerts=alerts,
         trend_parameters=settings.trend,
+        sensors_changed_ns=max(unit.sensor_changes.at_axle(mounting.vehicle, mounting.axle), default=None),
     )
 
 

@@ -56,6 +56,7 @@ class CloseReason(StrEnum):
     REPROFILED = "reprofiled", "reprofiled"
     OUT_OF_SERVICE = "out_of_service", "taken out of service"
     WHEELSET_EXCHANGED = "wheelset_exchanged", "wheelset exchanged"
+    SENSOR_CHANGED = "sensor_changed", "sensor exchanged or calibrated"
     MOUNTING_CORRECTED = "mounting_corrected", "mounting corrected"
     RULE_DISABLED = "rule_disabled", "rule switched off"
     OTHER = "other", "closed for a reason that an earlier version stored"

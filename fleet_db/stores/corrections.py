@@ -16,18 +16,29 @@ from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.json_value import JsonValue
 from estimation.values.registry import Mounting, Reprofiling
 from estimation.values.track import TrackSectionRecord
+from estimation.vehicle.class_on_file import (
+    SHIPPED_VERSION,
+    ClassOnFile,
+    class_digest,
+    class_document,
+    class_of_document,
+)
+from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import MeasuredProfilesRow, ReprofilingRow, TrackSectionRow
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of
 from fleet_db.stores.measured_profiles import stored_measurement
-from fleet_db.stores.mountings import delete_mounting, mountings_of
+from fleet_db.stores.mountings import delete_mounting, mountings_of, mountings_on
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_numbers import give_up_number
 from fleet_db.stores.section_windows import make_stale
+from fleet_db.stores.sensor_changes import SensorChangeStore, sensor_change_of
+from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS
 from fleet_db.stores.tracks import TrackStore
+from fleet_db.stores.vehicle_classes import find_class
 
 REPROFILINGS, MEASURED, SECTIONS = table_of(ReprofilingRow), table_of(MeasuredProfilesRow), table_of(TrackSectionRow)
 _Values = dict[str, Any]
@@ -42,6 +53,7 @@ class CorrectionStore:
     registry: RegistryStore
     tracks: TrackStore
     history: RegistryHistoryStore
+    sensor_changes: SensorChangeStore
 
     def void(self, key: RecordKey, decision: Decision) -> Mapping[str, JsonValue]:
         """Take a record out of the registry; return what it was.
@@ -66,9 +78,14 @@ class CorrectionStore:
             RecordKind.MEASUREMENT: self._void_measurement,
             RecordKind.WHEELSET: self._void_wheelset,
             RecordKind.SECTION: self._void_section,
+            RecordKind.VEHICLE: self._void_vehicle,
+            RecordKind.VEHICLE_CLASS: self._void_class,
+            RecordKind.SENSOR_CHANGE: self._void_sensor_change,
         }[key.kind]
         record = take(key)
         self.history.note(key, RecordAction.VOIDED, record, decision)
+        if key.kind is RecordKind.VEHICLE_CLASS:
+            self._previous_class(key.subject, decision.recorded_ns or 0)
         return record
 
     def restore(self, key: RecordKey, decision: Decision) -> Mapping[str, JsonValue]:
@@ -93,6 +110,9 @@ class CorrectionStore:
             RecordKind.MEASUREMENT: self._restore_measurement,
             RecordKind.WHEELSET: self._restore_wheelset,
             RecordKind.SECTION: self._restore_section,
+            RecordKind.VEHICLE: self._restore_vehicle,
+            RecordKind.VEHICLE_CLASS: self._restore_class,
+            RecordKind.SENSOR_CHANGE: self._restore_sensor_change,
         }[key.kind]
         put(dict(voided.record), decision.recorded_ns)
         self.history.note(key, RecordAction.RESTORED, voided.record, decision)
@@ -105,6 +125,10 @@ class CorrectionStore:
             return self.connection.execute(
                 select(SECTIONS).where(SECTIONS.c.code == key.subject, SECTIONS.c.number > 0)
             ).first()
+        if key.kind in {RecordKind.VEHICLE, RecordKind.VEHICLE_CLASS}:
+            return None if self.history.stands_voided(key) is not None else key
+        if key.kind is RecordKind.SENSOR_CHANGE:
+            return self.sensor_changes.stored(key.subject, key.at_ns or 0)
         if key.kind is RecordKind.WHEELSET:
             return None if self.registry.voided(key.subject) else self.registry.wheelset(key.subject)
         return self._dated_row(key)
@@ -158,6 +182,61 @@ class CorrectionStore:
         give_up_number(self.connection, key.subject)
         make_stale(self.connection, key.subject, f"number of track section {key.subject}", elsewhere=False)
         return asdict(record)
+
+    def _void_vehicle(self, key: RecordKey) -> _Values:
+        record = self.registry.vehicle(key.subject)
+        if self.history.stands_voided(key) is not None:
+            raise NotFoundError(key.kind.value, _name(key))
+        mounted = mountings_on(self.connection, key.subject, EARLIEST_NS, LATEST_NS)
+        if mounted:
+            reason = f"wheelset {mounted[0].wheelset!r} is mounted on vehicle {key.subject!r}: void its mountings first"
+            raise ConflictError(reason, kind=key.kind.value, key=key.subject)
+        return asdict(record) | {"axle_offsets_m": list(record.axle_offsets_m)}
+
+    def _void_class(self, key: RecordKey) -> _Values:
+        """Return the newest version of a class that is registered; what was in force before it follows it."""
+        found = self.registry.vehicle_class(key.subject)
+        if found is None or found.version == SHIPPED_VERSION or self.history.stands_voided(key) is not None:
+            raise NotFoundError("vehicle class", _name(key))
+        vehicles = self.registry.vehicles_of_class(key.subject)
+        if vehicles and self._class_before(found) is None:
+            reason = f"vehicle {vehicles[0].code!r} is of class {key.subject!r}, and nothing was in force before it"
+            raise ConflictError(reason, kind=key.kind.value, key=key.subject)
+        return class_document(found.vehicle_class)
+
+    def _class_before(self, found: ClassOnFile) -> VehicleClass | None:
+        """Return what was in force before a version of a class: another version, or that of the package."""
+        code = found.vehicle_class.code
+        earlier = find_class(self.connection, code, found.version - 1) if found.version > 1 else None
+        return self.registry.shipped(code) if earlier is None else earlier.vehicle_class
+
+    def _previous_class(self, code: str, recorded_ns: int) -> None:
+        """Register again what was in force before a class that was voided, as a version of its own."""
+        newest = find_class(self.connection, code, None)
+        before = None if newest is None else self._class_before(newest)
+        if before is not None:
+            self.registry.add_vehicle_class(before, recorded_ns)
+
+    def _void_sensor_change(self, key: RecordKey) -> _Values:
+        found = self.sensor_changes.stored(key.subject, key.at_ns or 0)
+        if found is None:
+            raise NotFoundError("sensor change", _name(key))
+        self.sensor_changes.remove(key.subject, key.at_ns or 0)
+        return found
+
+    def _restore_vehicle(self, _record: _Values, _recorded_ns: int | None) -> None:
+        """Nothing is to be put back: the decision itself ends that it is voided."""
+
+    def _restore_class(self, record: _Values, recorded_ns: int | None) -> None:
+        restored = class_of_document(record)
+        newest = find_class(self.connection, restored.code, None)
+        if newest is None or newest.digest != class_digest(restored):  # else the decision itself brings it back
+            self.registry.add_vehicle_class(restored, recorded_ns or 0)
+
+    def _restore_sensor_change(self, record: _Values, recorded_ns: int | None) -> None:
+        found = sensor_change_of(record)
+        axles = self.registry.vehicle(found.vehicle).axles
+        self.sensor_changes.add(found, axles, Decision(recorded_ns=recorded_ns))
 
     def _restore_mounting(self, record: _Values, recorded_ns: int | None) -> None:
         self.registry.add_mounting(Mounting(**record), recorded_ns=recorded_ns)

@@ -40,7 +40,7 @@ from fleet_db.stores.mountings import (
 from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided
 from fleet_db.stores.reprofilings import REPROFILINGS, reprofilings_of, stored_reprofiling
 from fleet_db.stores.stale_spans import StaleSpanStore
-from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class
+from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class, taken_out
 
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
 
@@ -83,8 +83,9 @@ class RegistryStore:
         return set(self.connection.scalars(select(VEHICLES.c.code).where(VEHICLES.c.code.in_(codes))))
 
     def vehicles_page(self, fleet: str | None, after: str | None, limit: int) -> Sequence[VehicleRecord]:
-        """Return at most ``limit`` vehicles with a code behind ``after``."""
+        """Return at most ``limit`` vehicles with a code behind ``after`` that are not voided."""
         statement = _in_fleet(select(VEHICLES), VEHICLES.c.fleet, fleet)
+        statement = statement.where(~is_voided(RecordKind.VEHICLE, VEHICLES.c.code))
         if after is not None:
             statement = statement.where(VEHICLES.c.code > after)
         return self._vehicles(statement.limit(limit))
@@ -155,6 +156,8 @@ class RegistryStore:
     def vehicle_class(self, code: str, version: int | None = None) -> ClassOnFile | None:
         """Return the newest version of a class, or the one given; of the package where none is registered."""
         found = find_class(self.connection, code, version)
+        if version is None and found is not None and taken_out(self.connection, found):
+            found = None
         if found is not None or version not in {None, SHIPPED_VERSION}:
             return found
         of_package = self.shipped(code)
@@ -173,10 +176,12 @@ class RegistryStore:
         before = self.vehicle_class(vehicle_class.code)
         on_file = find_class(self.connection, vehicle_class.code, None)
         stored = store_class(self.connection, vehicle_class, recorded_ns)
+        key, document = RecordKey(RecordKind.VEHICLE_CLASS, vehicle_class.code), class_document(vehicle_class)
         if on_file is None or on_file.version != stored.version:
             was = None if on_file is None else class_document(on_file.vehicle_class)
-            key = RecordKey(RecordKind.VEHICLE_CLASS, vehicle_class.code)
-            self._note(key, was, class_document(vehicle_class), recorded_ns)
+            self._note(key, was, document, recorded_ns)
+        elif taken_out(self.connection, on_file):
+            RegistryHistoryStore(self.connection).note_return(key, document, self.decision)
         vehicles = [vehicle.code for vehicle in self.vehicles_of_class(vehicle_class.code)]
         self._show_mounted(vehicles)
         return Again(self.connection, self.changes, recorded_ns).class_changed(vehicles, before, stored)
@@ -199,9 +204,10 @@ class RegistryStore:
         found = self._vehicles(select(VEHICLES).where(VEHICLES.c.code == record.code))
         was = found[0] if found else None
         values = _vehicle_values(record)
+        key = RecordKey(RecordKind.VEHICLE, record.code)
+        RegistryHistoryStore(self.connection).note_return(key, values, self.decision)
         if upsert(self.connection, VEHICLES, values):
             self._show_mounted([record.code])
-            key = RecordKey(RecordKind.VEHICLE, record.code)
             self._note(key, None if was is None else _vehicle_values(was), values, recorded_ns)
         if was is None or _assembled_with(was) != _assembled_with(record):
             cause = f"vehicle {record.code} {'added' if was is None else 'changed'}"
@@ -307,10 +313,8 @@ class RegistryStore:
 
     def voided(self, serial: str) -> bool:
         """Return whether a wheelset was voided and not restored since."""
-        statement = select(WHEELSETS.c.serial).where(
-            WHEELSETS.c.serial == serial, is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial)
-        )
-        return self.connection.scalar(statement) is not None
+        key = RecordKey(RecordKind.WHEELSET, serial)
+        return RegistryHistoryStore(self.connection).stands_voided(key) is not None
 
     def add_reprofiling(self, record: Reprofiling, recorded_ns: int | None = None) -> bool:
         """Add a visit to the lathe, or change the one of the same wheelset and time; return whether anything changed.

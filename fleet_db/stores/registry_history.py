@@ -71,9 +71,29 @@ class RegistryHistoryStore:
         row = self.connection.execute(select(EVENTS).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1)).first()
         return None if row is None else _event(row)
 
-    def list(self, subject: str | None = None, after: int | None = None, limit: int = 1000) -> Sequence[RegistryEvent]:
-        """Return at most ``limit`` decisions, on one wheelset or section or on all, oldest first."""
+    def note_return(self, key: RecordKey, record: Mapping[str, JsonValue], decision: Decision) -> None:
+        """Keep that a voided record is entered again; nothing where it is not voided."""
+        if self.stands_voided(key) is not None:
+            self.note(key, RecordAction.RESTORED, record, decision)
+
+    def stands_voided(self, key: RecordKey) -> RegistryEvent | None:
+        """Return the decision by which an undated record was voided and that none has restored since."""
+        chosen = (EVENTS.c.kind == key.kind.value, EVENTS.c.subject == key.subject, EVENTS.c.action.in_(_VOID_OR_NOT))
+        row = self.connection.execute(select(EVENTS).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1)).first()
+        found = None if row is None else _event(row)
+        return found if found is not None and found.action is RecordAction.VOIDED else None
+
+    def list(
+        self,
+        subject: str | None = None,
+        after: int | None = None,
+        limit: int = 1000,
+        kind: RecordKind | None = None,
+    ) -> Sequence[RegistryEvent]:
+        """Return at most ``limit`` decisions, on one wheelset, vehicle, class or section or on all, oldest first."""
         statement = select(EVENTS).order_by(EVENTS.c.id).limit(limit)
+        if kind is not None:
+            statement = statement.where(EVENTS.c.kind == kind.value)
         if subject is not None:
             statement = statement.where(EVENTS.c.subject == subject)
         if after is not None:

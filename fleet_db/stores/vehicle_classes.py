@@ -11,7 +11,9 @@ from estimation.errors import DamagedError, ParameterError
 from estimation.vehicle.class_on_file import ClassOnFile, class_digest, class_document, class_of_document
 from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.models import VehicleClassRow
+from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of
+from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 
 CLASSES = table_of(VehicleClassRow)
 Shipped = Callable[[str], VehicleClass | None]  # the class of the package by code
@@ -52,7 +54,23 @@ def newest_classes(connection: Connection) -> Sequence[ClassOnFile]:
     statement = select(CLASSES).join(
         newest, (newest.c.code == CLASSES.c.code) & (newest.c.version == CLASSES.c.version)
     )
-    return [_on_file(row) for row in connection.execute(statement.order_by(CLASSES.c.code))]
+    found = [_on_file(row) for row in connection.execute(statement.order_by(CLASSES.c.code))]
+    return [one for one in found if not taken_out(connection, one)]
+
+
+def taken_out(connection: Connection, newest: ClassOnFile) -> bool:
+    """Return whether a class was voided and nothing else is in force since.
+
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    newest
+        Its newest version.
+    """
+    key = RecordKey(RecordKind.VEHICLE_CLASS, newest.vehicle_class.code)
+    voided = RegistryHistoryStore(connection).stands_voided(key)
+    return voided is not None and class_digest(class_of_document(voided.record)) == newest.digest
 
 
 def store_class(connection: Connection, vehicle_class: VehicleClass, recorded_ns: int) -> ClassOnFile:

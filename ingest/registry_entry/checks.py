@@ -9,7 +9,7 @@ from functools import cache
 from sqlalchemy import Connection
 
 from estimation.jobs.steps.running_mileage import running_mileage
-from estimation.values.registry import Mounting, WheelsetRecord
+from estimation.values.registry import Mounting, SensorChange, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.distances import MOUNTINGS, LifeOnFile, any_windows, lives_on_file, mountings_where, windows_beside
@@ -30,6 +30,8 @@ class Entered:
     ended: list[Mounting] = field(default_factory=list)  # nothing but their end has changed
     reprofilings: list[DistancePoint] = field(default_factory=list)
     measurements: list[DistancePoint] = field(default_factory=list)
+
+    sensor_changes: list[SensorChange] = field(default_factory=list)
 
     def dated(self) -> list[DistancePoint]:
         """Return every dated record of a wheelset with the mileage that it gives."""
@@ -112,6 +114,9 @@ def _future(entered: Entered, now_ns: int) -> Iterable[Contradiction]:
         yield from in_the_future(name, "from", mounting.from_ns, now_ns)
         if mounting.to_ns is not None:
             yield from in_the_future(name, "to", mounting.to_ns, now_ns)
+    for one in entered.sensor_changes:
+        name = RecordName(Kind.SENSOR_CHANGE, one.vehicle, one.at_ns)
+        yield from in_the_future(name, "at", one.at_ns, now_ns)
     for point in (*entered.reprofilings, *entered.measurements):
         yield from in_the_future(point.record, "at", point.at_ns, now_ns)
 

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import InputError
-from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.registry import FleetRecord, Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
 from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.receipts import EstimatedAgain
@@ -27,6 +27,7 @@ class RegistryContents:
     mountings: tuple[Mounting, ...] = ()
     reprofilings: tuple[Reprofiling, ...] = ()
     measured_profiles: tuple[MeasuredProfiles, ...] = ()
+    sensor_changes: tuple[SensorChange, ...] = ()
     sections: tuple[TrackSectionRecord, ...] = ()
     alignments: tuple[TrackAlignment, ...] = ()
     layouts: tuple[TrackLayout, ...] = ()
@@ -98,6 +99,7 @@ ARRAYS = {
     Kind.MOUNTING: "mountings",
     Kind.REPROFILING: "reprofilings",
     Kind.MEASUREMENT: "measured_profiles",
+    Kind.SENSOR_CHANGE: "sensor_changes",
     Kind.SECTION: "sections",
 }
 """Field of :class:`RegistryContents` by kind of record."""

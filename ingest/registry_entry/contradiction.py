@@ -46,6 +46,7 @@ class Kind(StrEnum):
     MOUNTING = "mountings"
     REPROFILING = "reprofilings"
     MEASUREMENT = "measured_profiles"
+    SENSOR_CHANGE = "sensor_changes"
     SECTION = "track_sections"
     WINDOW = "windows"
 
@@ -58,6 +59,7 @@ _NOUNS = {
     Kind.MOUNTING: "mounting of wheelset",
     Kind.REPROFILING: "reprofiling of wheelset",
     Kind.MEASUREMENT: "measured profiles of wheelset",
+    Kind.SENSOR_CHANGE: "work on the sensors of vehicle",
     Kind.SECTION: "track section",
     Kind.WINDOW: "window of wheelset",
 }

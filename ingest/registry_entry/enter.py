@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ConflictError, NotFoundError, ParameterError
-from estimation.values.registry import Mounting, Reprofiling
+from estimation.values.registry import Mounting, Reprofiling, SensorChange
 from estimation.values.track import TrackAlignment, TrackLayout
 from fleet_db.receipts import EstimatedAgain
 from fleet_db.storage import SqlUnitOfWork
@@ -81,7 +81,7 @@ def _place(record: RecordName, contents: RegistryContents) -> Location:
 
 
 def _name(kind: Kind, record: object) -> RecordName:
-    for key in ("code", "serial", "wheelset"):
+    for key in ("code", "serial", "wheelset", "vehicle"):
         if hasattr(record, key):
             at_ns = getattr(record, "from_ns", getattr(record, "at_ns", None))
             return RecordName(kind, getattr(record, key), at_ns)
@@ -177,7 +177,7 @@ class _Entering:
         self._each(Kind.MOUNTING, mountings, add)
 
     def _dated(self, contents: RegistryContents) -> None:
-        """Store visits to the lathe and measurements."""
+        """Store visits to the lathe, measurements and work on sensors."""
         registry, entered, recorded_ns = self.registry, self.entered, self.entry.recorded_ns
 
         def turned(one: Reprofiling) -> None:
@@ -188,6 +188,12 @@ class _Entering:
             if registry.add_measured_profiles(one, recorded_ns):
                 entered.measurements.append(mileage_point(Kind.MEASUREMENT, one.wheelset, one.at_ns, one.mileage_km))
 
+        def worked(one: SensorChange) -> None:
+            axles = registry.vehicle(one.vehicle).axles
+            if self.unit.sensor_changes.add(one, axles, self.entry.decision):
+                entered.sensor_changes.append(one)
+
+        self._each(Kind.SENSOR_CHANGE, contents.sensor_changes, worked)
         self._each(Kind.REPROFILING, contents.reprofilings, turned)
         self._each(Kind.MEASUREMENT, contents.measured_profiles, measured)
 

@@ -68,7 +68,7 @@ def test_operations_have_stable_names() -> None:
 
 
 def test_paths_carry_the_version_and_problems_are_described() -> None:
-    for path, method, operation in operations():
+    for path, _, operation in operations():
         if path in {"/healthz", "/readyz", "/metrics"}:
             continue
         assert path.startswith("/v1/")

@@ -13,6 +13,7 @@ from running_service import Service
 from api.times import to_rfc3339
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.values.registry import Mounting, WheelsetRecord
+from ingest.vehicle_class_file import shipped_path
 
 DAY = api_fleet.DAY
 BEGIN = api_fleet.START + 20 * DAY
@@ -197,3 +198,109 @@ def test_more_than_the_limit_is_413(service: Service, pair: tuple[str, str, str]
     wheel = {"file_name": "left.whl", "text": "x" * (10 << 20)}
     body = {"measured_at": at(3), "mileage_km": 31_000.0, "left": wheel, "right": wheel}
     assert post(service, f"{path}/measured-profiles", body, path).status_code == 413
+
+
+VEHICLE = {
+    "fleet": "alpha",
+    "vehicle_class": "coach",
+    "axles": 2,
+    "max_speed_m_s": 44.4,
+    "axle_offsets_m": [2.0, 4.56],
+}
+
+
+def test_vehicles_wheelsets_and_classes_are_entered_and_changed(service: Service, pair: tuple[str, str, str]) -> None:
+    code, serial = f"N-{pair[0]}", f"NW-{pair[1]}"
+    new = service.client.post("/v1/vehicles", json=VEHICLE | {"code": code})
+    assert (new.status_code, new.json()["max_speed_m_s"]) == (201, pytest.approx(44.4, abs=1e-12))
+    assert service.client.get(f"/v1/vehicles/{code}").json() == new.json()
+    assert service.client.post("/v1/vehicles", json=VEHICLE | {"code": code}).status_code == 409
+    for wrong, field in (
+        ({"code": f"{code}__1"}, "code"),
+        ({"code": "A/B"}, "code"),
+        ({"axle_offsets_m": [2.0]}, "axle_offsets_m"),
+        ({"axle_offsets_m": [2.0, 4.9]}, "axle_offsets_m"),
+        ({"axles": 9}, "axles"),
+    ):
+        refused = service.client.post("/v1/vehicles", json=VEHICLE | {"code": f"{code}x"} | wrong)
+        assert (refused.status_code, refused.json()["errors"][0]["pointer"]) == (422, f"#/{field}")
+    assert service.client.post("/v1/vehicles", json=VEHICLE | {"code": "V", "fleet": "none"}).status_code == 404
+    path = f"/v1/vehicles/{code}"
+    assert service.client.put(path, json=VEHICLE).status_code == 428
+    faster = VEHICLE | {"max_speed_m_s": 50.0}
+    assert service.client.put(path, json=faster, headers={"If-Match": '"old"'}).status_code == 412
+    changed = service.client.put(path, json=faster, headers={"If-Match": tag_of(service, path)})
+    assert (changed.status_code, changed.json()["max_speed_m_s"]) == (200, 50.0)
+    wheelset = {"serial": serial, "fleet": "alpha", "wheel_profile": "S1002", "nominal_radius_mm": 920.0}
+    refused = service.client.post("/v1/wheelsets", json=wheelset)
+    assert (refused.status_code, "a diameter?" in refused.json()["detail"]) == (422, True)
+    made = service.client.post("/v1/wheelsets", json=wheelset | {"nominal_radius_mm": 460.0})
+    assert made.status_code == 201
+    path = f"/v1/wheelsets/{serial}"
+    body = {"fleet": "alpha", "wheel_profile": "P8", "nominal_radius_mm": 461.0}
+    put = service.client.put(path, json=body, headers={"If-Match": tag_of(service, path)})
+    assert (put.status_code, put.json()["wheel_profile"], put.json()["nominal_radius_mm"]) == (200, "P8", 461.0)
+    text = shipped_path("coach").read_text(encoding="utf-8").replace('code = "coach"', f'code = "{code}"', 1)
+    cls = service.client.post("/v1/vehicle-classes", json={"text": text})
+    assert (cls.status_code, cls.json()["version"]) == (201, 1)
+    assert service.client.post("/v1/vehicle-classes", json={"text": text}).json() == cls.json()
+    wrong = service.client.post("/v1/vehicle-classes", json={"text": text.replace("mass_kg", "mas_kg", 1)})
+    assert (wrong.status_code, wrong.json()["errors"][0]["pointer"]) == (422, "#/text")
+
+
+def test_work_on_sensors_is_recorded(service: Service, pair: tuple[str, str, str]) -> None:
+    path = f"/v1/vehicles/{pair[0]}"
+    body = {"axle": 1, "worked_at": at(4), "work": "swap", "removed": "N-1", "fitted": "N-2"}
+    done = post(service, f"{path}/sensor-changes", body, path)
+    assert done.status_code == 201
+    assert service.client.get(f"{path}/sensor-changes").json()["items"] == [done.json()]
+    assert post(service, f"{path}/sensor-changes", body, path).status_code == 409
+    axle = post(service, f"{path}/sensor-changes", body | {"axle": 6, "worked_at": at(5)}, path)
+    assert (axle.status_code, axle.json()["errors"][0]["pointer"]) == (422, "#/axle")
+    future = post(service, f"{path}/sensor-changes", body | {"worked_at": "2036-01-01T00:00:00Z"}, path)
+    assert (future.status_code, future.json()["errors"][0]["pointer"]) == (422, "#/worked_at")
+
+
+def test_a_wrong_reprofiling_is_voided_and_restored_with_its_history(
+    service: Service, pair: tuple[str, str, str]
+) -> None:
+    serial = pair[1]
+    path = f"/v1/wheelsets/{serial}"
+    turned = post(service, f"{path}/reprofilings", {"reprofiled_at": at(9), "mileage_km": 33_000.0, "by": "bob"}, path)
+    body = {"kind": "reprofiling", "key": serial, "at": at(9), "reason": "was another wheelset", "by": "ada"}
+    assert service.client.post("/v1/registry/void", json=body).status_code == 428
+    assert service.client.post("/v1/registry/void", json=body, headers={"If-Match": '"x"'}).status_code == 412
+    assert post(service, "/v1/registry/void", body | {"at": None}, path).status_code == 422
+    assert post(service, "/v1/registry/void", body | {"at": at(8)}, path).status_code == 404
+    tag = tag_of(service, path)
+    voided = post(service, "/v1/registry/void", body, path, Idempotency_Key=f"v{serial}")
+    assert (voided.status_code, voided.json()["before"], voided.json()["after"]) == (201, turned.json(), None)
+    assert service.client.get(path).json()["reprofilings"] == []
+    replayed = service.client.post(
+        "/v1/registry/void", json=body, headers={"If-Match": tag, "Idempotency-Key": f"v{serial}"}
+    )
+    assert replayed.json() == voided.json()
+    restored = post(service, "/v1/registry/restore", body | {"reason": "it was right"}, path)
+    assert (restored.status_code, restored.json()["after"]) == (201, turned.json())
+    assert service.client.get(path).json()["reprofilings"] == [turned.json()]
+    history = service.client.get("/v1/registry/history", params={"key": serial, "kind": "reprofiling"}).json()["items"]
+    assert [(one["action"], one["by"], one["reason"]) for one in history] == [
+        ("entered", "bob", ""),
+        ("voided", "ada", "was another wheelset"),
+        ("restored", "ada", "it was right"),
+    ]
+    page = service.client.get("/v1/registry/history", params={"key": serial, "limit": 1}).json()
+    assert page["next_cursor"]
+    assert service.client.get("/v1/registry/history", params={"kind": "other"}).status_code == 422
+
+
+def test_what_contradicts_newer_records_is_not_restored(service: Service, pair: tuple[str, str, str]) -> None:
+    path, serial = f"/v1/wheelsets/{pair[1]}", pair[1]
+    first = {"reprofiled_at": at(9), "mileage_km": 33_000.0}
+    post(service, f"{path}/reprofilings", first, path)
+    body = {"kind": "reprofiling", "key": serial, "at": at(9), "reason": "wrong"}
+    assert post(service, "/v1/registry/void", body, path).status_code == 201
+    post(service, f"{path}/reprofilings", {"reprofiled_at": at(10), "mileage_km": 31_000.0}, path)
+    refused = post(service, "/v1/registry/restore", body, path)
+    assert refused.status_code == 409
+    assert refused.json()["contradicts"] == [{"kind": "reprofilings", "key": serial, "at": at(10)}]

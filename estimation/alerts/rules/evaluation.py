@@ -27,19 +27,20 @@ def superseded(facts: WheelsetFacts, book: RuleBook) -> list[tuple[Alert, CloseR
 
 
 def _ending(alert: Alert, facts: WheelsetFacts, book: RuleBook) -> tuple[CloseReason, int] | None:
-    mounting = facts.wheelset.mounting
+    mounting, rules = facts.wheelset.mounting, [rule for rule in book.rules if rule.kind == alert.kind]
     reprofiled = [r.at_ns for r in facts.wheelset.reprofilings if r.at_ns > alert.opened_ns]
-    if reprofiled and any(rule.of_wear for rule in book.rules if rule.kind == alert.kind):
+    if reprofiled and any(rule.of_wear for rule in rules):
         return CloseReason.REPROFILED, reprofiled[0]
     if mounting is None:
         return CloseReason.OUT_OF_SERVICE, alert.last_seen_ns
     if mounting.from_ns > alert.opened_ns:
         return CloseReason.WHEELSET_EXCHANGED, mounting.from_ns
+    changed_ns = facts.sensors_changed_ns
+    if changed_ns is not None and changed_ns > alert.opened_ns and any(rule.of_sensors for rule in rules):
+        return CloseReason.SENSOR_CHANGED, changed_ns
     if mounting_corrected(alert, mounting):
         return CloseReason.MOUNTING_CORRECTED, alert.last_seen_ns
-    if not book.enabled(alert.kind):
-        return CloseReason.RULE_DISABLED, alert.last_seen_ns
-    return None
+    return None if book.enabled(alert.kind) else (CloseReason.RULE_DISABLED, alert.last_seen_ns)
 
 
 def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]:

@@ -68,6 +68,7 @@ class WheelsetFacts:
     suspension: SuspensionShown | None = None  # of its vehicle, where its alert stands at this wheelset
     trend_parameters: TrendParameters = field(default_factory=TrendParameters)  # of the trend
     rejected_recordings: Mapping[str, int] = field(default_factory=dict)  # of its vehicle, by code, as the one before
+    sensors_changed_ns: int | None = None  # when the sensors of its axle were last exchanged or calibrated
     not_assessable_reason: Reason | None = None  # why the data do not show how the wheelset is now
 
     @property
@@ -98,6 +99,8 @@ class AlertRule(ABC):
         Unit of the limits of its alerts.
     of_wear
         It judges the profile: its alerts end with a reprofiling, and it is asked with ``not_assessable_reason``.
+    of_sensors
+        It judges the sensors: its alerts end where they are exchanged or calibrated.
     hides_wear
         Why the profile cannot be judged while this rule is breached; empty where it can.
     counts_km
@@ -111,6 +114,7 @@ class AlertRule(ABC):
     kind: ClassVar[str]
     limit_unit: ClassVar[str]
     of_wear: ClassVar[bool] = False
+    of_sensors: ClassVar[bool] = False
     hides_wear: ClassVar[Reason | None] = None
     counts_km: ClassVar[bool] = False
     relations: ClassVar[Sequence[tuple[str, str, str]]] = ()

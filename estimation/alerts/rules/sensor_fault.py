@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 from annotated_types import Interval
@@ -32,6 +32,7 @@ class SensorFaultRule(AlertRule):
     """Too many of the latest windows have a sensor that failed, clips or marks its values invalid."""
 
     kind: ClassVar[str] = "sensor_fault"
+    of_sensors: ClassVar[bool] = True
     limit_unit: ClassVar[str] = "1"
     counts_km: ClassVar[bool] = True
     hides_wear: ClassVar[Reason | None] = Reason(ReasonCode.SENSOR_FAULTY, "the sensor is faulty")
@@ -50,7 +51,7 @@ class SensorFaultRule(AlertRule):
     invalid_share: Share = 0.2
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
-        """Return the finding of the latest windows of the mounting."""
+        """Return the finding of the latest windows of the mounting, since the sensors were last changed."""
         mounting = facts.wheelset.mounting
         if mounting is None:
             return None
@@ -58,6 +59,9 @@ class SensorFaultRule(AlertRule):
         def find(windows: Sequence[WindowRecord]) -> Finding:
             return sensor_fault_finding(self, facts.wheelset.serial, windows, mounting.from_ns)
 
+        changed_ns = facts.sensors_changed_ns
+        if changed_ns is not None:  # what was before is of other sensors
+            facts = replace(facts, windows=[one for one in facts.windows if one.start_ns >= changed_ns])
         return of_windows(find, facts, lambda window: bool(faulty(self, window)), self.latest_windows, self.delays)
 
 

@@ -1,0 +1,220 @@
+"""Vehicles, wheelsets and vehicle classes entered and changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from http import HTTPStatus
+from pathlib import Path
+from typing import NoReturn
+
+from fastapi import APIRouter, Depends, Request, Response
+
+from api.access.caller import CallerDep
+from api.access.scopes import Scope, requires
+from api.answers import IdempotencyKey, IfMatch
+from api.parameters import Code, Serial
+from api.problems import ProblemError, ProblemItem, described
+from api.registry_changes import BodySource, RegistryRequest
+from api.schemas import registry, vehicle_classes
+from api.schemas.registry_changes import NewVehicle, NewWheelset, VehicleChange, VehicleClassFile, WheelsetChange
+from api.services import ServicesDep, writer_slot
+from estimation.errors import ConflictError, InputError, NotFoundError
+from estimation.values.registry import VehicleRecord, WheelsetRecord
+from estimation.vehicle.vehicle_class import VehicleClass
+from fleet_db.registry_events import Decision
+from fleet_db.storage import SqlUnitOfWork
+from ingest.exact_units import in_unit
+from ingest.input_file import parse_toml
+from ingest.registry_entry.contents import RegistryContents
+from ingest.vehicle_class_file import parse_vehicle_class
+
+router = APIRouter(prefix="/v1")
+_ADMIN = [Depends(requires(Scope.ADMIN)), Depends(writer_slot)]
+_NEW = described(404, 409, 413, 415)
+_CHANGED = described(404, 409, 412, 413, 415, 428)
+_VEHICLE_FIELDS = {"max_speed_km_h": "max_speed_m_s"}
+
+
+@router.post(
+    "/vehicles",
+    tags=["vehicles"],
+    status_code=201,
+    dependencies=_ADMIN,
+    response_model=registry.Vehicle,
+    responses=_NEW,
+)
+def add_vehicle(
+    request: Request,
+    services: ServicesDep,
+    caller: CallerDep,
+    body: NewVehicle,
+    idempotency_key: IdempotencyKey = None,
+) -> Response:
+    """Enter a vehicle; recordings that came under its name before are decoded."""
+    change = RegistryRequest(request, services, caller, body, None, idempotency_key)
+    change.visible(lambda unit: _fleet(unit, body.fleet))
+
+    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Vehicle:
+        _refuse_known(unit.registry.vehicle, "vehicle", body.code)
+        return _entered_vehicle(change, unit, decision, _vehicle(body.code, body))
+
+    return change.change(None, apply)
+
+
+@router.put(
+    "/vehicles/{code}", tags=["vehicles"], dependencies=_ADMIN, response_model=registry.Vehicle, responses=_CHANGED
+)
+def change_vehicle(
+    request: Request,
+    services: ServicesDep,
+    caller: CallerDep,
+    code: Code,
+    body: VehicleChange,
+    if_match: IfMatch = None,
+) -> Response:
+    """Change a vehicle; its windows are made or estimated again where they rest on what has changed.
+
+    `If-Match` carries its ETag.
+    """
+    change = RegistryRequest(request, services, caller, body, if_match)
+    change.visible(lambda unit: _fleet(unit, body.fleet))
+
+    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Vehicle:
+        return _entered_vehicle(change, unit, decision, _vehicle(code, body))
+
+    return change.change(lambda unit: registry.vehicle(unit.registry.vehicle(code)), apply, HTTPStatus.OK)
+
+
+@router.post(
+    "/wheelsets",
+    tags=["wheelsets"],
+    status_code=201,
+    dependencies=_ADMIN,
+    response_model=registry.Wheelset,
+    responses=_NEW,
+)
+def add_wheelset(
+    request: Request,
+    services: ServicesDep,
+    caller: CallerDep,
+    body: NewWheelset,
+    idempotency_key: IdempotencyKey = None,
+) -> Response:
+    """Enter a wheelset, which is mounted nowhere yet."""
+    change = RegistryRequest(request, services, caller, body, None, idempotency_key)
+    change.visible(lambda unit: _fleet(unit, body.fleet))
+
+    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Wheelset:
+        _refuse_known(unit.registry.wheelset, "wheelset", body.serial)
+        return _entered_wheelset(change, unit, decision, _wheelset(body.serial, body))
+
+    return change.change(None, apply)
+
+
+@router.put(
+    "/wheelsets/{serial}", tags=["wheelsets"], dependencies=_ADMIN, response_model=registry.Wheelset, responses=_CHANGED
+)
+def change_wheelset(
+    request: Request,
+    services: ServicesDep,
+    caller: CallerDep,
+    serial: Serial,
+    body: WheelsetChange,
+    if_match: IfMatch = None,
+) -> Response:
+    """Change a wheelset; with another nominal radius its windows are estimated again.
+
+    `If-Match` carries its ETag.
+    """
+    change = RegistryRequest(request, services, caller, body, if_match)
+    change.visible(lambda unit: _fleet(unit, body.fleet))
+
+    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Wheelset:
+        return _entered_wheelset(change, unit, decision, _wheelset(serial, body))
+
+    return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply, HTTPStatus.OK)
+
+
+@router.post(
+    "/vehicle-classes",
+    tags=["vehicles"],
+    status_code=201,
+    dependencies=[Depends(requires(Scope.ADMIN, all_fleets=True)), Depends(writer_slot)],
+    response_model=vehicle_classes.VehicleClassRepresentation,
+    responses=_NEW,
+)
+def add_vehicle_class(
+    request: Request,
+    services: ServicesDep,
+    caller: CallerDep,
+    body: VehicleClassFile,
+    idempotency_key: IdempotencyKey = None,
+) -> Response:
+    """Register a vehicle class, or a new version of it; its vehicles are estimated again where it differs.
+
+    The content of the newest version again changes nothing.
+    """
+    change = RegistryRequest(request, services, caller, body, None, idempotency_key)
+    found = _class(body.text)
+
+    def apply(unit: SqlUnitOfWork, decision: Decision) -> vehicle_classes.VehicleClassRepresentation:
+        change.enter(unit, decision, RegistryContents(classes=(found,)), BodySource({"code": "text"}))
+        stored = unit.registry.vehicle_class(found.code)
+        assert stored is not None
+        return vehicle_classes.vehicle_class(stored)
+
+    return change.change(None, apply)
+
+
+def _entered_vehicle(
+    change: RegistryRequest, unit: SqlUnitOfWork, decision: Decision, record: VehicleRecord
+) -> registry.Vehicle:
+    change.enter(unit, decision, RegistryContents(vehicles=(record,)), BodySource(_VEHICLE_FIELDS))
+    return registry.vehicle(unit.registry.vehicle(record.code))
+
+
+def _entered_wheelset(
+    change: RegistryRequest, unit: SqlUnitOfWork, decision: Decision, record: WheelsetRecord
+) -> registry.Wheelset:
+    change.enter(unit, decision, RegistryContents(wheelsets=(record,)), BodySource())
+    return registry.wheelset(unit.registry.wheelset(record.serial))
+
+
+def _vehicle(code: str, body: VehicleChange) -> VehicleRecord:
+    """Return the vehicle; its speed is one that a registry file can give, in km/h, to the last bit."""
+    if len(body.axle_offsets_m) != body.axles:
+        _wrong("axle_offsets_m", f"{len(body.axle_offsets_m)} offsets for {body.axles} axles")
+    if len(set(body.axle_offsets_m)) < body.axles:
+        _wrong("axle_offsets_m", "two axles are at one place")
+    speed = in_unit(body.max_speed_m_s, lambda value: value / 3.6, 3.6) / 3.6
+    return VehicleRecord(code, body.fleet, body.vehicle_class, body.axles, speed, tuple(body.axle_offsets_m))
+
+
+def _wheelset(serial: str, body: WheelsetChange) -> WheelsetRecord:
+    return WheelsetRecord(serial, body.fleet, body.wheel_profile, 1e-3 * body.nominal_radius_mm, None)
+
+
+def _class(text: str) -> VehicleClass:
+    try:
+        return parse_vehicle_class(parse_toml(text, Path("text")))
+    except InputError as error:
+        _wrong("text", str(error))
+
+
+def _wrong(field: str, detail: str) -> NoReturn:
+    item = ProblemItem(part="body", pointer=f"#/{field}", detail=detail)
+    raise ProblemError(422, "invalid-request", f"{field}: {detail}", [item])
+
+
+def _fleet(unit: SqlUnitOfWork, code: str) -> None:
+    if all(one.code != code for one in unit.registry.fleets()):
+        raise NotFoundError("fleet", code)
+
+
+def _refuse_known(look_up: Callable[[str], object], kind: str, key: str) -> None:
+    """Refuse to enter what is on file: it is changed under its ETag."""
+    try:
+        look_up(key)
+    except NotFoundError:
+        return
+    raise ConflictError(f"{kind} {key!r} is on file, or was and is voided", kind=kind, key=key)

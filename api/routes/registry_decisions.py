@@ -1,0 +1,163 @@
+"""Records of the registry voided and restored, and what was decided on them."""
+
+from __future__ import annotations
+
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+from pydantic import BaseModel
+
+from api import cursors
+from api.access.caller import Caller, CallerDep
+from api.access.scopes import Scope, requires
+from api.answers import (
+    DEFAULT_LIMIT,
+    Cursor,
+    IdempotencyKey,
+    IfMatch,
+    Limit,
+    answer,
+    answer_page,
+    operation,
+    require_match,
+)
+from api.idempotency import idempotent_post
+from api.parameters import CODE
+from api.problems import ProblemError, ProblemItem, described
+from api.registry_changes import UNNAMED
+from api.schemas import registry, registry_events, tracks, vehicle_classes
+from api.schemas.common import Page
+from api.schemas.registry_changes import RecordDecision as Body
+from api.services import Services, ServicesDep, writer_slot
+from estimation.errors import NotFoundError
+from fleet_db.registry_events import Decision, RecordAction, RecordKind
+from fleet_db.storage import SqlUnitOfWork
+from fleet_db.stores.registry_history import RecordKey
+from ingest.registry_entry.restored import refuse_contradicted
+
+router = APIRouter(prefix="/v1/registry", tags=["registry"])
+_ADMIN = [Depends(requires(Scope.ADMIN)), Depends(writer_slot)]
+_REFUSALS = described(404, 409, 412, 413, 415, 428)
+_OF_VEHICLE = frozenset({RecordKind.VEHICLE, RecordKind.SENSOR_CHANGE})
+_SHARED = frozenset({RecordKind.SECTION, RecordKind.VEHICLE_CLASS})
+KindFilter = Annotated[RecordKind | None, Query(description="Only records of this kind.")]
+KeyFilter = Annotated[str | None, Query(pattern=CODE, description="Only of this serial or code.")]
+
+
+@router.get("/history", response_model=Page[registry_events.RegistryDecision], responses=described(400))
+def list_registry_history(
+    request: Request,
+    services: ServicesDep,
+    kind: KindFilter = None,
+    key: KeyFilter = None,
+    cursor: Cursor = None,
+    limit: Limit = DEFAULT_LIMIT,
+) -> Response:
+    """List what was decided on records of the registry, oldest first: who, when, why, before and after."""
+    filters = {"kind": kind, "key": key}
+    after = cursors.decode_number(operation(request), filters, cursor)
+    with services.storage.read() as unit:
+        rows = unit.registry_history.list(key, after, limit + 1, kind)
+    return answer_page(request, filters, limit, rows, lambda event: event.id, registry_events.decision)
+
+
+@router.post(
+    "/void", status_code=201, dependencies=_ADMIN, response_model=registry_events.RegistryDecision, responses=_REFUSALS
+)
+def void_record(
+    request: Request,
+    services: ServicesDep,
+    caller: CallerDep,
+    body: Body,
+    if_match: IfMatch = None,
+    idempotency_key: IdempotencyKey = None,
+) -> Response:
+    """Take a record out that was wrong; what rests on it is made again, and `as_of` keeps what was believed.
+
+    `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of.
+    """
+    return _decide(request, services, caller, body, RecordAction.VOIDED, (if_match, idempotency_key))
+
+
+@router.post(
+    "/restore",
+    status_code=201,
+    dependencies=_ADMIN,
+    response_model=registry_events.RegistryDecision,
+    responses=_REFUSALS,
+)
+def restore_record(
+    request: Request,
+    services: ServicesDep,
+    caller: CallerDep,
+    body: Body,
+    if_match: IfMatch = None,
+    idempotency_key: IdempotencyKey = None,
+) -> Response:
+    """Put a record back that was voided, as it was.
+
+    `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of.
+    """
+    return _decide(request, services, caller, body, RecordAction.RESTORED, (if_match, idempotency_key))
+
+
+def _decide(
+    request: Request,
+    services: Services,
+    caller: Caller,
+    body: Body,
+    action: RecordAction,
+    headers: tuple[str | None, str | None],
+) -> Response:
+    """Void or restore a record under If-Match and Idempotency-Key, in one transaction."""
+    if_match, idempotency_key = headers
+    key = _key(body)
+    if key.kind in _SHARED and caller.fleets is not None:
+        raise ProblemError(403, "forbidden", "this needs a key of all fleets")
+    with services.storage.read() as unit:
+        _asset(unit, key)
+    post = idempotent_post(request, idempotency_key, body)
+    now_ns = services.clock.now_ns()
+    decision = Decision(caller.acts_as(body.by, UNNAMED), body.reason, now_ns)
+    with services.storage.write() as unit:
+        earlier = post.earlier(request, unit)
+        if earlier is not None:
+            return earlier
+        require_match(if_match, _asset(unit, key))
+        if action is RecordAction.VOIDED:
+            unit.corrections.void(key, decision)
+        else:
+            unit.corrections.restore(key, decision)
+            refuse_contradicted(unit, key, now_ns)
+        event = unit.registry_history.latest(key, action)
+        assert event is not None
+        done = registry_events.decision(event)
+        post.remember(unit, HTTPStatus.CREATED, done, now_ns)
+    return answer(request, done, status=HTTPStatus.CREATED)
+
+
+def _key(body: Body) -> RecordKey:
+    kind = RecordKind(body.kind)
+    if kind.dated != (body.at is not None):
+        detail = f"is needed: a {kind} is one of a time" if kind.dated else f"is no part of a {kind}"
+        item = ProblemItem(part="body", pointer="#/at", detail=detail)
+        raise ProblemError(422, "invalid-request", f"at: {detail}", [item])
+    return RecordKey(kind, body.key, body.at)
+
+
+def _asset(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:
+    """Return the representation of what a record is of."""
+    if key.kind in _OF_VEHICLE:
+        return registry.vehicle(unit.registry.vehicle(key.subject))
+    if key.kind not in _SHARED:
+        return registry.wheelset(unit.registry.wheelset(key.subject))
+    if key.kind is RecordKind.SECTION and any(one.code == key.subject for one in unit.tracks.sections()):
+        return tracks.section(unit.tracks.section(key.subject))
+    found = unit.registry.vehicle_class(key.subject) if key.kind is RecordKind.VEHICLE_CLASS else None
+    if found is not None:
+        return vehicle_classes.vehicle_class(found)
+    voided = unit.registry_history.latest(key, RecordAction.VOIDED)
+    if voided is None:
+        raise NotFoundError(key.kind.value, key.subject)
+    return registry_events.decision(voided)  # there is no other representation of it: send If-Match: *

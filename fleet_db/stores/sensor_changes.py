@@ -1,0 +1,97 @@
+"""Sensors that were exchanged or calibrated, one record a vehicle and time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from sqlalchemy import Connection, delete, select
+
+from estimation.errors import ConflictError, ParameterError
+from estimation.values.registry import SensorChange, SensorWork
+from estimation.values.utc_text import utc_text
+from fleet_db.changes import Changes
+from fleet_db.locks import Subject, serialise
+from fleet_db.models import SensorChangeRow
+from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.rows import table_of, upsert
+from fleet_db.stores.mountings import mounting_at
+from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
+
+CHANGES = table_of(SensorChangeRow)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorChangeStore:
+    """Implements ``estimation.storage.SensorChanges``."""
+
+    connection: Connection
+    changes: Changes
+
+    def list(self, vehicle: str) -> Sequence[SensorChange]:
+        """Return what was done to the sensors of a vehicle, oldest first."""
+        statement = select(CHANGES).where(CHANGES.c.vehicle == vehicle).order_by(CHANGES.c.at_ns)
+        return [sensor_change_of(row) for row in self.connection.execute(statement).mappings()]
+
+    def at_axle(self, vehicle: str, axle: int) -> Sequence[int]:
+        """Return when something was done to the sensors of an axle, ns UTC, oldest first."""
+        chosen = (CHANGES.c.vehicle == vehicle, CHANGES.c.axle == axle)
+        return list(self.connection.scalars(select(CHANGES.c.at_ns).where(*chosen).order_by(CHANGES.c.at_ns)))
+
+    def add(self, record: SensorChange, axles: int, decision: Decision) -> bool:
+        """Add a record, or change the one of the same vehicle, axle and time; return whether anything changed.
+
+        Raises
+        ------
+        ParameterError
+            The vehicle has no such axle.
+        ConflictError
+            Another axle of it has a record of that time.
+        """
+        serialise(self.connection, Subject.REGISTRY)
+        if not 1 <= record.axle <= axles:
+            raise ParameterError(f"vehicle {record.vehicle!r} has axles 1 to {axles}, not {record.axle}", field="axle")
+        was = self.stored(record.vehicle, record.at_ns)
+        if was is not None and was["axle"] != record.axle:
+            place = f"axle {was['axle']} of vehicle {record.vehicle!r}"
+            reason = f"{place} has one of {utc_text(record.at_ns)}; give another time"
+            raise ConflictError(reason, kind="sensor change", key=record.vehicle)
+        values = asdict(record) | {"work": record.work.value}
+        if not upsert(self.connection, CHANGES, values):
+            return False
+        key = RecordKey(RecordKind.SENSOR_CHANGE, record.vehicle, record.at_ns)
+        RegistryHistoryStore(self.connection).note_change(key, was, values, decision)
+        self._note(record)
+        return True
+
+    def remove(self, vehicle: str, at_ns: int) -> None:
+        """Remove the record of a vehicle and time, if there is one."""
+        found = self.stored(vehicle, at_ns)
+        if found is not None:
+            self.connection.execute(delete(CHANGES).where(CHANGES.c.vehicle == vehicle, CHANGES.c.at_ns == at_ns))
+            self._note(sensor_change_of(found))
+
+    def stored(self, vehicle: str, at_ns: int) -> dict[str, Any] | None:
+        """Return the row of a vehicle and time; None where there is none."""
+        statement = select(CHANGES).where(CHANGES.c.vehicle == vehicle, CHANGES.c.at_ns == at_ns)
+        row = self.connection.execute(statement).mappings().first()
+        return None if row is None else dict(row)
+
+    def _note(self, record: SensorChange) -> None:
+        """Let what is known of the wheelset at the axle follow."""
+        mounted = mounting_at(self.connection, record.vehicle, record.axle, record.at_ns)
+        if mounted is not None:
+            self.changes.note(mounted.wheelset)
+
+
+def sensor_change_of(values: Mapping[Any, Any]) -> SensorChange:
+    """Return the value of a row, or of what the history keeps of one.
+
+    Parameters
+    ----------
+    values
+        By column.
+    """
+    record = SensorChange(**{str(name): value for name, value in values.items()})
+    return replace(record, work=SensorWork(record.work))
