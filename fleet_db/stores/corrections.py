@@ -114,8 +114,8 @@ class CorrectionStore:
             RecordKind.VEHICLE_CLASS: self._restore_class,
             RecordKind.SENSOR_CHANGE: self._restore_sensor_change,
         }[key.kind]
-        put(dict(voided.record), decision.recorded_ns)
         self.history.note(key, RecordAction.RESTORED, voided.record, decision)
+        put(dict(voided.record), decision.recorded_ns)
         return voided.record
 
     def _on_file(self, key: RecordKey) -> object | None:

@@ -180,7 +180,7 @@ class RegistryStore:
         if on_file is None or on_file.version != stored.version:
             was = None if on_file is None else class_document(on_file.vehicle_class)
             self._note(key, was, document, recorded_ns)
-        elif taken_out(self.connection, on_file):
+        if taken_out(self.connection, stored):
             RegistryHistoryStore(self.connection).note_return(key, document, self.decision)
         vehicles = [vehicle.code for vehicle in self.vehicles_of_class(vehicle_class.code)]
         self._show_mounted(vehicles)
