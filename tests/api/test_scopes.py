@@ -28,7 +28,7 @@ def test_every_operation_has_one_scope(route: APIRoute) -> None:
 def test_no_finder_is_left_over() -> None:
     assert {finder_of(r.path_format)[0] for r in routes() if r.methods != {"GET"} and "{" in r.path_format} == set(
         FINDERS
-    ) - {"/v1/fleets/{code}", "/v1/vehicles/{code}"}
+    ) - {"/v1/fleets/{code}"}
 
 
 def test_a_change_without_a_scope_has_none() -> None:
