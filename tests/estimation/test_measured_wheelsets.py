@@ -7,9 +7,11 @@ import pytest
 from alignment_job import DAY_NS, counts, in_force, put, register, report
 from sqlalchemy import update
 
+from estimation.accuracy.wheel_contact import wheel_contact
 from estimation.contact.profiles import MeasuredProfiles, Profile, wheel_profile
+from estimation.jobs.steps.compared_measurements import ComparisonReader, rests_on
 from estimation.values.quantities import Status
-from estimation.values.reasons import ReasonCode, code_of
+from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.registry import Reprofiling
 from estimation.values.track import TrackSectionRecord
 from fleet_db.models import MeasuredProfilesRow
@@ -82,3 +84,23 @@ def test_a_damaged_measurement_is_reported_and_the_section_goes_on(storage: SqlS
     assert code_of(track_report.reason) is ReasonCode.SINGLE_WHEELSET
     (note,) = track_report.report["evidence"]  # type: ignore[misc]
     assert "W0" in str(note)
+
+
+def test_an_estimate_on_an_alignment_that_a_measurement_has_made_is_no_check_of_it(storage: SqlStorage) -> None:
+    one_wheelset_three_times(storage)
+    measure(storage)
+    for job in ("refresh_alignment", "estimate_windows", "refresh_geometry"):
+        counts(storage, job)
+    wheel = wheel_profile("P8")
+    elsewhere = MeasuredProfiles("W1", 0, 10.0, wheel, wheel, STD)
+    with storage.write() as unit:
+        unit.registry.add_measured_profiles(elsewhere)
+    with storage.read() as unit:
+        (record, *_) = unit.geometries.intervals("W0")
+        (own,) = unit.registry.measured_profiles("W0")
+        assert rests_on(unit, record, [own])
+        assert not rests_on(unit, record, [elsewhere]), "the alignment was found without it"
+        (found,) = ComparisonReader(unit, wheel_contact, 1000.0).of_wheelset(unit.registry.wheelset("W0"), [own])
+    assert found.independent is False
+    assert not isinstance(found.contact, Reason)
+    assert [one.rail for one in found.contact.rails] == ["56E1"]
