@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import uuid
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import psycopg
 import pytest
 import sqlalchemy
 from tiny_fleet import DEAD, WORN, Deployment, deployment, rows, true_conicity
 
 from api.demo.service import free_port, serving_api
-from api.times import to_rfc3339
+from api.times import from_rfc3339, to_rfc3339
+from estimation.contact.profiles import MeasuredProfiles
 from fleet_db.migrate import upgrade
 from ingest.simulator.fleet import FleetReport
+from ingest.simulator.scenario_file import load_scenario
+from ingest.simulator.wear import wear_at, worn_profiles
 
 
 @dataclass(frozen=True)
@@ -138,3 +144,36 @@ def test_running_every_job_again_changes_no_row(history: History) -> None:
         assert counts["estimate_windows"]["estimated"] == counts["refresh_geometry"]["geometries"] == 0
         assert counts["refresh_trends"]["refreshed"] == counts["evaluate_alerts"]["raised"] == 0
     assert rows(history.fleet.storage) == before
+
+
+def test_the_intervals_cover_the_wheels_as_they_were_measured(
+    history: History, report: FleetReport, scenario_file: Path
+) -> None:
+    (plan,) = load_scenario(scenario_file).vehicles
+    truth = json.loads(report.truth.read_text(encoding="utf-8"))["wheelsets"]
+    with history.fleet.storage.write() as unit:
+        for axle, facts in enumerate(truth):
+            for campaign in facts["campaigns"]:
+                worn = wear_at(plan.wheelsets[axle], 1e3 * campaign["odometer_km"])
+                wheels = worn_profiles(plan.wheelsets[axle], worn)
+                at_ns = from_rfc3339(campaign["start"]) + 3_600 * 10**9
+                unit.registry.add_measured_profiles(
+                    MeasuredProfiles(facts["serial"], at_ns, campaign["mileage_km"], *wheels, 0.05e-3)
+                )
+    found = got(history.client, "/v1/accuracy")
+    assert found["on_file"] == found["considered"] == 8
+    of = {(row["wheelset"], row["measured_at"]): row for row in found["measurements"]}
+    for facts in truth:
+        for campaign in facts["campaigns"]:
+            row = of[facts["serial"], to_rfc3339(from_rfc3339(campaign["start"]) + 3_600 * 10**9)]
+            at_3_mm = float(np.interp(3.0, campaign["amplitude_mm"], campaign["equivalent_conicity"]))
+            assert row["measured_1"]["value"] == pytest.approx(at_3_mm, abs=1e-3), (
+                "the contact search is that of the truth"
+            )
+            if campaign["sensor_failed"]:
+                assert row["outcome"] == "not_compared"
+                assert row["reason_code"] is not None
+    pair = found["coverage"]
+    assert pair["everything"] == pair["independent"], "the section is surveyed"
+    assert pair["everything"]["compared"] >= 4
+    assert pair["everything"]["covered"] >= 0.8 * pair["everything"]["compared"]
