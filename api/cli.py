@@ -18,6 +18,8 @@ import typer
 from estimation.errors import TreadwatchError
 
 REFUSED = 2
+COMPLETED = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
+"""Variables in which bash, and the other shells, hand over the line that is to be completed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +80,12 @@ def _not_imported() -> None:
 
 def build(arguments: Sequence[str]) -> typer.Typer:
     """Return the command line with the subcommand named in ``arguments`` loaded; the others only as their summary."""
-    app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    app = typer.Typer(
+        no_args_is_help=True,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+    )
     app.callback()(_root)
     chosen = next((word for word in arguments if not word.startswith("-")), None)
     for command in COMMANDS:
@@ -93,6 +100,11 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     return app
 
 
+def _being_completed() -> list[str]:
+    """Return the words behind the command's name that a shell asks to complete; none where it does not."""
+    return next((os.environ[name].split()[1:] for name in COMPLETED if name in os.environ), [])
+
+
 def main() -> None:
     """Run the command line; a refusal is one line on standard error and exit code 2.
 
@@ -102,7 +114,7 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = sys.argv[1:]
     try:
-        build(arguments)(arguments, prog_name="treadwatch")
+        build(arguments or _being_completed())(arguments, prog_name="treadwatch")
     except TreadwatchError as error:
         print(f"treadwatch: {error}", file=sys.stderr)  # noqa: T201 - the command line's own output
         raise SystemExit(REFUSED) from None

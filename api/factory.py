@@ -290,9 +290,10 @@ def serve(settings: Settings, stopping: Event) -> None:
     from api.access.plan import plan_of  # noqa: PLC0415 - the same
     from api.app import build_app  # noqa: PLC0415 - the same
     from api.http_limits import limits_of  # noqa: PLC0415 - the same
-    from api.http_server import http_server  # noqa: PLC0415 - the same
+    from api.http_server import check_address, http_server  # noqa: PLC0415 - the same
 
     access = plan_of(settings)
+    check_address(settings)
     with ThreadPoolExecutor(1, "start") as beside:
         opening = beside.submit(once_the_database_answers, partial(open_services, settings), settings, stopping)
         wait([opening], timeout=AT_ONCE_S if settings.on_server else None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 from asyncio import Protocol
 from functools import partial
@@ -12,7 +13,8 @@ from fastapi import FastAPI
 
 from api.connections import ConnectionMeasures, Connections, LimitedConnection
 from api.http_limits import ACCEPTED_AT_ONCE, MAX_HEAD_BYTES, open_connections
-from api.settings import Settings
+from api.settings import PREFIX, Settings
+from estimation.errors import ParameterError
 
 WAITING_TO_BE_ACCEPTED = 2048
 """Connections that the system holds until they are accepted."""
@@ -34,6 +36,32 @@ class HttpServer(uvicorn.Server):
         app: FastAPI = self.config.app  # type: ignore[assignment] # given by http_server, below
         app.state.feed_watch.stop()
         await super().shutdown(sockets)
+
+
+def check_address(settings: Settings) -> None:
+    """Refuse an address on which nobody can listen, before anything is opened for it.
+
+    Parameters
+    ----------
+    settings
+        Where to listen.
+
+    Raises
+    ------
+    ParameterError
+        The port is taken, or the address is not of this machine.
+    """
+    try:
+        found = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        for family, kind, protocol, _, address in found:
+            with socket.socket(family, kind, protocol) as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind(address)
+    except OSError as error:
+        taken = error.errno == errno.EADDRINUSE
+        why = "another process listens there" if taken else error.strerror
+        field = f"{PREFIX}PORT" if taken else f"{PREFIX}HOST"
+        raise ParameterError(f"nobody can listen on {settings.host}:{settings.port}: {why}", field=field) from None
 
 
 def http_server(app: FastAPI, settings: Settings) -> HttpServer:

@@ -60,7 +60,7 @@ def configure(settings: Settings) -> None:
 
 
 def _formatter(settings: Settings, shared: list[Processor]) -> logging.Formatter:
-    redact = Redactor.of_urls([settings.database_url])
+    redact = Redactor.of_urls([settings.url])
 
     def with_short_trace(_logger: object, _name: str, event: EventDict) -> EventDict:
         error = _error(event.pop("exc_info", None))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from typing import Literal
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -25,7 +25,10 @@ class Settings(BaseSettings):
         Directory of everything that is kept beside the database: raw recordings, samples of windows. The embedded
         database is here too.
     database_url
-        ``sqlite:///...`` or ``postgresql://...``; left out, a SQLite file in ``data_dir``.
+        ``sqlite:///...`` or ``postgresql://...``; left out, the server at ``database_host``, or without one a SQLite
+        file in ``data_dir``.
+    database_host, database_port, database_name, database_user, database_password
+        A PostgreSQL server in parts; the password may contain any character.
     rules_file
         TOML file of alert rules; left out, the rules shipped with the package.
     retention_file
@@ -85,6 +88,11 @@ class Settings(BaseSettings):
 
     data_dir: Path = Path("treadwatch-data")
     database_url: str | None = Field(default=None, repr=False)  # it may carry a password
+    database_host: str | None = None
+    database_port: int = Field(default=5432, ge=1, le=65535)
+    database_name: str = "treadwatch"
+    database_user: str = "treadwatch"
+    database_password: str | None = Field(default=None, repr=False)
     rules_file: Path | None = None
     retention_file: Path | None = None
     host: str = "127.0.0.1"
@@ -153,7 +161,15 @@ class Settings(BaseSettings):
         """The database's address, with the embedded default filled in."""
         if self.database_url is not None:
             return self.database_url
+        if self.database_host is not None:
+            return self._server_url(self.database_host)
         return f"sqlite:///{(self.data_dir / 'treadwatch.sqlite').resolve()}"
+
+    def _server_url(self, host: str) -> str:
+        password = "" if self.database_password is None else f":{quote(self.database_password, safe='')}"
+        where = f"[{host}]" if ":" in host else host
+        who = f"{quote(self.database_user, safe='')}{password}"
+        return f"postgresql://{who}@{where}:{self.database_port}/{quote(self.database_name, safe='')}"
 
     @property
     def on_server(self) -> bool:

@@ -53,7 +53,8 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
     _recreate(folder)
     recordings, data = folder / "recordings", folder / "data"
     settings = load_settings(data_dir=data)
-    settings = settings.model_copy(update={"database_url": None, "host": "127.0.0.1", "log_level": "warning"})
+    embedded = {"database_url": None, "database_host": None, "host": "127.0.0.1", "log_level": "warning"}
+    settings = settings.model_copy(update=embedded)
     settings = settings.model_copy(update={"docs": "open"})  # on this machine alone, and a browser sends no key there
     logs.configure(settings)
     console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)
@@ -75,8 +76,8 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
             f"{report.wheelset_seconds / 3600:.1f} wheelset-hours; table after {time.monotonic() - began:.0f} s",
             highlight=False,
         )
-        _print_urls(service, console)
         if keep_serving:
+            _print_urls(service, console)
             console.print("serving; the jobs continue on their schedules; stop with Ctrl-C", highlight=False)
             stopping = threading.Event()
             stop_on_signals(stopping)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -40,6 +42,29 @@ def test_help_names_every_subcommand_and_loads_none(treadwatch: Run) -> None:
     assert done.returncode == 0
     for command in COMMANDS:
         assert command.name in done.stdout
+
+
+@pytest.mark.parametrize("words", [("-h",), ("recordings", "-h"), ("recordings", "reassign", "-h")])
+def test_help_is_asked_for_in_one_letter_everywhere(treadwatch: Run, words: tuple[str, ...]) -> None:
+    done = treadwatch(*words)
+    assert done.returncode == 0
+    assert "Usage: " in done.stdout
+
+
+@pytest.mark.parametrize(("typed", "offered"), [("treadwatch reco", "recordings"), ("treadwatch db upg", "upgrade")])
+def test_a_shell_completes_commands_and_their_commands(typed: str, offered: str) -> None:
+    asked = {"_TREADWATCH_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(typed.count(" "))}
+    environment = os.environ | asked
+    done = subprocess.run([COMMAND], env=environment, capture_output=True, text=True, check=False)
+    assert done.stdout.split() == [offered]
+
+
+def test_a_port_that_is_taken_is_refused_in_one_line(treadwatch: Run, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = treadwatch("serve", port=str(port), data_dir=str(tmp_path))
+    line = refused(done)
+    assert line == f"treadwatch: TREADWATCH_PORT: nobody can listen on 127.0.0.1:{port}: another process listens there"
 
 
 HEAVY = frozenset({

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from compose_file import ROOT, services
+from sqlalchemy import make_url
 
 from api.cli import COMMANDS
 from api.settings import PREFIX, Settings
@@ -33,6 +34,30 @@ def test_every_variable_in_an_environment_is_a_setting() -> None:
     everything = services(PASSWORD)
     for name in OURS:
         assert set(everything[name].get("environment", {})) <= settings
+
+
+def test_every_setting_reaches_the_services_from_the_env_file() -> None:
+    fixed = {"TREADWATCH_DATA_DIR", "TREADWATCH_HOST", "TREADWATCH_PORT", "TREADWATCH_DATABASE_PASSWORD"}
+    given = {f"{PREFIX}{name.upper()}": f"value of {name}" for name in Settings.model_fields}
+    everything = services(PASSWORD | given)
+    for name in ("migrate", "api", "scheduler", "receiver"):
+        environment = everything[name]["environment"]
+        assert {key: environment.get(key) for key in given if key not in fixed} == {
+            key: value for key, value in given.items() if key not in fixed
+        }
+        assert environment["TREADWATCH_DATABASE_PASSWORD"] == PASSWORD["POSTGRES_PASSWORD"]
+
+
+def test_a_variable_that_is_empty_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in Settings.model_fields:
+        monkeypatch.setenv(f"{PREFIX}{name.upper()}", "")
+    assert Settings(_env_file=None) == Settings.model_construct()
+
+
+def test_a_password_may_contain_any_character() -> None:
+    password = "p@ss:w/o%r d#?$é"  # noqa: S105 - of this test
+    url = make_url(Settings(database_host="db", database_password=password, _env_file=None).url)
+    assert (url.password, url.host, url.port, url.database) == (password, "db", 5432, "treadwatch")
 
 
 def test_services_wait_for_what_they_need_and_say_whether_they_are_well() -> None:
