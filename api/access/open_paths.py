@@ -60,10 +60,10 @@ def door_of(opened: Opened, scope: Scope) -> _Passage:
         Of the request.
     """
     path: str = scope["path"]
+    if path in HEALTH or path in PAGE or path.startswith(PAGE_FILES):
+        return _Passage(open=True)  # also where the method is not allowed, which is then the answer
     if scope["method"] not in READING:
         return _Passage()
-    if path in HEALTH or path in PAGE or path.startswith(PAGE_FILES):
-        return _Passage(open=True)
     if path == METRICS:
         return _Passage(open=opened.metrics == "open", shut=opened.metrics == "off", of_all_fleets=True)
     if path in DOCUMENTS or path.startswith(DOCUMENT_FILES):

@@ -46,7 +46,7 @@ STREAMED = {
     "Blocks without `data` are signs of life, with the cursor where it has changed.",
     "content": {
         EVENT_STREAM: {
-            "schema": {"type": "string", "description": "A stream of server-sent events (WHATWG HTML)."},
+            "schema": {"description": "A stream of server-sent events (WHATWG HTML)."},
             "example": 'retry: 2000\n\nid: WyJ...\ndata: {"event":"raised",...}\n\n',
         }
     },

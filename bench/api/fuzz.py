@@ -12,7 +12,7 @@ from pathlib import Path
 
 from api.factory import open_store
 from api.settings import Settings
-from bench.api.servers import served
+from bench.api.servers import new_key, served
 from fleet_db.migrate import upgrade
 from tests.api import api_fleet
 
@@ -31,26 +31,28 @@ def fuzz(seconds: int, seed: int, report: Path) -> int:
     report
         Folder of its report, for what it has found.
     """
-    with _service() as url:
+    with _service() as (url, key):
         command = [sys.executable, "-m", "schemathesis.cli", "--config-file", str(CONFIGURATION)]
         command += ["run", f"{url}/openapi.json", "--checks", "all"]
         command += ["--max-time", str(seconds), "--seed", str(seed), "--continue-on-failure"]
         command += ["--report", "junit", "--report-dir", str(report), "--suppress-health-check", "all"]
-        return subprocess.run(command, check=False, env=_environment()).returncode  # noqa: S603 - our own command
+        return subprocess.run(command, check=False, env=_environment(key)).returncode  # noqa: S603 - our own command
 
 
-def _environment() -> Mapping[str, str]:
-    return {**os.environ, "PYTHONWARNINGS": "ignore"}  # of libraries that schemathesis imports
+def _environment(key: str) -> Mapping[str, str]:
+    """Return the environment of schemathesis: its configuration reads the key there, and its libraries warn."""
+    return {**os.environ, "PYTHONWARNINGS": "ignore", "TREADWATCH_KEY": key.removeprefix("Authorization: Bearer ")}
 
 
 @contextmanager
-def _service() -> Iterator[str]:
+def _service() -> Iterator[tuple[str, str]]:
     with tempfile.TemporaryDirectory(prefix="treadwatch-fuzz-") as name:
         folder = Path(name)
         settings = Settings(data_dir=folder, _env_file=None)
         upgrade(settings.url)
         storage = open_store(settings)
         api_fleet.populate(storage)
+        key = new_key(storage)
         storage.close()
         with served(folder, None, workers=1) as url:
-            yield url
+            yield url, key

@@ -18,8 +18,9 @@ from rich.console import Console
 from api.factory import open_store
 from api.settings import Settings
 from bench.api.fleet import FleetSize, populate
+from bench.api.fuzz import fuzz
 from bench.api.load import Percentiles, ask
-from bench.api.servers import served
+from bench.api.servers import new_key, served
 from bench.results_page import markdown_table, write_page
 from fleet_db.migrate import upgrade
 from tests.postgres_server import SAFE, stoppable_server
@@ -60,16 +61,18 @@ ENDPOINTS = (
 def main(arguments: Sequence[str]) -> int:
     """Fill both databases, ask, print and write the page; return 1 where a figure falls short."""
     options = _options(arguments)
+    if options.fuzz:
+        return fuzz(options.fuzz, SEED, Path(options.report))
     size = FleetSize(vehicles=options.vehicles, days=options.days)
     console = Console()
     rows: list[tuple[str, ...]] = []
     for database in options.databases:
         with _database(database) as (folder, url):
             console.print(f"{database}: filling, {size.wheelsets} wheelsets, {size.days} days")
-            took = _fill(folder, url, size)
+            took, key = _fill(folder, url, size)
             console.print(f"{database}: filled in {took:.0f} s")
             with served(folder, url) as address:
-                rows += _measure(address, database, size, options.rounds, options.asked, console)
+                rows += _measure(address, key, database, size, options.rounds, options.asked, console)
     if options.write_docs:
         page = _page(size, rows)
         console.print(f"wrote {page}", soft_wrap=True)
@@ -83,6 +86,8 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument("--asked", type=int, default=ASKED, help="requests of an endpoint in a round")
     parser.add_argument("--databases", nargs="+", default=["sqlite", "postgresql"], choices=["sqlite", "postgresql"])
+    parser.add_argument("--fuzz", type=int, default=0, metavar="SECONDS", help="run schemathesis instead, for so long")
+    parser.add_argument("--report", default="schemathesis-report", help="folder of its report")
     parser.add_argument("--write-docs", action="store_true", help="write docs/results/api.md")
     return parser.parse_args(arguments)
 
@@ -98,25 +103,26 @@ def _database(kind: str) -> Iterator[tuple[Path, str | None]]:
             yield Path(name), server.url
 
 
-def _fill(folder: Path, url: str | None, size: FleetSize) -> float:
+def _fill(folder: Path, url: str | None, size: FleetSize) -> tuple[float, str]:
+    """Fill a database; return how long it took, in seconds, and the header line with a key."""
     settings = Settings(data_dir=folder, database_url=url, _env_file=None)
     upgrade(settings.url)
     storage = open_store(settings)
     try:
-        return populate(storage, size, SEED, time.time_ns())
+        return populate(storage, size, SEED, time.time_ns()), new_key(storage)
     finally:
         storage.close()
 
 
 def _measure(
-    address: str, database: str, size: FleetSize, rounds: int, asked: int, console: Console
+    address: str, key: str, database: str, size: FleetSize, rounds: int, asked: int, console: Console
 ) -> list[tuple[str, ...]]:
     """Return one row an endpoint: the medians over rounds in which every endpoint is asked in turn."""
     random = np.random.default_rng(SEED)
     found: dict[str, list[Percentiles]] = {endpoint.name: [] for endpoint in ENDPOINTS}
     for number in range(rounds + 1):
         for endpoint in ENDPOINTS:
-            seen = ask(address, endpoint.paths(size, random, asked), CLIENTS)
+            seen = ask(address, endpoint.paths(size, random, asked), CLIENTS, [key])
             if seen.refused:
                 raise RuntimeError(f"{endpoint.template}: {seen.refused} of {asked} answers are refusals")
             if number:  # the first round warms caches

@@ -13,8 +13,26 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from api.access.caller import EVERYTHING
+from api.access.making import Wanted, make_key
+from fleet_db.storage import SqlStorage
+
 WORKERS = 2
 START_S = 60.0
+
+
+def new_key(storage: SqlStorage) -> str:
+    """Make a key that may everything, and return the header line that carries it.
+
+    Parameters
+    ----------
+    storage
+        Of the service.
+    """
+    wanted = Wanted(owner="bench", scopes=EVERYTHING, fleets=None, expires_ns=None)
+    with storage.write() as unit:
+        _, token = make_key(unit, wanted, "bench", time.time_ns())
+    return f"Authorization: Bearer {token.text}"
 
 
 @contextmanager
@@ -39,7 +57,11 @@ def served(folder: Path, database_url: str | None, workers: int = WORKERS) -> It
         "TREADWATCH_DATA_DIR": str(folder),
         "TREADWATCH_DATABASE_URL": database_url or "",
         "TREADWATCH_LOG_LEVEL": "warning",
-        "TREADWATCH_ACCESS": "open",
+        "TREADWATCH_ACCESS": "keys",
+        "TREADWATCH_REQUESTS_PER_S": "1e6",
+        "TREADWATCH_REQUESTS_BURST": "1000000",
+        "TREADWATCH_FAILED_KEYS_PER_MINUTE": "6e4",
+        "TREADWATCH_DOCS": "open",
     }
     command = [sys.executable, "-m", "uvicorn", "--factory", "api.asgi:app", "--port", str(port)]
     command += ["--workers", str(workers), "--no-access-log", "--log-level", "warning"]
