@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 
 import api_fleet
 
-from estimation.storage import Storage
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobOutcome, JobTrigger
+from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 
 FLEET, VEHICLE, WHEELSET, ALERT = "own", "OWN-V", "OWN-WS", "own alert"
 FOREIGN_ALERT = "foreign alert"
-MARKERS = re.compile(rb"WS-0\d\d|\bV-[0-2]\b|alpha|=beta|Alpha railway|=1\+1")
+MARKERS = re.compile(rb"cdcdcdcd|WS-0\d\d|\bV-[0-2]\b|alpha|=beta|Alpha railway|=1\+1")
 """Whatever stands in the database of the foreign fleets and nowhere else."""
 
 
@@ -35,6 +35,7 @@ class Named:
 PATHS: Mapping[str, Named | str] = {
     "/v1/alerts/{alert_id}": Named(FOREIGN_ALERT, "987654321", ALERT),
     "/v1/fleets/{code}": Named("alpha", "gamma", FLEET),
+    "/v1/recordings/{digest}": Named("cd" * 32, "ef" * 32, "12" * 32),
     "/v1/vehicles/{code}": Named("V-0", "V-9", VEHICLE),
     "/v1/wheelsets/{serial}": Named("WS-000", "WS-999", WHEELSET),
     "/v1/jobs/{name}": "estimate_windows",
@@ -70,6 +71,12 @@ NAMING_NOTHING = frozenset(
         "open",
         "owner",
         "reason_code",
+        "received_from",
+        "received_to",
+        "severity",
+        "wait_s",
+        "why",
+        "by",
         "scope",
         "sort",
         "state",
@@ -122,6 +129,8 @@ BODIES: Mapping[str, Mapping[str, object]] = {
         "vehicle_odometer_km": 5000.0,
         "wheelset_mileage_km": 9.0,
     },
+    "reassign_recording": {"why": "another unit", "vehicle": "V-0"},
+    "retry_recording": {"why": "again"},
     "shelve_alert": {"until": "2100-01-01T00:00:00Z", "reason": "later"},
     "unshelve_alert": {"note": "again"},
 }
@@ -137,6 +146,7 @@ WITHOUT_NAMES = frozenset(
         "add_sensor_change",
         "add_vehicle_class",
         "dismount_wheelset",
+        "retry_recording",
         "shelve_alert",
         "unshelve_alert",
     ]
@@ -156,10 +166,13 @@ def populate(storage: SqlStorage) -> Mapping[str, str]:
     return {ALERT: str(own.alert_id), FOREIGN_ALERT: str(foreign.alert_id)}
 
 
-def _own(storage: Storage) -> None:
+def _own(storage: SqlStorage) -> None:
     record = api_fleet.wheelset(20)
     mounting = Mounting(WHEELSET, VEHICLE, 1, api_fleet.START, None, 1.0, 2.0)
     with storage.write() as unit:
         unit.registry.add_fleet(FleetRecord(FLEET, "Own railway"))
         unit.registry.add_vehicle(VehicleRecord(VEHICLE, FLEET, "regional", 4, 44.5, (0.0, 2.5, 17.0, 19.5)))
+        for digest, vehicle in (("cd" * 32, "V-0"), ("12" * 32, VEHICLE)):
+            state, at_ns = ChunkState.DECODED, api_fleet.RECORDED
+            unit.chunks.put(ChunkRecord(digest, vehicle, ".log", 1, state, None, 1, 2, 1, {}, at_ns, at_ns))
         unit.registry.add_wheelset(replace(record, serial=WHEELSET, fleet=FLEET, mounting=mounting))

@@ -10,6 +10,7 @@ import re
 import time
 import uuid
 from collections.abc import Iterator, Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from http import HTTPStatus
 from pathlib import Path
@@ -30,6 +31,8 @@ from fleet_db.migrate import upgrade
 
 EVERYTHING = frozenset({"read", "act", "ingest", "admin"})
 NEEDS_NONE = frozenset({"/healthz", "/readyz"})
+FIRST_OF_A_STREAM_S = 1.0
+"""How long the beginning of a stream is read, in seconds."""
 OWN = frozenset({examples.FLEET})
 
 
@@ -43,6 +46,7 @@ class Operation:
     scope: str | None
     query: tuple[str, ...]
     has_body: bool
+    streams: bool
 
     @property
     def first(self) -> Named | str | None:
@@ -71,6 +75,7 @@ def _operations() -> list[Operation]:
             one["security"][0]["key"][0] if one["security"] else None,
             tuple(entry["name"] for entry in one.get("parameters", ()) if entry["in"] == "query"),
             "requestBody" in one,
+            any("text/event-stream" in response.get("content", {}) for response in one["responses"].values()),
         )
         for path, methods in json.loads(committed_document())["paths"].items()
         for method, one in methods.items()
@@ -111,7 +116,13 @@ class Guarded:
     ) -> httpx.Response:
         """Send a request."""
         path = operation.at(self.numbers.get(first, first))
-        return self.client.request(operation.method, path, headers=dict(headers), json=body, params=query)
+        asked = self.client.build_request(operation.method, path, headers=dict(headers), json=body, params=query)
+        asked.extensions["timeout"]["read"] = FIRST_OF_A_STREAM_S if operation.streams else 60.0
+        response, content = self.client.send(asked, stream=True), b""
+        with closing(response), suppress(httpx.ReadTimeout):  # a stream does not end by itself
+            for piece in response.iter_bytes():
+                content += piece
+        return httpx.Response(response.status_code, headers=_plain(response.headers), content=content)
 
 
 @pytest.fixture(scope="module")
@@ -134,6 +145,7 @@ def guarded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
         port=0,
         log_level="error",
         access="keys",
+        window_length_s=30.0,
         requests_per_s=1e6,
         requests_burst=1_000_000,
         failed_keys_per_minute=6e4,
@@ -165,6 +177,10 @@ def guarded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     with running(settings) as address, httpx.Client(base_url=address, timeout=60.0) as client:
         yield Guarded(client, keys, numbers)
     storage.close()
+
+
+def _plain(headers: httpx.Headers) -> dict[str, str]:
+    return {name: value for name, value in headers.items() if name != "content-encoding"}
 
 
 def _first(operation: Operation) -> str:
