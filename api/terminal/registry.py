@@ -17,7 +17,7 @@ from fleet_db.registry_events import Decision, RecordAction, RecordKind, Registr
 from fleet_db.stores.registry_history import RecordKey
 from ingest.registry_entry.restored import refuse_contradicted
 
-LONG = ("packed",)  # values of a record that are not for reading
+LONG = ("packed", "parameters", "bogie", "sensors", "relative_std")  # values of a record that are not for reading
 
 
 def decide_and_report(
