@@ -31,3 +31,19 @@ def show_rules() -> None:
 
     file = load_settings().rules_file
     print_rules(RuleBook() if file is None else load_rules(file))
+
+
+@rules.command("replay")
+def replay_rules(
+    from_: Annotated[str, typer.Option("--from", help="Date, or time as in RFC 3339, of the vehicles' clocks.")],
+    *,
+    to: Annotated[str | None, typer.Option(help="End of the time that is looked at; now by default.")] = None,
+    rules_file: Annotated[
+        Path | None, typer.Option("--rules", help="Rules to try; without it those in force are replayed.")
+    ] = None,
+    fleet: Annotated[str | None, typer.Option(help="Only the wheelsets of this fleet.")] = None,
+) -> None:
+    """Show which alerts other rules would have raised over what is stored; nothing is written."""
+    from api.terminal.rules_replay import replay
+
+    replay(from_, to, rules_file, fleet)

@@ -251,7 +251,7 @@ def _facts(
         vehicle=vehicle,
         geometry=unit.geometries.current(wheelset.serial),
         trend=unit.trends.latest(wheelset.serial),
-        windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, *_windows_wanted(book)),
+        windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, *windows_wanted(book)),
         intervals=_intervals(unit, wheelset, mounting.from_ns),
         open_alerts=alerts,
         trend_parameters=settings.trend,
@@ -266,8 +266,14 @@ def _intervals(unit: UnitOfWork, wheelset: WheelsetRecord, since_ns: int) -> Seq
     return sorted(held, key=lambda record: record.to_ns)
 
 
-def _windows_wanted(book: RuleBook) -> tuple[int, float]:
-    """Return how many windows and how many kilometres the rules look back."""
+def windows_wanted(book: RuleBook) -> tuple[int, float]:
+    """Return how many windows and how many kilometres the rules look back.
+
+    Parameters
+    ----------
+    book
+        Of a fleet and class.
+    """
     rules = (book.rule(SensorFaultRule), book.rule(HuntingRule), book.rule(DataQualityRule))
     return LOOK_BACK * max(rule.latest_windows for rule in rules), max(reach_km(rule.delays) for rule in rules)
 

@@ -20,7 +20,7 @@ from estimation.values.geometry import GeometryRecord
 from estimation.values.identity import since_change
 from estimation.values.quarantine import SubjectKind
 from estimation.values.registry import WheelsetRecord
-from estimation.values.trend import TrendRecord
+from estimation.values.trend import TrendRecord, WearTrend
 
 
 def run(context: JobContext) -> Mapping[str, int]:
@@ -58,20 +58,10 @@ def _refresh(context: JobContext, wheelset: WheelsetRecord) -> str:
         context.code_version,
     ):
         return "unchanged"
-    chosen = conicity_points(records)
-    trend = refresh(
-        chosen.points,
-        limit,
-        params,
-        quantity=chosen.quantity,
-        note=chosen.note,
-        shared_std=chosen.spread,
-        not_comparable=chosen.not_comparable,
-    )
     record = TrendRecord(
         wheelset=wheelset.serial,
         baseline=baseline,
-        trend=trend,
+        trend=trend_of(records, limit, params),
         input_digest=digest,
         code_version=context.code_version,
         recorded_ns=context.clock.now_ns(),
@@ -79,6 +69,30 @@ def _refresh(context: JobContext, wheelset: WheelsetRecord) -> str:
     )
     with context.storage.write() as unit:
         return "refreshed" if unit.trends.put(record) else "unchanged"
+
+
+def trend_of(records: Sequence[GeometryRecord], limit: float, parameters: TrendParameters) -> WearTrend:
+    """Return the trend of the geometries of intervals.
+
+    Parameters
+    ----------
+    records
+        Of one wheelset and baseline, with windows.
+    limit
+        Of the conicity at 3 mm.
+    parameters
+        Of the fit.
+    """
+    chosen = conicity_points(records)
+    return refresh(
+        chosen.points,
+        limit,
+        parameters,
+        quantity=chosen.quantity,
+        note=chosen.note,
+        shared_std=chosen.spread,
+        not_comparable=chosen.not_comparable,
+    )
 
 
 def _limit(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> float | None:

@@ -162,6 +162,7 @@ def test_a_file_that_is_missing_or_no_toml_is_named(tmp_path: Path) -> None:
         load_rules(tmp_path / "bytes.toml")
 
 
+PAGE = Path(__file__).parents[2] / "docs" / "alert-rules.md"
 SCOPED = """
 version = 2
 name = "plan 2027-01"
@@ -239,3 +240,11 @@ def test_check_prints_the_rules_by_fleet_and_class_and_refuses_in_one_line(tmp_p
     assert refused.returncode == 2
     (line,) = refused.stderr.splitlines()
     assert line.endswith("rules.toml:3, field 'sensor_fault.clear_share': 0.7 is above raise_share (0.5)")
+
+
+def test_the_example_of_the_page_can_be_used(tmp_path: Path) -> None:
+    example = re.search(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert example is not None
+    book = load_rules(written(tmp_path, example[1]))
+    days = [book.of(*scope).rule(NoDataRule).days for scope in (("s", "c"), ("s", "freight"), ("north", "c"))]
+    assert (days, book.of("north", "freight").rule(NoDataRule).days) == ([7.0, 14.0, 3.0], 5.0)

@@ -55,11 +55,15 @@ def native(service: Mapping[str, Any], name: str, mounts: Mapping[str, Path]) ->
 
 
 def mounts(everything: Mapping[str, Mapping[str, Any]], directory: Path) -> dict[str, Path]:
-    """Return for every path in a container where its volume is here; one volume is one folder for all services."""
+    """Return for every path in a container where its volume is here; one volume is one folder for all services.
+
+    A file of the repository stays where it is.
+    """
     found: dict[str, Path] = {}
     for service in everything.values():
         for volume in service.get("volumes", ()):
             source, inside = volume.split(":")[:2]
-            assert found.get(inside, directory / source) == directory / source, f"{inside} is two volumes"
-            found[inside] = directory / source
+            here = ROOT / source if source.startswith("./") else directory / source
+            assert found.get(inside, here) == here, f"{inside} is two volumes"
+            found[inside] = here
     return found

@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,9 @@ from compose_file import ROOT, services
 from sqlalchemy import make_url
 
 from api.cli import COMMANDS
+from api.rules_file import load_rules
 from api.settings import PREFIX, Settings
+from estimation.alerts.rules.book import RuleBook
 
 PASSWORD = {"POSTGRES_PASSWORD": "only-for-this-test"}
 OURS = ["migrate", "registry", "api", "scheduler", "receiver", "simulated-fleet"]
@@ -58,6 +61,12 @@ def test_a_password_may_contain_any_character() -> None:
     password = "p@ss:w/o%r d#?$é"  # noqa: S105 - of this test
     url = make_url(Settings(database_host="db", database_password=password, _env_file=None).url)
     assert (url.password, url.host, url.port, url.database) == (password, "db", 5432, "treadwatch")
+
+
+def test_only_the_simulated_fleet_is_never_silent() -> None:
+    book = load_rules(ROOT / "compose" / "rules.toml")
+    assert not book.of("LIVE", "multiple unit").enabled("no_data")
+    assert replace(book.of("mine", "multiple unit"), name="") == RuleBook()
 
 
 def test_services_wait_for_what_they_need_and_say_whether_they_are_well() -> None:

@@ -1,0 +1,242 @@
+"""What alert rules would have raised over the stored history of a wheelset. Reads; nothing is written.
+
+The rules are evaluated at the end of every day with windows, after every interval of mileage, when a silence has become
+too long, and at every reprofiling and mounting: each time on the data up to then, as they are known now. Corrections
+therefore count from the beginning, and two rule books differ by nothing but the rules. What compares wheelsets or
+vehicles with each other is not evaluated again: ``identity`` is taken as it was raised, ``suspension_change`` and
+rejected recordings are left out, and nothing is grouped into fleet alerts.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+from estimation.alerts.life_cycle import close, transition
+from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule
+from estimation.alerts.rules.evaluation import findings, superseded
+from estimation.alerts.rules.no_data import NoDataRule
+from estimation.alerts.rules.rule import WheelsetFacts
+from estimation.alerts.rules.standing import within_reach
+from estimation.alerts.rules.suspension_change import SuspensionChangeRule
+from estimation.jobs.evaluate_alerts import windows_wanted
+from estimation.jobs.refresh_trends import trend_of
+from estimation.jobs.steps.identities import identity_change
+from estimation.storage import UnitOfWork
+from estimation.trend.trend import TrendParameters
+from estimation.values.alerts import Alert, Condition
+from estimation.values.geometry import GeometryRecord
+from estimation.values.identity import IDENTITY, IdentityChange, since_change
+from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.trend import TrendRecord, WearTrend
+from estimation.values.windows import WindowRecord, WindowState
+
+DAY_NS = 86_400_000_000_000
+NOT_REPLAYED = (IDENTITY, SuspensionChangeRule.kind)
+_ALL = 1000
+_Trends = Callable[[Sequence[GeometryRecord], float], WearTrend]
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """What is stored of one wheelset, as it is known now; windows by start, geometries by their end."""
+
+    wheelset: WheelsetRecord
+    mountings: Sequence[Mounting]
+    vehicles: Mapping[str, VehicleRecord]
+    windows: Sequence[WindowRecord]
+    intervals: Sequence[GeometryRecord]  # of all baselines, with windows
+    current: GeometryRecord | None
+    change: IdentityChange | None
+    raised: Sequence[Alert]  # all alerts of the wheelset, open and closed
+    window_ends: Sequence[int] = field(default=())
+    interval_ends: Sequence[int] = field(default=())
+
+
+def history_of(unit: UnitOfWork, serial: str) -> History:
+    """Return what is stored of a wheelset.
+
+    Parameters
+    ----------
+    unit
+        A transaction that reads.
+    serial
+        Of the wheelset.
+    """
+    mountings = sorted(unit.registry.mountings(serial), key=lambda one: one.from_ns)
+    windows = sorted(unit.windows.list(serial), key=lambda one: one.start_ns)
+    stored = (record for record in unit.geometries.intervals(serial) if record.geometry.windows)
+    intervals = sorted(stored, key=lambda one: (one.to_ns, one.baseline))
+    raised: list[Alert] = []
+    while page := unit.alerts.page(
+        fleet=None,
+        wheelset=serial,
+        kind=None,
+        condition=None,
+        open_only=False,
+        after_id=raised[-1].alert_id if raised else None,
+        limit=_ALL,
+    ):
+        raised += page
+    return History(
+        wheelset=unit.registry.wheelset(serial),
+        mountings=mountings,
+        vehicles={one.vehicle: unit.registry.vehicle(one.vehicle) for one in mountings},
+        windows=windows,
+        intervals=intervals,
+        current=unit.geometries.current(serial),
+        change=identity_change(unit, serial),
+        raised=raised,
+        window_ends=[one.start_ns + one.length_ns for one in windows],
+        interval_ends=[one.to_ns for one in intervals],
+    )
+
+
+def replayed(
+    history: History, book: RuleBook, span: tuple[int, int], trend: TrendParameters | None = None
+) -> list[Alert]:
+    """Return the alerts that rules would have raised and that were open within a span of time, by opening.
+
+    Parameters
+    ----------
+    history
+        Of one wheelset.
+    book
+        The rules.
+    span
+        From and to, ns UTC of the vehicle's clock.
+    trend
+        Parameters of the trends.
+    """
+    parameters, kept = trend or TrendParameters(), dict[tuple[int, int, float], WearTrend]()
+
+    def trends(records: Sequence[GeometryRecord], limit: float) -> WearTrend:
+        key = (records[-1].baseline, len(records), limit)
+        if key not in kept:
+            kept[key] = trend_of(records, limit, parameters)
+        return kept[key]
+
+    standing: dict[str, Alert] = {}
+    closed: list[Alert] = []
+    for at_ns in _instants(history, book, span):
+        _evaluate(history, book, at_ns, standing, closed, trends)
+    published = [one for one in (*closed, *standing.values()) if one.condition is not Condition.PENDING]
+    within = [one for one in published if one.closed_ns is None or one.closed_ns >= span[0]]
+    return sorted(within, key=lambda one: (one.opened_ns, one.kind))
+
+
+def _evaluate(
+    history: History, book: RuleBook, at_ns: int, standing: dict[str, Alert], closed: list[Alert], trends: _Trends
+) -> None:
+    """Bring the alerts that stand up to a time; those that end go to ``closed``."""
+    wheelset, vehicle = _then(history, at_ns)
+    own = book.of(wheelset.fleet, None if vehicle is None else vehicle.vehicle_class)
+    facts = _facts(history, own, wheelset, vehicle, at_ns, trends)
+    facts = replace(facts, open_alerts=(*facts.open_alerts, *standing.values()))
+    for alert, reason, ended_ns in superseded(facts, own):
+        if standing.pop(alert.kind, None) is not None:
+            closed.append(close(alert, reason, ended_ns).alert)
+    for finding in findings(facts, own, at_ns):
+        if finding.kind in NOT_REPLAYED:
+            continue
+        change = transition(
+            standing.get(finding.kind), finding, at_ns, fleet=wheelset.fleet, delays=own.delays_of(finding.kind)
+        )
+        if change is None:
+            continue
+        if change.alert.closed_ns is None:
+            standing[finding.kind] = change.alert
+        else:
+            del standing[finding.kind]
+            if change.events:  # one that was never raised leaves nothing
+                closed.append(change.alert)
+
+
+def _then(history: History, at_ns: int) -> tuple[WheelsetRecord, VehicleRecord | None]:
+    """Return the wheelset and its vehicle as the records had them at a time."""
+    mounted = [one for one in history.mountings if one.from_ns <= at_ns and (one.to_ns is None or at_ns < one.to_ns)]
+    mounting = replace(mounted[-1], to_ns=None) if mounted else None
+    done = tuple(one for one in history.wheelset.reprofilings if one.at_ns <= at_ns)
+    wheelset = replace(history.wheelset, mounting=mounting, reprofilings=done)
+    return wheelset, None if mounting is None else history.vehicles[mounting.vehicle]
+
+
+def _facts(
+    history: History,
+    book: RuleBook,
+    wheelset: WheelsetRecord,
+    vehicle: VehicleRecord | None,
+    at_ns: int,
+    trends: _Trends,
+) -> WheelsetFacts:
+    """Return the facts of a time, without the alerts that the replay has raised."""
+    mounting = wheelset.mounting
+    if mounting is None or vehicle is None:
+        return WheelsetFacts(wheelset=wheelset, vehicle=None, geometry=None, trend=None, windows=())
+    known = history.intervals[: bisect_right(history.interval_ends, at_ns)]
+    change = history.change if history.change is not None and history.change.after_ns <= at_ns else None
+    own = [one for one in since_change(known, change) if one.baseline == len(wheelset.reprofilings)]
+    geometry = max(known, key=lambda one: (one.baseline, one.to_ns), default=None)
+    current = history.current
+    if current is not None and current.to_ns <= at_ns and (geometry is None or current.baseline >= geometry.baseline):
+        geometry = current
+    limit = book.rule(ConicityLimitRule).limit_for(vehicle)
+    trend = None
+    if own and limit is not None:
+        fitted = trends(own, limit)
+        trend = TrendRecord(wheelset.serial, own[-1].baseline, fitted, "", "", at_ns)
+    return WheelsetFacts(
+        wheelset=wheelset,
+        vehicle=vehicle,
+        geometry=geometry,
+        trend=trend,
+        windows=_windows(history, mounting.from_ns, at_ns, book),
+        intervals=[one for one in own if one.to_ns > mounting.from_ns],
+        open_alerts=[one for one in history.raised if one.kind == IDENTITY and _open_at(one, at_ns)],
+    )
+
+
+def _open_at(alert: Alert, at_ns: int) -> bool:
+    return alert.opened_ns <= at_ns and (alert.closed_ns is None or at_ns < alert.closed_ns)
+
+
+def _windows(history: History, since_ns: int, at_ns: int, book: RuleBook) -> Sequence[WindowRecord]:
+    wanted, far_km = windows_wanted(book)
+    last = bisect_right(history.window_ends, at_ns)
+    first = 0 if far_km > 0.0 else max(0, last - wanted)
+    found = [one for one in history.windows[first:last] if one.start_ns >= since_ns]
+    mileages = [None if one.implausible else one.mileage_km for one in found]
+    return found[-within_reach(mileages, wanted, far_km) :] if found else ()
+
+
+def _instants(history: History, book: RuleBook, span: tuple[int, int]) -> list[int]:
+    """Return when the rules are evaluated: within the span, and once before it."""
+    last_of_day = {end // DAY_NS: end for end in history.window_ends}
+    times = {*last_of_day.values(), *history.interval_ends, *_silences(history, book, span[1])}
+    if history.current is not None:
+        times.add(history.current.to_ns)
+    times |= {one.at_ns for one in history.wheelset.reprofilings}
+    times |= {one.from_ns for one in history.mountings} | {one.to_ns for one in history.mountings if one.to_ns}
+    ordered = sorted(time for time in times if time <= span[1])
+    return [*ordered[max(0, bisect_right(ordered, span[0] - 1) - 1) :], span[1]]
+
+
+def _silences(history: History, book: RuleBook, to_ns: int) -> set[int]:
+    """Return when silences between usable data became too long."""
+    ends = zip(history.windows, history.window_ends, strict=True)
+    usable = {end for one, end in ends if one.state is not WindowState.REFUSED} | {*history.interval_ends}
+    if history.current is not None:
+        usable.add(history.current.to_ns)
+    found: set[int] = set()
+    for mounting in history.mountings:
+        vehicle = history.vehicles[mounting.vehicle]
+        rule = book.of(history.wheelset.fleet, vehicle.vehicle_class).rule(NoDataRule)
+        ended = to_ns if mounting.to_ns is None else min(mounting.to_ns, to_ns)
+        own = [mounting.from_ns, *sorted(end for end in usable if mounting.from_ns < end <= ended), ended]
+        for begin, end in pairwise(own):
+            late = (begin + round(days * DAY_NS) + 1 for days in (rule.days, rule.critical_days))
+            found |= {time for time in late if time <= end}
+    return found
