@@ -6,11 +6,12 @@ import time
 from functools import partial
 from typing import Annotated, cast
 
+import orjson
 from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.access.caller import CallerDep
-from api.answers import DEFAULT_LIMIT, Limit, answer, next_path
+from api.answers import DEFAULT_LIMIT, Limit, answer_bytes, next_path, payload_of
 from api.feed.filters import FeedFilter, FeedFilterDep
 from api.feed.pages import FeedPage, opened
 from api.feed.places import WaitingPlaces, Waits
@@ -19,8 +20,10 @@ from api.feed.watch import FeedWatch
 from api.known import require_known
 from api.middleware import turn_of
 from api.problems import described
+from api.representation_cache import RepresentationCache
 from api.schemas import alerts
 from api.services import Services, ServicesDep
+from estimation.values.alerts import AlertEvent
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
 LONGEST_WAIT_S = 60.0
@@ -78,9 +81,22 @@ async def poll_alert_feed(
             partial(_page, services, narrowed, request.scope["path"], page.end.cursor, limit)
         )
     path = next_path(request, "after", page.end.cursor)
-    items = [alerts.event(event) for event, _ in page.events]
-    body = alerts.Feed(items=items, next_cursor=page.end.cursor, next=path)
-    return answer(request, body, headers={"Link": f'<{path}>; rel="next"'})
+    payload = await run_in_threadpool(partial(_payload, services.cache, page, path))
+    return answer_bytes(request, payload, headers={"Link": f'<{path}>; rel="next"'})
+
+
+def _payload(cache: RepresentationCache, page: FeedPage, path: str) -> bytes:
+    """Return a ``Feed``; an event never changes, so that its text is made once."""
+    items = []
+    for event, _ in page.events:
+        key = ("event", event.sequence, event.recorded_ns, event.alert.alert_id, event.alert.version)
+        items.append(cache.get_or_make(key, partial(_event, event)))
+    rest = orjson.dumps({"next_cursor": page.end.cursor, "next": path})
+    return b'{"items":[' + b",".join(items) + b"]," + rest[1:]
+
+
+def _event(event: AlertEvent) -> bytes:
+    return payload_of(alerts.event(event))
 
 
 @router.get(

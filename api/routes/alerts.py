@@ -15,8 +15,9 @@ from api.answers import (
     IfNoneMatch,
     Limit,
     answer,
-    answer_page,
+    answer_payloads,
     operation,
+    payload_of,
 )
 from api.known import require_known
 from api.parameters import FleetFilter, Number, WheelsetFilter
@@ -87,13 +88,23 @@ def list_alerts(
         places = unit.alerts.places([record.alert_id for record in rows])
     now_ns = services.clock.now_ns()
     by_severity = sort is alert_rows.AlertSort.WORST
-    return answer_page(
+
+    def row(record: Alert) -> alert_rows.AlertRow:
+        return alert_rows.alert_row(record, now_ns, places)
+
+    def payload(record: Alert) -> bytes:
+        shown = (alerts.display_state(record, now_ns), places.get(record.alert_id))
+        key = ("alert", record.alert_id, record.version, record.last_seen_ns, *shown)
+        return services.cache.get_or_make(key, lambda: payload_of(row(record)))
+
+    return answer_payloads(
         request,
         filters,
         limit,
         rows,
         lambda record: [record.severity.value, record.alert_id] if by_severity else record.alert_id,
-        lambda record: alert_rows.alert_row(record, now_ns, places),
+        payload,
+        row,
     )
 
 
