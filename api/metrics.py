@@ -10,6 +10,7 @@ from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from api.backlog_measures import backlog_measures
 from api.services import Services
 from estimation.errors import TreadwatchError
 from estimation.values.alerts import AlertScope
@@ -53,7 +54,13 @@ class StoredMeasures(Collector):
         services = self._services()
         try:
             if services is not None:
-                measures = [_windows(services), _alerts(services), *_runs(services), _quarantined(services)]
+                measures = [
+                    _windows(services),
+                    _alerts(services),
+                    *_runs(services),
+                    _quarantined(services),
+                    *backlog_measures(services),
+                ]
         except TreadwatchError as error:
             _log.warning("the database does not answer: %s", error)
         up.add_metric([], 1.0 if measures else 0.0)

@@ -74,8 +74,7 @@ def serving_health(host: str, port: int, status: LiveStatus) -> Iterator[int]:
     ParameterError
         Nobody can listen there.
     """
-    registry = CollectorRegistry()
-    registry.register(_Measures(status))
+    registry = registered(status)
     answers: dict[str, Callable[[], Answer]] = {
         "/healthz": partial(_health, status),
         "/readyz": partial(_readiness, status),
@@ -92,6 +91,19 @@ def serving_health(host: str, port: int, status: LiveStatus) -> Iterator[int]:
     finally:
         server.shutdown()
         server.server_close()
+
+
+def registered(status: LiveStatus) -> CollectorRegistry:
+    """Return the measures of a receiver.
+
+    Parameters
+    ----------
+    status
+        What is measured.
+    """
+    registry = CollectorRegistry()
+    registry.register(_Measures(status))
+    return registry
 
 
 def _health(status: LiveStatus) -> Answer:

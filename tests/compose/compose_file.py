@@ -23,13 +23,13 @@ class ServiceCommand:
     environment: dict[str, str]
 
 
-def services(variables: Mapping[str, str]) -> dict[str, dict[str, Any]]:
-    """Return the services of the file, with variables filled in as compose does."""
+def services(variables: Mapping[str, str], *profiles: str) -> dict[str, dict[str, Any]]:
+    """Return the services of the file that run with these profiles, with variables filled in as compose does."""
     text = (ROOT / "docker-compose.yml").read_text(encoding="utf-8")
     found: dict[str, dict[str, Any]] = yaml.safe_load(_VARIABLE.sub(lambda match: _value(match, variables), text))[
         "services"
     ]
-    return found
+    return {name: one for name, one in found.items() if {*profiles} >= {*one.get("profiles", ())}}
 
 
 def _value(match: re.Match[str], variables: Mapping[str, str]) -> str:

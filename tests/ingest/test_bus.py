@@ -237,7 +237,7 @@ def test_two_receivers_on_one_machine_do_not_hear_each_others_bus() -> None:
             for place, sender in enumerate(senders):
                 sender.send(can.Message(arbitration_id=0x181 + place, is_extended_id=False, data=bytes([number])))
         for place, bus in enumerate(ours):
-            heard = []
+            received = []
             while (message := bus.recv(0.3)) is not None:
-                heard.append((message.arbitration_id, message.data[0]))
-            assert heard == [(0x181 + place, number) for number in range(50)]
+                received.append((message.arbitration_id, message.data[0]))
+            assert received == [(0x181 + place, number) for number in range(50)]
