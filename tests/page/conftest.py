@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
+import httpx
 import page_fleet
 import pytest
 from chromium import chromium
@@ -15,6 +16,7 @@ from service_process import ServiceProcess, service_process
 from api.factory import open_store
 from api.settings import Settings
 from fleet_db.migrate import upgrade
+from fleet_db.storage import SqlStorage
 
 PATIENCE_MS = 15_000.0
 
@@ -53,6 +55,22 @@ def page_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServicePr
     storage.close()
     with service_process(folder) as running:
         yield running
+
+
+@pytest.fixture
+def stored(page_service: ServiceProcess) -> Iterator[SqlStorage]:
+    """Yield the storage of the service, which other processes write to as well."""
+    settings = Settings(data_dir=page_service.file.parent / "data", _env_file=None)
+    storage = open_store(settings)
+    yield storage
+    storage.close()
+
+
+@pytest.fixture
+def client(page_service: ServiceProcess) -> Iterator[httpx.Client]:
+    """Yield a client of the service other than the page."""
+    with httpx.Client(base_url=page_service.url, timeout=30.0) as made:
+        yield made
 
 
 @pytest.fixture(scope="module")

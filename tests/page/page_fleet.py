@@ -10,11 +10,12 @@ from estimation.values.registry import WheelsetRecord
 MARKUP = "<img src=x onerror=document.title='hacked'>"
 UNSEEN = "WS\u202e-7\u0007"
 FORMULA = "=1+1"
+EXTRA = [f"M-{number:04d}" for number in range(250)]
 
 
 def populate(storage: Storage) -> None:
     """Store everything."""
     api_fleet.populate(storage)
     with storage.write() as unit:
-        for serial in (MARKUP, UNSEEN, FORMULA):
+        for serial in (MARKUP, UNSEEN, FORMULA, *EXTRA):
             unit.registry.add_wheelset(WheelsetRecord(serial, "alpha", "P8", 0.4375, None, ()))

@@ -29,7 +29,8 @@ export function chart({ label, series, x = {}, y = {}, marks = [], shades = [], 
     plot?.destroy();
     plot = new uPlot(options({ series, x, y, marks, shades, height, width, sync, joined, readout }), joined.data, host);
   }
-  replace(legend, series.filter((one) => one.label).map((one) => el("li", { class: `key ${one.kind ?? "line"} role-${one.role ?? "estimate"}` }, one.label)));
+  const named = series.filter((one) => one.label);
+  if (named.length > 1) replace(legend, named.map((one) => el("li", { class: `key ${one.kind ?? "line"} role-${one.role ?? "estimate"}` }, one.label)));
   const sized = new ResizeObserver(() => {
     const now = Math.floor(host.clientWidth);
     if (now === width || now === 0) return;

@@ -1,0 +1,66 @@
+"""Every view: light, dark, on a tablet; track sections with band, versions and reasons; operation."""
+
+from __future__ import annotations
+
+import httpx
+import pytest
+from playwright.sync_api import Page, expect
+from service_process import ServiceProcess
+
+VIEWS = ("#/", "#/alerts", "#/alerts/1", "#/tracks", "#/tracks/S-1", "#/tracks/S-3", "#/operation")
+TABLET = {"width": 1024, "height": 768}
+
+
+@pytest.mark.parametrize("place", VIEWS)
+def test_a_view_fits_a_tablet_in_both_themes_without_a_complaint(
+    page: Page, page_service: ServiceProcess, place: str
+) -> None:
+    page.set_viewport_size(TABLET)  # type: ignore[arg-type]
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+        page.goto(f"{page_service.url}/{place}")
+        expect(page.locator("main h1")).to_be_visible()
+        expect(page.locator('[data-state="loading"]')).to_have_count(0)
+        assert page.locator('[data-state="error"]').count() == 0
+        assert page.evaluate("document.documentElement.scrollWidth") <= TABLET["width"]
+
+
+def test_a_section_shows_its_alignment_with_band_versions_and_the_last_run(
+    page: Page, page_service: ServiceProcess
+) -> None:
+    page.goto(f"{page_service.url}/#/tracks/S-3")
+    charts = page.locator("figure.chart")
+    expect(charts).to_have_count(2)
+    expect(charts.first.locator("canvas")).to_be_visible()
+    numbers = charts.first.locator("details")
+    numbers.locator("summary").click()
+    # version 3: 1.5 mm halved three times, std 0.5 mm
+    expect(numbers.locator("tbody tr").first).to_have_text("00.19\u22120.791.17")
+    page.locator("main").get_by_text("Gauge deviation: not on file").wait_for()
+    versions = page.locator("section", has_text="Versions, the newest first").last.locator("tbody tr")
+    assert [text.split("\t")[0] for text in versions.all_inner_texts()] == ["3", "2", "1"]
+    expect(page.locator("main")).to_contain_text("no: agrees with no other")
+    expect(page.locator("main")).to_contain_text("2: the sensor reports a fault")
+
+
+def test_a_section_without_an_alignment_says_why(page: Page, page_service: ServiceProcess) -> None:
+    page.goto(f"{page_service.url}/#/tracks/S-2")
+    expect(page.locator('[data-state="empty"]')).to_contain_text("the passes are too alike")
+    assert page.locator("canvas").count() == 0
+
+
+def test_operation_shows_jobs_silence_and_what_is_held(
+    page: Page, page_service: ServiceProcess, client: httpx.Client
+) -> None:
+    page.goto(f"{page_service.url}/#/operation")
+    jobs = page.get_by_label("Jobs")
+    expect(jobs.locator("tbody tr")).to_have_count(len(client.get("/v1/jobs").json()["items"]))
+    expect(jobs).to_contain_text("6 estimated")
+    expect(jobs).to_contain_text("overdue")
+    held = client.get("/v1/quarantine?state=held").json()["items"]
+    quarantine = page.get_by_label("Quarantine")
+    expect(quarantine.locator("tbody tr")).to_have_count(len(held))
+    expect(quarantine).to_contain_text(held[0]["reason"])
+    expect(page.get_by_label("Silent vehicles")).to_contain_text("V-0")
+    jobs.get_by_role("link", name="estimate windows").click()
+    expect(page.locator("main tbody tr")).to_have_count(7)
