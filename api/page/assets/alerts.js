@@ -27,21 +27,16 @@ const worstFirst = (one, other) =>
 export async function alerts({ query, signal, title }) {
   title("Alerts");
   let { tab = "open", ...wanted } = query, all = [];
-  const places = new Map();
   const fleets = await getAll("/v1/fleets?limit=1000", signal);
   const path = () => withQuery("/v1/alerts", { fleet: wanted.fleet, kind: wanted.kind, open: true, limit: 1000 });
   const tabs = el("div", { class: "tabs", role: "group", "aria-label": "Which alerts" });
   const list = table({
-    columns: columns(places, (name, alert) => act(name, alert, changedOne)), label: "Alerts, the worst first", rowHeight: 58,
+    columns: columns((name, alert) => act(name, alert, changedOne)), label: "Alerts, the worst first", rowHeight: 58,
     keyOf: (alert) => alert.id, onOpen: (alert) => (location.hash = `#/alerts/${alert.id}`),
     nothing: () => empty(tab === "open" ? "No open alert." : `No alert is ${tab}.`, "New ones appear here by themselves."),
   });
 
-  async function load() {
-    const found = await getAll(path(), signal);
-    await locate(found.filter((alert) => alert.wheelset !== null), places, signal);
-    return found;
-  }
+  const load = () => getAll(path(), signal);
 
   function show(found) {
     all = found;
@@ -83,31 +78,21 @@ export async function alerts({ query, signal, title }) {
   );
 }
 
-/** Learn where the wheelsets of alerts run: from the worklist, which has them in a few pages. */
-async function locate(found, places, signal) {
-  if (found.every((alert) => places.has(alert.wheelset))) return;
-  for (const kind of new Set(found.map((alert) => alert.kind))) {
-    const rows = await getAll(`/v1/wheelsets?alert_kind=${segment(kind)}&limit=1000`, signal);
-    for (const row of rows) places.set(row.serial, row);
-  }
-}
-
-const columns = (places, perform) => [
+const columns = (perform) => [
   { name: "severity", label: "Severity", cell: (alert) => el("span", { class: `badge ${alert.severity}` }, alert.severity) },
   { name: "alert", label: "Alert", cell: (alert) => [el("a", { href: `#/alerts/${alert.id}`, tabindex: -1 }, words(alert.kind)), second(`no. ${alert.id}, ${alert.fleet}`)] },
-  { name: "where", label: "Wheelset", cell: (alert) => where(alert, places) },
+  { name: "where", label: "Wheelset", cell: (alert) => where(alert) },
   { name: "evidence", label: "Evidence and what to do", cell: (alert) => el("span", { title: evidenceOf(alert) }, el("span", { class: "clamp" }, evidenceOf(alert)), second(actionOf(alert))) },
   { name: "since", label: "Raised", class: "right", cell: (alert) => [ago(alert.opened_at), second("seen ", ago(alert.last_seen_at))] },
   { name: "state", label: "State", cell: state },
   { name: "act", label: "Action", cell: (alert) => el("span", { class: "actions" }, buttons(alert, perform)) },
 ];
 
-function where(alert, places) {
+function where(alert) {
   if (alert.wheelset === null) return el("span", { class: "quiet" }, "whole fleet");
-  const row = places.get(alert.wheelset);
   return [
     el("a", { href: `#/wheelsets/${segment(alert.wheelset)}`, tabindex: -1 }, alert.wheelset),
-    row?.vehicle ? second(`${row.vehicle}, axle ${row.axle}`) : null,
+    alert.vehicle ? second(`${alert.vehicle}, axle ${alert.axle}`) : null,
   ];
 }
 

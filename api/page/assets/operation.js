@@ -1,5 +1,5 @@
 // Operation: what is silent, what failed, what waits; jobs with their last runs, quarantine, recordings.
-import { get, getAll, getIfAny, segment, withQuery } from "./client.js";
+import { get, getAll, segment, withQuery } from "./client.js";
 import { el } from "./dom.js";
 import { ago, lastData, moment, number, OLD_AFTER_DAYS, span, words } from "./format.js";
 import { live } from "./live.js";
@@ -14,7 +14,7 @@ export async function operation({ signal, title }) {
     ["Jobs", () => getAll("/v1/jobs?limit=1000", signal), jobs, "wide-panel"],
     ["Silent vehicles", () => oldest(signal), silent],
     ["Quarantine", () => get(withQuery("/v1/quarantine", { state: "held", limit: HELD_SHOWN }), signal), quarantine],
-    ["Recordings", () => getIfAny(withQuery("/v1/recordings", { limit: RECORDINGS_SHOWN }), signal), recordings, "wide-panel"],
+    ["Recordings", () => get(withQuery("/v1/recordings", { limit: RECORDINGS_SHOWN }), signal), recordings, "wide-panel"],
   ];
   return el(
     "div", {}, el("div", { class: "view-head" }, el("h1", {}, "Operation")),
@@ -87,7 +87,6 @@ function quarantine(page) {
 }
 
 function recordings(page) {
-  if (page === null) return el("p", { class: "quiet" }, "This service does not list recordings.");
   if (page.items.length === 0) return el("p", { class: "quiet" }, "No recording has been received yet. treadwatch ingest FILE receives one.");
   const tones = { decoded: "good", rejected: "critical", set_aside: "warning", stored: "info" };
   const frames = ({ counts: seen }) => (seen.frames === 0 ? "" : [`${number(seen.used)} of ${number(seen.frames)}`, seen.lost ? el("span", { class: "second" }, `${number(seen.lost)} lost`) : null]);

@@ -2,7 +2,7 @@
 import { el, replace } from "./dom.js";
 import { empty } from "./states.js";
 
-const MARGIN_ROWS = 8;
+const MARGIN_ROWS = 8, AHEAD_ROWS = 20;
 
 /**
  * A table. `columns` are `{name, label, title, cell(row), class, sort}`; `sort` names what a click on the head sorts by.
@@ -31,7 +31,7 @@ export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, s
     const height = scroller.clientHeight || innerHeight;
     const from = forPrint ? 0 : Math.max(0, Math.floor(scroller.scrollTop / rowHeight) - MARGIN_ROWS);
     const to = forPrint ? rows.length : Math.min(rows.length, from + Math.ceil(height / rowHeight) + 2 * MARGIN_ROWS);
-    if (more && to > rows.length - 60) {
+    if (more && to > rows.length - AHEAD_ROWS) {
       const ask = more;
       more = null;
       ask();
