@@ -12,7 +12,7 @@ from playwright.sync_api import Page, sync_playwright
 
 IMAGES = Path(__file__).resolve().parent.parent / "img"
 SIZE = {"width": 1440, "height": 740}
-COLOURS = 96
+COLOURS = 256
 DRAWN_MS = 1500.0  # charts are drawn after their data have come
 
 
@@ -35,7 +35,9 @@ def main() -> None:
 def _take(page: Page, name: str) -> None:
     page.wait_for_timeout(DRAWN_MS)
     taken = Image.open(BytesIO(page.screenshot()))
-    taken.quantize(COLOURS, dither=Image.Dither.NONE).save(IMAGES / f"{name}.png", optimize=True)
+    taken.convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
+        IMAGES / f"{name}.png", optimize=True
+    )
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, s
     const height = scroller.clientHeight || innerHeight;
     const from = forPrint ? 0 : Math.max(0, Math.floor(scroller.scrollTop / rowHeight) - MARGIN_ROWS);
     const to = forPrint ? rows.length : Math.min(rows.length, from + Math.ceil(height / rowHeight) + 2 * MARGIN_ROWS);
-    if (more && to > rows.length - AHEAD_ROWS) {
+    if (more && !forPrint && to > rows.length - AHEAD_ROWS) {
       const ask = more;
       more = null;
       ask();
