@@ -50,15 +50,15 @@ def list_registry_history(
     request: Request,
     services: ServicesDep,
     kind: KindFilter = None,
-    key: KeyFilter = None,
+    of: KeyFilter = None,
     cursor: Cursor = None,
     limit: Limit = DEFAULT_LIMIT,
 ) -> Response:
     """List what was decided on records of the registry, oldest first: who, when, why, before and after."""
-    filters = {"kind": kind, "key": key}
+    filters = {"kind": kind, "of": of}
     after = cursors.decode_number(operation(request), filters, cursor)
     with services.storage.read() as unit:
-        rows = unit.registry_history.list(key, after, limit + 1, kind)
+        rows = unit.registry_history.list(of, after, limit + 1, kind)
     return answer_page(request, filters, limit, rows, lambda event: event.id, registry_events.decision)
 
 

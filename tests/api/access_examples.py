@@ -51,7 +51,7 @@ FILTERS: Mapping[str, Named] = {
     "fleet": Named("alpha", "gamma", FLEET),
     "vehicle": Named("V-0", "V-9", VEHICLE),
     "wheelset": Named("WS-000", "WS-999", WHEELSET),
-    "key": Named("WS-000", "WS-999", WHEELSET),
+    "of": Named("WS-000", "WS-999", WHEELSET),
     "fleet_alert": Named(FOREIGN_ALERT, "987654321", ALERT),
 }
 """Query parameters that name an object."""

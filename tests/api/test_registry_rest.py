@@ -283,13 +283,13 @@ def test_a_wrong_reprofiling_is_voided_and_restored_with_its_history(
     restored = post(service, "/v1/registry/restore", body | {"reason": "it was right"}, path)
     assert (restored.status_code, restored.json()["after"]) == (201, turned.json())
     assert service.client.get(path).json()["reprofilings"] == [turned.json()]
-    history = service.client.get("/v1/registry/history", params={"key": serial, "kind": "reprofiling"}).json()["items"]
+    history = service.client.get("/v1/registry/history", params={"of": serial, "kind": "reprofiling"}).json()["items"]
     assert [(one["action"], one["by"], one["reason"]) for one in history] == [
         ("entered", "bob", ""),
         ("voided", "ada", "was another wheelset"),
         ("restored", "ada", "it was right"),
     ]
-    page = service.client.get("/v1/registry/history", params={"key": serial, "limit": 1}).json()
+    page = service.client.get("/v1/registry/history", params={"of": serial, "limit": 1}).json()
     assert page["next_cursor"]
     assert service.client.get("/v1/registry/history", params={"kind": "other"}).status_code == 422
 
