@@ -32,6 +32,7 @@ from fleet_db.worklist_documents import FORM, to_document
 
 ENTRIES, KINDS, WHEELSETS = table_of(WorklistEntryRow), table_of(WorklistAlertRow), table_of(WheelsetRow)
 AT_ONCE = 500
+ALL = 2**31 - 1
 _log = logging.getLogger(__name__)
 
 
@@ -131,6 +132,10 @@ class WorklistStore:
             unknown = base.where(key.is_(None))
             rows += self._entries(_behind(unknown, None, after, descending=descending).limit(limit - len(rows)))
         return rows
+
+    def documents(self, chosen: WorklistFilter) -> Sequence[str]:
+        """Return the documents of all wheelsets that are chosen, by serial."""
+        return [entry.document for entry in self.page(chosen, WorklistOrder.SERIAL, None, ALL)]
 
     def row(self, serial: str) -> str:
         """Return the document of one wheelset.

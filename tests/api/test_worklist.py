@@ -149,3 +149,24 @@ def test_alerts_say_where_their_wheelset_ran_and_come_in_the_order_asked_for(ser
     assert listed(client, "/v1/alerts?severity=critical") == [one for one in oldest if one["severity"] == "critical"]
     cursor = client.get("/v1/alerts?sort=-severity&limit=1").json()["next_cursor"]
     assert client.get(f"/v1/alerts?sort=-id&cursor={cursor}").status_code == 400
+
+
+def test_the_turning_plan_lists_who_is_turned_when_and_why(client: httpx.Client) -> None:
+    plan = client.get("/v1/plans/reprofiling", params={"fleet": "alpha"}).json()
+    assert {line["wheelset"] for line in plan["items"]} >= {"WS-000", "WS-002", "WS-004", "WS-006", "WS-008"}
+    (first,) = [line for line in plan["items"] if line["wheelset"] == "WS-000"]
+    assert (first["vehicle"], first["axle"], first["bogie"], first["cause"], first["visit"]) == ("V-0", 1, 1, "due", 1)
+    assert first["turn_by"] == plan["made_at"]  # over its limit by an alert
+    assert first["reason"].startswith("limit exceeded")
+    assert first["not_checked"] == ["no measured radius on file: diameters were not checked"]
+    assert first["distance_to_limit_km"]["p10"] == 8000.0
+    assert {line["wheelset"] for line in plan["items"] if line["cause"] == "not_assessed"} == {"WS-010"}
+    limited = {"vehicle": "V-2", "nominal_radii": "true", "cut_mm": 3, "vehicle_difference_mm": 5}
+    lines = client.get("/v1/plans/reprofiling", params=limited).json()["items"]
+    turned = [(one["axle"], one["cause"], one["radius_after_mm"]) for one in lines if one["visit"] == 1]
+    assert turned == [(1, "due", 434.5), (2, "due", 434.5), (3, "together", 434.5), (4, "together", 434.5)]
+    assert lines[2]["reason"].endswith("because the diameters would differ by 6.0 mm > 5 mm")
+    assert client.get("/v1/plans/reprofiling?vehicle=no-such").status_code == 404
+    assert client.get("/v1/plans/reprofiling?cut_mm=-1").status_code == 422
+    rows = table(client.get("/v1/plans/reprofiling", headers={"Accept": "text/csv"}))
+    assert {row["cause"] for row in rows} == {"due", "not_assessed"}

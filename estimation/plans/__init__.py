@@ -1,0 +1,1 @@
+"""What to do to wheelsets when, from what is known of them."""

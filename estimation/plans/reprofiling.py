@@ -1,0 +1,200 @@
+"""Which wheelsets of a vehicle to turn together, and when: those that are due, and those that must follow.
+
+A wheelset is due where its limit may be reached within the horizon (p10). Wheelsets of one vehicle that become due
+close together are turned in one visit. A turned wheelset is smaller; where its diameter then differs from another by
+more than the operator's limits, the larger one is turned as well, down to the limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+
+from estimation.plans.values import Candidate, Cause, DiameterLimits, PlanLine
+
+TOLERANCE = 1e-9  # m
+_MM = 1e3
+
+
+def turning_plan(
+    candidates: Sequence[Candidate], limits: DiameterLimits, now_ns: int, horizon_ns: int, together_ns: int
+) -> list[PlanLine]:
+    """Return the plan, the earliest visit first; what cannot be assessed comes last.
+
+    Parameters
+    ----------
+    candidates
+        Wheelsets in service, in any order.
+    limits
+        Of the operator.
+    now_ns
+        Our time, ns UTC; what is due already is due now.
+    horizon_ns
+        How far ahead is planned, ns.
+    together_ns
+        What becomes due within this time of a visit is turned in it, ns.
+    """
+    lines: list[PlanLine] = []
+    ordered = sorted(candidates, key=lambda one: (one.vehicle, one.axle))
+    for _, of_vehicle in groupby(ordered, key=lambda one: one.vehicle):
+        wheelsets = list(of_vehicle)
+        radii = {one.serial: one.radii.wheels for one in wheelsets if one.radii is not None}
+        turned: set[str] = set()
+        number = 0
+        for turn_by_ns, due in _visits(wheelsets, now_ns, horizon_ns, together_ns):
+            still_due = [one for one in due if one.serial not in turned]  # the others have a new profile by then
+            if not still_due:
+                continue
+            number += 1
+            visit = _Visit(number, turn_by_ns, still_due, limits, radii)
+            lines += visit.lines(wheelsets)
+            turned |= visit.chosen.keys()
+            radii = dict(visit.radii)
+    planned = {line.candidate.serial for line in lines}
+    lines += [_not_assessed(one) for one in ordered if one.unknown is not None and one.serial not in planned]
+    return sorted(lines, key=_order)
+
+
+def _order(line: PlanLine) -> tuple[bool, int, str, int]:
+    return line.turn_by_ns is None, line.turn_by_ns or 0, line.candidate.vehicle, line.candidate.axle
+
+
+def _not_assessed(one: Candidate) -> PlanLine:
+    assert one.unknown is not None
+    return PlanLine(one, Cause.NOT_ASSESSED, None, None, one.unknown.text, None, ())
+
+
+def _visits(
+    wheelsets: Sequence[Candidate], now_ns: int, horizon_ns: int, together_ns: int
+) -> list[tuple[int, list[Candidate]]]:
+    """Return the visits of a vehicle: when, and what is due then."""
+    due = [(now_ns if one.over_limit else max(one.due_ns or now_ns, now_ns), one) for one in wheelsets if _is_due(one)]
+    visits: list[tuple[int, list[Candidate]]] = []
+    for turn_by_ns, one in sorted(due, key=lambda pair: (pair[0], pair[1].axle)):
+        if turn_by_ns > now_ns + horizon_ns:
+            continue
+        if visits and turn_by_ns <= visits[-1][0] + together_ns:
+            visits[-1][1].append(one)
+        else:
+            visits.append((turn_by_ns, [one]))
+    return visits
+
+
+def _is_due(one: Candidate) -> bool:
+    return one.over_limit or one.due_ns is not None
+
+
+@dataclass(slots=True)
+class _Visit:
+    """One visit of a vehicle to the lathe, worked out step by step."""
+
+    number: int
+    turn_by_ns: int
+    due: Sequence[Candidate]
+    limits: DiameterLimits
+    radii: Mapping[str, tuple[float, ...]]  # of all its wheelsets where known, m; after the visit in the end
+    chosen: dict[str, tuple[Cause, str]] = field(default_factory=dict)
+
+    def lines(self, wheelsets: Sequence[Candidate]) -> list[PlanLine]:
+        """Return who is turned.
+
+        Parameters
+        ----------
+        wheelsets
+            All of the vehicle.
+        """
+        for one in self.due:
+            self.chosen[one.serial] = (Cause.DUE, one.reason)
+            self._turn(one, None)
+        while (found := next(self._too_different(wheelsets), None)) is not None:
+            larger, target, why = found
+            self.chosen.setdefault(larger.serial, (Cause.TOGETHER, why))
+            self._turn(larger, target)
+        return [self._line(one) for one in wheelsets if one.serial in self.chosen]
+
+    def _turn(self, one: Candidate, target: float | None) -> None:
+        """Take off what a turning takes off, and down to a target; a wheelset that becomes too small is replaced."""
+        wheels = self.radii.get(one.serial)
+        cut = self.limits.cut
+        if wheels is None or (cut is None and target is None):
+            return
+        first = cut is not None and wheels == (one.radii.wheels if one.radii is not None else None)
+        after = min(wheels) - (cut if first and cut is not None else 0.0)
+        after = after if target is None else min(after, target)
+        least = self.limits.minimum_radius
+        known = dict(self.radii)
+        if least is not None and after < least - TOLERANCE:
+            why = f"cannot be turned: {after * _MM:.1f} mm of radius would be left, {least * _MM:.1f} mm needed"
+            self.chosen[one.serial] = (Cause.REPLACE, f"{self.chosen[one.serial][1]}; {why}")
+            del known[one.serial]  # that of its successor is not known
+        else:
+            known[one.serial] = (after,) * len(wheels)
+        self.radii = known
+
+    def _too_different(self, wheelsets: Sequence[Candidate]) -> Iterator[tuple[Candidate, float, str]]:
+        """Yield wheelsets that are too large beside another, or on one side: down to which radius, and why."""
+        known = [one for one in wheelsets if one.serial in self.radii]
+        for one in known:
+            yield from self._pair(one, one, self.limits.axle_difference, "left and right differ")
+            for other in known:
+                if other.serial == one.serial:
+                    continue
+                why = f"turned together with axle {other.axle}, because the diameters would differ"
+                if one.bogie is not None and one.bogie == other.bogie:
+                    yield from self._pair(one, other, self.limits.bogie_difference, why)
+                yield from self._pair(one, other, self.limits.vehicle_difference, why)
+
+    def _pair(
+        self, larger: Candidate, smaller: Candidate, limit: float | None, why: str
+    ) -> Iterator[tuple[Candidate, float, str]]:
+        if limit is None:
+            return
+        least = min(self.radii[smaller.serial])
+        difference = 2.0 * (max(self.radii[larger.serial]) - least)
+        if difference > limit + TOLERANCE:
+            text = f"{why} by {difference * _MM:.1f} mm > {limit * _MM:g} mm"
+            yield larger, least + 0.5 * limit, text
+
+    def _line(self, one: Candidate) -> PlanLine:
+        cause, reason = self.chosen[one.serial]
+        after = self.radii.get(one.serial)
+        return PlanLine(
+            candidate=one,
+            cause=cause,
+            visit=self.number,
+            turn_by_ns=self.turn_by_ns,
+            reason=reason,
+            radius_after=None if after is None or after == (one.radii and one.radii.wheels) else after[0],
+            not_checked=not_checked(one, self.limits),
+        )
+
+
+def not_checked(one: Candidate, limits: DiameterLimits) -> tuple[str, ...]:
+    """Return what could not be held against a wheelset, and why.
+
+    Parameters
+    ----------
+    one
+        The wheelset.
+    limits
+        Of the operator.
+    """
+    if one.radii is None:
+        return ("no measured radius on file: diameters were not checked",)
+    missing = []
+    if limits.cut is None:
+        missing.append("what a turning takes off is not given")
+    for limit, name in (
+        (limits.minimum_radius, "least radius"),
+        (limits.axle_difference, "difference of left and right"),
+        (limits.bogie_difference, "difference in the bogie"),
+        (limits.vehicle_difference, "difference in the vehicle"),
+    ):
+        if limit is None:
+            missing.append(f"no limit given: {name}")
+    if limits.axle_difference is not None and one.radii.right is None:
+        missing.append("left and right radius are not distinguished")
+    if limits.bogie_difference is not None and one.bogie is None:
+        missing.append("its bogie is not known")
+    return tuple(missing)
