@@ -24,10 +24,11 @@ export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, s
   );
   const scroller = el("div", { class: "scroller", on: { scroll: () => requestAnimationFrame(draw) } }, grid);
   const element = el("div", { class: "table" }, scroller);
-  let forPrint = false;
+  const print = matchMedia("print"); // asked when it is drawn: sizes change before its own event
 
   function draw() {
     if (rows.length === 0) return;
+    const forPrint = print.matches;
     const height = scroller.clientHeight || innerHeight;
     const from = forPrint ? 0 : Math.max(0, Math.floor(scroller.scrollTop / rowHeight) - MARGIN_ROWS);
     const to = forPrint ? rows.length : Math.min(rows.length, from + Math.ceil(height / rowHeight) + 2 * MARGIN_ROWS);
@@ -104,9 +105,7 @@ export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, s
     row.focus({ preventScroll: true });
     onOpen?.(rows[focused], row);
   });
-  const print = matchMedia("print");
   const asPrinted = () => {
-    forPrint = print.matches;
     first = -1;
     draw();
   };
