@@ -84,6 +84,7 @@ def test_numbers_say_their_unit_in_their_names() -> None:
     bare = {
         "Uncertain": {"value", "std", "interval_95"},
         "Alert": {"raise_limit", "clear_limit", "id", "fleet_alert_id", "occurrence_count", "version"},
+        "AlertRow": {"raise_limit", "clear_limit", "id", "fleet_alert_id", "occurrence_count", "version"},
         "BinColumn": {"value", "std"},
         "DistanceForecast": {"p10", "p50", "p90"},
         "Parameter": {"value", "std"},  # their unit is in a field beside them
