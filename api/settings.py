@@ -44,7 +44,7 @@ class Settings(BaseSettings):
     trusted_proxies
         Addresses of proxies whose ``X-Forwarded-For`` is believed, with commas between them.
     https
-        Whether a proxy serves the REST API by HTTPS alone: browsers are told to ask for nothing else.
+        Whether a proxy serves the REST API by HTTPS alone: browsers then ask for nothing else.
     metrics, docs
         Whether ``/metrics``, and ``/docs`` with ``/openapi.json``, need a ``key``, are ``open``, or ``off``.
     requests_per_s, requests_burst, failed_keys_per_minute, streams_per_key, max_body_kb

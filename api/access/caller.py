@@ -62,9 +62,11 @@ class Caller:
         if self.name is None and (by or unnamed) is not None:
             return by or str(unnamed)
         if self.name is None or by not in {None, self.name}:
-            told = "is required where access is open" if self.name is None else f"is not the key's owner, {self.name!r}"
-            item = ProblemItem(part="body", pointer="#/by", detail=told)
-            raise ProblemError(422, "invalid-request", f"body #/by: {told}", [item])
+            wrong = (
+                "is required where access is open" if self.name is None else f"is not the key's owner, {self.name!r}"
+            )
+            item = ProblemItem(part="body", pointer="#/by", detail=wrong)
+            raise ProblemError(422, "invalid-request", f"body #/by: {wrong}", [item])
         return self.name
 
 

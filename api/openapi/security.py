@@ -51,7 +51,7 @@ def describe_access(document: dict[str, Any], scopes: Mapping[str, Scope]) -> No
     document
         Changed.
     scopes
-        By name of the operation; `read` where nothing is said, as of `/metrics`.
+        Each under the name of its operation; `read` where nothing is said, as of `/metrics`.
     """
     document["components"]["securitySchemes"] = {KEY: SCHEME}
     for path, operations in document["paths"].items():

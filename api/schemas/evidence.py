@@ -178,9 +178,11 @@ class OtherEvidence(Representation):
     """Evidence of a kind of its own: of a rule that is not among the shipped ones, or is gone."""
 
     kind: Literal["other"]
-    numbers: dict[str, float | None] = Field(description="Numbers, by name; nested names are joined by a point.")
-    texts: dict[str, str] = Field(description="Words, by name.")
-    times: dict[str, Timestamp] = Field(description="Times, by name.")
+    numbers: dict[str, float | None] = Field(
+        description="Numbers, each under its name; nested names are joined by a point."
+    )
+    texts: dict[str, str] = Field(description="Words, each under its name.")
+    times: dict[str, Timestamp] = Field(description="Times, each under its name.")
     delays: Delays | None = Field(description="The delays that it was raised with.")
 
 

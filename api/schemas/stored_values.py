@@ -61,7 +61,7 @@ def part(value: JsonValue) -> Stored:
 
 
 def counted(value: JsonValue) -> dict[str, int]:
-    """Return counts by name."""
+    """Return counts, each under its name."""
     return {name: found for name, item in part(value).items() if (found := count(item)) is not None}
 
 

@@ -51,14 +51,14 @@ class Lines:
         Whether a line is JSON, or for people.
     state
         Where the cursor is kept; None for nowhere.
-    output, told
+    output, errors
         Where events and where remarks go.
     """
 
     as_json: bool
     state: Path | None
     output: TextIO = sys.stdout
-    told: TextIO = sys.stderr
+    errors: TextIO = sys.stderr
     _kept: str | None = None
 
     def event(self, event: Event, cursor: str) -> None:
@@ -84,7 +84,7 @@ class Lines:
 
     def waiting(self, reason: str) -> None:
         """Say on the side why nothing comes."""
-        print(f"treadwatch: {reason}", file=self.told, flush=True)
+        print(f"treadwatch: {reason}", file=self.errors, flush=True)
 
     def _print(self, line: str) -> None:
         print(line, file=self.output, flush=True)

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
-from sqlalchemy import Connection
-
 from estimation.jobs.steps.running_mileage import running_mileage
 from estimation.values.registry import Mounting, SensorChange, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
@@ -147,17 +145,17 @@ def _points(serial: str, life: LifeOnFile) -> list[DistancePoint]:
     ]
 
 
-def _window_points(connection: Connection, wheelset: str, at_ns: int) -> list[DistancePoint]:
+def _window_points(unit: SqlUnitOfWork, wheelset: str, at_ns: int) -> list[DistancePoint]:
     return [
         DistancePoint(RecordName(Kind.WINDOW, one.wheelset, one.start_ns), one.start_ns, one.mileage_km, "")
-        for one in windows_beside(connection, wheelset, at_ns)
+        for one in windows_beside(unit.connection, wheelset, at_ns)
     ]
 
 
 def _against_windows(unit: SqlUnitOfWork, point: DistancePoint) -> list[Contradiction]:
     """Return where windows contradict a mileage: as stored, and with the steps of the odometer taken out."""
     serial = point.record.key
-    found = distance_contradictions(point, _window_points(unit.connection, serial, point.at_ns), MILEAGE)
+    found = distance_contradictions(point, _window_points(unit, serial, point.at_ns), MILEAGE)
     if not found:
         return []
     windows = unit.windows.list(serial)
@@ -177,7 +175,7 @@ def _odometers(unit: SqlUnitOfWork, mountings: Sequence[Mounting], *, measured: 
         of_vehicle = [one for one in on_file if one.vehicle == mounting.vehicle]
         known = [odometer_of(one) for one in of_vehicle]
         if measured:
-            known += _odometers_of_windows(unit.connection, mounting, of_vehicle)
+            known += _odometers_of_windows(unit, mounting, of_vehicle)
         found += distance_contradictions(odometer_of(mounting), _nearest(known, mounting.from_ns), ODOMETER)
     return found
 
@@ -192,14 +190,14 @@ def _nearest(points: Sequence[DistancePoint], at_ns: int) -> list[DistancePoint]
 
 
 def _odometers_of_windows(
-    connection: Connection, entered: Mounting, of_vehicle: Sequence[Mounting]
+    unit: SqlUnitOfWork, entered: Mounting, of_vehicle: Sequence[Mounting]
 ) -> list[DistancePoint]:
     """Return what the odometer showed at the windows of other wheelsets of the vehicle beside the time."""
     at_ns = entered.from_ns
     latest = {one.axle: one for one in of_vehicle if one.from_ns <= at_ns and one != entered}
     found = []
     for one in latest.values():
-        for point in _window_points(connection, one.wheelset, at_ns):
+        for point in _window_points(unit, one.wheelset, at_ns):
             if one.from_ns <= point.at_ns and (one.to_ns is None or point.at_ns < one.to_ns):
                 km = point.km - one.wheelset_mileage_km + one.vehicle_odometer_km
                 found.append(DistancePoint(point.record, point.at_ns, km, ""))

@@ -46,7 +46,7 @@ PATHS: Mapping[str, Named | str] = {
 }
 """How a path begins, and what stands in it; a plain text is shared by all fleets, or of none."""
 DEEPER: Mapping[str, str] = {"measured_at": "2025-06-20T15:06:40Z"}
-"""Parameters behind the first, by name."""
+"""Parameters behind the first, each under its name."""
 FILTERS: Mapping[str, Named] = {
     "fleet": Named("alpha", "gamma", FLEET),
     "vehicle": Named("V-0", "V-9", VEHICLE),

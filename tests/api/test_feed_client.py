@@ -103,7 +103,7 @@ def test_where_streams_break_it_polls_instead(service: Service) -> None:
     assert printed == service.client.get("/v1/alerts/feed?limit=1000").json()["items"]
 
 
-def test_another_history_is_told_with_what_is_open_now(service: Service) -> None:
+def test_another_history_is_reported_with_what_is_open_now(service: Service) -> None:
     cursor = service.client.get("/v1/alerts/feed?limit=2").json()["next_cursor"]
     key = str(cursors.decode("poll_alert_feed", {}, cursor))
     other = cursors.encode("poll_alert_feed", {}, key.replace(key.split(".")[1], "0" * 32))
@@ -132,9 +132,9 @@ def test_a_service_that_is_away_and_a_wrong_cursor_end_with_exit_2(service: Serv
     state = tmp_path / "state"
     state.write_text("a line that\nsomebody needs")
     done = command(service, "--state", str(state))
-    _, told = done.communicate(timeout=60)
-    assert (done.returncode, told.count("\n")) == (2, 1)
-    assert str(state) in told
+    _, errors = done.communicate(timeout=60)
+    assert (done.returncode, errors.count("\n")) == (2, 1)
+    assert str(state) in errors
     assert state.read_text() == "a line that\nsomebody needs"
 
 

@@ -51,7 +51,7 @@ def exposed(text: str) -> dict[str, set[str]]:
 
 @pytest.fixture
 def measures(client: httpx.Client) -> dict[str, set[str]]:
-    """Return what service and receiver expose, by name, with the labels."""
+    """Return what service and receiver expose, each under its name, with the labels."""
     client.get("/healthz")
     live = generate_latest(registered(LiveStatus())).decode()
     return exposed(client.get("/metrics").text) | exposed(live)

@@ -53,7 +53,7 @@ KM = AlertDelays(on_evaluations=1000, off_evaluations=1000, on_delay_km=30.0, of
     [
         ("bbb", None),  # 20 km
         ("bbbb", 3),  # 30 km, both ends of the breach included
-        ("bb-bbb", None),  # what lies between begins it again
+        ("bb-bbb", None),  # what is between begins it again
         ("bb?bb", 3),  # what decides nothing does not
         ("bbbbcc", 3),
         ("bbbbccc", None),  # 20 km beyond the clear limit
