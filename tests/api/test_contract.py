@@ -89,6 +89,8 @@ def test_numbers_say_their_unit_in_their_names() -> None:
         "DistanceForecast": {"p10", "p50", "p90"},
         "Parameter": {"value", "std"},  # their unit is in a field beside them
         "Sensor": {"noise_density", "limit"},
+        "RecordingCounts": {"frames", "used", "unused", "lost", "marked"},
+        "RecordingWindows": {"made", "pending", "estimated", "refused"},
     }
     counts = {"axle", "axles", "baseline", "gaps", "id", "n_windows", "number", "passes", "status", "version"}
     counts |= {"interval", "windows", "faulty_windows", "hunting_windows", "implausible_windows", "rejected_recordings"}
