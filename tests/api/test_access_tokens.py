@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import timedelta
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -128,9 +129,9 @@ def test_a_token_sees_its_fleets_and_does_what_its_scopes_allow(guarded: Guarded
 @pytest.mark.parametrize(
     "changed",
     [
-        {"exp": time.time() - 60},
+        {"exp": timedelta(seconds=-60)},
         {"exp": None},
-        {"nbf": time.time() + 3600},
+        {"nbf": timedelta(hours=1)},
         {"aud": "another"},
         {"aud": None},
         {"iss": "https://another.example"},
@@ -142,7 +143,12 @@ def test_a_token_sees_its_fleets_and_does_what_its_scopes_allow(guarded: Guarded
     ids=str,
 )
 def test_a_token_that_is_not_meant_for_us_is_refused(guarded: Guarded, issuer: Issuer, changed: dict[str, Any]) -> None:
-    assert ask(guarded, issuer.token(**changed)).status_code == 401
+    now_s = time.time()
+    claims = {
+        name: now_s + value.total_seconds() if isinstance(value, timedelta) else value
+        for name, value in changed.items()
+    }
+    assert ask(guarded, issuer.token(**claims)).status_code == 401
 
 
 def part(value: object) -> str:
