@@ -1,5 +1,5 @@
 // Acknowledge, shelve and unshelve an alert, under its ETag: what has changed meanwhile is shown, not overwritten.
-import { getWithTag, post } from "./client.js";
+import { getWithTag, key, post } from "./client.js";
 import { announce, el } from "./dom.js";
 import { moment } from "./format.js";
 import { stateOf } from "./alert_words.js";
@@ -61,13 +61,13 @@ export async function act(name, alert, done) {
   const action = ACTIONS[name];
   let { body: current, tag } = await getWithTag(alert.links.self);
   const once = new Map(); // one key for each state that is acted on, so that a repeat after a lost answer changes nothing
-  const by = nameField(), own = action.fields();
+  const by = key() === null ? nameField() : null, own = action.fields(); // the owner of a key is who acts, without a name
   const refused = el("p", { class: "refused", role: "alert" });
   const form = el(
     "form", {},
     el("p", {}, `${alert.wheelset ?? alert.fleet}: ${alert.kind.replaceAll("_", " ")}. ${action.explain}`),
     Object.values(own).map(([input, label]) => field(input.id, label, input)),
-    field("act-by", "Your name; where keys are in use, the owner of your key is recorded instead", by), refused,
+    by === null ? null : field("act-by", "Your name", by), refused,
     el("div", { class: "actions" },
       el("button", { type: "button", on: { click: () => box.close() } }, "Cancel"),
       el("button", { type: "submit", class: "main" }, action.title)),
@@ -79,13 +79,14 @@ export async function act(name, alert, done) {
   });
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
-    keep(by.value);
+    const named = by === null ? {} : { by: by.value };
+    if (by !== null) keep(by.value);
     const button = form.querySelector("button.main");
     button.disabled = true;
     try {
       if (!once.has(tag)) once.set(tag, crypto.randomUUID?.() ?? String(Math.random()));
       const values = Object.fromEntries(Object.entries(own).map(([key, [input]]) => [key, input]));
-      const answer = await post(`${alert.links.self}/${name}`, { by: by.value, ...action.body(values) }, { tag, once: once.get(tag) });
+      const answer = await post(`${alert.links.self}/${name}`, { ...named, ...action.body(values) }, { tag, once: once.get(tag) });
       box.close();
       announce(`${action.done}: alert ${alert.id}`);
       done(answer.body);
