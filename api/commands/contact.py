@@ -47,6 +47,7 @@ _Noise = Annotated[
     typer.Option(help="Noise of the instrument of profile files (std); without, the points show it; 0: none"),
 ]
 _FlangeBack = Annotated[float, typer.Option(help="Distance between the flange backs")]
+_Speed = Annotated[float, typer.Option(help="Greatest speed of the vehicle, for the limit of the shipped rules")]
 _Out = Annotated[Path | None, typer.Option(help="File to write; needed for png, else standard output")]
 
 
@@ -65,6 +66,7 @@ def contact(
     origin: _Origin = Origin.AUTO,
     noise_mm: _Noise = None,
     flange_back_mm: _FlangeBack = 1360.0,
+    speed_km_h: _Speed = 120.0,
     out: _Out = None,
 ) -> None:
     """Print contact geometry and equivalent conicity of a wheelset on a track."""
@@ -73,7 +75,7 @@ def contact(
     with refusals():
         wheels = wheel_left or wheel, wheel_right or wheel
         dimensions = Dimensions(inclination, gauge_mm, (radius_left_mm, radius_right_mm), flange_back_mm)
-        asked = contact_of(wheels, rail, FileOptions(mirror, origin, noise_mm), dimensions, method)
+        asked = contact_of(wheels, rail, FileOptions(mirror, origin, noise_mm), dimensions, method, speed_km_h)
         for note in notes(asked):
             typer.echo(f"treadwatch contact: {note}", err=True)
         if output_format is OutputFormat.PNG:

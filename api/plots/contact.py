@@ -9,15 +9,21 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from api.terminal.contact_summary import AMPLITUDE_MM, ContactSummary
 from estimation.contact.table import ContactTable
 from estimation.values.arrays import FloatArray
 
 INTERVAL = 1.96  # standard deviations
-_LEFT, _RIGHT, _BOTH = "#1f5fa8", "#c4561a", "#222222"
+_LEFT, _RIGHT, _BOTH, _LIMIT = "#1f5fa8", "#c4561a", "#222222", "#b00020"
 
 
 def save_contact_figure(
-    table: ContactTable, amplitude: FloatArray, conicity: FloatArray, std: FloatArray, title: str, out: Path
+    table: ContactTable,
+    amplitude: FloatArray,
+    conicity: FloatArray,
+    std: FloatArray,
+    summary: ContactSummary,
+    out: Path,
 ) -> None:
     """Write radii, contact angles, contact positions and equivalent conicity of the table's first gauge as PNG.
 
@@ -27,8 +33,8 @@ def save_contact_figure(
         Contact geometry; the column of its first gauge deviation is drawn.
     amplitude, conicity, std
         (k,) m, tan(gamma_e) and its standard deviation, which is drawn where it is not 0.
-    title
-        What it is.
+    summary
+        What it is, with the conicity at 3 mm and the limit, which are marked.
     out
         File to write.
     """
@@ -53,12 +59,18 @@ def save_contact_figure(
         low, high = conicity - INTERVAL * std, conicity + INTERVAL * std
         label = "95 % interval"
         axes[1, 1].fill_between(amplitude * 1e3, low, high, color=_BOTH, alpha=0.2, linewidth=0.0, label=label)
-        axes[1, 1].legend(frameon=False)
+    if summary.limit is not None:
+        label = f"limit {summary.limit:.3f} at {summary.speed_km_h:g} km/h"
+        axes[1, 1].axhline(summary.limit, color=_LIMIT, linestyle="--", linewidth=1.2, label=label)
+    if summary.conicity is not None:
+        label = f"{summary.conicity:.3f} at 3 mm"
+        axes[1, 1].plot([AMPLITUDE_MM], [summary.conicity], "o", color=_RIGHT, markersize=7, label=label)
+    axes[1, 1].legend(frameon=False)
     axes[1, 1].set_xlabel("amplitude, mm")
     axes[1, 1].set_ylabel("equivalent conicity tan γₑ")
     axes[1, 1].set_ylim(bottom=0.0)
     axes[1, 1].grid(visible=True, color="#dddddd")
-    figure.suptitle(title)
+    figure.suptitle(f"{summary.title}\nequivalent conicity {summary.verdict}")
     figure.savefig(out, format="png", dpi=110)
 
 

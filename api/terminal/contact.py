@@ -15,6 +15,7 @@ import orjson
 import typer
 
 from api.plots.contact import save_contact_figure
+from api.terminal.contact_summary import AMPLITUDE_MM, ContactSummary, contact_summary
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter
 from estimation.contact.conicity_uncertainty import MeasuredShapes, conicity_std
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
@@ -63,10 +64,16 @@ class Contact:
     shapes: MeasuredShapes
     method: ContactMethod
     inclination: str  # as it was written
+    speed_km_h: float  # greatest speed of the vehicle, for the limit
 
 
 def contact_of(
-    wheels: tuple[str, str], rail: str, options: FileOptions, dimensions: Dimensions, method: ContactMethod
+    wheels: tuple[str, str],
+    rail: str,
+    options: FileOptions,
+    dimensions: Dimensions,
+    method: ContactMethod,
+    speed_km_h: float = 120.0,
 ) -> Contact:
     """Return a wheelset on a track from the names or files of its profiles.
 
@@ -78,6 +85,8 @@ def contact_of(
         Of wheelset and track.
     method
         How contact points are found.
+    speed_km_h
+        Greatest speed of the vehicle, for the limit.
 
     Raises
     ------
@@ -96,7 +105,7 @@ def contact_of(
         right_radius=dimensions.radii_mm[1] * _MILLIMETRE,
         flange_back_distance=dimensions.flange_back_mm * _MILLIMETRE,
     )
-    return Contact(wheelset, shapes, method, dimensions.inclination)
+    return Contact(wheelset, shapes, method, dimensions.inclination, speed_km_h)
 
 
 def measured_shapes(wheels: tuple[str, str], rail: str, options: FileOptions) -> MeasuredShapes:
@@ -225,11 +234,9 @@ def save_picture(contact: Contact, out: Path | None) -> None:
     """
     if out is None:
         raise ParameterError("a picture needs --out FILE.png", field="--format")
-    wheelset = contact.wheelset
-    profiles = f"{wheelset.left_wheel.name} on {wheelset.left_rail.name} {contact.inclination}"
-    title = f"{profiles}, {wheelset.gauge * 1e3:g} mm, {contact.method.value}"
-    conicity = _conicity(_curve(contact))
-    save_contact_figure(_table(contact), _AMPLITUDE_MM * 1e-3, conicity, _std(contact), title, out)
+    conicity, std = _conicity(_curve(contact)), _std(contact)
+    summary = _summary(contact, conicity, std)
+    save_contact_figure(_table(contact), _AMPLITUDE_MM * 1e-3, conicity, std, summary, out)
 
 
 @contextmanager
@@ -246,16 +253,24 @@ def refusals() -> Iterator[None]:
 
 
 def table_text(contact: Contact, *, as_json: bool) -> str:
-    """Return the contact geometry of a wheelset as JSON, or as CSV without conicity.
+    """Return the contact geometry of a wheelset as JSON, or as CSV with the conicity at 3 mm alone.
 
     Parameters
     ----------
     contact
         Wheelset, profiles and method.
     as_json
-        JSON with conicity, or else CSV without.
+        JSON with the conicity at every amplitude, or else CSV.
     """
-    return _json(contact) if as_json else _csv(_table(contact))
+    return _json(contact) if as_json else _csv(contact)
+
+
+def _summary(contact: Contact, conicity: FloatArray, std: FloatArray) -> ContactSummary:
+    place = int(np.argmin(np.abs(_AMPLITUDE_MM - AMPLITUDE_MM)))
+    value, spread = _rounded(np.array([conicity[place], std[place]]))
+    return contact_summary(
+        contact.wheelset, contact.inclination, contact.method.value, (value, spread), contact.speed_km_h
+    )
 
 
 def _table(contact: Contact) -> ContactTable:
@@ -297,12 +312,14 @@ def _columns(table: ContactTable) -> dict[str, FloatArray]:
 def _json(contact: Contact) -> str:
     curve = _curve(contact)
     nonlinearity = nonlinearity_parameter(curve.displacement, curve.difference)
+    conicity, std = _conicity(curve), _std(contact)
     document = {
+        **_summary(contact, conicity, std).columns(),
         **{name: _rounded(values) for name, values in _columns(_table(contact)).items()},
         "equivalent_conicity": {
             "amplitude_mm": _rounded(_AMPLITUDE_MM),
-            "value": _rounded(_conicity(curve)),
-            "std": _rounded(_std(contact)),
+            "value": _rounded(conicity),
+            "std": _rounded(std),
         },
         "nonlinearity_parameter": _rounded(np.array([nonlinearity]))[0],
         "contact_jumps_mm": _rounded(curve.jumps * 1e3),
@@ -324,8 +341,10 @@ def _described(shape: SmoothedProfile) -> dict[str, object]:
     }
 
 
-def _csv(table: ContactTable) -> str:
-    columns = {name: _rounded(values) for name, values in _columns(table).items()}
+def _csv(contact: Contact) -> str:
+    found = {name: _rounded(values) for name, values in _columns(_table(contact)).items()}
+    summary = _summary(contact, _conicity(_curve(contact)), _std(contact)).columns()
+    columns = {**found, **{name: [value] * len(_DISPLACEMENT_MM) for name, value in summary.items()}}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)

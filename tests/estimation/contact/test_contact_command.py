@@ -25,6 +25,20 @@ KEYS = [
 ]
 
 
+SUMMARY = [
+    "wheel_left",
+    "wheel_right",
+    "rail",
+    "inclination",
+    "gauge_mm",
+    "method",
+    "equivalent_conicity_at_3_mm_1",
+    "equivalent_conicity_at_3_mm_std_1",
+    "limit_1",
+    "limit_speed_km_h",
+]
+
+
 def _run(*arguments: str) -> Result:
     app = typer.Typer()
     app.command("contact")(contact)
@@ -35,7 +49,14 @@ def test_json_has_the_agreed_keys_and_the_reference_values() -> None:
     result = _run("--wheel", "EN15302-A", "--rail", "EN15302-A", "--inclination", "0", "--gauge-mm", "1435.16")
     assert result.exit_code == 0
     document = json.loads(result.stdout, parse_constant=pytest.fail)
-    assert list(document) == [*KEYS, "equivalent_conicity", "nonlinearity_parameter", "contact_jumps_mm", "profiles"]
+    assert list(document) == [
+        *SUMMARY,
+        *KEYS,
+        "equivalent_conicity",
+        "nonlinearity_parameter",
+        "contact_jumps_mm",
+        "profiles",
+    ]
     assert len({len(document[key]) for key in KEYS}) == 1
     conicity = document["equivalent_conicity"]
     found = dict(zip(conicity["amplitude_mm"], conicity["value"], strict=True))
@@ -98,9 +119,21 @@ def test_csv(tmp_path: Path) -> None:
     out = tmp_path / "contact.csv"
     assert _run("--format", "csv", "--out", str(out)).exit_code == 0
     rows = list(csv.DictReader(io.StringIO(out.read_text())))
-    assert list(rows[0]) == KEYS
+    assert list(rows[0]) == [*KEYS, *SUMMARY]
     assert len(rows) == 161
+    assert {row["wheel_left"] for row in rows} == {"P8"}
     assert float(rows[100]["rolling_radius_difference_mm"]) == pytest.approx(0.913, abs=0.002)
+
+
+@pytest.mark.parametrize(("speed", "limit"), [(120.0, 0.40), (240.0, 0.534 - 240.0 / 900.0), (320.0, 0.20)])
+def test_wheel_rail_gauge_limit_and_the_conicity_at_3_mm_are_named(speed: float, limit: float) -> None:
+    wheels = ("--wheel-left", "P8", "--wheel-right", "S1002", "--rail", "60E1", "--inclination", "1:40")
+    document = json.loads(_run(*wheels, "--gauge-mm", "1437", "--speed-km-h", str(speed)).stdout)
+    named = [document[key] for key in ("wheel_left", "wheel_right", "rail", "inclination", "gauge_mm")]
+    assert named == ["P8", "S1002", "60E1", "1:40", 1437.0]
+    assert (document["limit_1"], document["limit_speed_km_h"]) == (pytest.approx(limit), speed)
+    curve = document["equivalent_conicity"]
+    assert document["equivalent_conicity_at_3_mm_1"] == curve["value"][curve["amplitude_mm"].index(3.0)]
 
 
 def test_png(tmp_path: Path) -> None:
