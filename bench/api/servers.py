@@ -60,6 +60,7 @@ def served(folder: Path, database_url: str | None, workers: int = WORKERS) -> It
         "TREADWATCH_ACCESS": "keys",
         "TREADWATCH_REQUESTS_PER_S": "1e6",
         "TREADWATCH_REQUESTS_BURST": "1000000",
+        "TREADWATCH_STREAMS_PER_KEY": "1000",
         "TREADWATCH_FAILED_KEYS_PER_MINUTE": "6e4",
         "TREADWATCH_DOCS": "open",
     }

@@ -28,7 +28,15 @@ class Outcome:
 
 
 def run(
-    url: str, folder: Path, database_url: str | None, storage: SqlStorage, *, writers: int, pollers: int, steps: int
+    url: str,
+    key: str,
+    folder: Path,
+    database_url: str | None,
+    storage: SqlStorage,
+    *,
+    writers: int,
+    pollers: int,
+    steps: int,
 ) -> Outcome:
     """Let writers commit while pollers are killed, and compare.
 
@@ -36,6 +44,8 @@ def run(
     ----------
     url, folder, database_url, storage
         Of the running service.
+    key
+        Header line with a key.
     writers, pollers
         How many processes of each.
     steps
@@ -44,7 +54,7 @@ def run(
     begin = ["-m", "bench.feed.events", str(folder), database_url or ""]
     writing = [_started([*begin, str(one), str(steps), "0.005"], quiet=True) for one in range(writers)]
     files = [folder / f"poller-{one}" for one in range(pollers)]
-    polling = [_started(["-m", "bench.feed.poller", url, str(file)]) for file in files]
+    polling = [_started(["-m", "bench.feed.poller", url, key, str(file)]) for file in files]
     draw, kills = random.Random(12), 0  # noqa: S311 - which poller is killed when, the same in every run
     try:
         while any(one.poll() is None for one in writing):
@@ -53,7 +63,7 @@ def run(
             polling[victim].kill()
             polling[victim].wait()
             kills += 1
-            polling[victim] = _started(["-m", "bench.feed.poller", url, str(files[victim])])
+            polling[victim] = _started(["-m", "bench.feed.poller", url, key, str(files[victim])])
         if any(one.returncode for one in writing):
             raise RuntimeError("a writer has failed")
         return _compared(storage, files, kills)

@@ -16,24 +16,28 @@ AGAIN_S = 0.5
 _OPEN: list[asyncio.StreamWriter] = []
 
 
-def measured_s(url: str, folder: Path, database_url: str | None, *, clients: int, events: int) -> list[float]:
+def measured_s(url: str, key: str, folder: Path, database_url: str | None, *, clients: int, events: int) -> list[float]:
     """Return the delay of every event at every client, s; raises where one is missing.
 
     Parameters
     ----------
     url, folder, database_url
         Of the running service.
+    key
+        Header line with a key.
     clients
         Open streams.
     events
         Commits, one by one.
     """
-    return asyncio.run(_measure(url, folder, database_url, clients, events))
+    return asyncio.run(_measure(url, key, folder, database_url, clients, events))
 
 
-async def _measure(url: str, folder: Path, database_url: str | None, clients: int, events: int) -> list[float]:
+async def _measure(
+    url: str, key: str, folder: Path, database_url: str | None, clients: int, events: int
+) -> list[float]:
     received: list[dict[bytes, int]] = [{} for _ in range(clients)]
-    connections = await asyncio.gather(*(_connected(url) for _ in range(clients)))
+    connections = await asyncio.gather(*(_connected(url, key) for _ in range(clients)))
     listening = [asyncio.create_task(_listen(one, got, events)) for one, got in zip(connections, received, strict=True)]
     command = ["-m", "bench.feed.events", str(folder), database_url or "", "0", str(events), str(PAUSE_S)]
     writer = await asyncio.create_subprocess_exec(sys.executable, *command, stdout=subprocess.PIPE)
@@ -43,13 +47,14 @@ async def _measure(url: str, folder: Path, database_url: str | None, clients: in
     return [(got[note] - at_ns) / 1e9 for got in received for note, at_ns in committed.items()]
 
 
-async def _connected(url: str) -> asyncio.StreamReader:
+async def _connected(url: str, key: str) -> asyncio.StreamReader:
     """Return a stream behind its first block; a service that has too much to do is asked again."""
     address = urlsplit(url)
     path = "/v1/alerts/feed/stream?after=latest"
     while True:
         reader, writer = await asyncio.open_connection(address.hostname, address.port, limit=1 << 20)
-        writer.write(f"GET {path} HTTP/1.1\r\nHost: {address.netloc}\r\nAccept: text/event-stream\r\n\r\n".encode())
+        head = f"GET {path} HTTP/1.1\r\nHost: {address.netloc}\r\nAccept: text/event-stream\r\n{key}\r\n\r\n"
+        writer.write(head.encode())
         if b" 200 " in await reader.readline():
             while not (await reader.readline()).startswith(b"id:"):
                 pass

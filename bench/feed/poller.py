@@ -24,7 +24,7 @@ def kept(file: Path) -> tuple[list[str], str | None]:
     return notes, cursor
 
 
-def poll_for_ever(url: str, file: Path) -> None:
+def poll_for_ever(url: str, key: str, file: Path) -> None:
     """Poll, with a wait, and keep each page."""
     _, cursor = kept(file)
     whole = file.read_bytes().rpartition(b"\n") if file.exists() else (b"", b"", b"")
@@ -33,7 +33,9 @@ def poll_for_ever(url: str, file: Path) -> None:
     os.lseek(handle, 0, os.SEEK_END)
     while True:
         query = {"limit": str(PAGE), "wait_s": "1"} | ({} if cursor is None else {"after": cursor})
-        with urllib.request.urlopen(f"{url}/v1/alerts/feed?{urllib.parse.urlencode(query)}", timeout=30) as answer:  # noqa: S310 - our own service
+        request = urllib.request.Request(f"{url}/v1/alerts/feed?{urllib.parse.urlencode(query)}")  # noqa: S310 - our own service
+        request.add_header(*key.split(": ", maxsplit=1))
+        with urllib.request.urlopen(request, timeout=30) as answer:  # noqa: S310 - the same
             page = json.load(answer)
         cursor = page["next_cursor"]
         line = {"notes": [item["note"] for item in page["items"]], "cursor": cursor}
@@ -41,4 +43,4 @@ def poll_for_ever(url: str, file: Path) -> None:
 
 
 if __name__ == "__main__":
-    poll_for_ever(sys.argv[1], Path(sys.argv[2]))
+    poll_for_ever(sys.argv[1], sys.argv[2], Path(sys.argv[3]))

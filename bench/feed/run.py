@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from api.factory import open_store
-from bench.api.servers import WORKERS, served
+from bench.api.servers import WORKERS, new_key, served
 from bench.feed import exactly_once, latency
 from bench.feed.events import populate, settings_of
 from bench.report import BenchRow
@@ -67,8 +67,9 @@ def rows(folder: Path, database_url: str | None) -> Iterator[BenchRow]:
     upgrade(settings.url)
     with closing(open_store(settings)) as storage:
         populate(storage, WRITERS)
+        key = new_key(storage)
         with served(folder, database_url) as url:
-            delays = latency.measured_s(url, folder, database_url, clients=CLIENTS, events=EVENTS)
+            delays = latency.measured_s(url, key, folder, database_url, clients=CLIENTS, events=EVENTS)
             p50, p99, most = np.percentile(delays, [50, 99, 100])
             yield BenchRow(
                 f"{CLIENTS} streams of {WORKERS} workers, {EVENTS} commits of another process: time after the commit",
@@ -77,7 +78,7 @@ def rows(folder: Path, database_url: str | None) -> Iterator[BenchRow]:
                 bool(most < REACH_S),
             )
             sizes = {"writers": WRITERS, "pollers": POLLERS, "steps": STEPS}
-            found = exactly_once.run(url, folder, database_url, storage, **sizes)
+            found = exactly_once.run(url, key, folder, database_url, storage, **sizes)
     wrong = (found.missed, found.doubled, found.out_of_order)
     yield BenchRow(
         f"{WRITERS} writers, {POLLERS} pollers, {found.events} events, {found.kills} kills of pollers",
