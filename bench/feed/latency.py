@@ -16,7 +16,9 @@ AGAIN_S = 0.5
 _OPEN: list[asyncio.StreamWriter] = []
 
 
-def measured_s(url: str, key: str, folder: Path, database_url: str | None, *, clients: int, events: int) -> list[float]:
+def measured_s(
+    url: str, key: str, folder: Path, database_url: str | None, *, clients: int, writer: int, events: int
+) -> list[float]:
     """Return the delay of every event at every client, s; raises where one is missing.
 
     Parameters
@@ -27,21 +29,23 @@ def measured_s(url: str, key: str, folder: Path, database_url: str | None, *, cl
         Header line with a key.
     clients
         Open streams.
+    writer
+        Number of the one who commits; no other part of the bench has it, for notes are to differ.
     events
         Commits, one by one.
     """
-    return asyncio.run(_measure(url, key, folder, database_url, clients, events))
+    return asyncio.run(_measure(url, key, folder, database_url, clients, writer, events))
 
 
 async def _measure(
-    url: str, key: str, folder: Path, database_url: str | None, clients: int, events: int
+    url: str, key: str, folder: Path, database_url: str | None, clients: int, writer: int, events: int
 ) -> list[float]:
     received: list[dict[bytes, int]] = [{} for _ in range(clients)]
     connections = await asyncio.gather(*(_connected(url, key) for _ in range(clients)))
     listening = [asyncio.create_task(_listen(one, got, events)) for one, got in zip(connections, received, strict=True)]
-    command = ["-m", "bench.feed.events", str(folder), database_url or "", "0", str(events), str(PAUSE_S)]
-    writer = await asyncio.create_subprocess_exec(sys.executable, *command, stdout=subprocess.PIPE)
-    printed, _ = await writer.communicate()
+    command = ["-m", "bench.feed.events", str(folder), database_url or "", str(writer), str(events), str(PAUSE_S)]
+    committing = await asyncio.create_subprocess_exec(sys.executable, *command, stdout=subprocess.PIPE)
+    printed, _ = await committing.communicate()
     committed = {note: int(at_ns) for note, at_ns in (line.split() for line in printed.splitlines())}
     await asyncio.wait_for(asyncio.gather(*listening), timeout=60)
     return [(got[note] - at_ns) / 1e9 for got in received for note, at_ns in committed.items()]

@@ -66,10 +66,10 @@ def rows(folder: Path, database_url: str | None) -> Iterator[BenchRow]:
     settings = settings_of(folder, database_url)
     upgrade(settings.url)
     with closing(open_store(settings)) as storage:
-        populate(storage, WRITERS)
+        populate(storage, WRITERS + 1)
         key = new_key(storage)
         with served(folder, database_url) as url:
-            delays = latency.measured_s(url, key, folder, database_url, clients=CLIENTS, events=EVENTS)
+            delays = latency.measured_s(url, key, folder, database_url, clients=CLIENTS, writer=WRITERS, events=EVENTS)
             p50, p99, most = np.percentile(delays, [50, 99, 100])
             yield BenchRow(
                 f"{CLIENTS} streams of {WORKERS} workers, {EVENTS} commits of another process: time after the commit",
