@@ -53,7 +53,7 @@ class WheelsetLine:
 
 
 def lines(service: ServiceAddress, truth: Path) -> list[WheelsetLine]:
-    """Ask the REST API for every wheelset, its geometry, trend and open alerts.
+    """Ask the REST API for every wheelset, its geometry, trend and open alerts; the most urgent first.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def lines(service: ServiceAddress, truth: Path) -> list[WheelsetLine]:
         The simulator's side file.
     """
     true = {item["serial"]: item["campaigns"] for item in json.loads(truth.read_text(encoding="utf-8"))["wheelsets"]}
-    serials = [item["serial"] for item in get(service, "/v1/wheelsets?limit=1000")["items"]]
+    serials = [item["serial"] for item in get(service, "/v1/wheelsets?sort=urgency&limit=1000")["items"]]
     return [_line(service, serial, true[serial]) for serial in serials]
 
 
@@ -141,24 +141,31 @@ def _distance(trend: dict[str, Any]) -> str:
     return f"{p50:,.0f} [{p10:,.0f}, {'beyond' if p90 is None else f'{p90:,.0f}'}]"
 
 
-ESTIMATE = ("km since new", "at mm", "true conicity", "estimated [95 %]", "covers")
-OUTLOOK = ("trend per 100,000 km [95 %]", "1,000 km to the limit [p10, p90]", "open alerts")
-TITLE = "Wheel-rail wear of the fleet, from the REST API"
+ESTIMATE = ("km since new", "at mm", "true", "conicity [95 %]", "covers")
+OUTLOOK = ("trend per 100,000 km [95 %]", r"1,000 km to the limit \[p10, p90]")
+ALERTS = ("open alerts",)
+TITLE = "Wheel-rail wear of the fleet, from the REST API; the most urgent first"
 
 
 def tables(found: list[WheelsetLine], console: Console) -> list[Table]:
-    """Return one table where the console is wide enough for it, else one of the estimates and one of the outlook."""
-    estimates, outlooks = [_estimate_cells(line) for line in found], [_outlook_cells(line) for line in found]
-    whole = _table(TITLE, (*ESTIMATE, *OUTLOOK), [[*e, *o] for e, o in zip(estimates, outlooks, strict=True)], found)
+    """Return one table where the console is wide enough for it, else one each of estimates, outlook and alerts."""
+    parts = [
+        (TITLE, ESTIMATE, [_estimate_cells(line) for line in found]),
+        ("and what it leads to", OUTLOOK, [_outlook_cells(line) for line in found]),
+        ("and what was raised", ALERTS, [[line.alerts] for line in found]),
+    ]
+    heads = [name for _, head, _ in parts for name in head]
+    joined = [[cell for cells in row for cell in cells] for row in zip(*(rows for _, _, rows in parts), strict=True)]
+    whole = _table(TITLE, heads, joined, found)
     if Measurement.get(console, console.options.update(max_width=1000), whole).maximum <= console.width:
         return [whole]
-    return [_table(TITLE, ESTIMATE, estimates, found), _table("and what it leads to", OUTLOOK, outlooks, found)]
+    return [_table(title, head, rows, found) for title, head, rows in parts]
 
 
 def _table(title: str, head: Sequence[str], rows: list[list[str]], found: list[WheelsetLine]) -> Table:
     result = Table("wheelset", title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for name in head:
-        result.add_column(name, justify="left" if name == OUTLOOK[-1] else "right")
+        result.add_column(name, justify="left" if name in ALERTS else "right")
     for line, row in zip(found, rows, strict=True):
         result.add_row(line.serial, *row)
     return result
@@ -176,4 +183,4 @@ def _estimate_cells(line: WheelsetLine) -> list[str]:
 
 
 def _outlook_cells(line: WheelsetLine) -> list[str]:
-    return [line.slope_per_100000_km, line.distance, line.alerts]
+    return [line.slope_per_100000_km, line.distance]
