@@ -11,7 +11,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.access.caller import CallerDep
-from api.answers import DEFAULT_LIMIT, Limit, answer_bytes, next_path, payload_of
+from api.answers import DEFAULT_LIMIT, Limit, answer, answer_bytes, next_path, payload_of, wants_table
 from api.feed.filters import FeedFilter, FeedFilterDep
 from api.feed.pages import FeedPage, opened
 from api.feed.places import WaitingPlaces, Waits
@@ -81,8 +81,14 @@ async def poll_alert_feed(
             partial(_page, services, narrowed, request.scope["path"], page.end.cursor, limit)
         )
     path = next_path(request, "after", page.end.cursor)
+    headers = {"Link": f'<{path}>; rel="next"'}
+    if wants_table(request):
+        body = alerts.Feed(
+            items=[alerts.event(event) for event, _ in page.events], next_cursor=page.end.cursor, next=path
+        )
+        return answer(request, body, headers=headers)
     payload = await run_in_threadpool(partial(_payload, services.cache, page, path))
-    return answer_bytes(request, payload, headers={"Link": f'<{path}>; rel="next"'})
+    return answer_bytes(request, payload, headers=headers)
 
 
 def _payload(cache: RepresentationCache, page: FeedPage, path: str) -> bytes:

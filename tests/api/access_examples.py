@@ -85,6 +85,14 @@ NAMING_NOTHING = frozenset(
         "urgency",
         "vehicle_class",
         "version",
+        "horizon_days",
+        "together_days",
+        "nominal_radii",
+        "cut_mm",
+        "minimum_radius_mm",
+        "axle_difference_mm",
+        "bogie_difference_mm",
+        "vehicle_difference_mm",
     ]
 )
 """Query parameters that name no object of a fleet."""

@@ -362,7 +362,7 @@ def unsafe(value: object, path: str = "") -> Iterator[str]:
     """Yield where JSON has a number that readers round, or nanoseconds."""
     if isinstance(value, dict):
         for name, item in value.items():
-            if name.endswith("_ns"):
+            if name.endswith("_ns") and isinstance(item, int | float):
                 yield f"{path}/{name}"
             yield from unsafe(item, f"{path}/{name}")
     elif isinstance(value, list):

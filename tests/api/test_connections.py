@@ -16,11 +16,11 @@ from api.factory import create_server, open_store
 from api.settings import Settings
 from fleet_db.migrate import upgrade
 
-HALF = b"GET /v1/fleets HTTP/1.1\r\nHost: test\r\nX-Half: "
+HALF = b"GET /v1/fleets HTTP/1.1\r\nHost: localhost\r\nX-Half: "
 HALF_BODY = (
-    b"POST /v1/jobs/x/runs HTTP/1.1\r\nHost: test\r\nContent-Type: application/json\r\nContent-Length: 99\r\n\r\n{"
+    b"POST /v1/jobs/x/runs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 99\r\n\r\n{"
 )
-KNOWN_REQUEST = b"GET /healthz HTTP/1.1\r\nHost: test\r\n\r\n"
+KNOWN_REQUEST = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"
 
 
 @contextmanager
@@ -95,7 +95,7 @@ def test_a_client_that_does_not_read_is_cut(tmp_path: Path, monkeypatch: pytest.
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             connection.connect(address)
             connection.settimeout(30)
-            requests = b"GET /openapi.json HTTP/1.1\r\nHost: test\r\n\r\n" * 100_000
+            requests = b"GET /openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n" * 100_000
             with pytest.raises((ConnectionResetError, BrokenPipeError)):
                 connection.sendall(requests)
         assert 'cut_total{reason="answer-unread"} 1.0' in measures(address)

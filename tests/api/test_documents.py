@@ -34,7 +34,7 @@ def test_every_reason_code_has_a_meaning_and_a_remedy() -> None:
     pages = "".join(
         (DOCS / name).read_text()
         for name in (
-            *("troubleshooting.md", "sections.md", "quarantine.md", "plausibility.md", "worklist.md"),
+            *("troubleshooting.md", "sections.md", "quarantine.md", "plausibility.md", "worklist.md", "recordings.md"),
             "measured-against-estimated.md",
         )
     )

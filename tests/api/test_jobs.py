@@ -24,6 +24,7 @@ from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import JobSettings
 from estimation.values.runs import JobOutcome, JobTrigger
+from fleet_db.raw import RawStore
 from fleet_db.storage import SqlStorage
 
 
@@ -139,7 +140,16 @@ def test_readiness_is_a_problem_where_the_database_is_at_another_migration(sqlit
     runner = JobRunner(JobContext(sqlite_storage, SystemClock(), "test", JobSettings()), sqlite_storage, "test")
     writers = WriterSlots(1, 1.0)
     services = Services(
-        sqlite_storage, SystemClock(), {}, runner, check, lambda: None, writers, RepresentationCache(), one_reader=True
+        storage=sqlite_storage,
+        raw=RawStore(sqlite_storage.data_dir / "raw"),
+        clock=SystemClock(),
+        jobs={},
+        runner=runner,
+        check=check,
+        close=lambda: None,
+        writers=writers,
+        cache=RepresentationCache(),
+        one_reader=True,
     )
     assert build_app(services).state.services is services
     with pytest.raises(MigrationError, match="treadwatch db upgrade"):

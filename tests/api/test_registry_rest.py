@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import api_fleet
 import httpx
 import pytest
+from populated_service import populated_service
 from running_service import Service
 
 from api.times import to_rfc3339
@@ -17,6 +19,15 @@ from ingest.vehicle_class_file import shipped_path
 
 DAY = api_fleet.DAY
 BEGIN = api_fleet.START + 20 * DAY
+
+
+@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+def service(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, postgres_server_url: str
+) -> Iterator[Service]:
+    """Yield a service of these tests alone."""
+    with populated_service(request.param, tmp_path_factory.mktemp("data"), postgres_server_url) as found:
+        yield found
 
 
 def at(day: float) -> str:

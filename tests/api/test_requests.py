@@ -102,7 +102,7 @@ def test_every_time_is_utc_and_no_number_is_infinite(client: httpx.Client, path:
 def test_an_unknown_media_type_is_406(client: httpx.Client, accept: str) -> None:
     for path in ("/v1/wheelsets", "/v1/wheelsets/WS-000", "/v1/wheelsets/WS-000/geometry"):
         problem(client.get(path, headers={"Accept": accept}), 406, "not-acceptable")
-    problem(client.get("/v1/wheelsets", headers={"Accept": "text/csv"}), 406, "not-acceptable")
+    problem(client.get("/v1/wheelsets/WS-000", headers={"Accept": "text/csv"}), 406, "not-acceptable")
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_reads_have_a_strong_etag_and_an_unchanged_resource_is_304(client: httpx
 
 
 def test_another_method_is_405_and_a_wrong_body_is_named(client: httpx.Client) -> None:
-    response = client.delete("/v1/wheelsets")
+    response = client.delete("/v1/fleets")
     assert response.status_code == 405
     assert response.headers["content-type"] == "application/problem+json"
     assert response.headers["allow"] == "GET, HEAD"

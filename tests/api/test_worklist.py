@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import api_fleet
 import httpx
 import pytest
+from populated_service import populated_service
 from running_service import Service
 
 from api.app import document_text
@@ -21,6 +23,15 @@ from estimation.values.worklist import Urgency
 
 DOCUMENT = json.loads(document_text())
 OF_FLEET = {"serial": "WS-000", "code": "V-0", "name": "estimate_windows", "alert_id": "1", "section": "S-3"}
+
+
+@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+def service(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, postgres_server_url: str
+) -> Iterator[Service]:
+    """Yield a service of these tests alone."""
+    with populated_service(request.param, tmp_path_factory.mktemp("data"), postgres_server_url) as found:
+        yield found
 
 
 def listed(client: httpx.Client, path: str) -> list[dict[str, Any]]:
