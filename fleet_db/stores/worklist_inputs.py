@@ -93,8 +93,12 @@ class WorklistReader:
         return self.vehicles[code]
 
     def _class(self, code: str) -> VehicleClass | None:
+        """Return a class; None where it is not on file or damaged, which stops nobody from storing."""
         if code not in self.classes:
-            found = self.registry.vehicle_class(code)
+            try:
+                found = self.registry.vehicle_class(code)
+            except DamagedError:
+                found = None
             self.classes[code] = None if found is None else found.vehicle_class
         return self.classes[code]
 

@@ -16,6 +16,7 @@ from bad_recordings import JUMPING, STANDING, WRONG, Edited, edited, registry_wi
 from tiny_fleet import Deployment, deployment, recorded_once
 
 from api.demo.service import free_port, serving_api
+from api.demo.table import ServiceAddress
 from api.demo.track import track_lines
 from api.factory import create_app
 from ingest.simulator.fleet import FleetReport, Recording
@@ -247,5 +248,5 @@ def test_a_section_that_too_few_have_passed_says_so_and_nothing_is_estimated(
 def track_of(found: Deployment) -> str:
     """Return what the demo would say of the section, behind its name."""
     with serving_api(found.settings.model_copy(update={"port": free_port("127.0.0.1", 0)})) as url:
-        (said,) = track_lines(url)
+        (said,) = track_lines(ServiceAddress(url, None))
     return said.split(": ", 1)[1]

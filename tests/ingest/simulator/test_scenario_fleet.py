@@ -121,7 +121,11 @@ def test_measured_wheels_run_and_their_profiles_are_on_file(wheels: Path, tmp_pa
     ("text", "field", "words"),
     [
         ('serial = "C"\nwheel_file = "none.whl"', "vehicles[0].wheelsets[2].wheel_file", r"none\.whl: cannot be read"),
-        ('serial = "C"\nwheel_left_file = "rail.txt"', "vehicles[0].wheelsets[2].wheel_left_file", r"rail\.txt.*field"),
+        (
+            'serial = "C"\nwheel_left_file = "rail.txt"',
+            "vehicles[0].wheelsets[2].wheel_left_file",
+            r"rail\.txt.*profile of a rail",
+        ),
         ('serial = "C"\nwheel_file = "empty.txt"', "vehicles[0].wheelsets[2].wheel_file", r"empty\.txt"),
         ('serial = "C"\nwheel_file = "metres.txt"', "vehicles[0].wheelsets[2].wheel_file", r"metres\.txt"),
         (
