@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from api.terminal.contact_summary import AMPLITUDE_MM, ContactSummary
+from api.plots.contact_summary import AMPLITUDE_MM, ContactSummary
 from estimation.contact.table import ContactTable
 from estimation.values.arrays import FloatArray
 

@@ -15,7 +15,7 @@ import orjson
 import typer
 
 from api.plots.contact import save_contact_figure
-from api.terminal.contact_summary import AMPLITUDE_MM, ContactSummary, contact_summary
+from api.plots.contact_summary import AMPLITUDE_MM, ContactSummary, contact_summary
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter
 from estimation.contact.conicity_uncertainty import MeasuredShapes, conicity_std
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
