@@ -22,7 +22,9 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("client")
     command = ["-m", "openapi_python_client", "generate", "--path", str(ROOT / "api" / "openapi.json")]
     command += ["--meta", "none", "--output-path", str(folder / "treadwatch_client"), "--fail-on-warning"]
-    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, check=False)
+    tools = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # it calls ruff by its name
+    environment = os.environ | {"PATH": tools}
+    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
     return folder
 

@@ -150,7 +150,8 @@ def _asked(client: httpx.Client, path: str, wanted: Callable[[Any], bool]) -> An
 def _receiver_is_ready(deployment: Deployment) -> bool | None:
     """Ask as the health check of the service does, on the port of this machine."""
     check = services({"POSTGRES_PASSWORD": "unused"})["receiver"]["healthcheck"]["test"]
-    port = services({"POSTGRES_PASSWORD": "unused"})["receiver"]["command"][-1]
+    command = services({"POSTGRES_PASSWORD": "unused"})["receiver"]["command"]
+    port = command[command.index("--health-port") + 1]
     asked = [part.replace(f":{port}/", f":{deployment.health_port}/") for part in check[1:]]
     done = subprocess.run([sys.executable, *asked[1:]], capture_output=True, check=False)
     return True if done.returncode == 0 else None
