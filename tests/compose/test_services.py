@@ -60,11 +60,11 @@ class Deployment:
         needed = command.environment and self.replaced
         return ServiceCommand(command.name, arguments, command.environment | dict(needed))
 
-    def once(self, run: Run, name: str) -> Done:
-        """Run a service that ends, in this process."""
+    def once(self, run: Run, name: str, *instead: str) -> Done:
+        """Run a service that ends, in this process; or another command in its place, as ``compose run`` does."""
         command = self.commands[name]
         environment = {key.removeprefix("TREADWATCH_").lower(): value for key, value in command.environment.items()}
-        return run(*command.arguments, **environment)
+        return run(*(instead or command.arguments), **environment)
 
     @contextmanager
     def running(self, name: str) -> Iterator[subprocess.Popen[bytes]]:
@@ -106,7 +106,12 @@ def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment, tre
         done = deployment.once(treadwatch, name)
         assert done.returncode == 0, done.stderr
     with ExitStack() as stack:
-        client = stack.enter_context(httpx.Client(base_url=f"http://127.0.0.1:{deployment.port}", timeout=30.0))
+        key = deployment.once(
+            treadwatch, "api", "keys", "create", "--owner", "planner", "--scope", "read", "--all-fleets"
+        )
+        headers = {"Authorization": f"Bearer {key.stdout.strip().splitlines()[-1]}"}
+        address = f"http://127.0.0.1:{deployment.port}"
+        client = stack.enter_context(httpx.Client(base_url=address, headers=headers, timeout=30.0))
         processes = {name: stack.enter_context(deployment.running(name)) for name in ("api", "scheduler", "receiver")}
         processes["simulated-fleet"] = stack.enter_context(deployment.running("simulated-fleet"))
 
@@ -114,6 +119,7 @@ def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment, tre
             return _eventually(lambda: _asked(client, path, wanted), processes, deployment)
 
         eventually("/readyz", lambda body: body["status"] == "ok")
+        assert httpx.get(f"{address}/v1/wheelsets").status_code == 401
         _eventually(lambda: _receiver_is_ready(deployment), processes, deployment)
         windows = eventually("/v1/wheelsets/LIVE-1/windows", lambda body: len(body["items"]) >= 1)["items"]
         assert windows[0]["vehicle"] == "L-1"
