@@ -7,7 +7,7 @@ another key, and the old entry is displaced in its turn.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from threading import Lock
 
@@ -49,6 +49,31 @@ class RepresentationCache:
         with self._lock:
             self._keep(key, made)
         return made
+
+    def get_or_make_all(
+        self, keys: Mapping[int, Hashable], make: Callable[[Sequence[int]], Mapping[int, bytes]]
+    ) -> Mapping[int, bytes]:
+        """Return what is kept of several under one name each, and make and keep what is missing, all at once.
+
+        Parameters
+        ----------
+        keys
+            By number; each with the version of all that its representation shows.
+        make
+            Makes the representations of these numbers.
+        """
+        with self._lock:
+            found = {number: self._held[key] for number, key in keys.items() if key in self._held}
+            for number in found:
+                self._held.move_to_end(keys[number])
+        missing = [number for number in keys if number not in found]
+        if missing:
+            made = make(missing)
+            with self._lock:
+                for number, representation in made.items():
+                    self._keep(keys[number], representation)
+            found |= made
+        return found
 
     def _keep(self, key: Hashable, made: bytes) -> None:
         if key in self._held or len(made) > self.limit_bytes:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 from urllib.parse import quote, urlencode
 
 from api.feed import cursors
@@ -12,6 +13,7 @@ from estimation.values.alerts import AlertEvent
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.feed_branches import FeedBranch
 
+PageT = TypeVar("PageT")
 LATEST = "latest"
 """What a client sends as its cursor to begin behind the newest event."""
 
@@ -51,7 +53,13 @@ class FeedPage:
     newest: Place
 
 
-def opened(storage: SqlStorage, narrowed: FeedFilter, path: str, after: str | None, limit: int) -> FeedPage:
+def opened(
+    storage: SqlStorage,
+    narrowed: FeedFilter,
+    path: str,
+    after: str | None,
+    read: Callable[[SqlUnitOfWork, FeedFilter, int], PageT],
+) -> PageT:
     """Return the page behind a client's cursor.
 
     Parameters
@@ -64,8 +72,8 @@ def opened(storage: SqlStorage, narrowed: FeedFilter, path: str, after: str | No
         Of the operation; for where to go on.
     after
         The cursor; None for the beginning, ``latest`` for the end.
-    limit
-        How many events at most.
+    read
+        Reads the page behind a number.
 
     Raises
     ------
@@ -75,9 +83,9 @@ def opened(storage: SqlStorage, narrowed: FeedFilter, path: str, after: str | No
     given = cursors.decode(narrowed, None if after == LATEST else after)
     with storage.read() as unit:
         if after == LATEST:
-            return read_page(unit, narrowed, unit.feed_branches.newest_sequence(), limit)
+            return read(unit, narrowed, unit.feed_branches.newest_sequence())
         last = cursors.position(unit, narrowed, with_filter(path, narrowed), given)
-        return read_page(unit, narrowed, 0 if last is None else last.sequence, limit)
+        return read(unit, narrowed, 0 if last is None else last.sequence)
 
 
 def read_page(unit: SqlUnitOfWork, narrowed: FeedFilter, after_sequence: int, limit: int) -> FeedPage:
@@ -98,7 +106,7 @@ def read_page(unit: SqlUnitOfWork, narrowed: FeedFilter, after_sequence: int, li
         after_sequence, limit, fleets=narrowed.fleets, kinds=narrowed.kinds, severities=narrowed.severities
     )
     branch = unit.feed_branches.all()[-1]
-    newest = _newest(unit, narrowed, branch)
+    newest = newest_place(unit, narrowed, branch)
     events = [(event, cursors.encode(narrowed, branch, event)) for event in found]
     end = newest if len(found) < limit else Place(found[-1].sequence, events[-1][1])
     return FeedPage(events, end, newest)
@@ -119,6 +127,14 @@ def with_filter(path: str, narrowed: FeedFilter) -> str:
     return quote(path) + (f"?{urlencode(given)}" if given else "")
 
 
-def _newest(unit: SqlUnitOfWork, narrowed: FeedFilter, branch: FeedBranch) -> Place:
-    """Return the end of the feed; its cursor names the newest event that the client may see."""
+def newest_place(unit: SqlUnitOfWork, narrowed: FeedFilter, branch: FeedBranch) -> Place:
+    """Return the end of the feed; its cursor names the newest event that the client may see.
+
+    Parameters
+    ----------
+    unit, narrowed
+        As of :func:`read_page`.
+    branch
+        The current one.
+    """
     return Place(unit.feed_branches.newest_sequence(), cursors.encode(narrowed, branch, unit.alerts.last_in_feed()))

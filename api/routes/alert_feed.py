@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Annotated, cast
 
@@ -11,19 +12,19 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.access.caller import CallerDep
-from api.answers import DEFAULT_LIMIT, Limit, answer, answer_bytes, next_path, payload_of, wants_table
+from api.answers import DEFAULT_LIMIT, Limit, answer, answer_bytes, next_path, wants_table
 from api.feed.filters import FeedFilter, FeedFilterDep
-from api.feed.pages import FeedPage, opened
+from api.feed.kept_pages import read_kept
+from api.feed.pages import FeedPage, PageT, opened, read_page
 from api.feed.places import WaitingPlaces, Waits
 from api.feed.streams import CATCH_UP, EVENT_STREAM, EventStream, FeedStream
 from api.feed.watch import FeedWatch
 from api.known import require_known
 from api.middleware import turn_of
 from api.problems import described
-from api.representation_cache import RepresentationCache
 from api.schemas import alerts
 from api.services import Services, ServicesDep
-from estimation.values.alerts import AlertEvent
+from fleet_db.storage import SqlUnitOfWork
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
 LONGEST_WAIT_S = 60.0
@@ -71,38 +72,26 @@ async def poll_alert_feed(
     A fleet alert stands for members that were raised with it; what happens to those is in their own `events`. A cursor
     from before the database was restored is refused (409) where its history has changed, with where to go on.
     """
-    read = partial(_page, services, narrowed, request.scope["path"], after, limit)
-    page = await run_in_threadpool(read)
-    if wait_s and not page.events:
+    where = partial(_behind, services, narrowed, request.scope["path"])
+    kept = partial(read_kept, limit=limit, cache=services.cache)
+    page = await run_in_threadpool(where, after, kept)
+    if not page.items:
+        await run_in_threadpool(_require_fleets, services, narrowed)
+    if wait_s and not page.items:
         places: WaitingPlaces = request.app.state.waiting_places
         with places.held(Waits.LONG_POLL, caller), turn_of(request.scope).given_back():
-            await _news(_watch(request), services, narrowed, page, wait_s)
-        page = await run_in_threadpool(
-            partial(_page, services, narrowed, request.scope["path"], page.end.cursor, limit)
-        )
+            empty = await run_in_threadpool(where, page.end.cursor, partial(read_page, limit=1))
+            await _news(_watch(request), services, narrowed, empty, wait_s)
+        after = page.end.cursor
+        page = await run_in_threadpool(where, after, kept)
     path = next_path(request, "after", page.end.cursor)
     headers = {"Link": f'<{path}>; rel="next"'}
     if wants_table(request):
-        body = alerts.Feed(
-            items=[alerts.event(event) for event, _ in page.events], next_cursor=page.end.cursor, next=path
-        )
-        return answer(request, body, headers=headers)
-    payload = await run_in_threadpool(partial(_payload, services.cache, page, path))
-    return answer_bytes(request, payload, headers=headers)
-
-
-def _payload(cache: RepresentationCache, page: FeedPage, path: str) -> bytes:
-    """Return a ``Feed``; an event never changes, so that its text is made once."""
-    items = []
-    for event, _ in page.events:
-        key = ("event", event.sequence, event.recorded_ns, event.alert.alert_id, event.alert.version)
-        items.append(cache.get_or_make(key, partial(_event, event)))
+        events = (await run_in_threadpool(where, after, partial(read_page, limit=len(page.items)))).events
+        shown = [alerts.event(event) for event, _ in events]
+        return answer(request, alerts.Feed(items=shown, next_cursor=page.end.cursor, next=path), headers=headers)
     rest = orjson.dumps({"next_cursor": page.end.cursor, "next": path})
-    return b'{"items":[' + b",".join(items) + b"]," + rest[1:]
-
-
-def _event(event: AlertEvent) -> bytes:
-    return payload_of(alerts.event(event))
+    return answer_bytes(request, b'{"items":[' + b",".join(page.items) + b"]," + rest[1:], headers=headers)
 
 
 @router.get(
@@ -126,7 +115,9 @@ async def stream_alert_feed(
     """
     path = request.scope["path"]
     begin = after if last_event_id is None else last_event_id
-    page = await run_in_threadpool(partial(_page, services, narrowed, path, begin, CATCH_UP))
+    page = await run_in_threadpool(_behind, services, narrowed, path, begin, partial(read_page, limit=CATCH_UP))
+    if not page.events:
+        await run_in_threadpool(_require_fleets, services, narrowed)
     stream = FeedStream(_watch(request), narrowed, services.storage)
     places: WaitingPlaces = request.app.state.waiting_places
     held = (places.held(Waits.STREAM, caller), turn_of(request.scope).given_back())
@@ -137,13 +128,22 @@ def _watch(request: Request) -> FeedWatch:
     return cast("FeedWatch", request.app.state.feed_watch)
 
 
-def _page(services: Services, narrowed: FeedFilter, path: str, after: str | None, limit: int) -> FeedPage:
-    page = opened(services.storage, narrowed, path, after, limit)
-    if narrowed.fleets and not page.events:
+def _behind(
+    services: Services,
+    narrowed: FeedFilter,
+    path: str,
+    after: str | None,
+    read: Callable[[SqlUnitOfWork, FeedFilter, int], PageT],
+) -> PageT:
+    return opened(services.storage, narrowed, path, after, read)
+
+
+def _require_fleets(services: Services, narrowed: FeedFilter) -> None:
+    """Refuse a filter of fleets that do not exist: nothing would ever come."""
+    if narrowed.fleets:
         with services.storage.read() as unit:
             for fleet in sorted(narrowed.fleets):
                 require_known(unit, fleet=fleet)
-    return page
 
 
 async def _news(watch: FeedWatch, services: Services, narrowed: FeedFilter, page: FeedPage, wait_s: float) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
@@ -18,6 +18,7 @@ from api.answers import (
     answer_payloads,
     operation,
     payload_of,
+    wants_table,
 )
 from api.known import require_known
 from api.parameters import FleetFilter, Number, WheelsetFilter
@@ -25,7 +26,9 @@ from api.problems import described
 from api.schemas import alert_rows, alerts
 from api.schemas.common import Page
 from api.services import ServicesDep
-from estimation.values.alerts import Alert, AlertScope, Condition, Severity
+from estimation.values.alerts import AlertScope, Condition, Severity
+from fleet_db.stores.alert_queries import AlertChoice, AlertOutline
+from fleet_db.stores.alerts import AlertStore
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
 Kind = Annotated[alerts.KnownKind | None, Query(description="Only of this kind.")]
@@ -71,62 +74,57 @@ def list_alerts(
         "sort": None if sort is alert_rows.AlertSort.OLDEST else sort,
     }
     after = cursors.decode(operation(request), filters, cursor)
-    with services.storage.read() as unit:
-        page = partial(
-            unit.alerts.page,
-            fleet=fleet,
-            wheelset=wheelset,
-            kind=kind,
-            condition=condition,
-            open_only=open_only,
-            scope=scope,
-            fleet_alert_id=fleet_alert,
-        )
-        rows = _rows(page, sort, severity, after, limit + 1)
-        if not rows:
-            require_known(unit, fleet=fleet, wheelset=wheelset, fleet_alert=fleet_alert)
-        places = unit.alerts.places([record.alert_id for record in rows])
+    choice = AlertChoice(fleet, wheelset, kind, condition, severity, scope, fleet_alert, open_only=open_only)
     now_ns = services.clock.now_ns()
+    with services.storage.read() as unit:
+        found = _found(unit.alerts, choice, sort, after, limit + 1)
+        if not found:
+            require_known(unit, fleet=fleet, wheelset=wheelset, fleet_alert=fleet_alert)
+        places = unit.alerts.places([one.alert_id for one in found])
+
+        def made(numbers: Sequence[int]) -> Mapping[int, alert_rows.AlertRow]:
+            records = unit.alerts.some(numbers)
+            return {number: alert_rows.alert_row(record, now_ns, places) for number, record in records.items()}
+
+        def payloads(numbers: Sequence[int]) -> Mapping[int, bytes]:
+            return {number: payload_of(row) for number, row in made(numbers).items()}
+
+        keys = {one.alert_id: _key(one, now_ns, places) for one in found[:limit]}
+        rows = made(list(keys)) if wants_table(request) else {}
+        texts = {} if rows else services.cache.get_or_make_all(keys, payloads)
     by_severity = sort is alert_rows.AlertSort.WORST
-
-    def row(record: Alert) -> alert_rows.AlertRow:
-        return alert_rows.alert_row(record, now_ns, places)
-
-    def payload(record: Alert) -> bytes:
-        shown = (alerts.display_state(record, now_ns), places.get(record.alert_id))
-        key = ("alert", record.alert_id, record.version, record.last_seen_ns, *shown)
-        return services.cache.get_or_make(key, lambda: payload_of(row(record)))
-
     return answer_payloads(
         request,
         filters,
         limit,
-        rows,
-        lambda record: [record.severity.value, record.alert_id] if by_severity else record.alert_id,
-        payload,
-        row,
+        found,
+        lambda one: [one.severity.value, one.alert_id] if by_severity else one.alert_id,
+        lambda one: texts[one.alert_id],
+        lambda one: rows[one.alert_id],
     )
 
 
-def _rows(
-    page: Callable[..., Sequence[Alert]],
-    sort: alert_rows.AlertSort,
-    severity: Severity | None,
-    after: object,
-    limit: int,
-) -> Sequence[Alert]:
+def _key(one: AlertOutline, now_ns: int, places: Mapping[int, tuple[str, int]]) -> Hashable:
+    """Return what changes whenever the row of an alert does."""
+    shown = (alerts.display_state(one, now_ns), places.get(one.alert_id))
+    return ("alert", one.alert_id, one.version, one.last_seen_ns, *shown)
+
+
+def _found(
+    store: AlertStore, choice: AlertChoice, sort: alert_rows.AlertSort, after: object, limit: int
+) -> Sequence[AlertOutline]:
     """Return the alerts behind a place; the worst first, each severity is a list of its own, newest first."""
     if sort is not alert_rows.AlertSort.WORST:
         number = cursors.number_of(after)
-        newest_first = sort is alert_rows.AlertSort.NEWEST
-        return page(severity=severity, after_id=number, limit=limit, newest_first=newest_first)
+        return store.outlines(choice, number, limit, newest_first=sort is alert_rows.AlertSort.NEWEST)
     worst, number = _place(after)
-    rows: list[Alert] = []
+    found: list[AlertOutline] = []
     for one in reversed(list(Severity)[: list(Severity).index(worst) + 1]):
-        if severity in {None, one} and len(rows) < limit:
-            rows += page(severity=one, after_id=number, limit=limit - len(rows), newest_first=True)
+        if choice.severity in {None, one} and len(found) < limit:
+            of_one = replace(choice, severity=one)
+            found += store.outlines(of_one, number, limit - len(found), newest_first=True)
         number = None
-    return rows
+    return found
 
 
 def _place(after: object) -> tuple[Severity, int | None]:

@@ -45,10 +45,10 @@ def get_geometry(
 
 
 def _geometry(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int | None = None) -> bytes:
-    unit.registry.wheelset(serial)
-    not_purged(as_of_ns, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
+    _answerable(unit, serial, as_of_ns)
     found = unit.geometries.current(serial, as_of_ns)
     if found is None:
+        unit.registry.wheelset(serial)
         raise NotFoundError("geometry yet of wheelset", serial)
     body = geometry.geometry(found)
     return table_payload(body, media_type, geometry.table(body))
@@ -75,14 +75,21 @@ def get_trend(
 
 
 def _trend(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int | None = None) -> bytes:
-    unit.registry.wheelset(serial)
-    not_purged(as_of_ns, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
+    _answerable(unit, serial, as_of_ns)
     found = unit.trends.latest(serial, as_of_ns)
-    current = unit.geometries.current(serial, as_of_ns)
     if found is None:
+        unit.registry.wheelset(serial)
         raise NotFoundError("trend yet of wheelset", serial)
+    current = unit.geometries.current(serial, as_of_ns)
     body = trend.trend(found, current)
     return table_payload(body, media_type, trend.table(body))
+
+
+def _answerable(unit: SqlUnitOfWork, serial: str, as_of_ns: int | None) -> None:
+    """Refuse a time of which not everything is kept; of the present everything is."""
+    if as_of_ns is not None:
+        unit.registry.wheelset(serial)
+        not_purged(as_of_ns, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
 
 
 @router.get("/{serial}/windows", response_model=Page[windows.Window], responses=described(400, 404))

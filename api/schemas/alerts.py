@@ -15,6 +15,7 @@ from api.times import Moment, Timestamp, to_rfc3339
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.values.alerts import Alert as AlertValue
 from estimation.values.alerts import AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
+from fleet_db.stores.alert_queries import AlertOutline
 
 _WORDS = r"^[^\x00]*$"
 LIMIT_UNITS = {rule.kind: rule.limit_unit for rule in ALERT_RULES}
@@ -147,7 +148,7 @@ class ExternalReference(Request):
     by: By = None
 
 
-def display_state(alert: AlertValue, now_ns: int) -> DisplayState:
+def display_state(alert: AlertValue | AlertOutline, now_ns: int) -> DisplayState:
     """Return the one word that is shown for an alert now."""
     if alert.closed_ns is not None:
         return DisplayState.CLOSED

@@ -5,20 +5,31 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, insert, or_, select, update
+from sqlalchemy import Connection, Select, and_, bindparam, insert, or_, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
 from estimation.values.identity import IDENTITY
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import AlertEventRow, AlertRow, MountingRow
+from fleet_db.models import MountingRow
 from fleet_db.rows import table_of
 from fleet_db.session import to_json
+from fleet_db.stores.alert_queries import (
+    ALERTS,
+    EVENTS,
+    AlertChoice,
+    AlertOutline,
+    EventOutline,
+    feed_of,
+    outlines_of,
+    page_of,
+)
 
-ALERTS, EVENTS, MOUNTINGS = table_of(AlertRow), table_of(AlertEventRow), table_of(MountingRow)
+MOUNTINGS = table_of(MountingRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,34 +87,31 @@ class AlertStore:
         newest_first: bool = False,
     ) -> Sequence[Alert]:
         """Return at most ``limit`` alerts that match every filter given, by number, from behind ``after_id`` on."""
-        statement = _open() if open_only else select(ALERTS)
-        wanted = {"fleet": fleet, "wheelset": wheelset, "kind": kind, "condition": condition, "severity": severity}
-        for name, value in wanted.items():
-            if value is not None:
-                statement = statement.where(ALERTS.c[name] == str(value))
-        if scope is not None:
-            of_fleet = ALERTS.c.wheelset.is_(None)
-            statement = statement.where(of_fleet if scope is AlertScope.FLEET else ~of_fleet)
-        if fleet_alert_id is not None:
-            statement = statement.where(ALERTS.c.fleet_alert_id == fleet_alert_id)
-        if after_id is not None:
-            number = ALERTS.c.alert_id
-            statement = statement.where(number < after_id if newest_first else number > after_id)
-        order = ALERTS.c.alert_id.desc() if newest_first else ALERTS.c.alert_id
-        return self._alerts(statement.order_by(order).limit(limit))
+        chosen = AlertChoice(fleet, wheelset, kind, condition, severity, scope, fleet_alert_id, open_only=open_only)
+        return self._alerts(page_of(select(ALERTS), chosen, after_id, limit, newest_first=newest_first))
+
+    def outlines(
+        self, choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool = False
+    ) -> Sequence[AlertOutline]:
+        """Return what :meth:`page` does, of each alert only what tells whether it has changed."""
+        rows = self.connection.execute(outlines_of(choice, after_id, limit, newest_first=newest_first))
+        return [
+            AlertOutline(number, version, Severity(severity), Condition(condition), *times)
+            for number, version, severity, condition, *times in rows.all()
+        ]
+
+    def some(self, alert_ids: Sequence[int]) -> Mapping[int, Alert]:
+        """Return alerts by number; one that is not on file is left out."""
+        found = self._alerts(select(ALERTS).where(ALERTS.c.alert_id.in_(alert_ids)))
+        return {alert.alert_id: alert for alert in found}
 
     def places(self, alert_ids: Sequence[int]) -> Mapping[int, tuple[str, int]]:
         """Return vehicle and axle that the wheelsets of alerts ran under when they were opened, by number.
 
         An alert of a fleet has none, nor has one of a time of which no mounting is on file.
         """
-        statement = (
-            select(ALERTS.c.alert_id, MOUNTINGS.c.vehicle, MOUNTINGS.c.axle)
-            .join(MOUNTINGS, MOUNTINGS.c.wheelset == ALERTS.c.wheelset)
-            .where(ALERTS.c.alert_id.in_(alert_ids), MOUNTINGS.c.from_ns <= ALERTS.c.opened_ns)
-            .where(or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > ALERTS.c.opened_ns))
-        )
-        return {row.alert_id: (row.vehicle, row.axle) for row in self.connection.execute(statement)}
+        rows = self.connection.execute(_places(), {"alert_ids": list(alert_ids)})
+        return {alert_id: (vehicle, axle) for alert_id, vehicle, axle in rows.all()}
 
     def feed(
         self,
@@ -130,20 +138,28 @@ class AlertStore:
             Only of alerts that have had one of these until then, where there are some: an alert that was listed is
             followed to its end, also when it becomes less urgent.
         """
-        statement = select(EVENTS).where(EVENTS.c.sequence > after_sequence, EVENTS.c.in_feed).limit(limit)
-        for column, wanted in ((ALERTS.c.fleet, fleets), (ALERTS.c.kind, kinds)):
-            if wanted:
-                of_them = select(ALERTS.c.alert_id).where(column.in_(sorted(wanted)))
-                statement = statement.where(EVENTS.c.alert_id.in_(of_them))
-        if severities:
-            earlier = EVENTS.alias()
-            has_had = select(earlier.c.sequence).where(
-                earlier.c.alert_id == EVENTS.c.alert_id,
-                earlier.c.sequence <= EVENTS.c.sequence,
-                earlier.c.alert["severity"].as_string().in_(sorted(severities)),
-            )
-            statement = statement.where(has_had.correlate(EVENTS).exists())
-        return self._events(statement)
+        statement = feed_of(select(EVENTS), after_sequence, fleets=fleets, kinds=kinds, severities=severities)
+        return self._events(statement.limit(limit))
+
+    def feed_outlines(
+        self,
+        after_sequence: int,
+        limit: int,
+        *,
+        fleets: Collection[str] = (),
+        kinds: Collection[str] = (),
+        severities: Collection[str] = (),
+    ) -> Sequence[EventOutline]:
+        """Return what :meth:`feed` does, of each event only what tells it from others."""
+        statement = select(EVENTS.c.sequence, EVENTS.c.alert_id, EVENTS.c.recorded_ns)
+        statement = feed_of(statement, after_sequence, fleets=fleets, kinds=kinds, severities=severities)
+        rows = self.connection.execute(statement.order_by(EVENTS.c.sequence).limit(limit))
+        return [EventOutline(*row) for row in rows.all()]
+
+    def some_events(self, sequences: Sequence[int]) -> Mapping[int, AlertEvent]:
+        """Return events by number; one that is not on file is left out."""
+        found = self._events(select(EVENTS).where(EVENTS.c.sequence.in_(sequences)))
+        return {event.sequence: event for event in found}
 
     def last_in_feed(self, up_to: int | None = None) -> AlertEvent | None:
         """Return the newest event of the feed; None where there is none.
@@ -271,6 +287,15 @@ class AlertStore:
 
 def _open() -> Select[Any]:
     return select(ALERTS).where(ALERTS.c.closed_ns.is_(None))
+
+
+@cache
+def _places() -> Select[tuple[int, str, int]]:
+    """Return a statement that is built once, for it is executed whenever alerts are listed."""
+    there = and_(MOUNTINGS.c.wheelset == ALERTS.c.wheelset, MOUNTINGS.c.from_ns <= ALERTS.c.opened_ns)
+    statement = select(ALERTS.c.alert_id, MOUNTINGS.c.vehicle, MOUNTINGS.c.axle).join(MOUNTINGS, there)
+    still = or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > ALERTS.c.opened_ns)
+    return statement.where(ALERTS.c.alert_id.in_(bindparam("alert_ids", expanding=True)), still)
 
 
 def _subject(alert: Alert) -> str:

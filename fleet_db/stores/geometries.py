@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from sqlalchemy import (
@@ -13,6 +14,7 @@ from sqlalchemy import (
     Row,
     Select,
     and_,
+    bindparam,
     case,
     delete,
     exists,
@@ -35,6 +37,7 @@ BINS = table_of(WheelsetBinRow)
 UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in COMBINATIONS}
 GEOMETRIES, TABLES = table_of(GeometryRow), table_of(WindowBinTableRow)
 NEWEST_FIRST = (GEOMETRIES.c.geometry_id.desc(),)  # in the order of commit; clocks go back
+EVER_NS = 2**63 - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,19 +83,14 @@ class GeometryStore:
 
         Number, recorded time and digest of inputs of the current geometry that was appended last, of any baseline.
         """
-        row = self.connection.execute(
-            select(GEOMETRIES.c.geometry_id, GEOMETRIES.c.recorded_ns, GEOMETRIES.c.input_digest)
-            .where(GEOMETRIES.c.wheelset == wheelset, GEOMETRIES.c.baseline_interval.is_(None))
-            .order_by(*NEWEST_FIRST)
-            .limit(1)
-        ).first()
+        row = self.connection.execute(_version(), {"serial": wheelset}).first()
         return None if row is None else (row.geometry_id, row.recorded_ns, row.input_digest)
 
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]:
         """Return the current geometry of each baseline that there has been, by its number."""
-        newest = _newest_of_baselines(wheelset, None)
-        statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(newest)).order_by(GEOMETRIES.c.baseline)
-        return [_record(row) for row in self.connection.execute(statement)]
+        statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(_newest_of_baselines()))
+        as_of = {"serial": wheelset, "as_of_ns": EVER_NS}
+        return [_record(row) for row in self.connection.execute(statement.order_by(GEOMETRIES.c.baseline), as_of)]
 
     def intervals(
         self, wheelset: str, baseline: int | None = None, as_of_ns: int | None = None
@@ -160,14 +158,8 @@ class GeometryStore:
         )
 
     def _current(self, wheelset: str, as_of_ns: int | None) -> Row[Any] | None:
-        newest = _newest_of_baselines(wheelset, as_of_ns)
-        statement = (
-            select(GEOMETRIES)
-            .where(GEOMETRIES.c.geometry_id.in_(newest))
-            .order_by(case((GEOMETRIES.c.windows > 0, 0), else_=1), GEOMETRIES.c.baseline.desc())
-            .limit(1)
-        )
-        return self.connection.execute(statement).first()
+        as_of = {"serial": wheelset, "as_of_ns": EVER_NS if as_of_ns is None else as_of_ns}
+        return self.connection.execute(_current(), as_of).first()
 
     def bins_are_current(self, wheelset: str) -> bool:
         """Whether the plain rows of bins are those of the current geometry."""
@@ -187,9 +179,26 @@ class GeometryStore:
             _replace_bins(self.connection, wheelset, row.geometry_id, _record(row).geometry)
 
 
-def _newest_of_baselines(wheelset: str, as_of_ns: int | None) -> Select[tuple[int]]:
-    """Return the numbers of the last current geometry of each baseline."""
-    chosen = (GEOMETRIES.c.wheelset == wheelset, GEOMETRIES.c.baseline_interval.is_(None), _until(as_of_ns))
+@cache
+def _version() -> Select[tuple[int, int, str]]:
+    """Return a statement that is built once, for it is executed whenever a geometry is read."""
+    statement = select(GEOMETRIES.c.geometry_id, GEOMETRIES.c.recorded_ns, GEOMETRIES.c.input_digest)
+    chosen = (GEOMETRIES.c.wheelset == bindparam("serial"), GEOMETRIES.c.baseline_interval.is_(None))
+    return statement.where(*chosen).order_by(*NEWEST_FIRST).limit(1)
+
+
+@cache
+def _current() -> Select[Any]:
+    with_windows_first = case((GEOMETRIES.c.windows > 0, 0), else_=1)
+    statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(_newest_of_baselines()))
+    return statement.order_by(with_windows_first, GEOMETRIES.c.baseline.desc()).limit(1)
+
+
+@cache
+def _newest_of_baselines() -> Select[tuple[int]]:
+    """Return the numbers of the last current geometry of each baseline, of ``serial`` until ``as_of_ns``."""
+    until = GEOMETRIES.c.recorded_ns <= bindparam("as_of_ns")
+    chosen = (GEOMETRIES.c.wheelset == bindparam("serial"), GEOMETRIES.c.baseline_interval.is_(None), until)
     return select(func.max(GEOMETRIES.c.geometry_id)).where(*chosen).group_by(GEOMETRIES.c.baseline)
 
 
@@ -214,7 +223,7 @@ def _key(record: GeometryRecord) -> ColumnElement[bool]:
 
 
 def _until(as_of_ns: int | None) -> ColumnElement[bool]:
-    return GEOMETRIES.c.recorded_ns <= (2**63 - 1 if as_of_ns is None else as_of_ns)
+    return GEOMETRIES.c.recorded_ns <= (EVER_NS if as_of_ns is None else as_of_ns)
 
 
 def geometry_columns(record: GeometryRecord) -> dict[str, Any]:

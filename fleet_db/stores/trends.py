@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, insert, select
+from sqlalchemy import Connection, Select, bindparam, insert, select
 
 from estimation.values.trend import TrendRecord
 from fleet_db.changes import Changes
@@ -16,6 +17,7 @@ from fleet_db.rows import null_if_nan, reason_columns, table_of
 
 TRENDS = table_of(TrendRow)
 NEWEST_FIRST = (TRENDS.c.trend_id.desc(),)  # in the order of commit; clocks go back
+EVER_NS = 2**63 - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,20 +52,13 @@ class TrendStore:
 
     def version(self, wheelset: str) -> tuple[int, int, str] | None:
         """Return number, recorded time and digest of inputs of the newest trend; None where there is none."""
-        row = self.connection.execute(
-            select(TRENDS.c.trend_id, TRENDS.c.recorded_ns, TRENDS.c.input_digest)
-            .where(TRENDS.c.wheelset == wheelset)
-            .order_by(*NEWEST_FIRST)
-            .limit(1)
-        ).first()
+        row = self.connection.execute(_version(), {"serial": wheelset}).first()
         return None if row is None else (row.trend_id, row.recorded_ns, row.input_digest)
 
     def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None:
         """Return the newest trend, as it was recorded at ``as_of_ns``: that of the baseline in force then."""
-        statement = select(TRENDS).where(TRENDS.c.wheelset == wheelset)
-        if as_of_ns is not None:
-            statement = statement.where(TRENDS.c.recorded_ns <= as_of_ns)
-        row = self.connection.execute(statement.order_by(*NEWEST_FIRST).limit(1)).first()
+        as_of = {"serial": wheelset, "as_of_ns": EVER_NS if as_of_ns is None else as_of_ns}
+        row = self.connection.execute(_latest(), as_of).first()
         if row is None:
             return None
         trend = unpack_trend(row.packed, where=f"trend {row.trend_id}")
@@ -76,6 +71,19 @@ class TrendStore:
             recorded_ns=row.recorded_ns,
             parameters=row.parameters or {},
         )
+
+
+@cache
+def _version() -> Select[tuple[int, int, str]]:
+    """Return a statement that is built once, for it is executed whenever a trend is read."""
+    statement = select(TRENDS.c.trend_id, TRENDS.c.recorded_ns, TRENDS.c.input_digest)
+    return statement.where(TRENDS.c.wheelset == bindparam("serial")).order_by(*NEWEST_FIRST).limit(1)
+
+
+@cache
+def _latest() -> Select[Any]:
+    until = TRENDS.c.recorded_ns <= bindparam("as_of_ns")
+    return select(TRENDS).where(TRENDS.c.wheelset == bindparam("serial"), until).order_by(*NEWEST_FIRST).limit(1)
 
 
 def _values(record: TrendRecord) -> dict[str, Any]:

@@ -1,0 +1,59 @@
+"""One page of the feed as it is sent; the text of an event is made once, for an event never changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from api.answers import payload_of
+from api.feed import cursors
+from api.feed.filters import FeedFilter
+from api.feed.pages import Place, newest_place
+from api.representation_cache import RepresentationCache
+from api.schemas import alerts
+from fleet_db.storage import SqlUnitOfWork
+
+
+@dataclass(frozen=True, slots=True)
+class KeptPage:
+    """The JSON text of events, in commit order, and where they end as in ``FeedPage``."""
+
+    items: Sequence[bytes]
+    end: Place
+
+
+def read_kept(
+    unit: SqlUnitOfWork, narrowed: FeedFilter, after_sequence: int, limit: int, cache: RepresentationCache
+) -> KeptPage:
+    """Return the page behind a place that is known to be of this database.
+
+    Parameters
+    ----------
+    unit
+        One snapshot of the database.
+    narrowed
+        Of the client.
+    after_sequence
+        Number of the last event that was handed over.
+    limit
+        How many events at most.
+    cache
+        Of representations.
+    """
+    found = unit.alerts.feed_outlines(
+        after_sequence, limit, fleets=narrowed.fleets, kinds=narrowed.kinds, severities=narrowed.severities
+    )
+
+    def made(sequences: Sequence[int]) -> Mapping[int, bytes]:
+        events = unit.alerts.some_events(sequences)
+        return {sequence: payload_of(alerts.event(event)) for sequence, event in events.items()}
+
+    keys = {one.sequence: ("event", one.sequence, one.alert_id, one.recorded_ns) for one in found}
+    texts = cache.get_or_make_all(keys, made)
+    branch = unit.feed_branches.all()[-1]
+    if len(found) < limit:
+        end = newest_place(unit, narrowed, branch)
+    else:
+        last = found[-1].sequence
+        end = Place(last, cursors.encode(narrowed, branch, unit.alerts.event(last)))
+    return KeptPage([texts[one.sequence] for one in found], end)

@@ -1,0 +1,132 @@
+"""Which alerts and events of alerts are asked for, and what of them tells whether they have changed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Select, select
+
+from estimation.values.alerts import AlertScope, Condition, Severity
+from fleet_db.models import AlertEventRow, AlertRow
+from fleet_db.rows import table_of
+
+ALERTS, EVENTS = table_of(AlertRow), table_of(AlertEventRow)
+
+
+@dataclass(frozen=True, slots=True)
+class AlertChoice:
+    """Filters of a list of alerts; None and False for all."""
+
+    fleet: str | None = None
+    wheelset: str | None = None
+    kind: str | None = None
+    condition: Condition | None = None
+    severity: Severity | None = None
+    scope: AlertScope | None = None
+    fleet_alert_id: int | None = None
+    open_only: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class AlertOutline:
+    """What of an alert orders a list, says how it is shown, and changes whenever the alert does."""
+
+    alert_id: int
+    version: int
+    severity: Severity
+    condition: Condition
+    last_seen_ns: int
+    closed_ns: int | None
+    acknowledged_ns: int | None
+    shelved_until_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class EventOutline:
+    """What tells one event from every other; an event never changes."""
+
+    sequence: int
+    alert_id: int
+    recorded_ns: int
+
+
+def outlines_of(choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool) -> Select[Any]:
+    """Return a statement with the columns of an ``AlertOutline``.
+
+    Parameters
+    ----------
+    choice, after_id, limit, newest_first
+        As of :func:`page_of`.
+    """
+    columns = (ALERTS.c[name] for name in AlertOutline.__dataclass_fields__)
+    return page_of(select(*columns), choice, after_id, limit, newest_first=newest_first)
+
+
+def page_of(
+    statement: Select[Any], choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool
+) -> Select[Any]:
+    """Return a statement narrowed to one page of alerts, by number.
+
+    Parameters
+    ----------
+    statement
+        Over alerts.
+    choice
+        Which alerts.
+    after_id
+        Behind this number; None from the beginning.
+    limit
+        How many at most.
+    newest_first
+        By number downwards.
+    """
+    number = ALERTS.c.alert_id
+    if choice.open_only:
+        statement = statement.where(ALERTS.c.closed_ns.is_(None))
+    for name in ("fleet", "wheelset", "kind", "condition", "severity"):
+        wanted = getattr(choice, name)
+        if wanted is not None:
+            statement = statement.where(ALERTS.c[name] == str(wanted))
+    if choice.fleet_alert_id is not None:
+        statement = statement.where(ALERTS.c.fleet_alert_id == choice.fleet_alert_id)
+    if choice.scope is not None:
+        of_fleet = ALERTS.c.wheelset.is_(None)
+        statement = statement.where(of_fleet if choice.scope is AlertScope.FLEET else ~of_fleet)
+    if after_id is not None:
+        statement = statement.where(number < after_id if newest_first else number > after_id)
+    return statement.order_by(number.desc() if newest_first else number).limit(limit)
+
+
+def feed_of(
+    statement: Select[Any],
+    after_sequence: int,
+    *,
+    fleets: Collection[str],
+    kinds: Collection[str],
+    severities: Collection[str],
+) -> Select[Any]:
+    """Return a statement narrowed to what the feed lists behind a number.
+
+    Parameters
+    ----------
+    statement
+        Over events.
+    after_sequence, fleets, kinds, severities
+        As of ``AlertStore.feed``.
+    """
+    statement = statement.where(EVENTS.c.sequence > after_sequence, EVENTS.c.in_feed)
+    for column, wanted in ((ALERTS.c.fleet, fleets), (ALERTS.c.kind, kinds)):
+        if wanted:
+            of_them = select(ALERTS.c.alert_id).where(column.in_(sorted(wanted)))
+            statement = statement.where(EVENTS.c.alert_id.in_(of_them))
+    if severities:
+        earlier = EVENTS.alias()
+        has_had = select(earlier.c.sequence).where(
+            earlier.c.alert_id == EVENTS.c.alert_id,
+            earlier.c.sequence <= EVENTS.c.sequence,
+            earlier.c.alert["severity"].as_string().in_(sorted(severities)),
+        )
+        statement = statement.where(has_had.correlate(EVENTS).exists())
+    return statement
