@@ -30,6 +30,8 @@ from fleet_db.stores.alert_queries import (
 )
 
 MOUNTINGS = table_of(MountingRow)
+SEVERITIES = {one.value: one for one in Severity}
+CONDITIONS = {one.value: one for one in Condition}
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +98,7 @@ class AlertStore:
         """Return what :meth:`page` does, of each alert only what tells whether it has changed."""
         rows = self.connection.execute(outlines_of(choice, after_id, limit, newest_first=newest_first))
         return [
-            AlertOutline(number, version, Severity(severity), Condition(condition), *times)
+            AlertOutline(number, version, SEVERITIES[severity], CONDITIONS[condition], *times)
             for number, version, severity, condition, *times in rows.all()
         ]
 
@@ -154,7 +156,7 @@ class AlertStore:
         statement = select(EVENTS.c.sequence, EVENTS.c.alert_id, EVENTS.c.recorded_ns)
         statement = feed_of(statement, after_sequence, fleets=fleets, kinds=kinds, severities=severities)
         rows = self.connection.execute(statement.order_by(EVENTS.c.sequence).limit(limit))
-        return [EventOutline(*row) for row in rows.all()]
+        return [EventOutline._make(row) for row in rows.all()]
 
     def some_events(self, sequences: Sequence[int]) -> Mapping[int, AlertEvent]:
         """Return events by number; one that is not on file is left out."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import api_fleet
@@ -11,11 +12,12 @@ from running_service import Service
 
 from api import cursors
 from api.feed.filters import FeedFilter
-from api.feed.pages import opened
+from api.feed.pages import opened, read_page
 from estimation.values.alerts import Alert, AlertEventKind, Severity
 from fleet_db.storage import SqlStorage
 
 FEED = "/v1/alerts/feed"
+WHOLE = partial(read_page, limit=1000)
 
 
 def ask(service: Service, *pairs: tuple[str, str]) -> Any:  # noqa: ANN401 - JSON
@@ -134,14 +136,14 @@ def test_edited_cursors_are_refused_or_end_where_they_say(service: Service) -> N
 
 
 def test_a_bound_caller_gets_its_fleets_alone_and_no_other_callers_cursor(service: Service) -> None:
-    everything = opened(service.storage, FeedFilter(), FEED, None, 1000)
+    everything = opened(service.storage, FeedFilter(), FEED, None, WHOLE)
     bound = service.storage.seen_by(frozenset({"alpha"}))
     mine = FeedFilter(visible=frozenset({"alpha"}))
-    page = opened(bound, mine, FEED, None, 1000)
+    page = opened(bound, mine, FEED, None, WHOLE)
     assert [event for event, _ in page.events] == [e for e, _ in everything.events if e.alert.fleet == "alpha"]
-    assert opened(bound, mine, FEED, page.end.cursor, 10).events == []
+    assert opened(bound, mine, FEED, page.end.cursor, WHOLE).events == []
     critical = FeedFilter(severities=frozenset({"critical", "warning"}), visible=frozenset({"alpha"}))
-    assert {event.alert.fleet for event, _ in opened(bound, critical, FEED, None, 1000).events} == {"alpha"}
+    assert {event.alert.fleet for event, _ in opened(bound, critical, FEED, None, WHOLE).events} == {"alpha"}
     for narrowed, cursor in ((mine, everything.end.cursor), (FeedFilter(), page.end.cursor)):
         with pytest.raises(Exception, match="another filter"):
-            opened(bound, narrowed, FEED, cursor, 10)
+            opened(bound, narrowed, FEED, cursor, WHOLE)
