@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
@@ -52,11 +53,16 @@ from api.routes import (
     tracks,
     vehicle_classes,
     vehicles,
+    webhook_actions,
+    webhooks,
     wheelsets,
     worklist,
 )
 from api.services import Services
 from api.visible_objects import visible
+from api.webhooks.sending import TRIALS, Sender
+from api.webhooks.targets import Targets
+from api.webhooks.worker import WebhookWorker
 
 RESOURCES = (
     fleets,
@@ -82,6 +88,8 @@ RESOURCES = (
     quarantine,
     keys,
     audit,
+    webhooks,
+    webhook_actions,
     recordings,
     recording_corrections,
 )
@@ -133,7 +141,12 @@ def committed_document() -> bytes:
     return files("api").joinpath(COMMITTED).read_bytes()
 
 
-def build_app(services: Services | None, limits: HttpLimits | None = None, access: AccessPlan | None = None) -> FastAPI:
+def build_app(
+    services: Services | None,
+    limits: HttpLimits | None = None,
+    access: AccessPlan | None = None,
+    sender: Sender | None = None,
+) -> FastAPI:
     """Return the app that answers with these services, within these limits or the usual ones.
 
     Parameters
@@ -145,6 +158,8 @@ def build_app(services: Services | None, limits: HttpLimits | None = None, acces
         Of time and size.
     access
         Who may ask; by default whoever has a key.
+    sender
+        To webhooks; by default to public addresses alone.
     """
     app = describe()
     registry = CollectorRegistry(auto_describe=False)
@@ -159,6 +174,9 @@ def build_app(services: Services | None, limits: HttpLimits | None = None, acces
     app.state.feed_watch = FeedWatch(lambda: None if (ours := app.state.services) is None else ours.storage, ending)
     app.state.waiting_places = WaitingPlaces(limits.streams, guard.streams)
     registry.register(app.state.waiting_places)
+    app.state.webhook_sender = sender or Sender(Targets())
+    app.state.webhook_trials = asyncio.Semaphore(TRIALS)
+    app.state.webhook_worker = WebhookWorker(lambda: app.state.services, app.state.webhook_sender)
     app.add_middleware(HeadMiddleware)
     app.add_middleware(RequestContextMiddleware, measures=RequestMeasures(registry), limits=limits, access=guard)
     allow_pages(app, guard.origins)
@@ -169,7 +187,9 @@ def build_app(services: Services | None, limits: HttpLimits | None = None, acces
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     if app.state.services is not None and app.state.services.one_reader:  # an embedded one is never waited for
         anyio.to_thread.current_default_thread_limiter().total_tokens = EMBEDDED_THREADS
+    app.state.webhook_worker.start()
     yield
+    await anyio.to_thread.run_sync(app.state.webhook_worker.stop)
     await anyio.to_thread.run_sync(app.state.access_book.close)
     services: Services | None = app.state.services
     if services is not None:

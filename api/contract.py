@@ -81,7 +81,7 @@ def _refuse_unknown_parameters(request: Request, contract: OperationContract) ->
 
 def _refuse_other_body(request: Request) -> None:
     given = request.headers.get("content-type", JSON).split(";", maxsplit=1)[0].strip().lower()
-    if request.method in {HTTPMethod.POST, HTTPMethod.PUT} and given != JSON:
+    if request.method in {HTTPMethod.POST, HTTPMethod.PUT, HTTPMethod.PATCH} and given != JSON:
         raise ProblemError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", f"send {JSON}")
 
 

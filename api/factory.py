@@ -259,9 +259,10 @@ def create_app(settings: Settings) -> FastAPI:
     from api.access.plan import plan_of  # noqa: PLC0415 - the same
     from api.app import build_app  # noqa: PLC0415 - the same
     from api.http_limits import limits_of  # noqa: PLC0415 - the same
+    from api.webhooks.sending import sender_of  # noqa: PLC0415 - the same
 
-    access = plan_of(settings)
-    return build_app(open_services(settings), limits_of(settings), access)
+    access, sender = plan_of(settings), sender_of(settings)
+    return build_app(open_services(settings), limits_of(settings), access, sender)
 
 
 def create_server(settings: Settings) -> uvicorn.Server:
@@ -291,13 +292,14 @@ def serve(settings: Settings, stopping: Event) -> None:
     from api.app import build_app  # noqa: PLC0415 - the same
     from api.http_limits import limits_of  # noqa: PLC0415 - the same
     from api.http_server import check_address, http_server  # noqa: PLC0415 - the same
+    from api.webhooks.sending import sender_of  # noqa: PLC0415 - the same
 
-    access = plan_of(settings)
+    access, sender = plan_of(settings), sender_of(settings)
     check_address(settings)
     with ThreadPoolExecutor(1, "start") as beside:
         opening = beside.submit(once_the_database_answers, partial(open_services, settings), settings, stopping)
         wait([opening], timeout=AT_ONCE_S if settings.on_server else None)
-        app = build_app(None, limits_of(settings), access)
+        app = build_app(None, limits_of(settings), access, sender)
         server = http_server(app, settings)
         opening.add_done_callback(partial(_join, app, server))
         try:

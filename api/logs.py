@@ -22,7 +22,8 @@ from api.faults import Fault, FaultLedger, fault_of, short_trace
 from api.redaction import Redactor
 from api.settings import Settings
 
-CHATTY = ("apscheduler", "alembic.runtime", "uvicorn.access")  # what they log at info is in our own records
+CHATTY = ("apscheduler", "alembic.runtime", "uvicorn.access", "httpx", "httpcore")
+"""What they log at info is in our own records, and may name URLs of receivers, which carry their secrets."""
 REPETITIVE = ("asyncio", "uvicorn.error")  # they warn of what any client can cause, so their warnings are faults too
 VALUE_CHARACTERS = 2000
 """Longest text of one fact of an event."""

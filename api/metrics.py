@@ -12,6 +12,7 @@ from prometheus_client.registry import Collector
 
 from api.backlog_measures import backlog_measures
 from api.services import Services
+from api.webhooks.measures import webhook_measures
 from estimation.errors import TreadwatchError
 from estimation.values.alerts import AlertScope
 from estimation.values.quarantine import TRIED_AGAIN, SubjectKind
@@ -60,6 +61,7 @@ class StoredMeasures(Collector):
                     *_runs(services),
                     _quarantined(services),
                     *backlog_measures(services),
+                    *webhook_measures(services.storage),
                 ]
         except TreadwatchError as error:
             _log.warning("the database does not answer: %s", error)

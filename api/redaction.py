@@ -1,4 +1,4 @@
-"""Passwords kept out of what is logged: those of this deployment, and whatever reads like one."""
+"""Passwords kept out of what is logged: those of this deployment, and whatever reads like one, or signs webhooks."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from urllib.parse import quote, quote_plus, unquote
 HIDDEN = "***"
 _IN_URL = re.compile(r"(?P<before>[a-zA-Z][a-zA-Z0-9+.-]*://[^\s:/@]*:)[^\s@]+(?=@)")
 _NAMED = re.compile(r"(?P<before>\bpassword['\"]?\s*[=:]\s*)(?:'[^']*'|\\?\"[^\"]*\"|[^\s,;&)}]+)", re.IGNORECASE)
+_WEBHOOK_SECRET = re.compile(r"\bwhsec_[A-Za-z0-9+/=_-]{4,}")
 _SHORTEST = 4
 """Characters of a password from which on it is looked for as such; a shorter one would blot out common words."""
 
@@ -57,4 +58,6 @@ class Redactor:
             text = _IN_URL.sub(rf"\g<before>{HIDDEN}", text)
         if "password" in text.lower():
             text = _NAMED.sub(rf"\g<before>{HIDDEN}", text)
+        if "whsec_" in text:
+            text = _WEBHOOK_SECRET.sub(f"whsec_{HIDDEN}", text)
         return text

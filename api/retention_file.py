@@ -32,6 +32,7 @@ class DaysTable(InputTable):
     track_reports: Days = None
     recordings: Days = None
     audit: Days = None
+    webhook_deliveries: Days = None
     orphaned_files: Days = None
 
 

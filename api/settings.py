@@ -78,6 +78,10 @@ class Settings(BaseSettings):
         How many connections the REST API holds at the same time; fewer where the process may open fewer files.
     max_streams
         How many clients of one process may wait for news of the feed, with a stream or a long poll.
+    webhook_networks
+        Private networks that webhooks may lead to, as CIDRs with commas between them.
+    webhook_timeout_s
+        How long one attempt to hand an event to a webhook may take in all, in seconds.
     header_timeout_s, body_timeout_s, request_timeout_s
         How long the REST API waits for the headers of a request, for its body and for its own answer, in seconds.
     """
@@ -130,6 +134,8 @@ class Settings(BaseSettings):
     shutdown_timeout_s: int = Field(default=10, ge=1, le=600)
     max_connections: int = Field(default=1000, ge=1, le=100_000)
     max_streams: int = Field(default=500, ge=1, le=100_000)
+    webhook_networks: str | None = None
+    webhook_timeout_s: float = Field(default=15.0, gt=0.0, le=30.0)
     header_timeout_s: float = Field(default=10.0, gt=0.0, le=600.0)
     body_timeout_s: float = Field(default=30.0, gt=0.0, le=600.0)
     request_timeout_s: float = Field(default=60.0, gt=0.0, le=600.0)

@@ -37,6 +37,12 @@ def _recording(unit: SqlUnitOfWork, digest: str) -> None:
         raise NotFoundError("recording", digest)
 
 
+def _webhook(unit: SqlUnitOfWork, webhook_id: str) -> object:
+    if not webhook_id.isdecimal() or int(webhook_id) >= 2**63:
+        return None  # the route refuses it
+    return unit.webhooks.get(int(webhook_id))
+
+
 SHARED: Find = lambda _unit, _name: None  # noqa: E731 - a name for what needs no look
 FINDERS: Mapping[str, Find] = {
     "/v1/alerts/{alert_id}": _alert,
@@ -46,6 +52,7 @@ FINDERS: Mapping[str, Find] = {
     "/v1/jobs/{name}": SHARED,
     "/v1/keys/{prefix}": SHARED,
     "/v1/recordings/{digest}": _recording,
+    "/v1/webhooks/{webhook_id}": _webhook,
 }
 """How the first object in a path is found, by the template of the path up to it."""
 

@@ -35,6 +35,7 @@ class Subject(IntEnum):
     MIGRATION = 6
     SETTINGS = 7
     KEEPING = 7
+    WEBHOOKS = 8
 
 
 def serialise(connection: Connection, subject: Subject) -> None:

@@ -41,6 +41,7 @@ from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.vehicle_classes import Shipped, no_class
+from fleet_db.stores.webhooks import WebhookStore
 from fleet_db.stores.windows import WindowStore
 from fleet_db.stores.worklist import WorklistStore
 from fleet_db.stores.worklist_inputs import WorklistReader
@@ -87,6 +88,7 @@ class SqlUnitOfWork:
     worklist: WorklistStore = field(init=False)
     api_keys: ApiKeyStore = field(init=False)
     audit: AuditStore = field(init=False)
+    webhooks: WebhookStore = field(init=False)
 
     def __post_init__(self) -> None:
         connection = self.connection
@@ -121,6 +123,7 @@ class SqlUnitOfWork:
         self.worklist = WorklistStore(connection, self.changes, reader)
         self.api_keys = ApiKeyStore(connection)
         self.audit = AuditStore(connection)
+        self.webhooks = WebhookStore(connection)
 
     def finish(self) -> None:
         """Let what follows from the changes follow, as the last of the transaction: see ``Changes``."""

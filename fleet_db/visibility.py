@@ -14,7 +14,7 @@ from sqlalchemy import ColumnElement, Connection, Engine, FromClause, Select, Ta
 from sqlalchemy.sql import Executable, visitors
 from sqlalchemy.sql.selectable import Alias, Join
 
-from fleet_db.models import AlertRow, VehicleRow, WheelsetRow
+from fleet_db.models import AlertRow, VehicleRow, WebhookFleetRow, WheelsetRow
 from fleet_db.rows import table_of
 
 Fleets = frozenset[str]
@@ -23,6 +23,7 @@ Rule = Callable[[Columns, Fleets], ColumnElement[bool]]
 VISIBLE = "treadwatch_visible_fleets"
 """Execution option of a connection: the fleets that its statements see; absent, all."""
 _VEHICLES, _WHEELSETS, _ALERTS = table_of(VehicleRow), table_of(WheelsetRow), table_of(AlertRow)
+_WEBHOOK_FLEETS = table_of(WebhookFleetRow)
 
 
 def _of_fleet(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
@@ -56,6 +57,13 @@ def _of_both(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
 
 def _of_alert(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
     return _in(columns.alert_id, _ALERTS, "alert_id", fleets)
+
+
+def _of_webhook(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
+    """Return whether a webhook is of a key that is bound to some of the fleets and to no other."""
+    named = _WEBHOOK_FLEETS.alias()
+    of_others = select(named.c.webhook_id).where(~_among(named.c.fleet, fleets)).correlate(None)
+    return and_(_in(columns.webhook_id, _WEBHOOK_FLEETS, "webhook_id", fleets), columns.webhook_id.not_in(of_others))
 
 
 def _in(column: ColumnElement[Any], owner: Table, key: str, fleets: Fleets) -> ColumnElement[bool]:
@@ -98,6 +106,9 @@ RULES: Mapping[str, Rule] = {
     "wheelset_bins": _of_wheelset,
     "window_bin_tables": _of_wheelset,
     "window_positions": _of_wheelset,
+    "webhooks": _of_webhook,
+    "webhook_fleets": _of_webhook,
+    "webhook_deliveries": _of_webhook,
     "worklist_entries": _of_fleet,
     "worklist_alerts": _of_wheelset,
 }
@@ -120,7 +131,7 @@ SHARED = frozenset(
     }
 )
 """Tables of no fleet. What a row of them says of a fleet's vehicles is left out by its representation."""
-HIDDEN = frozenset({"api_keys", "audit_entries", "quarantine", "raw_marks"})
+HIDDEN = frozenset({"api_keys", "audit_entries", "quarantine", "raw_marks", "webhook_secrets"})
 """Tables that a bound caller does not see at all."""
 
 

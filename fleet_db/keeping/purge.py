@@ -13,13 +13,23 @@ from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.kept_files import RAW
 from fleet_db.keeping.orphans import LEAST_AGE_S, orphans, unlink_old
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
-from fleet_db.models import AuditRow, GeometryRow, IdempotencyRow, JobRunRow, PurgeRow, TrackReportRow, TrendRow
+from fleet_db.models import (
+    AuditRow,
+    GeometryRow,
+    IdempotencyRow,
+    JobRunRow,
+    PurgeRow,
+    TrackReportRow,
+    TrendRow,
+    WebhookDeliveryRow,
+)
 from fleet_db.raw import RawStore
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.webhook_records import DeliveryState
 
 RUNS, KEYS, PURGES = table_of(JobRunRow), table_of(IdempotencyRow), table_of(PurgeRow)
-ENTRIES = table_of(AuditRow)
+ENTRIES, DELIVERIES = table_of(AuditRow), table_of(WebhookDeliveryRow)
 GEOMETRIES, TRENDS, REPORTS = table_of(GeometryRow), table_of(TrendRow), table_of(TrackReportRow)
 BATCH = 1000
 """Rows a transaction: others wait for a fraction of a second."""
@@ -147,6 +157,9 @@ def _expired(kind: Kept, before_ns: int) -> Sequence[_Expired]:
         return [_Expired(KEYS.c.key, KEYS.c.recorded_ns < before_ns)]
     if kind is Kept.AUDIT:
         return [_Expired(ENTRIES.c.entry_id, ENTRIES.c.at_ns < before_ns)]
+    if kind is Kept.WEBHOOK_DELIVERIES:
+        ended = and_(DELIVERIES.c.state != DeliveryState.WAITING.value, DELIVERIES.c.last_ns < before_ns)
+        return [_Expired(DELIVERIES.c.delivery_id, ended)]
     if kind in {Kept.JOB_RUNS, Kept.FAILED_JOB_RUNS}:
         later = RUNS.alias("later")
         same = (later.c.job == RUNS.c.job, later.c.outcome == RUNS.c.outcome)

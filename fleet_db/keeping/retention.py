@@ -23,6 +23,7 @@ class Kept(StrEnum):
     TRACK_REPORTS = "track_reports"  # that newer ones of the same section and version have replaced
     RECORDINGS = "recordings"  # raw bytes of decoded ones; the receipt stays, the windows stay as they are
     AUDIT = "audit"  # entries of the audit log
+    WEBHOOK_DELIVERIES = "webhook_deliveries"  # what was sent, and does not wait to be sent again
     ORPHANED_FILES = "orphaned_files"  # of replaced windows, and what a killed process left
 
 
@@ -44,6 +45,8 @@ class Retention:
         After they were received; not below ``LEAST_DAYS_OF_RECORDINGS``, for those beside them may still come.
     audit
         Entries of the audit log.
+    webhook_deliveries
+        After they were sent last.
     orphaned_files
         After their last change.
     """
@@ -55,6 +58,7 @@ class Retention:
     track_reports: float | None = 730.0
     recordings: float | None = None
     audit: float | None = 730.0
+    webhook_deliveries: float | None = 30.0
     orphaned_files: float | None = 1.0
 
     def __post_init__(self) -> None:

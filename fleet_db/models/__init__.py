@@ -32,6 +32,7 @@ from fleet_db.models.tracks import (
 from fleet_db.models.trends import TrendRow
 from fleet_db.models.vehicle_classes import VehicleClassRow
 from fleet_db.models.vehicles import VehicleRow
+from fleet_db.models.webhooks import WebhookDeliveryRow, WebhookFleetRow, WebhookRow, WebhookSecretRow
 from fleet_db.models.wheelsets import ReprofilingRow, WheelsetChangeRow, WheelsetRow
 from fleet_db.models.windows import WindowRow
 from fleet_db.models.worklist import WorklistAlertRow, WorklistEntryRow
@@ -71,6 +72,10 @@ __all__ = [
     "TrendRow",
     "VehicleClassRow",
     "VehicleRow",
+    "WebhookDeliveryRow",
+    "WebhookFleetRow",
+    "WebhookRow",
+    "WebhookSecretRow",
     "WheelsetBinRow",
     "WheelsetChangeRow",
     "WheelsetRow",

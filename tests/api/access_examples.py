@@ -16,9 +16,11 @@ from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
+from fleet_db.webhook_records import Webhook, WebhookState
 
 FLEET, VEHICLE, WHEELSET, ALERT = "own", "OWN-V", "OWN-WS", "own alert"
 FOREIGN_ALERT = "foreign alert"
+WEBHOOK, FOREIGN_WEBHOOK = "own webhook", "foreign webhook"
 MARKERS = re.compile(rb"cdcdcdcd|WS-0\d\d|\bV-[0-2]\b|alpha|=beta|Alpha railway|=1\+1")
 """Whatever stands in the database of the foreign fleets and nowhere else."""
 
@@ -37,6 +39,7 @@ PATHS: Mapping[str, Named | str] = {
     "/v1/fleets/{code}": Named("alpha", "gamma", FLEET),
     "/v1/recordings/{digest}": Named("cd" * 32, "ef" * 32, "12" * 32),
     "/v1/vehicles/{code}": Named("V-0", "V-9", VEHICLE),
+    "/v1/webhooks/{webhook_id}": Named(FOREIGN_WEBHOOK, "987654321", WEBHOOK),
     "/v1/wheelsets/{serial}": Named("WS-000", "WS-999", WHEELSET),
     "/v1/jobs/{name}": "estimate_windows",
     "/v1/job-runs/{run_id}": "1",
@@ -122,6 +125,10 @@ BODIES: Mapping[str, Mapping[str, object]] = {
     "change_wheelset": {"fleet": "alpha", "wheel_profile": "P8", "nominal_radius_mm": 437.5},
     "restore_record": {"kind": "wheelset", "key": "WS-001", "reason": "right"},
     "void_record": {"kind": "wheelset", "key": "WS-001", "reason": "wrong"},
+    "create_webhook": {"url": "https://203.0.113.9/hook", "fleets": ["alpha"]},
+    "change_webhook": {"fleets": ["alpha"]},
+    "replay_webhook": {"after": "latest"},
+    "rotate_webhook_secret": {"overlap_s": 60},
     "create_key": {"owner": "stranger", "scopes": ["read"], "fleets": ["alpha"]},
     "dismount_wheelset": {"dismounted_at": "2025-07-20T00:00:00Z"},
     "exchange_wheelset": {
@@ -154,6 +161,8 @@ WITHOUT_NAMES = frozenset(
         "add_sensor_change",
         "add_vehicle_class",
         "dismount_wheelset",
+        "replay_webhook",
+        "rotate_webhook_secret",
         "retry_recording",
         "shelve_alert",
         "unshelve_alert",
@@ -171,7 +180,19 @@ def populate(storage: SqlStorage) -> Mapping[str, str]:
         unit.jobs.finish(run.run_id, JobOutcome.FAILED, {"estimated": 3}, api_fleet.RECORDED + 200, "WS-000 of alpha")
     own = api_fleet.raised(storage, WHEELSET, fleet=FLEET)
     foreign = api_fleet.raised(storage, "WS-000")
-    return {ALERT: str(own.alert_id), FOREIGN_ALERT: str(foreign.alert_id)}
+    numbers = {ALERT: str(own.alert_id), FOREIGN_ALERT: str(foreign.alert_id)}
+    return numbers | {WEBHOOK: _webhook(storage, FLEET), FOREIGN_WEBHOOK: _webhook(storage, "alpha")}
+
+
+def _webhook(storage: SqlStorage, fleet: str) -> str:
+    """Store a paused webhook of a key that is bound to a fleet; return its number."""
+    at_ns = api_fleet.RECORDED
+    bound, paused = frozenset({fleet}), WebhookState.PAUSED
+    with storage.write() as unit:
+        one = Webhook(
+            0, "https://203.0.113.9/", fleet, bound, *(frozenset(),) * 2, bound, paused, None, *(at_ns,) * 2, "", 0
+        )
+        return str(unit.webhooks.add(one, "whsec_c2VjcmV0").webhook_id)
 
 
 def _own(storage: SqlStorage) -> None:

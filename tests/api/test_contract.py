@@ -96,7 +96,7 @@ def test_numbers_say_their_unit_in_their_names() -> None:
     counts |= {"interval", "windows", "faulty_windows", "hunting_windows", "implausible_windows", "rejected_recordings"}
     counts |= {"rejected_reasons", "reasons", "more_than", "member_count", "open_member_count", "numbers"}
     counts |= {"on_evaluations", "off_evaluations", "clear_seen"}
-    counts |= {"bogie", "urgency_rank", "visit", "size_bytes"}
+    counts |= {"bogie", "urgency_rank", "visit", "size_bytes", "status_code"}
     counts |= {"compared", "covered", "considered", "on_file", "measurements"}  # of measurements
     counts |= {"attempts", "past_findings", "recent_findings", "other_vehicles", "windows_left_out"}
     counts |= {"same_since_version", "points", "rounds", "refused_windows", "refused_windows_by_code", "wheelsets"}

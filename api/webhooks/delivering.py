@@ -1,0 +1,205 @@
+"""Hands the events of the feed to the webhooks: of each in order, all at once, from where each stands.
+
+A position is moved only when a receiver's 2xx is stored with it, so that nothing is lost when the process dies; what
+was sent and not stored is sent again, under the same id.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from api.webhooks.attempts import after_attempt, begun
+from api.webhooks.cloud_events import cloud_event, event_id
+from api.webhooks.schedule import Schedule
+from api.webhooks.sending import Outcome, Sender
+from api.webhooks.signing import signed_headers
+from estimation.errors import NotFoundError, TreadwatchError
+from estimation.storage import Clock
+from estimation.values.alerts import AlertEvent
+from fleet_db.storage import SqlStorage
+from fleet_db.stores.feed_branches import FeedBranch
+from fleet_db.webhook_records import Delivery, DeliveryState, DisabledReason, Failure, Webhook, WebhookState
+
+AT_ONCE = 32
+"""Receivers that are sent to at the same time."""
+PASSED_AT_ONCE = 500
+"""Events of others over which a position is moved together."""
+AFTER_STORAGE_S, AFTER_FAULT_S = 2.0, 60.0
+"""How long a webhook waits where the database fails, and where we do."""
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class _Next:
+    """What is sent next to a webhook."""
+
+    webhook: Webhook
+    delivery: Delivery
+    event: AlertEvent
+    branches: Sequence[FeedBranch]
+    secrets: Sequence[str]
+
+
+@dataclass(slots=True)
+class Deliveries:
+    """Sends what is due; one in all processes, see :func:`fleet_db.sole_sender.sending_alone`.
+
+    Parameters
+    ----------
+    storage
+        Of all fleets.
+    sender
+        Hands a body to a receiver.
+    clock
+        Ours.
+    schedule
+        Of attempts.
+    chance
+        Returns a fair draw from 0 to 1, for the jitter.
+    """
+
+    storage: SqlStorage
+    sender: Sender
+    clock: Clock
+    schedule: Schedule = field(default_factory=Schedule)
+    chance: Callable[[], float] = random.random
+    _places: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(AT_ONCE))
+    _under_way: dict[int, asyncio.Task[None]] = field(default_factory=dict)
+    _looked: dict[int, tuple[int, int, int]] = field(default_factory=dict)
+    _ending: bool = False
+
+    async def look(self) -> None:
+        """Begin to send to every webhook for which something may be due, and to which nothing is being sent.
+
+        Raises
+        ------
+        StorageError
+            The database cannot be read.
+        """
+        for webhook_id in await asyncio.to_thread(self._due):
+            if webhook_id not in self._under_way and not self._ending:
+                self._under_way[webhook_id] = asyncio.create_task(self._deliver(webhook_id))
+
+    async def finished(self) -> None:
+        """Wait until nothing is being sent."""
+        while self._under_way:
+            await asyncio.gather(*self._under_way.values())
+
+    async def end(self, patience_s: float) -> None:
+        """Begin nothing more, wait for what is being sent, and give up what takes longer.
+
+        Parameters
+        ----------
+        patience_s
+            How long, s.
+        """
+        self._ending = True
+        if self._under_way:
+            _, late = await asyncio.wait(self._under_way.values(), timeout=patience_s)
+            for task in late:
+                task.cancel()
+            await asyncio.gather(*late, return_exceptions=True)
+
+    def _due(self) -> list[int]:
+        """Return the numbers of the webhooks for which there may be something to send now."""
+        now_ns = self.clock.now_ns()
+        with self.storage.read() as unit:
+            active, waiting = unit.webhooks.active(), unit.webhooks.waiting()
+            newest = unit.feed_branches.newest_sequence()
+        return [
+            one.webhook_id
+            for one in active
+            if one.position < newest
+            and _is_due(waiting.get(one.webhook_id), now_ns)
+            and self._looked.get(one.webhook_id) != (one.revision, one.position, newest)
+        ]
+
+    async def _deliver(self, webhook_id: int) -> None:
+        """Send to one webhook until nothing is due."""
+        try:
+            while not self._ending:
+                found = await asyncio.to_thread(self._next, webhook_id)
+                if found is None:
+                    return
+                async with self._places:
+                    outcome = await self._send(found)
+                if not await asyncio.to_thread(self._store, found, outcome):
+                    return
+        except NotFoundError:
+            return  # deleted meanwhile
+        except TreadwatchError as error:
+            _log.warning("webhook %d waits for the database: %s", webhook_id, error)
+            await asyncio.sleep(AFTER_STORAGE_S)
+        except Exception:  # noqa: BLE001 - one webhook must not end the others
+            _log.exception("webhook %d: what is next, or what came back, cannot be handled", webhook_id)
+            await asyncio.sleep(AFTER_FAULT_S)
+        finally:
+            del self._under_way[webhook_id]
+
+    def _next(self, webhook_id: int) -> _Next | None:
+        """Return what is to be sent now to a webhook; None where that is nothing."""
+        now_ns = self.clock.now_ns()
+        with self.storage.read() as unit:
+            webhook = unit.webhooks.get(webhook_id)
+            waiting = unit.webhooks.waiting().get(webhook_id)
+            secrets = unit.webhooks.secrets(webhook_id, now_ns)
+        if webhook.state is not WebhookState.ACTIVE or not _is_due(waiting, now_ns):
+            return None
+        with self.storage.seen_by(webhook.bound).read() as unit:
+            newest, branches = unit.feed_branches.newest_sequence(), unit.feed_branches.all()
+            events = unit.alerts.feed(
+                webhook.position, 1, fleets=webhook.fleets, kinds=webhook.kinds, severities=webhook.severities
+            )
+        if not events:
+            self._looked_through(webhook, newest)
+            return None
+        if waiting is None or waiting.sequence != events[0].sequence:
+            waiting = begun(webhook, events[0], event_id(webhook.bound, branches, events[0]), now_ns)
+        return _Next(webhook, waiting, events[0], branches, secrets)
+
+    def _looked_through(self, webhook: Webhook, newest: int) -> None:
+        """Remember that up to here there is nothing for a webhook; in the database where that is far."""
+        self._looked[webhook.webhook_id] = (webhook.revision, webhook.position, newest)
+        if newest - webhook.position >= PASSED_AT_ONCE:
+            with self.storage.write() as unit:
+                unit.webhooks.passed(webhook, newest)
+
+    async def _send(self, found: _Next) -> Outcome:
+        """Return what came back; what fails here is a failure of the attempt, and is tried again as any other."""
+        try:
+            identity = found.delivery.event_id
+            body = cloud_event(found.branches, identity, found.event)
+            headers = signed_headers(found.secrets, identity, self.clock.now_ns(), body)
+            return await self.sender.send(found.webhook.url, headers, body)
+        except Exception:  # noqa: BLE001 - whatever it is, the attempt has failed, and is tried again
+            _log.exception("webhook %d: an event could not be sent", found.webhook.webhook_id)
+            return Outcome(None, Failure.NOT_SENT, "the service could not send it; the log says why", None, 0.0)
+
+    def _store(self, found: _Next, outcome: Outcome) -> bool:
+        """Store what came back; return whether more may be sent at once."""
+        webhook, now_ns = found.webhook, self.clock.now_ns()
+        verdict = after_attempt(found.delivery, outcome, self.schedule, now_ns, self.chance())
+        with self.storage.write() as unit:
+            counted = unit.webhooks.attempted(webhook, verdict.delivery, verdict.disabled)
+        if counted:
+            _report(webhook, verdict.delivery, verdict.disabled)
+        return not counted or verdict.delivery.state is DeliveryState.DELIVERED
+
+
+def _is_due(waiting: Delivery | None, now_ns: int) -> bool:
+    """Return whether a delivery may be tried now; also where our clock has gone back behind the last attempt."""
+    return waiting is None or waiting.next_ns is None or waiting.next_ns <= now_ns or now_ns < waiting.last_ns
+
+
+def _report(webhook: Webhook, delivery: Delivery, disabled: DisabledReason | None) -> None:
+    """Log what an operator should see; never the URL, which may carry a secret of the receiver."""
+    if disabled is not None:
+        text = "webhook %d is disabled (%s) after %d attempts of event %d: %s"
+        values = (webhook.webhook_id, disabled.value, delivery.attempts, delivery.sequence, delivery.detail)
+        _log.error(text, *values)
+    elif delivery.failure is not None and delivery.attempts == 1:
+        _log.warning("webhook %d: event %d was not taken: %s", webhook.webhook_id, delivery.sequence, delivery.detail)

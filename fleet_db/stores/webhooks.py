@@ -1,0 +1,254 @@
+"""Webhooks, what signs them, and what was sent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from sqlalchemy import Connection, Row, Select, delete, func, insert, select, update
+
+from estimation.errors import NotFoundError
+from fleet_db.models import AlertEventRow, WebhookDeliveryRow, WebhookFleetRow, WebhookRow, WebhookSecretRow
+from fleet_db.rows import table_of
+from fleet_db.webhook_records import (
+    Delivery,
+    DeliveryState,
+    DisabledReason,
+    Failure,
+    Webhook,
+    WebhookCount,
+    WebhookState,
+)
+
+WEBHOOKS, FLEETS = table_of(WebhookRow), table_of(WebhookFleetRow)
+SECRETS, DELIVERIES = table_of(WebhookSecretRow), table_of(WebhookDeliveryRow)
+EVENTS = table_of(AlertEventRow)
+
+
+@dataclass(frozen=True, slots=True)
+class WebhookStore:
+    """The webhooks, in one transaction."""
+
+    connection: Connection
+
+    def get(self, webhook_id: int) -> Webhook:
+        """Return one webhook.
+
+        Raises
+        ------
+        NotFoundError
+            There is none of that number.
+        """
+        return self._one(webhook_id, select(WEBHOOKS))
+
+    def locked(self, webhook_id: int) -> Webhook:
+        """Return one webhook, which nobody else changes until the end of the transaction.
+
+        Raises
+        ------
+        NotFoundError
+            There is none of that number.
+        """
+        return self._one(webhook_id, select(WEBHOOKS).with_for_update())
+
+    def page(self, after_id: int | None, limit: int | None) -> Sequence[Webhook]:
+        """Return at most ``limit`` webhooks with a number above ``after_id``, by number; None for all."""
+        statement = select(WEBHOOKS).limit(limit)
+        if after_id is not None:
+            statement = statement.where(WEBHOOKS.c.webhook_id > after_id)
+        return self._webhooks(statement)
+
+    def active(self) -> Sequence[Webhook]:
+        """Return the webhooks that are delivered to, by number."""
+        return self._webhooks(select(WEBHOOKS).where(WEBHOOKS.c.state == WebhookState.ACTIVE.value))
+
+    def counts(self) -> Sequence[WebhookCount]:
+        """Return every webhook with how often it was sent to, by number."""
+        numbers = select(WEBHOOKS.c.webhook_id, WEBHOOKS.c.delivered, WEBHOOKS.c.failed)
+        counted = {row.webhook_id: row for row in self.connection.execute(numbers)}
+        return [
+            WebhookCount(one, counted[one.webhook_id].delivered, counted[one.webhook_id].failed)
+            for one in self.page(None, None)
+        ]
+
+    def add(self, webhook: Webhook, secret: str) -> Webhook:
+        """Add a webhook with its secret and return it with its number."""
+        values = _fields(webhook) | {"delivered": 0, "failed": 0}
+        statement = insert(WEBHOOKS).values(values).returning(WEBHOOKS.c.webhook_id)
+        stored = replace(webhook, webhook_id=int(self.connection.execute(statement).scalar_one()))
+        for fleet in sorted(webhook.bound or ()):
+            self.connection.execute(insert(FLEETS).values(webhook_id=stored.webhook_id, fleet=fleet))
+        self._add_secret(stored.webhook_id, secret, webhook.created_ns)
+        return stored
+
+    def change(self, webhook: Webhook) -> Webhook:
+        """Store what has changed of a webhook, as its next revision; what waits for a time is withdrawn.
+
+        Parameters
+        ----------
+        webhook
+            From :meth:`locked`, with what is to be otherwise.
+        """
+        changed = replace(webhook, revision=webhook.revision + 1)
+        mine = WEBHOOKS.c.webhook_id == webhook.webhook_id
+        self.connection.execute(update(WEBHOOKS).where(mine).values(_fields(changed)))
+        self.connection.execute(
+            update(DELIVERIES)
+            .where(DELIVERIES.c.webhook_id == webhook.webhook_id, DELIVERIES.c.state == DeliveryState.WAITING.value)
+            .values(state=DeliveryState.WITHDRAWN.value, next_ns=None)
+        )
+        return changed
+
+    def delete(self, webhook_id: int) -> None:
+        """Delete a webhook with its secrets and the records of its deliveries.
+
+        Raises
+        ------
+        NotFoundError
+            There is none of that number.
+        """
+        self.get(webhook_id)
+        for table in (DELIVERIES, SECRETS, FLEETS, WEBHOOKS):
+            self.connection.execute(delete(table).where(table.c.webhook_id == webhook_id))
+
+    def secrets(self, webhook_id: int, now_ns: int) -> Sequence[str]:
+        """Return what signs for a webhook now, the newest first; for the sender alone."""
+        valid = SECRETS.c.until_ns.is_(None) | (SECRETS.c.until_ns > now_ns)
+        statement = select(SECRETS.c.secret).where(SECRETS.c.webhook_id == webhook_id, valid)
+        return list(self.connection.scalars(statement.order_by(SECRETS.c.secret_id.desc())))
+
+    def rotate(self, webhook_id: int, secret: str, now_ns: int, until_ns: int) -> None:
+        """Let another secret sign, and those before it beside it until a time at most; delete those that have ended.
+
+        Parameters
+        ----------
+        webhook_id
+            Of the webhook.
+        secret
+            The new one.
+        now_ns, until_ns
+            Our time, and until when those before it still sign, ns UTC.
+        """
+        mine = SECRETS.c.webhook_id == webhook_id
+        later = SECRETS.c.until_ns.is_(None) | (SECRETS.c.until_ns > until_ns)
+        self.connection.execute(update(SECRETS).where(mine, later).values(until_ns=until_ns))
+        self.connection.execute(delete(SECRETS).where(mine, SECRETS.c.until_ns <= now_ns))
+        self._add_secret(webhook_id, secret, now_ns)
+
+    def waiting(self) -> Mapping[int, Delivery]:
+        """Return the deliveries that are tried again at a time, by the number of their webhook: one of each at most."""
+        waits = select(DELIVERIES).where(DELIVERIES.c.state == DeliveryState.WAITING.value)
+        return {row.webhook_id: _delivery(row) for row in self.connection.execute(waits)}
+
+    def deliveries(
+        self, webhook_id: int, before_id: int | None, limit: int, state: DeliveryState | None = None
+    ) -> Sequence[Delivery]:
+        """Return at most ``limit`` deliveries of a webhook with a number below ``before_id``, newest first."""
+        statement = select(DELIVERIES).where(DELIVERIES.c.webhook_id == webhook_id)
+        if before_id is not None:
+            statement = statement.where(DELIVERIES.c.delivery_id < before_id)
+        if state is not None:
+            statement = statement.where(DELIVERIES.c.state == state.value)
+        found = self.connection.execute(statement.order_by(DELIVERIES.c.delivery_id.desc()).limit(limit))
+        return [_delivery(row) for row in found]
+
+    def attempted(self, webhook: Webhook, delivery: Delivery, disabled: DisabledReason | None) -> bool:
+        """Store the outcome of an attempt; return whether it counted.
+
+        What was delivered moves the position, unless that has been moved meanwhile. What failed counts unless the
+        webhook has been changed meanwhile.
+
+        Parameters
+        ----------
+        webhook
+            As it was read for the attempt.
+        delivery
+            As it is after it.
+        disabled
+            Why the webhook is disabled with it; None where it is not.
+        """
+        same = (WEBHOOKS.c.webhook_id == webhook.webhook_id, WEBHOOKS.c.position == webhook.position)
+        statement = update(WEBHOOKS).where(*same)
+        if delivery.state is DeliveryState.DELIVERED:
+            values: dict[str, Any] = {"position": delivery.sequence, "delivered": WEBHOOKS.c.delivered + 1}
+        else:
+            statement = statement.where(WEBHOOKS.c.revision == webhook.revision)
+            values = {"failed": WEBHOOKS.c.failed + 1}
+        if disabled is not None:
+            values |= {"state": WebhookState.DISABLED.value, "disabled_reason": disabled.value}
+            values |= {"since_ns": delivery.last_ns, "revision": webhook.revision + 1}
+        if self.connection.execute(statement.values(values)).rowcount == 0:
+            return False
+        failure = None if delivery.failure is None else delivery.failure.value
+        fields = asdict(delivery) | {"state": delivery.state.value, "failure": failure}
+        number = fields.pop("delivery_id")
+        if number:
+            self.connection.execute(update(DELIVERIES).where(DELIVERIES.c.delivery_id == number).values(fields))
+        else:
+            self.connection.execute(insert(DELIVERIES).values(fields))
+        return True
+
+    def passed(self, webhook: Webhook, sequence: int) -> None:
+        """Move the position of a webhook over events that are none of its own, unless it has been changed meanwhile.
+
+        Parameters
+        ----------
+        webhook
+            As it was read when the feed was looked through.
+        sequence
+            Number of the last event.
+        """
+        same = (WEBHOOKS.c.webhook_id == webhook.webhook_id, WEBHOOKS.c.position == webhook.position)
+        unchanged = WEBHOOKS.c.revision == webhook.revision
+        self.connection.execute(update(WEBHOOKS).where(*same, unchanged).values(position=sequence))
+
+    def last_before(self, from_ns: int) -> int:
+        """Return the number of the last event before the first one that was recorded at or after a time."""
+        first = select(func.min(EVENTS.c.sequence)).where(EVENTS.c.recorded_ns >= from_ns)
+        found = self.connection.scalar(first)
+        if found is None:
+            return self.connection.scalar(select(func.max(EVENTS.c.sequence))) or 0
+        return int(found) - 1
+
+    def _add_secret(self, webhook_id: int, secret: str, now_ns: int) -> None:
+        values = {"webhook_id": webhook_id, "secret": secret, "created_ns": now_ns, "until_ns": None}
+        self.connection.execute(insert(SECRETS).values(values))
+
+    def _one(self, webhook_id: int, statement: Select[Any]) -> Webhook:
+        found = self._webhooks(statement.where(WEBHOOKS.c.webhook_id == webhook_id))
+        if not found:
+            raise NotFoundError("webhook", str(webhook_id))
+        return found[0]
+
+    def _webhooks(self, statement: Select[Any]) -> Sequence[Webhook]:
+        rows = self.connection.execute(statement.order_by(WEBHOOKS.c.webhook_id)).all()
+        bound: dict[int, set[str]] = {}
+        numbers = [row.webhook_id for row in rows]
+        for row in self.connection.execute(select(FLEETS).where(FLEETS.c.webhook_id.in_(numbers))):
+            bound.setdefault(row.webhook_id, set()).add(row.fleet)
+        return [_webhook(row, bound.get(row.webhook_id)) for row in rows]
+
+
+def _fields(webhook: Webhook) -> dict[str, Any]:
+    """Return the columns of a webhook, but for its number and what is counted."""
+    fields = asdict(webhook)
+    del fields["webhook_id"], fields["bound"]
+    listed = {name: sorted(fields[name]) for name in ("fleets", "kinds", "severities")}
+    reason = None if webhook.disabled_reason is None else webhook.disabled_reason.value
+    return fields | listed | {"state": webhook.state.value, "disabled_reason": reason}
+
+
+def _webhook(row: Row[Any], bound: set[str] | None) -> Webhook:
+    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
+    del fields["delivered"], fields["failed"]
+    listed = {name: frozenset(fields[name]) for name in ("fleets", "kinds", "severities")}
+    reason = None if row.disabled_reason is None else DisabledReason(row.disabled_reason)
+    known = {"state": WebhookState(row.state), "disabled_reason": reason}
+    return Webhook(**fields | listed | known, bound=None if bound is None else frozenset(bound))
+
+
+def _delivery(row: Row[Any]) -> Delivery:
+    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
+    failure = None if row.failure is None else Failure(row.failure)
+    return Delivery(**fields | {"state": DeliveryState(row.state), "failure": failure})
