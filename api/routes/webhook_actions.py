@@ -18,8 +18,8 @@ from api.feed.places import TRY_AGAIN
 from api.middleware import turn_of
 from api.problems import ProblemError, ProblemItem, described
 from api.routes.webhooks import WebhookId
-from api.schemas import webhooks
 from api.services import Services, ServicesDep, writer_slot
+from api.webhooks import representations as webhooks
 from api.webhooks.cloud_events import trial_event
 from api.webhooks.sending import TRIALS, Sender
 from api.webhooks.signing import new_secret, signed_headers

@@ -25,9 +25,9 @@ from api.answers import (
 )
 from api.known import require_known
 from api.problems import ProblemError, ProblemItem, described
-from api.schemas import webhooks
 from api.schemas.common import Page
 from api.services import Services, ServicesDep
+from api.webhooks import representations as webhooks
 from api.webhooks.sending import Sender
 from api.webhooks.signing import new_secret
 from api.webhooks.targets import RefusedTargetError

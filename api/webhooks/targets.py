@@ -82,7 +82,7 @@ def parsed(text: str) -> httpx.URL:
         raise _refused(f"is no URL of at most {MOST_CHARACTERS} characters without spaces")
     if url.scheme not in _PORTS:
         raise _refused("begins neither with https:// nor with http://")
-    if url.userinfo or "@" in url.netloc.decode("ascii", "replace"):
+    if url.userinfo or "@" in re.split(r"[/?#]", text.partition("//")[2], maxsplit=1)[0]:
         raise _refused("carries a user or a password")
     if url.fragment:
         raise _refused("has a fragment, which is never sent")
