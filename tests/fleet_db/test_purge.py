@@ -21,6 +21,7 @@ from fleet_db.models import PurgeRow
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
+from fleet_db.webhook_records import Delivery, DeliveryState, Failure, Webhook, WebhookState
 
 NOW = 2_000 * DAY_NS
 NOTHING = dict.fromkeys((kind.value for kind in Kept), None)
@@ -45,6 +46,24 @@ def test_runs_go_but_the_newest_of_each_outcome(fleet: SqlStorage) -> None:
     with fleet.read() as unit:
         left = [unit.jobs.get(number).outcome for number in (4, 5, 6)]
     assert left == [JobOutcome.FAILED, JobOutcome.SUCCEEDED, JobOutcome.RUNNING]
+
+
+def test_what_was_sent_goes_but_not_what_waits_to_be_sent_again(fleet: SqlStorage) -> None:
+    none: frozenset[str] = frozenset()
+    webhook = Webhook(0, "https://r.example/", "", none, none, none, None, WebhookState.ACTIVE, None, 1, 1, "a test", 0)
+    one = Delivery(0, 1, 1, "id", "raised", 1, 1, DeliveryState.DELIVERED, 1, DAY_NS, DAY_NS, None, 204, None, None)
+    waits = replace(one, sequence=2, state=DeliveryState.WAITING, next_ns=NOW, status_code=500, failure=Failure.STATUS)
+    with fleet.write() as unit:
+        webhook = unit.webhooks.add(webhook, "whsec_c2VjcmV0")
+        for delivery in (replace(one, webhook_id=webhook.webhook_id), replace(waits, webhook_id=webhook.webhook_id)):
+            assert unit.webhooks.attempted(unit.webhooks.get(webhook.webhook_id), delivery, None)
+    assert purged(fleet, webhook_deliveries=1999.5) == {"webhook_deliveries": 0}
+    assert purged(fleet, webhook_deliveries=30.0) == {"webhook_deliveries": 1}
+    with fleet.read() as unit:
+        assert unit.webhooks.get(webhook.webhook_id).position == 1
+        assert [found.state for found in unit.webhooks.deliveries(webhook.webhook_id, None, 9)] == [
+            DeliveryState.WAITING
+        ]
 
 
 def test_estimates_that_were_replaced_go_and_as_of_stays_true(fleet: SqlStorage) -> None:
@@ -196,7 +215,7 @@ def test_days_above_zero(days: float) -> None:
 
 def test_what_is_kept_by_default() -> None:
     """These decide what can still be looked at: a change of one is a decision."""
-    assert Retention() == Retention(14.0, 180.0, 7.0, 730.0, 730.0, None, 730.0, 1.0)
+    assert Retention() == Retention(14.0, 180.0, 7.0, 730.0, 730.0, None, 730.0, 30.0, 1.0)
     assert replace(Retention(), job_runs=None).before_ns(Kept.JOB_RUNS, NOW) is None
 
 
