@@ -6,7 +6,7 @@ ARGS ?=
 # what one process has compiled serves the others: the tests start many
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test check lint bench bench-estimation bench-world bench-vehicles bench-api mutants chaos house clean
+.PHONY: demo test check lint bench bench-estimation bench-world bench-vehicles bench-api bench-page mutants chaos house clean
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	@echo "building the virtual environment in $(VENV) (about a minute)"
@@ -44,6 +44,9 @@ bench-vehicles: $(VENV)/.dev
 
 bench-api: $(VENV)/.dev
 	$(BIN)/python -m bench api $(ARGS)
+
+bench-page: $(VENV)/.dev
+	$(BIN)/python -m bench page $(ARGS)
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m bench $(ARGS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -16,7 +17,7 @@ from starlette.exceptions import HTTPException
 
 from api.answers import entity_tag
 
-INDEX = "index.html"
+INDEX, ENTRY = "index.html", "main.js"
 MEDIA_TYPES: Mapping[str, str] = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -36,6 +37,7 @@ SECURITY: Mapping[str, str] = {
     "Cross-Origin-Opener-Policy": "same-origin",
 }
 FOR_A_YEAR = "public, max-age=31536000, immutable"
+_IMPORT = re.compile(r'^import .*from "\./([\w.]+)";$', re.MULTILINE)
 router = APIRouter(include_in_schema=False)
 
 
@@ -72,8 +74,7 @@ def page() -> Page:
     index = found.pop(INDEX).replace(b'"/assets/', f'"/assets/{digest}/'.encode())
     preloads = "".join(
         f'<link rel="modulepreload" href="/assets/{digest}/{name}">\n'
-        for name in found
-        if name.endswith(".js") and f'assets/{digest}/{name}"'.encode() not in index
+        for name in sorted(_imported(found, ENTRY) - {ENTRY})
     )
     index = index.replace(b"<!-- modules -->\n", preloads.encode())
     return Page(digest, _asset(INDEX, index), {name: _asset(name, content) for name, content in found.items()})
@@ -103,6 +104,18 @@ def _answer(request: Request, asset: Asset, kept: str) -> Response:
         headers |= {"Content-Encoding": "gzip", "ETag": f"W/{tag}"}
         return Response(asset.compressed, headers=headers, media_type=asset.media_type)
     return Response(asset.plain, headers=headers, media_type=asset.media_type)
+
+
+def _imported(found: Mapping[str, bytes], name: str) -> frozenset[str]:
+    """Return a module and all that it imports to begin with, directly or not; without what is imported later."""
+    modules: set[str] = set()
+    waiting = [name]
+    while waiting:
+        module = waiting.pop()
+        if module not in modules:
+            modules.add(module)
+            waiting += _IMPORT.findall(found[module].decode())
+    return frozenset(modules)
 
 
 def _asset(name: str, content: bytes) -> Asset:

@@ -2,7 +2,18 @@
 import { el, replace } from "./dom.js";
 import { date, number } from "./format.js";
 
-const { uPlot } = window;
+const { uPlot } = await library();
+
+/** The library is a script, not a module: it is read with the first view that draws. */
+function library() {
+  return new Promise((resolve, reject) => {
+    const script = document.createElement("script");
+    script.src = new URL("./uPlot.iife.min.js", import.meta.url);
+    script.addEventListener("load", () => resolve(window));
+    script.addEventListener("error", () => reject(new Error(`${script.src} cannot be read`)));
+    document.head.append(script);
+  });
+}
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
 /**

@@ -1,25 +1,45 @@
 // The page begins here: views under their addresses, search, theme, keyboard, sign-in.
 import { get, segment, session } from "./client.js";
-import { alerts, alertView } from "./alerts.js";
 import { announce } from "./dom.js";
 import { showKeys, startKeys } from "./keys.js";
 import { keyFromAddress, startLogin } from "./login.js";
-import { jobView, operation } from "./operation.js";
 import { overview } from "./overview.js";
 import { route, show, start } from "./router.js";
-import { sheet } from "./sheet.js";
-import { track, tracks } from "./tracks.js";
-import { wheelset } from "./wheelset.js";
+// the fleet comes first; the other views are read when they are shown, or once the first has been
+const alerts = () => import("./alerts.js");
+const operation = () => import("./operation.js");
+const sheet = () => import("./sheet.js");
+const tracks = () => import("./tracks.js");
+const wheelset = () => import("./wheelset.js");
 
 route("/", "overview", overview);
-route("/alerts", "alerts", alerts);
-route("/alerts/:id", "alerts", alertView);
-route("/tracks", "tracks", tracks);
-route("/tracks/:code", "tracks", track);
-route("/wheelsets/:serial", "overview", wheelset);
-route("/wheelsets/:serial/sheet", "overview", sheet);
-route("/operation", "operation", operation);
-route("/operation/jobs/:name", "operation", jobView);
+route("/alerts", "alerts", later(alerts, "alerts"));
+route("/alerts/:id", "alerts", later(alerts, "alertView"));
+route("/tracks", "tracks", later(tracks, "tracks"));
+route("/tracks/:code", "tracks", later(tracks, "track"));
+route("/wheelsets/:serial", "overview", later(wheelset, "wheelset"));
+route("/wheelsets/:serial/sheet", "overview", later(sheet, "sheet"));
+route("/operation", "operation", later(operation, "operation"));
+route("/operation/jobs/:name", "operation", later(operation, "jobView"));
+
+function later(read, name) {
+  return async (context) => {
+    let views;
+    try {
+      views = await read();
+    } catch (error) {
+      const cause = new Error("The files of this view cannot be read; reload the page.", { cause: error });
+      cause.status = 0; // the server is away, or serves another release
+      throw cause;
+    }
+    return views[name](context);
+  };
+}
+
+/** Read the other views while nothing else happens, so that they are there when they are wanted. */
+function readOthers() {
+  for (const read of [wheelset, alerts, sheet, tracks, operation]) read().catch(() => {});
+}
 
 function startTheme() {
   const button = document.getElementById("theme");
@@ -79,4 +99,4 @@ startKeys();
 startNotice();
 startLogin(show);
 document.getElementById("keys-help").addEventListener("click", showKeys);
-start();
+start().then(() => (window.requestIdleCallback ?? setTimeout)(readOthers));

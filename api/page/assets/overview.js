@@ -1,6 +1,6 @@
 // The fleet, ranked by urgency with reasons; filtered and sorted by the API, read page by page as it is scrolled.
 import { get, getAll, withQuery } from "./client.js";
-import { announce, el } from "./dom.js";
+import { announce, el, replace } from "./dom.js";
 import { address, columns, nameOf, URGENCIES } from "./fleet_columns.js";
 import { filters } from "./filters.js";
 import { KINDS } from "./alert_words.js";
@@ -19,9 +19,6 @@ export async function overview({ query, signal, title }) {
   title("Fleet");
   let { sort = "urgency", ...wanted } = query;
   let rows = [], next = null, most = 0.6;
-  const [fleets, classes] = await Promise.all([
-    getAll("/v1/fleets?limit=1000", signal), getAll("/v1/vehicle-classes?limit=1000", signal),
-  ]);
   const path = (limit) => withQuery("/v1/wheelsets", { ...pick(wanted), sort, limit });
   const count = el("span", { class: "quiet" });
   const list = table({
@@ -80,25 +77,35 @@ export async function overview({ query, signal, title }) {
     again();
   }
 
-  const fields = [
-    { name: "fleet", label: "Fleet", options: fleets.map((fleet) => [fleet.code, fleet.code]) },
-    { name: "vehicle", label: "Vehicle" },
-    { name: "vehicle_class", label: "Class", options: classes.map((one) => [one.code, one.code]) },
-    { name: "urgency", label: "Urgency", options: URGENCIES.map((code) => [code, nameOf(code)]) },
-    { name: "status", label: "Status", options: STATUSES },
-    { name: "alert_kind", label: "Alert", options: KINDS },
-  ];
   const chosen = (values) => {
     wanted = values;
     again();
   };
   const save = saveButton(el, () => path(1000), "wheelsets.csv");
+  const bar = el("div", { class: "filters-place" });
   const shown = live({ load, show, signal, everyS: 60, what: "Loading the fleet" });
+  fieldsOf(signal)
+    .then((fields) => replace(bar, filters(fields, wanted, chosen, save)))
+    .catch((error) => signal.aborted || announce(error.message));
   return el(
     "div", {},
     el("div", { class: "view-head" }, el("h1", {}, "Fleet, the most urgent first"), count),
-    filters(fields, wanted, chosen, save), shown,
+    bar, shown,
   );
+}
+
+/** The choices of the filters: those that are on file are read beside the rows, which do not wait for them. */
+async function fieldsOf(signal) {
+  const codes = async (path) => (await getAll(path, signal)).map((one) => [one.code, one.code]);
+  const [fleets, classes] = await Promise.all([codes("/v1/fleets?limit=1000"), codes("/v1/vehicle-classes?limit=1000")]);
+  return [
+    { name: "fleet", label: "Fleet", options: fleets },
+    { name: "vehicle", label: "Vehicle" },
+    { name: "vehicle_class", label: "Class", options: classes },
+    { name: "urgency", label: "Urgency", options: URGENCIES.map((code) => [code, nameOf(code)]) },
+    { name: "status", label: "Status", options: STATUSES },
+    { name: "alert_kind", label: "Alert", options: KINDS },
+  ];
 }
 
 const pick = (values) => Object.fromEntries(FILTERS.filter((name) => values[name]).map((name) => [name, values[name]]));

@@ -39,12 +39,27 @@ export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, s
     }
     if (from === first && to === last) return;
     const held = body.contains(document.activeElement);
+    drawRows(from, to);
     first = from;
     last = to;
-    replace(body, rows.slice(from, to).map((row, place) => drawRow(row, from + place)));
     spacer(above, from);
     spacer(below, Math.max(0, (forPrint ? to : rows.length) - to));
     if (held) body.querySelector('tr[tabindex="0"]')?.focus({ preventScroll: true });
+  }
+
+  /** Draw what has come into sight, and remove what has left it; all, where nothing of it is there yet. */
+  function drawRows(from, to) {
+    const drawn = (begin, end) => rows.slice(begin, end).map((row, place) => drawRow(row, begin + place));
+    const begin = Math.max(from, first), end = Math.min(to, last);
+    if (first === -1 || begin >= end) {
+      replace(body, drawn(from, to));
+      return;
+    }
+    for (const row of [...body.children]) {
+      if (row.dataset.index < begin || row.dataset.index >= end) row.remove();
+    }
+    body.prepend(...drawn(from, begin));
+    body.append(...drawn(end, to));
   }
 
   const spacer = (part, count) =>
