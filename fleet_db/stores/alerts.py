@@ -113,7 +113,7 @@ class AlertStore:
         An alert of a fleet has none, nor has one of a time of which no mounting is on file.
         """
         rows = self.connection.execute(_places(), {"alert_ids": list(alert_ids)})
-        return {alert_id: (vehicle, axle) for alert_id, vehicle, axle in rows.all()}
+        return {row.alert_id: (row.vehicle, row.axle) for row in rows.all()}
 
     def feed(
         self,
