@@ -21,6 +21,8 @@ from fleet_db.webhook_records import Failure
 
 MOST_ANSWER_BYTES = 65_536
 """What is read of an answer, which is then let go; a receiver that says more is cut off."""
+ADDRESSES = 4
+"""Addresses of a name that are tried, one after the other."""
 TRIALS = 4
 """Webhooks that are tried out at once in a process."""
 LOOK_UP_S = 5.0
@@ -99,6 +101,8 @@ class Sender:
             failure, detail = Failure.REFUSED_ADDRESS, f"the URL {error.reason}"
         except httpx.ConnectError as error:
             failure, detail = _not_connected(error)
+        except httpx.TimeoutException:
+            failure, detail = Failure.TIMEOUT, f"no answer within {self.timeout_s:g} s"
         except httpx.HTTPError:
             failure, detail = Failure.NO_HTTP, "the connection ended without an answer in HTTP"
         return Outcome(status, failure, detail, retry_after, time.monotonic() - began_s)
@@ -128,21 +132,23 @@ class Sender:
 
     async def _post(self, target: Target, headers: Mapping[str, str], body: bytes) -> tuple[int, str | None]:
         """Return status and ``Retry-After`` of the answer at the first address that accepts a connection."""
-        *others, last = target.addresses
+        *others, last = target.addresses[:ADDRESSES]
+        # one that swallows what it is sent leaves the next ones their time
+        limits = httpx.Timeout(self.timeout_s, connect=self.timeout_s / (len(others) + 1))
         for address in others:
-            with suppress(httpx.ConnectError):
-                return await self._post_to(address, target.url, headers, body)
-        return await self._post_to(last, target.url, headers, body)
+            with suppress(httpx.ConnectError, httpx.ConnectTimeout):
+                return await self._post_to(address, target.url, headers, body, limits)
+        return await self._post_to(last, target.url, headers, body, limits)
 
     async def _post_to(
-        self, address: Address, url: httpx.URL, headers: Mapping[str, str], body: bytes
+        self, address: Address, url: httpx.URL, headers: Mapping[str, str], body: bytes, limits: httpx.Timeout
     ) -> tuple[int, str | None]:
         """Post to one address under the name of the URL, which the certificate must be for."""
         named = {"Host": url.netloc.decode("ascii"), "User-Agent": f"treadwatch/{version('treadwatch')}"}
         named |= {"Accept": "*/*", "Accept-Encoding": "identity"}
         # a client of its own: a connection that is kept open would be that of another name at the same address
         async with httpx.AsyncClient(
-            verify=self._certificates, trust_env=False, follow_redirects=False, timeout=self.timeout_s
+            verify=self._certificates, trust_env=False, follow_redirects=False, timeout=limits
         ) as client:
             name = url.raw_host.decode("ascii")
             request = client.build_request(

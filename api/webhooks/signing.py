@@ -51,7 +51,14 @@ def signed_headers(secrets_of: Sequence[str], event_id: str, now_ns: int, body: 
         Our time, ns UTC.
     body
         As it is sent.
+
+    Raises
+    ------
+    ValueError
+        There is no secret: nothing is sent that nobody can verify.
     """
+    if not secrets_of:
+        raise ValueError("the webhook has no secret")
     timestamp = now_ns // NS
     return {
         "Content-Type": MEDIA_TYPE,

@@ -53,11 +53,11 @@ class WebhookWorker:
         """End, once what is being sent has been stored or has taken too long."""
         self._stopping.set()
         if self._thread is not None:
-            self._thread.join()
+            self._thread.join(2 * PATIENCE_S)  # a database that is silent must not hold the end up
         self._sender.close()
 
     def _run(self) -> None:
-        wait_s = 0.0
+        wait_s, waits = 0.0, False
         while not self._stopping.wait(wait_s):
             services = self._services()
             wait_s = INTERVAL_S if services is None else TAKE_OVER_S
@@ -65,10 +65,12 @@ class WebhookWorker:
                 continue
             try:
                 with sending_alone(services.storage.engine, self._holder) as still_alone:
+                    waits = False
                     if still_alone is not None:
                         asyncio.run(self._deliver(services, still_alone))
             except TreadwatchError as error:
-                _log.warning("webhooks wait for the database: %s", error)
+                _log.log(logging.DEBUG if waits else logging.WARNING, "webhooks wait for the database: %s", error)
+                waits = True
             except Exception:  # noqa: BLE001 - the thread must outlive what went wrong once
                 _log.exception("webhooks are not delivered to for %g s", TAKE_OVER_S)
 

@@ -31,7 +31,7 @@ def populated_service(kind: str, folder: Path, postgres_server_url: str) -> Iter
     postgres_server_url
         Of the server.
     """
-    with _database(postgres_server_url) if kind == "postgresql" else nullcontext() as url:
+    with new_database(postgres_server_url) if kind == "postgresql" else nullcontext() as url:
         settings = Settings(data_dir=folder, database_url=url, port=0, log_level="warning", _env_file=None)
         upgrade(settings.url)
         storage = open_store(settings)
@@ -42,7 +42,14 @@ def populated_service(kind: str, folder: Path, postgres_server_url: str) -> Iter
 
 
 @contextmanager
-def _database(server_url: str) -> Iterator[str]:
+def new_database(server_url: str) -> Iterator[str]:
+    """Yield the URL of an empty database that nothing else uses.
+
+    Parameters
+    ----------
+    server_url
+        Of the server.
+    """
     name = f"api_{uuid.uuid4().hex}"
     with psycopg.connect(server_url, autocommit=True) as connection:
         connection.execute(f'CREATE DATABASE "{name}"')
