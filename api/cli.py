@@ -43,6 +43,7 @@ COMMANDS = (
     Command("estimate", "api.commands.estimate", "estimate", "Run the scheduled jobs once, now, in order."),
     Command("serve", "api.commands.serve", "serve", "Serve the REST API."),
     Command("keys", "api.commands.keys", "keys", "Make, list and revoke keys of the REST API."),
+    Command("webhooks", "api.commands.webhooks", "webhooks", "Make, list, try out and move webhooks."),
     Command("schedule", "api.commands.schedule", "schedule", "Run the jobs on schedule; one per deployment."),
     Command("feed", "api.commands.feed", "feed", "Print what happens to alerts, or follow it."),
     Command("rules", "api.commands.rules", "rules", "Check alert rules, and try them on what is stored."),

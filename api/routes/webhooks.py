@@ -28,15 +28,12 @@ from api.problems import ProblemError, ProblemItem, described
 from api.schemas.common import Page
 from api.services import Services, ServicesDep
 from api.webhooks import representations as webhooks
+from api.webhooks.making import Wanted, handled_up_to, in_state, make_webhook
 from api.webhooks.sending import Sender
-from api.webhooks.signing import new_secret
 from api.webhooks.targets import RefusedTargetError
-from estimation.errors import ConflictError
-from fleet_db.storage import SqlUnitOfWork
 from fleet_db.webhook_records import DeliveryState, Webhook, WebhookState
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"], dependencies=[Depends(requires(Scope.ADMIN))])
-MOST_WEBHOOKS = 200
 WebhookId = Annotated[int, Path(ge=1, lt=cursors.INT64, description="Number of the webhook.", examples=[1])]
 OfState = Annotated[DeliveryState | None, Query(description="Only in this state.")]
 
@@ -133,26 +130,12 @@ def delete_webhook(request: Request, services: ServicesDep, webhook_id: WebhookI
 
 
 def _made(services: Services, caller: Caller, body: webhooks.NewWebhook) -> tuple[Webhook, str]:
-    secret, now_ns = new_secret(), services.clock.now_ns()
+    severities = frozenset(one.value for one in body.severities)
+    wanted = Wanted(
+        body.url, body.description, frozenset(body.fleets), frozenset(body.kinds), severities, caller.fleets
+    )
     with services.storage.write() as unit:
-        if len(unit.webhooks.page(None, MOST_WEBHOOKS)) == MOST_WEBHOOKS:
-            raise ConflictError(f"there are {MOST_WEBHOOKS} webhooks, which is the most", kind="webhook")
-        wanted = Webhook(
-            webhook_id=0,
-            url=body.url,
-            description=body.description,
-            fleets=frozenset(body.fleets),
-            kinds=frozenset(body.kinds),
-            severities=frozenset(one.value for one in body.severities),
-            bound=caller.fleets,
-            state=WebhookState.ACTIVE,
-            disabled_reason=None,
-            since_ns=now_ns,
-            created_ns=now_ns,
-            created_by=caller.name or NOBODY_NAMED,
-            position=unit.feed_branches.newest_sequence(),
-        )
-        return unit.webhooks.add(wanted, secret), secret
+        return make_webhook(unit, wanted, caller.name or NOBODY_NAMED, services.clock.now_ns())
 
 
 def _changed(services: Services, webhook_id: int, body: webhooks.WebhookChange, if_match: str | None) -> Webhook:
@@ -161,7 +144,7 @@ def _changed(services: Services, webhook_id: int, body: webhooks.WebhookChange, 
         require_match(if_match, webhooks.webhook(known))
         wanted = _as_asked(known, body, services.clock.now_ns())
         if (wanted.fleets, wanted.kinds, wanted.severities) != (known.fleets, known.kinds, known.severities):
-            wanted = replace(wanted, position=_handled_up_to(unit, known))
+            wanted = replace(wanted, position=handled_up_to(unit, known))
         return unit.webhooks.change(wanted)
 
 
@@ -178,20 +161,7 @@ def _as_asked(known: Webhook, body: webhooks.WebhookChange, now_ns: int) -> Webh
         wanted = replace(wanted, kinds=frozenset(body.kinds))
     if body.severities is not None:
         wanted = replace(wanted, severities=frozenset(one.value for one in body.severities))
-    if body.state is not None and body.state != known.state:
-        wanted = replace(wanted, state=WebhookState(body.state), disabled_reason=None, since_ns=now_ns)
-    return wanted
-
-
-def _handled_up_to(unit: SqlUnitOfWork, known: Webhook) -> int:
-    """Return the number of the event up to which nothing of a webhook waits under the filter that it had.
-
-    Another filter must not bring what that one had left out.
-    """
-    fleets = known.fleets or known.bound or frozenset()
-    waits = unit.alerts.feed(known.position, 1, fleets=fleets, kinds=known.kinds, severities=known.severities)
-    newest = unit.feed_branches.newest_sequence()
-    return max(known.position, waits[0].sequence - 1 if waits else newest)
+    return wanted if body.state is None else in_state(wanted, WebhookState(body.state), now_ns)
 
 
 def _read(services: Services, webhook_id: int) -> Webhook:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import time
 from collections.abc import Sequence
 from contextlib import closing
@@ -12,6 +11,7 @@ import typer
 from api.access.making import Wanted, make_key
 from api.factory import open_store
 from api.settings import Settings, load_settings
+from api.terminal.user import user_here
 from api.times import to_rfc3339
 from estimation.errors import ParameterError
 from fleet_db.access_records import ApiKey, AuditEntry
@@ -76,7 +76,7 @@ def make_stored_key(settings: Settings, wanted: Wanted) -> tuple[ApiKey, str]:
         As :func:`api.access.making.make_key`.
     """
     with closing(open_store(settings)) as storage, storage.write() as unit:
-        made, token = make_key(unit, wanted, _user(), time.time_ns())
+        made, token = make_key(unit, wanted, user_here(), time.time_ns())
         _note(unit, "create", made)
     return made, token.text
 
@@ -113,15 +113,8 @@ def revoke_and_print(prefix: str) -> None:
 
 
 def _note(unit: SqlUnitOfWork, what: str, key: ApiKey) -> None:
-    entry = AuditEntry(time.time_ns(), _user(), None, "keys", what, 0, f"/v1/keys/{key.prefix}", None, None)
+    entry = AuditEntry(time.time_ns(), user_here(), None, "keys", what, 0, f"/v1/keys/{key.prefix}", None, None)
     unit.audit.add([entry])
-
-
-def _user() -> str:
-    try:
-        return f"{getpass.getuser()} at the command line"
-    except (KeyError, OSError):  # a container may run a user that has no name
-        return "the command line"
 
 
 def _row(key: ApiKey, now_ns: int) -> tuple[str, ...]:

@@ -1,0 +1,203 @@
+"""Webhooks at the command line: made and moved in the database, whether the service runs or not."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import replace
+
+import typer
+
+from api.factory import open_store
+from api.problems import ProblemError
+from api.schemas.alerts import LIMIT_UNITS
+from api.settings import load_settings
+from api.terminal.user import user_here
+from api.times import from_rfc3339, to_rfc3339
+from api.webhooks.making import Wanted, in_state, make_webhook, place_of
+from api.webhooks.sending import sender_of
+from api.webhooks.targets import RefusedTargetError
+from api.webhooks.trials import trial_of
+from estimation.errors import ParameterError
+from estimation.values.alerts import Severity
+from fleet_db.access_records import AuditEntry
+from fleet_db.storage import SqlUnitOfWork
+from fleet_db.webhook_records import Delivery, Webhook, WebhookState
+
+MOST_CHARACTERS = 500
+_HEAD = ("number", "state", "since", "waits for", "url", "description")
+
+
+def add_and_print(
+    url: str, description: str, fleets: Collection[str], kinds: Collection[str], severities: Collection[str]
+) -> None:
+    """Make a webhook; print its secret alone on standard output.
+
+    Parameters
+    ----------
+    url, description
+        Where to, and what it is for.
+    fleets, kinds, severities
+        Which events; none is no filter.
+
+    Raises
+    ------
+    ParameterError
+        The URL leads where nothing may be sent, or a filter names nothing.
+    NotFoundError
+        There is no such fleet.
+    """
+    _require(kinds, LIMIT_UNITS, "--kind")
+    _require(severities, [one.value for one in Severity], "--severity")
+    if len(description) > MOST_CHARACTERS or not description.isprintable():
+        raise ParameterError(f"must be one line of at most {MOST_CHARACTERS} characters", field="--description")
+    sender = sender_of(load_settings())
+    try:
+        asyncio.run(sender.look_up(url))
+    except RefusedTargetError as error:
+        raise ParameterError(error.detail, field="url") from None
+    wanted = Wanted(url, description, frozenset(fleets), frozenset(kinds), frozenset(severities), None)
+    with _writing() as unit:
+        made, secret = make_webhook(unit, wanted, user_here(), time.time_ns())
+        _note(unit, "add", made)
+    typer.echo(secret)
+    typer.echo(f"webhook {made.webhook_id}; give its receiver this secret, which is not shown again", err=True)
+
+
+def webhook_list() -> str:
+    """Return all webhooks, one a line."""
+    with closing(open_store(load_settings())) as storage, storage.read() as unit:
+        found, waiting = unit.webhooks.page(None, None), unit.webhooks.waiting()
+    rows = [_HEAD, *(_row(one, waiting.get(one.webhook_id)) for one in found)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEAD))]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    )
+
+
+def try_and_print(number: int) -> bool:
+    """Send one event that only tries a webhook out, say what came back, and return whether it was taken.
+
+    Parameters
+    ----------
+    number
+        Of the webhook.
+
+    Raises
+    ------
+    NotFoundError
+        There is none.
+    """
+    settings = load_settings()
+    with closing(open_store(settings)) as storage:
+        trial = trial_of(storage, number, time.time_ns())
+    outcome = asyncio.run(sender_of(settings).send(trial.url, trial.headers, trial.body))
+    said = outcome.detail or f"taken ({outcome.status_code})"
+    typer.echo(f"webhook {number}: {said}, after {outcome.took_s:.1f} s")
+    return outcome.failure is None
+
+
+def put_and_print(number: int, *, active: bool) -> None:
+    """Make a webhook active, or pause it, and say so.
+
+    Parameters
+    ----------
+    number
+        Of the webhook.
+    active
+        Whether it is sent to.
+
+    Raises
+    ------
+    NotFoundError
+        There is none.
+    """
+    state = WebhookState.ACTIVE if active else WebhookState.PAUSED
+    with _writing() as unit:
+        changed = unit.webhooks.change(in_state(unit.webhooks.locked(number), state, time.time_ns()))
+        _note(unit, "activate" if active else "pause", changed)
+    typer.echo(f"webhook {number} is {state.value}")
+
+
+def replay_and_print(number: int, after: str | None, from_time: str | None) -> None:
+    """Let a webhook go on from another place of the feed and say so.
+
+    Parameters
+    ----------
+    number
+        Of the webhook.
+    after, from_time
+        Behind which cursor or event, or from when on.
+
+    Raises
+    ------
+    ParameterError
+        Neither or both are given, or it is no place of the feed.
+    NotFoundError
+        There is no such webhook.
+    """
+    if (after is None) == (from_time is None):
+        raise ParameterError("give either --after or --from", field="--after")
+    try:
+        from_ns = None if from_time is None else from_rfc3339(from_time)
+    except ValueError as error:
+        raise ParameterError(str(error), field="--from") from None
+    with _writing() as unit:
+        known = unit.webhooks.locked(number)
+        try:
+            place = place_of(unit, known, after, from_ns, "/v1/alerts/feed")
+        except ProblemError as error:
+            raise ParameterError(error.detail, field="--after") from None
+        _note(unit, "replay", unit.webhooks.change(replace(known, position=place)))
+    typer.echo(f"webhook {number} goes on behind event {place}")
+
+
+def delete_and_print(number: int) -> None:
+    """Delete a webhook and say so.
+
+    Parameters
+    ----------
+    number
+        Of the webhook.
+
+    Raises
+    ------
+    NotFoundError
+        There is none.
+    """
+    with _writing() as unit:
+        known = unit.webhooks.locked(number)
+        unit.webhooks.delete(number)
+        _note(unit, "delete", known)
+    typer.echo(f"webhook {number} is deleted")
+
+
+@contextmanager
+def _writing() -> Iterator[SqlUnitOfWork]:
+    with closing(open_store(load_settings())) as storage, storage.write() as unit:
+        yield unit
+
+
+def _require(given: Iterable[str], known: Collection[str], option: str) -> None:
+    for one in given:
+        if one not in known:
+            raise ParameterError(f"{one!r} is none of {', '.join(known)}", field=option)
+
+
+def _note(unit: SqlUnitOfWork, what: str, webhook: Webhook) -> None:
+    path = f"/v1/webhooks/{webhook.webhook_id}"
+    unit.audit.add([AuditEntry(time.time_ns(), user_here(), None, "webhooks", what, 0, path, None, None)])
+
+
+def _row(webhook: Webhook, waiting: Delivery | None) -> Sequence[str]:
+    state = webhook.state.value
+    if webhook.disabled_reason is not None:
+        state = f"{state} ({webhook.disabled_reason.value})"
+    waits = "" if waiting is None or waiting.next_ns is None else f"{_second(waiting.next_ns)}: {waiting.detail}"
+    return (str(webhook.webhook_id), state, _second(webhook.since_ns), waits, webhook.url, webhook.description)
+
+
+def _second(at_ns: int) -> str:
+    return to_rfc3339(at_ns - at_ns % 1_000_000_000)
