@@ -6,6 +6,7 @@ import asyncio
 import datetime as dt
 import json
 import logging
+import socket
 import ssl
 import time
 from collections.abc import Iterator, Sequence
@@ -23,6 +24,8 @@ from service_process import service_process
 from webhook_receiver import Answer, Receiver, receiving
 
 from api.answers import payload_of
+from api.feed import cursors
+from api.feed.filters import FeedFilter
 from api.schemas import alerts
 from api.webhooks.delivering import Deliveries
 from api.webhooks.sending import MOST_ANSWER_BYTES, Sender
@@ -258,12 +261,32 @@ def test_a_receiver_that_never_answers_delays_no_other(embedded: Deployment, rec
 
 
 def test_an_answer_without_end_is_cut_off(embedded: Deployment, receiver: Receiver) -> None:
-    receiver.answer = Answer(200, {"Content-Length": str(1 << 40), "X-Filler": "x" * 1000})
+    receiver.answer = Answer(200, endless=True)
     number = embedded.webhook(receiver.url)
     embedded.raise_alert("conicity_limit")
     embedded.deliver()
     assert embedded.sent(number)[0].state is DeliveryState.DELIVERED
-    assert MOST_ANSWER_BYTES < 1 << 20
+    assert MOST_ANSWER_BYTES <= receiver.said_bytes < 1 << 26, "all but the buffers of the system was taken"
+
+
+def test_a_name_that_changes_after_the_check_leads_nowhere_else(
+    embedded: Deployment, receiver: Receiver, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The name server answers with the receiver first, then with an address of the machine that is not allowed."""
+    answers = iter(["127.0.0.1", *["127.0.0.2"] * 9])
+    system = socket.getaddrinfo
+
+    def changing(host: str | bytes | None, *rest: object, **named: object) -> object:
+        return system(next(answers) if host == "receiver.example" else host, *rest, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(socket, "getaddrinfo", changing)
+    only = networks_of("127.0.0.1/32")
+    number = embedded.webhook(f"http://receiver.example:{receiver.port}/")
+    embedded.raise_alert("conicity_limit")
+    embedded.raise_alert("identity")
+    embedded.deliver(networks=only)
+    assert [one.headers["host"] for one in receiver.received] == [f"receiver.example:{receiver.port}"]
+    assert [one.failure for one in embedded.sent(number)] == [Failure.REFUSED_ADDRESS, None]
 
 
 @dataclass(frozen=True)
@@ -392,6 +415,24 @@ def test_the_body_is_a_cloud_event_whose_data_is_the_event_of_the_feed(
     }
     assert received.headers["content-type"] == "application/cloudevents+json"
     assert received.headers["webhook-id"] == sent["id"]
+
+
+def test_an_event_keeps_its_id_when_the_database_is_restored(embedded: Deployment, receiver: Receiver) -> None:
+    number = embedded.webhook(receiver.url)
+    embedded.raise_alert("conicity_limit")
+    embedded.deliver()
+    with embedded.storage.write() as unit:
+        unit.feed_branches.begin(embedded.clock.now)
+    embedded.change(number, position=0)
+    embedded.raise_alert("identity")
+    embedded.deliver()
+    assert receiver.ids()[0] == receiver.ids()[1] != receiver.ids()[2]
+    whole = FeedFilter()
+    with embedded.storage.read() as unit:
+        for identity, expected in zip(receiver.ids()[1:], (["identity"], []), strict=True):
+            last = cursors.position(unit, whole, "/v1/alerts/feed", cursors.decode(whole, identity))
+            assert last is not None
+            assert [one.alert.kind for one in unit.alerts.feed(last.sequence, 9)] == expected
 
 
 def _certificate(folder: Path, name: str) -> tuple[Path, ssl.SSLContext]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import re
 import time
 from collections.abc import Iterator
@@ -264,7 +265,8 @@ def test_what_no_webhook_may_be(served: Administered, fields: dict[str, object],
     assert served.ask("GET", "/v1/webhooks").json()["items"] == []
 
 
-def test_measures_audit_and_no_secret_anywhere(served: Administered) -> None:
+def test_measures_audit_and_no_secret_anywhere(served: Administered, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG)
     served.receiver.answer = Answer(500)
     path, secret = served.webhook()
     served.service.alert()
@@ -294,4 +296,6 @@ def test_measures_audit_and_no_secret_anywhere(served: Administered) -> None:
     assert len(served.answers) > 20
     assert not [asked for asked, text in served.answers if any(one in text for one in served.secrets)]
     assert not [asked for asked, text in served.answers if SECRET.search(text)]
+    assert "is disabled (gone)" in caplog.text
+    assert not SECRET.search(caplog.text)
     assert Redactor()(f"failed with {secret}, no more") == "failed with whsec_***, no more"

@@ -22,11 +22,12 @@ class Received:
 
 @dataclass
 class Answer:
-    """What a receiver answers: status, headers, and how long it waits before."""
+    """What a receiver answers: status, headers, how long it waits before, and whether it never stops talking."""
 
     status: int = 204
     headers: Mapping[str, str] = field(default_factory=dict)
     wait_s: float = 0.0
+    endless: bool = False
 
 
 @dataclass
@@ -36,6 +37,7 @@ class Receiver:
     port: int = 0
     answer: Answer = field(default_factory=Answer)
     received: list[Received] = field(default_factory=list)
+    said_bytes: int = 0
 
     @property
     def url(self) -> str:
@@ -70,6 +72,8 @@ def receiving(context: ssl.SSLContext | None = None, before: Callable[[], None] 
             for name, value in answer.headers.items():
                 self.send_header(name, value)
             self.end_headers()
+            while answer.endless and not ending.is_set():
+                receiver.said_bytes += self.wfile.write(b"x" * 65_536)
 
         def log_message(self, *_: object) -> None:
             """Keep the test's output clean."""
