@@ -1,9 +1,11 @@
-"""A really running ``treadwatch serve`` over a stored fleet, and Chromium: one server a run, one browser a module."""
+"""A really running ``treadwatch serve`` over a stored fleet, and Chromium: one server and one browser a run."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import httpx
@@ -73,13 +75,36 @@ def client(page_service: ServiceProcess) -> Iterator[httpx.Client]:
         yield made
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    """Yield Chromium; its event loop runs in this thread, so that it must end with the module."""
-    with sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox", "--disable-gpu"])
-        yield launched
-        launched.close()
+@dataclass
+class _Held:
+    """The browser of this process while tests of this folder follow one another."""
+
+    ending: ExitStack | None = None
+    browser: Browser | None = None
+
+
+_held = _Held()
+
+
+@pytest.fixture
+def browser() -> Browser:
+    """Return Chromium, one for all tests of this folder that follow one another."""
+    if _held.browser is None:
+        _held.ending = ExitStack()
+        playwright = _held.ending.enter_context(sync_playwright())
+        _held.browser = playwright.chromium.launch(
+            executable_path=chromium(), args=["--no-sandbox", "--disable-gpu", "--disable-extensions"]
+        )
+        _held.ending.callback(_held.browser.close)
+    return _held.browser
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(nextitem: pytest.Item | None) -> None:
+    """Close the browser before a test of another folder: its event loop runs in this thread."""
+    if _held.ending is not None and (nextitem is None or nextitem.path.parent != Path(__file__).parent):
+        _held.ending.close()
+        _held.ending = _held.browser = None
 
 
 @pytest.fixture

@@ -46,7 +46,9 @@ def test_an_alert_is_acknowledged_shelved_and_brought_back(
     expect(row).to_contain_text("V-2, axle 4")
     row.get_by_role("button", name="Acknowledge").click()
     confirm(page, note="<b>planned</b>", by="m. planner")
-    expect(row).to_have_count(0)
+    expect(row.locator(".c-state")).to_contain_text(
+        "by m. planner"
+    )  # it stays, and says so, until another tab is chosen
     assert client.get(path).json()["acknowledged_by"] == "m. planner"
     choose(page, "acknowledged")
     expect(row).to_contain_text("by m. planner")
@@ -63,6 +65,8 @@ def test_an_alert_is_acknowledged_shelved_and_brought_back(
 
     row.get_by_role("button", name="Bring back").click()
     confirm(page, note="the lathe is free")
+    expect(row.locator(".c-state")).to_contain_text("acknowledged")
+    choose(page, "open")
     expect(row).to_have_count(0)
     assert client.get(path).json()["display_state"] == "acknowledged"
     events = [one["event"] for one in client.get(f"{path}/events").json()["items"]]
@@ -72,6 +76,22 @@ def test_an_alert_is_acknowledged_shelved_and_brought_back(
     expect(page.locator("main")).to_contain_text("<b>planned</b>")
     page.keyboard.press("Escape")
     page.wait_for_url("**/#/alerts")
+
+
+def test_closed_alerts_say_when_and_why(
+    page: Page, page_service: ServiceProcess, client: httpx.Client, stored: SqlStorage
+) -> None:
+    for _ in range(2):  # the second closes the first
+        api_fleet.raised(stored, "WS-009", "no_data", fleet="=beta")
+    page.goto(f"{page_service.url}/#/alerts")
+    page.locator(ROWS).first.wait_for()
+    choose(page, "closed")
+    closed = [one for one in client.get("/v1/alerts?limit=1000").json()["items"] if one["closed_at"] is not None]
+    assert closed
+    expect(page.locator(ROWS)).to_have_count(len(closed))
+    newest = max(closed, key=lambda one: one["closed_at"])
+    expect(page.locator(f"{ROWS} .c-state").first).to_contain_text(newest["close_reason"])
+    assert page.locator(f"{ROWS} button").count() == 0
 
 
 def test_what_has_changed_meanwhile_is_shown_and_not_overwritten(

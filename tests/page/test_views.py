@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import Page, expect
 from service_process import ServiceProcess
 
-VIEWS = ("#/", "#/alerts", "#/alerts/1", "#/tracks", "#/tracks/S-1", "#/tracks/S-3", "#/operation")
+VIEWS = ("#/", "#/plan", "#/alerts", "#/alerts/1", "#/tracks", "#/tracks/S-1", "#/tracks/S-3", "#/operation")
 TABLET = {"width": 1024, "height": 768}
 
 

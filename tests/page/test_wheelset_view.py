@@ -29,6 +29,7 @@ def numbers(view: Locator, chart: str, series: str) -> list[list[str]]:
     found = view.locator(f'[data-chart="{chart}"]')
     if found.locator(".numbers table").count() == 0:
         found.locator(".numbers summary").click()
+        found.locator(".numbers table").first.wait_for()
     table = found.locator(".numbers table").filter(has=view.page.locator("caption", has_text=series))
     return [row.locator("td").all_inner_texts() for row in table.locator("tbody tr").all()]
 

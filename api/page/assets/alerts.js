@@ -17,45 +17,91 @@ const TABS = {
   acknowledged: { label: "Acknowledged", fits: (alert) => alert.display_state === "acknowledged" },
   shelved: { label: "Shelved", fits: (alert) => alert.display_state === "shelved" },
   cleared: { label: "Cleared", fits: (alert) => alert.display_state === "cleared" },
+  closed: { label: "Closed", fits: (alert) => alert.closed_at !== null },
 };
+const CLOSED_AT_ONCE = 250;
 const SEVERITIES = ["critical", "warning", "info"];
 const second = (...content) => el("span", { class: "second" }, ...content);
 
 const worstFirst = (one, other) =>
   SEVERITIES.indexOf(one.severity) - SEVERITIES.indexOf(other.severity) || other.opened_at.localeCompare(one.opened_at);
 
+const newestFirst = (one, other) => other.closed_at.localeCompare(one.closed_at);
+
 export async function alerts({ query, signal, title }) {
   title("Alerts");
-  let { tab = "open", ...wanted } = query, all = [];
+  let { tab = "open", ...wanted } = query, all = [], further = null;
+  if (!(tab in TABS)) tab = "open";
+  const acted = new Set(); // stay where they are until another tab is chosen, so that it is seen what became of them
   const fleets = await getAll("/v1/fleets?limit=1000", signal);
-  const path = () => withQuery("/v1/alerts", { fleet: wanted.fleet, kind: wanted.kind, open: true, limit: 1000 });
+  const choice = () => ({ fleet: wanted.fleet, kind: wanted.kind });
+  const path = () => withQuery("/v1/alerts", tab === "closed" ? { ...choice(), sort: "-id", limit: 1000 } : { ...choice(), open: true, limit: 1000 });
   const tabs = el("div", { class: "tabs", role: "group", "aria-label": "Which alerts" });
   const list = table({
     columns: columns((name, alert) => act(name, alert, changedOne)), label: "Alerts, the worst first", rowHeight: 58,
     keyOf: (alert) => alert.id, onOpen: (alert) => (location.hash = `#/alerts/${alert.id}`),
-    nothing: () => empty(tab === "open" ? "No open alert." : `No alert is ${tab}.`, "New ones appear here by themselves."),
+    nothing: () => (tab === "closed" ? empty("No alert has been closed.") : empty(tab === "open" ? "No open alert." : `No alert is ${tab}.`, "New ones appear here by themselves.")),
   });
 
-  const load = () => getAll(path(), signal);
+  /** All that are open; of the closed ones, which are many, as many pages as were read, from the newest on. */
+  async function load() {
+    const [open, past] = await Promise.all([
+      getAll(withQuery("/v1/alerts", { ...choice(), open: true, limit: 1000 }), signal),
+      tab === "closed" ? closed(withQuery("/v1/alerts", { ...choice(), sort: "-id", limit: CLOSED_AT_ONCE })) : { items: [], next: null },
+    ]);
+    return { items: [...open, ...past.items], next: past.next };
+  }
 
-  function show(found) {
-    all = found;
+  /** Closed alerts from a page on: at least one, if there is any. */
+  async function closed(from) {
+    const items = [];
+    let next = from;
+    while (next !== null && items.length === 0) {
+      const page = await get(next, signal);
+      items.push(...page.items.filter(TABS.closed.fits));
+      next = page.next;
+    }
+    return { items, next };
+  }
+
+  function show({ items, next }) {
+    all = items;
+    further = next;
+    return drawn();
+  }
+
+  async function more() {
+    try {
+      const past = await closed(further);
+      if (tab === "closed") show({ items: [...all, ...past.items], next: past.next });
+    } catch (error) {
+      if (!signal.aborted) announce(error.message);
+    }
+  }
+
+  function drawn() {
     replace(tabs, Object.entries(TABS).map(([name, { label, fits }]) => el(
       "button", { type: "button", "aria-pressed": String(name === tab), data: { tab: name }, on: { click: () => choose(name) } },
-      `${label} `, el("span", { class: "count" }, String(all.filter(fits).length)),
+      `${label} `, name === "closed" ? null : el("span", { class: "count" }, String(all.filter(fits).length)),
     )));
-    return list.setRows(all.filter(TABS[tab].fits).sort(worstFirst));
+    const rows = all.filter((alert) => TABS[tab].fits(alert) || acted.has(alert.id));
+    return list.setRows(rows.sort(tab === "closed" ? newestFirst : worstFirst), { more: further === null ? null : more });
   }
 
   function choose(name) {
     tab = name;
+    acted.clear();
     keepQuery({ ...wanted, tab: tab === "open" ? "" : tab });
-    show(all);
+    if (tab === "closed") shown.reload({ other: true });
+    else further = null;
+    drawn();
     tabs.querySelector(`[data-tab="${name}"]`).focus();
   }
 
   function changedOne(alert) {
-    show(all.map((one) => (one.id === alert.id ? alert : one)));
+    acted.add(alert.id);
+    all = all.map((one) => (one.id === alert.id ? alert : one));
+    drawn();
   }
 
   const fields = [
@@ -69,8 +115,9 @@ export async function alerts({ query, signal, title }) {
   });
   const chosen = (values) => {
     wanted = values;
+    acted.clear();
     keepQuery({ ...wanted, tab: tab === "open" ? "" : tab });
-    shown.reload();
+    shown.reload({ other: true });
   };
   return el(
     "div", {}, el("div", { class: "view-head" }, el("h1", {}, "Alerts"), tabs),
@@ -99,6 +146,7 @@ function where(alert) {
 function state(alert) {
   if (alert.display_state === "acknowledged") return ["acknowledged", second(`by ${alert.acknowledged_by}, `, ago(alert.acknowledged_at))];
   if (alert.display_state === "shelved") return [`until ${moment(alert.shelved_until)}`, second(alert.shelved_reason)];
+  if (alert.closed_at !== null) return [el("span", {}, "closed ", ago(alert.closed_at)), el("span", { class: "second", title: alert.close_reason }, alert.close_reason)];
   return stateOf(alert);
 }
 

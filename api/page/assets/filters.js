@@ -4,7 +4,8 @@ import { words } from "./format.js";
 
 /**
  * A row of filters. `fields` are `{name, label, options}` (a choice; an option is a code or `[code, text]`) or
- * `{name, label, list}` (a code to write, with what is known as proposals); `changed(values)` gets all values.
+ * `{name, label, list}` (a code to write, with what is known as proposals) or `{name, label, number, unit}` (a number
+ * within `number`, the attributes of its field); `changed(values)` gets all values that are valid.
  */
 export function filters(fields, values, changed, ...beside) {
   const chosen = { ...values };
@@ -22,7 +23,7 @@ export function filters(fields, values, changed, ...beside) {
   } } }, "Clear");
   const element = el(
     "form", { class: "filters", role: "search", "aria-label": "Filters", on: { submit: (event) => event.preventDefault() } },
-    fields.map((field) => el("label", {}, field.label, field.options ? choice(field, chosen, set) : written(field, chosen, set))),
+    fields.map((field) => el("label", { title: field.title }, field.label, field.options ? choice(field, chosen, set) : written(field, chosen, set))),
     clear, el("span", { class: "actions" }, ...beside),
   );
   return element;
@@ -38,10 +39,11 @@ function choice({ name, options, any = "all" }, chosen, set) {
   return field;
 }
 
-function written({ name, list, size = 12 }, chosen, set) {
+function written({ name, list, number: attributes, unit, size = 12 }, chosen, set) {
   const field = el("input", {
     name, size, value: chosen[name] ?? "", autocomplete: "off", spellcheck: "false", list: list ? `${name}-known` : null,
-    on: { change: () => set(name, field.value.trim()) },
+    type: attributes ? "number" : null, ...attributes,
+    on: { change: () => field.reportValidity() && set(name, field.value.trim()) },
   });
-  return [field, list ? el("datalist", { id: `${name}-known` }, list.map((code) => el("option", { value: code }))) : null];
+  return [field, unit, list ? el("datalist", { id: `${name}-known` }, list.map((code) => el("option", { value: code }))) : null];
 }

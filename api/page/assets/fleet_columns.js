@@ -4,7 +4,7 @@ import { segment } from "./client.js";
 import { date, lastData, number, roundKm, words } from "./format.js";
 import { interval } from "./interval.js";
 
-const TONES = { over_limit: "critical", critical_alert: "critical", due: "warning", warning_alert: "warning", unknown: "info" };
+export const URGENCY_TONES = { over_limit: "critical", critical_alert: "critical", due: "warning", warning_alert: "warning", unknown: "info" };
 const NAMES = { over_limit: "over limit", critical_alert: "critical", warning_alert: "warning", not_due: "not due", not_mounted: "not mounted" };
 
 /** Urgencies, the most urgent first, as the API names them. */
@@ -31,7 +31,7 @@ function urgency({ state }) {
   const open = state.alerts.length;
   const taken = state.alerts.filter((alert) => alert.acknowledged || alert.shelved_until).length;
   const note = taken ? `${taken} of ${open} seen` : `${open} alert${open === 1 ? "" : "s"}`;
-  return [el("span", { class: `badge ${TONES[state.urgency] ?? ""}` }, nameOf(state.urgency)), open ? second(note) : null];
+  return [el("span", { class: `badge ${URGENCY_TONES[state.urgency] ?? ""}` }, nameOf(state.urgency)), open ? second(note) : null];
 }
 
 function place(row) {

@@ -7,8 +7,8 @@ const SLOWEST_MS = 60000;
 /**
  * Show what `load(signal)` returns by `show(data)`, again every `everyS` seconds and when the page is looked at again.
  *
- * Returns the element; `element.reload()` reads at once. The first failure is the view's error state; a later one
- * leaves what is shown, with a notice of its age.
+ * Returns the element; `element.reload()` reads at once, `reload({ other: true })` something else than what is shown. The
+ * first failure is the view's error state; a later one leaves what is shown, with a notice of its age.
  */
 export function live({ load, show, signal, everyS = 30, what = "Loading" }) {
   const notice = document.createElement("div");
@@ -52,8 +52,9 @@ export function live({ load, show, signal, everyS = 30, what = "Loading" }) {
   const looked = () => document.visibilityState === "visible" && read && Date.now() - read > 5000 && reload();
   document.addEventListener("visibilitychange", looked, { signal });
   signal.addEventListener("abort", () => clearTimeout(timer));
-  element.reload = async () => {
+  element.reload = async ({ other = false } = {}) => {
     if (running) await running;
+    if (other) shown = undefined; // a failure to read it leaves nothing of what was shown before
     return reload();
   };
   element.ready = reload();

@@ -8,6 +8,7 @@ import { route, show, start } from "./router.js";
 // the fleet comes first; the other views are read when they are shown, or once the first has been
 const alerts = () => import("./alerts.js");
 const operation = () => import("./operation.js");
+const plan = () => import("./plan.js");
 const sheet = () => import("./sheet.js");
 const tracks = () => import("./tracks.js");
 const wheelset = () => import("./wheelset.js");
@@ -15,6 +16,7 @@ const wheelset = () => import("./wheelset.js");
 route("/", "overview", overview);
 route("/alerts", "alerts", later(alerts, "alerts"));
 route("/alerts/:id", "alerts", later(alerts, "alertView"));
+route("/plan", "plan", later(plan, "plan"));
 route("/tracks", "tracks", later(tracks, "tracks"));
 route("/tracks/:code", "tracks", later(tracks, "track"));
 route("/wheelsets/:serial", "overview", later(wheelset, "wheelset"));
@@ -38,7 +40,7 @@ function later(read, name) {
 
 /** Read the other views while nothing else happens, so that they are there when they are wanted. */
 function readOthers() {
-  for (const read of [wheelset, alerts, sheet, tracks, operation]) read().catch(() => {});
+  for (const read of [wheelset, plan, alerts, sheet, tracks, operation]) read().catch(() => {});
 }
 
 function startTheme() {

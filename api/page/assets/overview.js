@@ -26,7 +26,7 @@ export async function overview({ query, signal, title }) {
     onOpen: (row) => (location.hash = address(row)), onSort: sortBy,
     nothing: () => (Object.keys(pick(wanted)).length
       ? empty("No wheelset fits these filters.", "Clear the filters to see all of them.")
-      : empty("No wheelset is registered.", "Load a registry: treadwatch registry load FILE.")),
+      : firstSteps()),
   });
 
   /** Read as many rows as are shown, at least the first page. */
@@ -36,7 +36,7 @@ export async function overview({ query, signal, title }) {
     do {
       const page = await get(following, signal);
       found.push(...page.items);
-      following = page.next;
+      following = page.next?.replace(/limit=\d+/, `limit=${FURTHER}`) ?? null;
     } while (following !== null && found.length < rows.length);
     return { found, following };
   }
@@ -68,7 +68,7 @@ export async function overview({ query, signal, title }) {
     rows = [];
     keepQuery({ ...pick(wanted), sort: sort === "urgency" ? "" : sort });
     list.setSorted(sort);
-    return shown.reload();
+    return shown.reload({ other: true });
   }
 
   function sortBy(name) {
@@ -106,6 +106,19 @@ async function fieldsOf(signal) {
     { name: "status", label: "Status", options: STATUSES },
     { name: "alert_kind", label: "Alert", options: KINDS },
   ];
+}
+
+/** An empty database: what to do, in the order in which it is done. */
+function firstSteps() {
+  const steps = [
+    ["treadwatch registry load FILE", "loads vehicles, wheelsets and their mountings"],
+    ["treadwatch ingest FILE", "receives a recording"],
+    ["treadwatch demo", "shows a simulated fleet instead"],
+  ];
+  return el(
+    "div", { class: "state", data: { state: "empty" } }, el("h2", {}, "No wheelset is registered yet."),
+    el("dl", { class: "steps" }, steps.map(([command, what]) => [el("dt", {}, el("code", {}, command)), el("dd", {}, what)])),
+  );
 }
 
 const pick = (values) => Object.fromEntries(FILTERS.filter((name) => values[name]).map((name) => [name, values[name]]));

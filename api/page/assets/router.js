@@ -76,7 +76,9 @@ function title(text) {
 export function start() {
   addEventListener("hashchange", () => {
     if (!location.hash.startsWith("#/") && location.hash !== "") return; // a place within the page
-    show().then(() => document.getElementById("view").focus({ preventScroll: true }));
+    show().then(() => {
+      if (!document.activeElement?.matches("input, select, textarea, dialog *")) document.getElementById("view").focus({ preventScroll: true });
+    });
     scrollTo(0, 0);
   });
   return show();
