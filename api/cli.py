@@ -18,6 +18,10 @@ import typer
 from estimation.errors import TreadwatchError
 
 REFUSED = 2
+EPILOG = (
+    "A deployment is set up by environment variables (TREADWATCH_...) or a file .env: "
+    "'treadwatch settings' lists them with their defaults."
+)
 COMPLETED = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
 """Variables in which bash, and the other shells, hand over the line that is to be completed."""
 
@@ -30,11 +34,14 @@ class Command:
     module: str
     attribute: str
     summary: str
+    reads_settings: bool = True
 
 
 COMMANDS = (
     Command("demo", "api.commands.demo", "demo", "Run the main job end to end on the embedded default."),
-    Command("simulate", "api.commands.simulate", "simulate", "Simulate a fleet that sends CAN frames."),
+    Command(
+        "simulate", "api.commands.simulate", "simulate", "Simulate a fleet that sends CAN frames.", reads_settings=False
+    ),
     Command("ingest", "api.commands.ingest", "ingest", "Receive CAN frames from log files or a live bus."),
     Command("registry", "api.commands.registry", "registry", "Load, void, restore and list records of the registry."),
     Command("reassemble", "api.commands.reassemble", "reassemble", "Make the windows of a vehicle again."),
@@ -45,16 +52,29 @@ COMMANDS = (
     Command("keys", "api.commands.keys", "keys", "Make, list and revoke keys of the REST API."),
     Command("webhooks", "api.commands.webhooks", "webhooks", "Make, list, try out and move webhooks."),
     Command("schedule", "api.commands.schedule", "schedule", "Run the jobs on schedule; one per deployment."),
-    Command("feed", "api.commands.feed", "feed", "Print what happens to alerts, or follow it."),
+    Command("feed", "api.commands.feed", "feed", "Print what happens to alerts, or follow it.", reads_settings=False),
     Command("rules", "api.commands.rules", "rules", "Check alert rules, and try them on what is stored."),
-    Command("contact", "api.commands.contact", "contact", "Compute the contact geometry of a wheel on a rail."),
-    Command("vehicle", "api.commands.vehicle", "vehicle", "List, show and check vehicle classes."),
-    Command("compare", "api.commands.compare", "compare", "Compare estimators on a simulated section."),
-    Command("reproduce", "api.commands.reproduce", "reproduce", "Reproduce the published figures."),
+    Command(
+        "contact",
+        "api.commands.contact",
+        "contact",
+        "Compute the contact geometry of a wheel on a rail.",
+        reads_settings=False,
+    ),
+    Command(
+        "vehicle", "api.commands.vehicle", "vehicle", "List, show and check vehicle classes.", reads_settings=False
+    ),
+    Command(
+        "compare", "api.commands.compare", "compare", "Compare estimators on a simulated section.", reads_settings=False
+    ),
+    Command(
+        "reproduce", "api.commands.reproduce", "reproduce", "Reproduce the published figures.", reads_settings=False
+    ),
     Command("db", "api.commands.db", "db", "Upgrade, check or purge the database."),
     Command("backup", "api.commands.backup", "backup", "Back up database and files while everything runs."),
     Command("restore", "api.commands.backup", "restore", "Restore a backup into an empty database."),
-    Command("openapi", "api.commands.openapi", "openapi", "Print or write the OpenAPI document."),
+    Command("settings", "api.commands.settings", "settings", "List the settings of a deployment with their defaults."),
+    Command("openapi", "api.commands.openapi", "openapi", "Print or write the OpenAPI document.", reads_settings=False),
 )
 
 
@@ -86,6 +106,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
+        epilog=EPILOG,
     )
     app.callback()(_root)
     chosen = next((word for word in arguments if not word.startswith("-")), None)
@@ -93,11 +114,12 @@ def build(arguments: Sequence[str]) -> typer.Typer:
         if command.name != chosen:
             app.command(command.name, help=command.summary)(_not_imported)
             continue
+        epilog = EPILOG if command.reads_settings else None
         target = getattr(import_module(command.module), command.attribute)
         if isinstance(target, typer.Typer):
-            app.add_typer(target, name=command.name, help=command.summary)
+            app.add_typer(target, name=command.name, help=command.summary, epilog=epilog)
         else:
-            app.command(command.name)(target)
+            app.command(command.name, epilog=epilog)(target)
     return app
 
 

@@ -9,8 +9,13 @@ import typer
 
 def serve(
     *,
-    host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
-    port: Annotated[int | None, typer.Option(help="Port to listen on; 0 takes a free one.")] = None,
+    host: Annotated[
+        str | None, typer.Option(help="Address to listen on.  [env var: TREADWATCH_HOST; default: 127.0.0.1]")
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(help="Port to listen on; 0 takes a free one.  [env var: TREADWATCH_PORT; default: 8000]"),
+    ] = None,
 ) -> None:
     """Serve the REST API; its documentation is on /docs."""
     import signal

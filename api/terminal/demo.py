@@ -13,6 +13,7 @@ from rich.console import Console
 from api import logs
 from api.access.caller import EVERYTHING
 from api.access.making import Wanted
+from api.demo.own_rules import with_rules
 from api.demo.replay import ending_now, replay
 from api.demo.service import free_port, serving
 from api.demo.table import ServiceAddress, get, lines, tables
@@ -55,6 +56,7 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
     settings = load_settings(data_dir=data)
     embedded = {"database_url": None, "database_host": None, "host": "127.0.0.1", "log_level": "warning"}
     settings = settings.model_copy(update=embedded)
+    settings = with_rules(settings, plan.name, folder)
     settings = settings.model_copy(update={"docs": "open"})  # on this machine alone, and a browser sends no key there
     logs.configure(settings)
     console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from sqlalchemy import insert
+from sqlalchemy import Insert, Table, func, insert, literal, select
 
 from estimation.alerts.rules.rule import estimate_evidence, unknown_evidence
 from estimation.trend.trend import TrendPoint, refresh
@@ -162,15 +162,13 @@ def _register(storage: SqlStorage, size: FleetSize, mileages: np.ndarray, now_ns
                 unit.registry.add_wheelset(WheelsetRecord(serial, fleet, "S1002", 0.46, mounting))
 
 
-def _record(
-    size: FleetSize, wheelset: int, day: int, mileage_km: float, now_ns: int, *, current: bool
-) -> dict[str, object]:
+def _record(size: FleetSize, wheelset: int, day: int, mileage_km: float, now_ns: int) -> dict[str, object]:
     """Return what of a geometry's row does not follow from its values."""
     at_ns = now_ns - (size.days - 1 - day) * DAY_NS
     return {
         "wheelset": size.serial(wheelset),
         "baseline": 0,
-        "baseline_interval": None if current else day,
+        "baseline_interval": day,
         "mileage_km": mileage_km + KM_A_DAY * day,
         "from_ns": at_ns - DAY_NS,
         "to_ns": at_ns,
@@ -187,20 +185,35 @@ def _store_history(
     mileages: np.ndarray,
     now_ns: int,
 ) -> None:
-    """Store the daily geometry of every wheelset, packed once for all that share a course."""
+    """Store the daily geometry of every wheelset: made once for each course, and copied for those that share it."""
     rows = table_of(GeometryRow)
-    columns = [[geometry_columns(_of(one, now_ns)) for one in course.geometries] for course in courses]
-    for wheelsets in _batches(size.wheelsets, 200):
-        with storage.write() as unit:
+    models = {int(course): int(np.argmax(chosen == course)) for course in np.unique(chosen)}
+    with storage.write() as unit:
+        for course, wheelset in models.items():
+            columns = [geometry_columns(_of(one, now_ns)) for one in courses[course].geometries]
+            run = float(mileages[wheelset])
             unit.connection.execute(
-                insert(rows),
-                [
-                    columns[chosen[wheelset]][day]
-                    | _record(size, wheelset, day, float(mileages[wheelset]), now_ns, current=False)
-                    for wheelset in wheelsets
-                    for day in range(size.days)
-                ],
+                insert(rows), [columns[day] | _record(size, wheelset, day, run, now_ns) for day in range(size.days)]
             )
+    for wheelsets in _batches(size.wheelsets, 500):
+        with storage.write() as unit:
+            for wheelset in wheelsets:
+                model = models[int(chosen[wheelset])]
+                if wheelset != model:
+                    shift_km = float(mileages[wheelset] - mileages[model])
+                    unit.connection.execute(_copied(rows, size.serial(model), size.serial(wheelset), shift_km))
+
+
+def _copied(rows: Table, model: str, serial: str, shift_km: float) -> Insert:
+    """Return a statement that gives a wheelset the geometries of another, at mileages of its own."""
+    own = {
+        "wheelset": literal(serial),
+        "mileage_km": rows.c.mileage_km + shift_km,
+        "input_digest": literal(serial) + func.substr(rows.c.input_digest, len(serial) + 1),
+    }
+    names = [column.name for column in rows.columns if column.name != "geometry_id"]
+    source = select(*(own.get(name, rows.c[name]) for name in names)).where(rows.c.wheelset == model)
+    return insert(rows).from_select(names, source)
 
 
 def _of(geometry: WheelsetGeometry, now_ns: int) -> GeometryRecord:
