@@ -24,14 +24,14 @@ export async function plan({ query, signal, title }) {
   const summary = el("p", { class: "quiet" });
   const unchecked = el("p", { class: "quiet", data: { note: "unchecked" } });
   const list = table({
-    columns, label: "Wheelsets to turn, the earliest visit first", rowHeight: 58, keyOf: (line) => line.wheelset,
+    columns, label: "Wheelsets to turn, the earliest visit first", rowHeight: 46, keyOf: (line) => line.wheelset,
     onOpen: (line) => (location.hash = `#/wheelsets/${segment(line.wheelset)}`), rowClass: (line) => (line.first ? "first-of-visit" : null),
     nothing: () => empty("No wheelset has to be turned within this horizon.", "None is over its limit, and none may reach it in that time. Plan further ahead to see what comes next."),
   });
 
   function show(found) {
     const lines = found.items.map((line, place) => ({ ...line, first: place === 0 || !sameVisit(line, found.items[place - 1]) }));
-    summary.textContent = `${counted(lines)}; as of ${moment(found.made_at)}`;
+    summary.textContent = `${counted(lines)}; ${asked(found)}; as of ${moment(found.made_at)}`;
     unchecked.textContent = notChecked(found);
     return list.setRows(lines);
   }
@@ -72,6 +72,12 @@ function counted(lines) {
   const visits = planned.filter((line) => line.first).length;
   const not = lines.length - planned.length;
   return `${plural(planned.length, "wheelset")} in ${plural(visits, "visit")} to the lathe${not ? `, ${number(not)} not assessed` : ""}`;
+}
+
+/** What the plan was made with, which paper has to say as well. */
+function asked(found) {
+  const limits = Object.entries(found.limits).filter(([, value]) => value !== null).map(([name, value]) => `${name.replace(/_mm$/, "").replaceAll("_", " ")} ${value} mm`);
+  return [`due within ${plural(found.horizon_days, "day")}`, ...limits].join(", ");
 }
 
 /** What the plan could not be held against, and how often; the limits are the operator's and have no default. */
