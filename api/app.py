@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, MutableMapping
 from contextlib import asynccontextmanager
 from importlib.metadata import version
 from importlib.resources import files
+from typing import Any
 
 import anyio.to_thread
 import orjson
@@ -112,6 +113,7 @@ def describe() -> FastAPI:
         openapi_url=None,
         generate_unique_id_function=name_operation,
         lifespan=_lifespan,
+        telemetry={"operation_spans": False, "exclude": _waits_for_news},
     )
     for module in RESOURCES:
         app.include_router(
@@ -124,6 +126,11 @@ def describe() -> FastAPI:
     app.include_router(page.router)
     problems.install(app)
     return app
+
+
+def _waits_for_news(scope: MutableMapping[str, Any]) -> bool:
+    """Return whether a request lasts for as long as nothing happens: a trace of it would say nothing."""
+    return bool(scope.get("path", "").endswith("/feed/stream") or b"wait_s=" in scope.get("query_string", b""))
 
 
 def document_text() -> str:

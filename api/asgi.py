@@ -10,6 +10,7 @@ from fastapi import FastAPI
 
 from api import factory, logs
 from api.settings import load_settings
+from api.tracing import start_tracing
 
 
 def app() -> FastAPI:
@@ -22,4 +23,5 @@ def app() -> FastAPI:
     """
     settings = load_settings()
     logs.configure(settings)
+    start_tracing()
     return factory.create_app(settings)

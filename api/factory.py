@@ -17,6 +17,7 @@ from api.retention_file import load_retention
 from api.rules_file import load_rules
 from api.settings import PREFIX, Settings
 from api.starting import once_the_database_answers
+from api.tracing import traced
 from estimation.alerts.rules.book import RuleBook
 from estimation.errors import ParameterError
 from estimation.jobs.catalogue import ALL_JOBS
@@ -159,9 +160,9 @@ def retention_of(settings: Settings) -> Retention:
 def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:
     """Return the jobs in the order in which one hands its results to the next, at the intervals of this deployment."""
     jobs = (assemble_windows(_sql_storage, partial(_job_receiver, settings)), *ALL_JOBS)
-    if settings.jobs_every_s is None:
-        return jobs
-    return tuple(replace(job, every_s=settings.jobs_every_s) for job in jobs)
+    if settings.jobs_every_s is not None:
+        jobs = tuple(replace(job, every_s=settings.jobs_every_s) for job in jobs)
+    return tuple(traced(job) for job in jobs)
 
 
 def upkeep_jobs(settings: Settings) -> tuple[Job, ...]:
@@ -172,7 +173,7 @@ def upkeep_jobs(settings: Settings) -> tuple[Job, ...]:
     InputError
         The retention file is wrong; names the file and the field.
     """
-    return (purge_job(retention_of(settings), _sql_storage),)
+    return (traced(purge_job(retention_of(settings), _sql_storage)),)
 
 
 def receiver(

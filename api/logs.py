@@ -21,10 +21,13 @@ from structlog.typing import EventDict, Processor
 from api.faults import Fault, FaultLedger, fault_of, short_trace
 from api.redaction import Redactor
 from api.settings import Settings
+from api.tracing import with_trace
 
 CHATTY = ("apscheduler", "alembic.runtime", "uvicorn.access", "httpx", "httpcore")
 """What they log at info is in our own records, and may name URLs of receivers, which carry their secrets."""
-REPETITIVE = ("asyncio", "uvicorn.error")  # they warn of what any client can cause, so their warnings are faults too
+EXPORTER = "opentelemetry.exporter.otlp.proto.http.trace_exporter"
+REPETITIVE = ("asyncio", "uvicorn.error", EXPORTER)
+"""They warn of what any client can cause, and of a collector that is away: their warnings are faults too."""
 VALUE_CHARACTERS = 2000
 """Longest text of one fact of an event."""
 QUEUED = 10_000
@@ -38,6 +41,7 @@ def configure(settings: Settings) -> None:
         structlog.stdlib.add_logger_name,
         structlog.stdlib.add_log_level,
         structlog.processors.TimeStamper(fmt="iso", utc=True),
+        with_trace,
         structlog.stdlib.ExtraAdder(),
     ]
     handler = FaultHandler(sys.stderr)

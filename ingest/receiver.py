@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from opentelemetry import trace
+
 from estimation.errors import ConflictError, LogFileError, NotFoundError, TreadwatchError
 from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
@@ -359,6 +361,12 @@ class Receiver:
 
     def _decode(self, record: ChunkRecord, recording: Recording) -> tuple[ChunkRecord, int]:
         """Assemble the windows that a stored recording touches; return its new receipt and how many changed."""
+        with trace.get_tracer("treadwatch").start_as_current_span("recording") as span:
+            decoded, changed = self._decode_it(record, recording)
+            span.set_attributes({"treadwatch.frames": decoded.frames, "treadwatch.windows_changed": changed})
+            return decoded, changed
+
+    def _decode_it(self, record: ChunkRecord, recording: Recording) -> tuple[ChunkRecord, int]:
         try:
             for _ in range(ATTEMPTS_BESIDE_OTHERS):
                 with self._storage.read() as unit:

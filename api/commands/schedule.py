@@ -13,10 +13,12 @@ def schedule() -> None:
     from api.factory import job_context, open_store, process_name, scheduled_jobs, upkeep_jobs
     from api.settings import load_settings
     from api.starting import once_the_database_answers
+    from api.tracing import start_tracing
     from estimation.jobs.scheduler import serve_jobs, stop_on_signals
 
     settings = load_settings()
     logs.configure(settings)
+    start_tracing()
     stopping = threading.Event()
     stop_on_signals(stopping)
     opened = once_the_database_answers(partial(open_store, settings), settings, stopping)

@@ -23,9 +23,11 @@ def serve(
 
     from api import factory, logs
     from api.settings import load_settings
+    from api.tracing import start_tracing
 
     settings = load_settings(host=host, port=port)
     logs.configure(settings)
+    start_tracing()
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):  # the server hands its signal on when it has stopped
         signal.signal(number, lambda _number, _frame: stopping.set())

@@ -14,6 +14,7 @@ from rich.table import Table
 from api import logs
 from api.factory import job_context, open_store, process_name, scheduled_jobs
 from api.settings import Settings, load_settings
+from api.tracing import start_tracing
 from estimation.errors import ParameterError
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.jobs.scheduler import stop_on_signals
@@ -32,6 +33,7 @@ def run_jobs_once(name: str | None) -> bool:
     """
     settings = load_settings()
     logs.configure(settings)
+    start_tracing()
     jobs = _chosen(settings, name)
     console = Console(stderr=True)
     stopping = threading.Event()

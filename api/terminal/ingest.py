@@ -18,6 +18,7 @@ from api import factory, logs
 from api.factory import SystemClock, open_store
 from api.settings import load_settings
 from api.times import to_rfc3339
+from api.tracing import start_tracing
 from estimation.errors import InputError, TreadwatchError
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlStorage
@@ -77,6 +78,7 @@ def ingest_and_report(
     """
     settings = load_settings()
     logs.configure(settings)
+    start_tracing()
     console = Console(stderr=True)
     with closing(open_store(settings)) as storage:
         if registry is not None:

@@ -18,6 +18,7 @@ from api.factory import SystemClock, open_store
 from api.settings import Settings, load_settings
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes
 from api.terminal.live_health import serving_health
+from api.tracing import start_tracing
 from estimation.jobs.scheduler import stop_on_signals
 from fleet_db.revisions import check_head
 from fleet_db.storage import SqlStorage
@@ -151,6 +152,7 @@ def _live_settings(settings: Settings, bus: LiveBus) -> LiveSettings:
 def _say(settings: Settings, console: Console) -> Say:
     """Return what says things for people: on the terminal, bad ones in red, or as lines of the log."""
     logs.configure(settings)
+    start_tracing()
     if settings.log_format == "json":
 
         def log(text: str, *, bad: bool = False) -> None:
