@@ -28,7 +28,7 @@ ENDPOINT = "OTEL_EXPORTER_OTLP_ENDPOINT"
 
 
 class Collector:
-    """What was sent: spans by name, and the attributes of their resource."""
+    """What was sent: each span under its name, and the attributes of their resource."""
 
     def __init__(self) -> None:
         self.spans: dict[str, dict[str, object]] = {}
