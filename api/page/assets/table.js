@@ -63,7 +63,7 @@ export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, s
   }
 
   const spacer = (part, count) =>
-    replace(part, count > 0 && el("tr", {}, el("td", { colspan: columns.length, class: "spacer", style: { height: `${count * rowHeight}px` } })));
+    replace(part, count > 0 && el("tr", {}, el("td", { class: "spacer", style: { height: `${count * rowHeight}px` } })));
 
   function drawRow(row, index) {
     return el(
