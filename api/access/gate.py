@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 from starlette.datastructures import Headers
@@ -18,10 +19,12 @@ from api.access.open_paths import Opened, door_of
 from api.access.rates import Rate
 from api.access.tokens import prefix_of
 from api.problems import ProblemError
+from estimation.errors import TreadwatchError
 
 _CHALLENGE = {"WWW-Authenticate": 'Bearer realm="treadwatch"'}
 _REFUSED = {"WWW-Authenticate": 'Bearer realm="treadwatch", error="invalid_token"'}
 _SEND = "send a valid key or token: Authorization: Bearer ..."
+STILL_GOOD = "treadwatch.still_good"
 LONGEST_TOKEN = 8192
 
 
@@ -84,6 +87,7 @@ class Gate:
             return
         caller = await self._caller(scope, self.keys)
         name_caller(scope, caller)
+        scope[STILL_GOOD] = partial(self._still_good, Headers(scope=scope)["authorization"].partition(" ")[2].strip())
         wait_s = self.requests.take(caller.identity or "", time.monotonic())
         if wait_s is not None:
             raise _too_often("requests_per_s", f"{self.requests.per_s:g} requests a second of a key", wait_s)
@@ -108,6 +112,13 @@ class Gate:
             raise ProblemError(401, "unauthenticated", _SEND, headers=_REFUSED)
         return caller
 
+    async def _still_good(self, token: str) -> bool:
+        """Return whether a key or token that was let in would be let in now; where that cannot be read, it would."""
+        try:
+            return self.keys is not None and await self._find(token, self.keys) is not None
+        except TreadwatchError:
+            return True
+
     async def _find(self, token: str, keys: KeyRing) -> Caller | None:
         if prefix_of(token) is None:
             return None if self.tokens is None else await self.tokens.find(token)
@@ -117,6 +128,36 @@ class Gate:
             return None
         self.uses.used(key.prefix, now_ns)
         return Caller(key.owner, key.scopes, key.fleets, f"key {key.prefix}")
+
+
+async def require_still_good(scope: Scope) -> None:
+    """Refuse a request that has waited for long, where its caller would not be let in any more.
+
+    Parameters
+    ----------
+    scope
+        Of the request.
+
+    Raises
+    ------
+    ProblemError
+        401: the key or token was revoked, or has expired.
+    """
+    if not await still_good(scope):
+        detail = "the key or token was revoked, or has expired, while the request waited"
+        raise ProblemError(401, "unauthenticated", detail, headers=_REFUSED)
+
+
+async def still_good(scope: Scope) -> bool:
+    """Return whether the caller of a request that goes on for long would be let in now.
+
+    Parameters
+    ----------
+    scope
+        Of the request.
+    """
+    ask: Callable[[], Awaitable[bool]] | None = scope.get(STILL_GOOD)
+    return ask is None or await ask()
 
 
 def address_of(scope: Scope) -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 
@@ -24,7 +24,9 @@ EVENT_STREAM = "text/event-stream"
 HEARTBEAT_S = 15.0
 """Longest silence of a stream."""
 LONGEST_S = 900.0
-"""A stream ends after this time, so that a key that was revoked is asked for again; clients connect again."""
+"""A stream ends after this time; clients connect again."""
+ASKED_EVERY_S = 15.0
+"""How often a stream asks whether its key would still be let in; else it ends."""
 RETRY_MS = 2000
 """How long a client waits until it connects again."""
 CATCH_UP = 200
@@ -85,6 +87,8 @@ class FeedStream:
         The client's filter.
     storage
         The database as the client sees it.
+    good
+        Returns whether the client would still be let in.
     clock_s
         Seconds, growing.
     """
@@ -92,6 +96,7 @@ class FeedStream:
     watch: FeedWatch
     narrowed: FeedFilter
     storage: SqlStorage
+    good: Callable[[], Awaitable[bool]]
     clock_s: Callable[[], float] = time.monotonic
 
     async def parts(self, page: FeedPage) -> AsyncIterator[bytes]:
@@ -106,7 +111,12 @@ class FeedStream:
         yield b"retry: %d\n: the feed of alerts\n\n" % RETRY_MS + _text(page)
         async with self.watch.following(self.narrowed, self.storage, page) as channel:
             place, silent_since = page.end, self.clock_s()
+            asked = silent_since
             while not self.watch.ended and history == self.watch.histories and self.clock_s() < ends:
+                if self.clock_s() - asked >= ASKED_EVERY_S:
+                    if not await self.good():
+                        return
+                    asked = self.clock_s()
                 part, place = await self._next(channel, place)
                 if part:
                     yield part
@@ -115,7 +125,8 @@ class FeedStream:
                     yield f": still here\nid: {place.cursor}\n\n".encode()
                     silent_since = self.clock_s()
                 else:
-                    await self.watch.wait(max(0.0, silent_since + HEARTBEAT_S - self.clock_s()))
+                    due = min(silent_since + HEARTBEAT_S, asked + ASKED_EVERY_S)
+                    await self.watch.wait(max(0.0, due - self.clock_s()))
 
     async def _next(self, channel: Channel, place: Place) -> tuple[bytes, Place]:
         """Return what is to be sent now and where it ends; nothing where all has been sent."""

@@ -12,6 +12,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.access.caller import CallerDep
+from api.access.gate import require_still_good, still_good
 from api.answers import DEFAULT_LIMIT, Limit, answer, answer_bytes, next_path, wants_table
 from api.feed.filters import FeedFilter, FeedFilterDep
 from api.feed.kept_pages import read_kept
@@ -82,6 +83,7 @@ async def poll_alert_feed(
         with places.held(Waits.LONG_POLL, caller), turn_of(request.scope).given_back():
             empty = await run_in_threadpool(where, page.end.cursor, partial(read_page, limit=1))
             await _news(_watch(request), services, narrowed, empty, wait_s)
+        await require_still_good(request.scope)
         after = page.end.cursor
         page = await run_in_threadpool(where, after, kept)
     path = next_path(request, "after", page.end.cursor)
@@ -118,7 +120,7 @@ async def stream_alert_feed(
     page = await run_in_threadpool(_behind, services, narrowed, path, begin, partial(read_page, limit=CATCH_UP))
     if not page.events:
         await run_in_threadpool(_require_fleets, services, narrowed)
-    stream = FeedStream(_watch(request), narrowed, services.storage)
+    stream = FeedStream(_watch(request), narrowed, services.storage, partial(still_good, request.scope))
     places: WaitingPlaces = request.app.state.waiting_places
     held = (places.held(Waits.STREAM, caller), turn_of(request.scope).given_back())
     return EventStream(stream.parts(page), STREAM_HEADERS, held)

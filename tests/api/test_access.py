@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from guarded_service import Guarded, guarded_service, settings_in
 
 from api.access import key_ring
 from api.access.plan import plan_of
+from api.feed import streams
 from estimation.errors import ParameterError
 from fleet_db.stores.api_keys import ApiKeyStore
 
@@ -61,6 +63,35 @@ def test_a_revoked_key_is_refused(guarded: Guarded, monkeypatch: pytest.MonkeyPa
     assert guarded.client.post(f"/v1/keys/{prefix}/revoke", headers=boss).json()["revoked_at"] is not None
     assert guarded.client.get("/v1/fleets", headers=other).status_code == 401
     assert guarded.client.post(f"/v1/keys/{prefix}/revoke", headers=boss).status_code == 409
+
+
+def test_the_stream_and_the_long_poll_of_a_revoked_key_end(guarded: Guarded, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(key_ring, "AGAIN_S", 0.0)
+    monkeypatch.setattr(key_ring, "AT_MOST_S", 0.0)
+    monkeypatch.setattr(streams, "ASKED_EVERY_S", 0.2)
+    boss, other = guarded.key("boss"), guarded.key("other")
+    latest = guarded.client.get("/v1/alerts/feed?after=latest", headers=other).json()["next_cursor"]
+    with (
+        ThreadPoolExecutor() as pool,
+        guarded.client.stream("GET", "/v1/alerts/feed/stream", headers=other) as response,
+    ):
+        parts = response.iter_bytes()
+        assert next(parts)
+        waiting = {"after": latest, "wait_s": "3"}
+        polled = pool.submit(guarded.client.get, "/v1/alerts/feed", params=waiting, headers=other)
+        time.sleep(0.5)  # it waits
+        prefix = other["Authorization"].split("_")[1]
+        began = time.monotonic()
+        assert guarded.client.post(f"/v1/keys/{prefix}/revoke", headers=boss).status_code == 200
+        for _ in parts:
+            pass
+        assert time.monotonic() - began < streams.HEARTBEAT_S  # it ends, and not at a sign of life
+        assert polled.result().status_code == 401
+        assert polled.result().headers["www-authenticate"].endswith('error="invalid_token"')
+
+
+def test_how_often_a_stream_asks_for_its_key() -> None:
+    assert streams.ASKED_EVERY_S + key_ring.AT_MOST_S <= 20.0
 
 
 def test_a_key_is_read_once_for_many_requests(guarded: Guarded, monkeypatch: pytest.MonkeyPatch) -> None:
