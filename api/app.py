@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from collections.abc import AsyncIterator, MutableMapping
 from contextlib import asynccontextmanager
 from importlib.metadata import version
@@ -96,6 +97,8 @@ RESOURCES = (
 )
 # Multi-row reads of SQLite slow each other down in threads: one thread to read, one that may wait to write.
 EMBEDDED_THREADS = 2
+SWITCH_S = 0.001
+"""How long a thread that works may keep the others waiting, s: answers are to leave while lists are being read."""
 COMMITTED = "openapi.json"  # beside this file; a test compares it with the routes
 
 
@@ -192,6 +195,7 @@ def build_app(
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    sys.setswitchinterval(SWITCH_S)
     if app.state.services is not None and app.state.services.one_reader:  # an embedded one is never waited for
         anyio.to_thread.current_default_thread_limiter().total_tokens = EMBEDDED_THREADS
     app.state.webhook_worker.start()
