@@ -7,7 +7,7 @@ COPY estimation estimation
 COPY fleet_db fleet_db
 COPY ingest ingest
 RUN python -m venv /opt/treadwatch \
-    && /opt/treadwatch/bin/pip install --no-cache-dir --disable-pip-version-check --constraint constraints.txt .
+    && /opt/treadwatch/bin/pip install --no-cache-dir --disable-pip-version-check --constraint constraints.txt '.[otel]'
 
 FROM python:3.11-slim
 RUN useradd --system --uid 10001 --home-dir /var/lib/treadwatch --create-home treadwatch \
