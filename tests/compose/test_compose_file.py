@@ -32,11 +32,14 @@ def test_every_service_is_a_subcommand_of_one_image() -> None:
         assert "entrypoint" not in everything[name]
 
 
+OF_TRACES = {"OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_RESOURCE_ATTRIBUTES"}
+
+
 def test_every_variable_in_an_environment_is_a_setting() -> None:
     settings = {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
     everything = services(PASSWORD)
     for name in OURS:
-        assert set(everything[name].get("environment", {})) <= settings
+        assert set(everything[name].get("environment", {})) <= settings | OF_TRACES
 
 
 def test_every_setting_reaches_the_services_from_the_env_file() -> None:
