@@ -111,4 +111,4 @@ def _made(services: Services) -> RecordingCorrections:
 
 
 def _author(caller: Caller, body: recordings.Correction) -> Author:
-    return Author(caller.name or body.by or NOBODY, body.why)
+    return Author(caller.acts_as(body.by, NOBODY), body.why)
