@@ -67,3 +67,10 @@ def mounts(everything: Mapping[str, Mapping[str, Any]], directory: Path) -> dict
             assert found.get(inside, here) == here, f"{inside} is two volumes"
             found[inside] = here
     return found
+
+
+def scraped(job: str) -> list[str]:
+    """Return what Prometheus asks for the measures of a job, as host and port."""
+    found = yaml.safe_load((ROOT / "docs" / "operations" / "prometheus.yml").read_text(encoding="utf-8"))
+    (config,) = (one for one in found["scrape_configs"] if one["job_name"] == job)
+    return [target for group in config["static_configs"] for target in group["targets"]]

@@ -48,8 +48,9 @@ def test_every_setting_reaches_the_services_from_the_env_file() -> None:
     everything = services(PASSWORD | given)
     for name in ("migrate", "api", "scheduler", "receiver"):
         environment = everything[name]["environment"]
+        wanted = given | {"TREADWATCH_HOSTS": f"{given['TREADWATCH_HOSTS']},api"}  # as Prometheus calls it
         assert {key: environment.get(key) for key in given if key not in fixed} == {
-            key: value for key, value in given.items() if key not in fixed
+            key: value for key, value in wanted.items() if key not in fixed
         }
         assert environment["TREADWATCH_DATABASE_PASSWORD"] == PASSWORD["POSTGRES_PASSWORD"]
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import httpx
 import pytest
-from compose_file import ServiceCommand, mounts, native, services
+from compose_file import ServiceCommand, mounts, native, scraped, services
 from in_process_command import Done, Run
 
 PATIENCE_S = 300.0
@@ -120,6 +120,10 @@ def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment, tre
 
         eventually("/readyz", lambda body: body["status"] == "ok")
         assert httpx.get(f"{address}/v1/wheelsets").status_code == 401
+        (target,) = scraped("api")
+        measures = httpx.get(f"{address}/metrics", headers={"Host": target})  # as Prometheus asks, without a key
+        assert measures.status_code == 200, measures.text
+        assert "treadwatch_database_up 1.0" in measures.text
         _eventually(lambda: _receiver_is_ready(deployment), processes, deployment)
         windows = eventually("/v1/wheelsets/LIVE-1/windows", lambda body: len(body["items"]) >= 1)["items"]
         assert windows[0]["vehicle"] == "L-1"
