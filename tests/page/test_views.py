@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import re
+import time
+
 import httpx
 import pytest
 from playwright.sync_api import Page, expect
 from service_process import ServiceProcess
+
+from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.storage import SqlStorage
 
 VIEWS = ("#/", "#/plan", "#/alerts", "#/alerts/1", "#/tracks", "#/tracks/S-1", "#/tracks/S-3", "#/operation")
 TABLET = {"width": 1024, "height": 768}
@@ -64,3 +71,23 @@ def test_operation_shows_jobs_silence_and_what_is_held(
     expect(page.get_by_label("Silent vehicles")).to_contain_text("V-0")
     jobs.get_by_role("link", name="estimate windows").click()
     expect(page.locator("main tbody tr")).to_have_count(7)
+
+
+def test_a_vehicle_whose_newest_recordings_are_all_rejected_comes_first(
+    page: Page, page_service: ServiceProcess, stored: SqlStorage
+) -> None:
+    now_ns, hour_ns = time.time_ns(), 3600 * 10**9
+    wrong = Reason(ReasonCode.LOG_DAMAGED, "of another bus")
+    kept = [("V-8", 5, None), ("V-9", 4, None), ("V-9", 3, wrong), ("V-9", 2, wrong)]
+    with stored.write() as unit:
+        for number, (vehicle, ago, reason) in enumerate(kept):
+            at_ns, state = now_ns - ago * hour_ns, ChunkState.DECODED if reason is None else ChunkState.REJECTED
+            frames = 80 if reason is None else 0
+            digest = f"{number:02x}" * 32
+            unit.chunks.put(
+                ChunkRecord(digest, vehicle, ".blf", 1, state, reason, at_ns, at_ns + 1, frames, {}, at_ns, at_ns)
+            )
+    page.goto(f"{page_service.url}/#/operation")
+    lines = page.get_by_label("Receiving").locator("tbody tr")
+    expect(lines.first).to_contain_text(re.compile(r"V-9\s*2 h ago\s*the last 2 rejected\s*80\s*of another bus"))
+    expect(lines.nth(1)).to_contain_text(re.compile(r"V-8\s*5 h ago\s*decoded\s*80"))

@@ -6,12 +6,13 @@ import { live } from "./live.js";
 import { chart } from "./chart.js";
 
 const DAY_MS = 86400000;
-const SILENT_SHOWN = 50, HELD_SHOWN = 100, RECORDINGS_SHOWN = 50;
+const SILENT_SHOWN = 50, HELD_SHOWN = 100, RECORDINGS_SHOWN = 50, RECEIPTS_READ = 500;
 
 export async function operation({ signal, title }) {
   title("Operation");
   const panels = [
     ["Jobs", () => getAll("/v1/jobs?limit=1000", signal), jobs, "wide-panel"],
+    ["Receiving", () => get(withQuery("/v1/recordings", { limit: RECEIPTS_READ }), signal), receiving, "wide-panel"],
     ["Silent vehicles", () => oldest(signal), silent],
     ["Quarantine", () => get(withQuery("/v1/quarantine", { state: "held", limit: HELD_SHOWN }), signal), quarantine],
     ["Recordings", () => get(withQuery("/v1/recordings", { limit: RECORDINGS_SHOWN }), signal), recordings, "wide-panel"],
@@ -44,8 +45,31 @@ function jobs(found) {
 
 const took = (run) => (run.duration_s === null ? "" : `${number(run.duration_s, run.duration_s < 10 ? 1 : 0)} s`);
 const counts = (run) => Object.entries(run.counts).filter(([, count]) => count).map(([name, count]) => `${number(count)} ${words(name)}`).join(", ") || "nothing to do";
+const STATES = { decoded: "good", rejected: "critical", set_aside: "warning", stored: "info" };
 const TONES = { succeeded: "good", failed: "critical", running: "info" };
 const outcome = (run) => el("span", { class: `badge ${TONES[run.outcome] ?? "warning"}` }, words(run.outcome));
+
+/** What each vehicle sent last; one whose newest recordings are all rejected is received in vain, and comes first. */
+function receiving(page) {
+  if (page.items.length === 0) return el("p", { class: "quiet" }, "No vehicle has sent anything yet.");
+  const vehicles = new Map();
+  for (const item of page.items) vehicles.set(item.vehicle, [...(vehicles.get(item.vehicle) ?? []), item]);
+  const lines = [...vehicles].map(([vehicle, items]) => {
+    const good = items.findIndex((item) => item.state !== "rejected");
+    const rejected = good === -1 ? items.length : good;
+    const day = items.filter((item) => Date.parse(items[0].received_at) - Date.parse(item.received_at) < DAY_MS);
+    return { vehicle, last: items[0], rejected, used: day.reduce((sum, item) => sum + item.counts.used, 0) };
+  });
+  lines.sort((one, other) => other.rejected - one.rejected || other.last.received_at.localeCompare(one.last.received_at));
+  return [
+    rows([["Vehicle"], ["Last recording"], ["State"], ["Frames used in its last day", true], ["Why"]], lines.slice(0, SILENT_SHOWN).map((one) => [
+      el("a", { href: `#/?vehicle=${segment(one.vehicle)}` }, one.vehicle), ago(one.last.received_at),
+      el("span", { class: `badge ${STATES[one.last.state] ?? ""}` }, one.rejected > 1 ? `the last ${one.rejected} rejected` : words(one.last.state)),
+      number(one.used), one.last.reason ? el("span", { class: "clamp", title: one.last.reason }, one.last.reason) : "",
+    ])),
+    page.next === null && lines.length <= SILENT_SHOWN ? null : el("p", { class: "quiet" }, `Of the newest ${RECEIPTS_READ} recordings.`),
+  ];
+}
 
 /** The wheelsets whose data are oldest, and those that never had any: what is unknown comes last in every order. */
 async function oldest(signal) {
@@ -88,13 +112,12 @@ function quarantine(page) {
 
 function recordings(page) {
   if (page.items.length === 0) return el("p", { class: "quiet" }, "No recording has been received yet. treadwatch ingest FILE receives one.");
-  const tones = { decoded: "good", rejected: "critical", set_aside: "warning", stored: "info" };
   const frames = ({ counts: seen }) => (seen.frames === 0 ? "" : [`${number(seen.used)} of ${number(seen.frames)}`, seen.lost ? el("span", { class: "second" }, `${number(seen.lost)} lost`) : null]);
   return rows(
     [["Received"], ["Vehicle"], ["File"], ["Measured"], ["State"], ["Frames used", true], ["Reason"]],
     page.items.map((item) => [
       ago(item.received_at), item.vehicle, el("span", { title: item.digest }, item.file_name ?? item.digest.slice(0, 12)),
-      item.measured_from ? moment(item.measured_from) : "", el("span", { class: `badge ${tones[item.state] ?? ""}` }, words(item.state)), frames(item),
+      item.measured_from ? moment(item.measured_from) : "", el("span", { class: `badge ${STATES[item.state] ?? ""}` }, words(item.state)), frames(item),
       item.reason ? el("span", { class: "clamp", title: item.reason }, item.reason) : "",
     ]),
   );
