@@ -15,6 +15,7 @@ import one_thread  # noqa: F401 - must come before whatever loads the linear alg
 import open_access  # noqa: F401 - before any settings are read
 import psycopg
 import pytest
+import same_product  # noqa: F401 - before any process is started
 import sqlalchemy
 from in_process_command import Run, command_line
 from postgres_server import running_server

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode
@@ -87,6 +86,8 @@ def axle_distance(window: Window, partner: Window, ahead: float) -> AxleDistance
 
 def _short_waves(grid: FloatArray, run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatArray:
     """Return a signal on a grid of distance, zero where it is unknown, of the wavelengths of the band."""
+    from scipy.signal import sosfiltfilt  # noqa: PLC0415 - slow to import, and only windows in bogies need it
+
     values = np.interp(grid, run, np.where(known, roll, 0.0))
     ends = round(FILTERED / STEP)
     return np.asarray(sosfiltfilt(_band_pass(), values)[ends:-ends])
@@ -94,6 +95,8 @@ def _short_waves(grid: FloatArray, run: FloatArray, roll: FloatArray, known: Boo
 
 @lru_cache(maxsize=1)
 def _band_pass() -> FloatArray:
+    from scipy.signal import butter  # noqa: PLC0415 - the same
+
     shortest, longest = BAND
     return np.asarray(butter(ORDER, (1.0 / longest, 1.0 / shortest), btype="bandpass", fs=1.0 / STEP, output="sos"))
 

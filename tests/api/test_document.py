@@ -11,12 +11,12 @@ import pytest
 from running_service import Service
 
 from api.access.security_headers import security_headers
-from api.app import document_text
+from api.app import committed_document
 from api.openapi.problem_examples import DETAILS
 from api.openapi.words import OF_SCHEMA, undescribed
 from api.problems import TYPES
 
-DOCUMENT = json.loads(document_text())
+DOCUMENT = json.loads(committed_document())
 SCHEMAS = DOCUMENT["components"]["schemas"]
 OPERATIONS = [(path, method, one) for path, item in DOCUMENT["paths"].items() for method, one in item.items()]
 FROM_THE_SERVER = {"content-length", "content-type", "date", "server", "connection", "transfer-encoding"}

@@ -15,13 +15,13 @@ import pytest
 from populated_service import populated_service
 from running_service import Service
 
-from api.app import document_text
+from api.app import committed_document
 from api.csv_tables import columns_of
 from api.schemas.worklist import WheelsetRow, WorklistSort
 from estimation.values.alerts import AlertEventKind, Severity
 from estimation.values.worklist import Urgency
 
-DOCUMENT = json.loads(document_text())
+DOCUMENT = json.loads(committed_document())
 OF_FLEET = {"serial": "WS-000", "code": "V-0", "name": "estimate_windows", "alert_id": "1", "section": "S-3"}
 
 
