@@ -127,7 +127,7 @@ def _cells(path: Path) -> tuple[list[str], list[_Row]]:
     text = read_text_within(path, TABLE_BYTES, InputError, encoding="utf-8-sig")
     lines = csv.reader(text.splitlines())
     header = [name.strip() for name in next(lines, [])]
-    return header, [(lines.line_num, cells) for cells in lines if any(cell.strip() for cell in cells)]
+    return header, [(lines.line_num, cells) for cells in lines if any(map(str.strip, cells))]
 
 
 def _table(path: Path, header: list[str], lines: list[_Row], columns: Sequence[str], fewest: int) -> FloatArray:
@@ -136,6 +136,8 @@ def _table(path: Path, header: list[str], lines: list[_Row], columns: Sequence[s
         if name not in header:
             raise InputError(f"no such column; expected {', '.join(columns)}", file=path, line=1, field=name)
     places = [header.index(name) for name in columns]
+    if (table := _numbers(lines, places)) is not None and len(table) >= fewest:
+        return table
     rows: list[tuple[float, ...]] = []
     for number, cells in lines:
         rows.append(tuple(_number(path, number, cells, *column) for column in zip(columns, places, strict=True)))
@@ -144,6 +146,16 @@ def _table(path: Path, header: list[str], lines: list[_Row], columns: Sequence[s
     if len(rows) < fewest:
         raise InputError(f"{len(rows)} rows are no track, at least {fewest} are needed", file=path)
     return np.array(rows, dtype=np.float64)
+
+
+def _numbers(lines: list[_Row], places: list[int]) -> FloatArray | None:
+    """Return the columns (n, k) quickly; None where a cell is no finite number or distance does not increase."""
+    try:
+        table = np.array([[float(cells[place]) for place in places] for _, cells in lines])
+    except (ValueError, IndexError):
+        return None
+    fine = len(table) > 0 and np.isfinite(table).all() and (np.diff(table[:, 0]) > 0.0).all()
+    return table if fine else None
 
 
 def uniform_distance(s: FloatArray) -> bool:

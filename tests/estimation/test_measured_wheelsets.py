@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from alignment_job import DAY_NS, counts, in_force, put, register, report
+from one_database import on_sqlite
 from sqlalchemy import update
 
 from estimation.accuracy.wheel_contact import wheel_contact
@@ -50,6 +51,7 @@ def test_a_wheelset_that_has_been_measured_can_be_read_alone(storage: SqlStorage
     assert counts(storage, "refresh_alignment")["unchanged"] == 1
 
 
+@on_sqlite
 @pytest.mark.parametrize("case", ["long ago", "before the lathe"])
 def test_profiles_that_the_wheelset_has_no_longer_say_nothing(storage: SqlStorage, case: str) -> None:
     one_wheelset_three_times(storage)
@@ -63,6 +65,7 @@ def test_profiles_that_the_wheelset_has_no_longer_say_nothing(storage: SqlStorag
     assert track_report.report["evidence"] == []
 
 
+@on_sqlite
 def test_profiles_that_cannot_be_used_are_reported(storage: SqlStorage) -> None:
     one_wheelset_three_times(storage)
     with storage.write() as unit:
@@ -74,6 +77,7 @@ def test_profiles_that_cannot_be_used_are_reported(storage: SqlStorage) -> None:
     assert "99E9" in str(refusal)
 
 
+@on_sqlite
 def test_a_damaged_measurement_is_reported_and_the_section_goes_on(storage: SqlStorage) -> None:
     one_wheelset_three_times(storage)
     measure(storage)
@@ -86,6 +90,7 @@ def test_a_damaged_measurement_is_reported_and_the_section_goes_on(storage: SqlS
     assert "W0" in str(note)
 
 
+@on_sqlite
 def test_an_estimate_on_an_alignment_that_a_measurement_has_made_is_no_check_of_it(storage: SqlStorage) -> None:
     one_wheelset_three_times(storage)
     measure(storage)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from one_database import url_on_sqlite
 from tiny_fleet import WORN, Deployment
 
 from api.comparison.study import geometry_by
@@ -29,6 +30,7 @@ def stored(fleet: Deployment) -> tuple[GeometryRecord, list[GeometryRecord]]:
         return current, list(unit.geometries.intervals(WORN))
 
 
+@url_on_sqlite
 def test_another_estimator_gives_another_geometry_and_names_itself(fleet: Deployment, report: FleetReport) -> None:
     fleet.campaign_over(report.recordings[:1])
     fleet.run_jobs()
@@ -51,6 +53,7 @@ def test_another_estimator_gives_another_geometry_and_names_itself(fleet: Deploy
     assert again.geometry.equivalent_conicity == bins.geometry.equivalent_conicity
 
 
+@url_on_sqlite
 def test_the_same_estimator_again_changes_nothing(fleet: Deployment, report: FleetReport) -> None:
     line = chosen(fleet, "cubic")
     line.campaign_over(report.recordings[:1])
@@ -68,6 +71,7 @@ def test_an_unknown_estimator_is_refused_naming_the_variable(monkeypatch: pytest
         estimation_settings(load_settings())
 
 
+@url_on_sqlite
 def test_a_comparison_takes_the_geometry_that_the_job_stored(fleet: Deployment, report: FleetReport) -> None:
     fleet.campaign_over(report.recordings[:1])
     fleet.run_jobs()

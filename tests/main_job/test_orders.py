@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from one_database import url_on_sqlite
 from tiny_fleet import DEAD, WORN, Deployment, results, rows, whole_history
 
 from estimation.values.geometry import GeometryRecord
@@ -13,6 +14,7 @@ from ingest.simulator.fleet import FleetReport
 WRONG = Reason(ReasonCode.OTHER, "found to be wrong")
 
 
+@url_on_sqlite
 def test_another_order_and_twice_gives_the_same_results(
     fleet: Deployment, second_fleet: Deployment, report: FleetReport
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from one_database import url_on_sqlite
 from tiny_fleet import HOUR_NS, WORN, Deployment
 
 from estimation.values.geometry import GeometryRecord
@@ -16,6 +17,7 @@ def served(fleet: Deployment, as_of_ns: int | None = None) -> tuple[TrendRecord 
         return unit.trends.latest(WORN, as_of_ns), unit.geometries.current(WORN, as_of_ns)
 
 
+@url_on_sqlite
 def test_a_clock_that_was_ahead_hides_nothing_once_it_is_right(fleet: Deployment, report: FleetReport) -> None:
     wrong_by = 400 * DAY_NS
     fleet.campaign_over(report.recordings[:2])

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, register, run_windows
 
 from estimation.alerts.actions import acknowledge
@@ -191,6 +192,7 @@ def test_many_at_once_are_raised_as_one(storage: Storage) -> None:
     assert open_of_fleet(storage) == [fleet_alert]
 
 
+@on_sqlite
 def test_it_follows_its_members_in_one_event_an_evaluation(storage: Storage) -> None:
     fleet_of(storage, dict.fromkeys(WHEELSETS, 1.0))
     evaluate(storage, 8.5)
@@ -216,6 +218,7 @@ def test_it_follows_its_members_in_one_event_an_evaluation(storage: Storage) -> 
     assert len(feed_of(storage)) == 5
 
 
+@on_sqlite
 def test_as_many_as_allowed_are_raised_one_by_one(storage: Storage) -> None:
     fleet_of(storage, dict.fromkeys(WHEELSETS[:5], 1.0))
     evaluate(storage, 8.5)
@@ -223,6 +226,7 @@ def test_as_many_as_allowed_are_raised_one_by_one(storage: Storage) -> None:
     assert open_of_fleet(storage) == []
 
 
+@on_sqlite
 def test_what_was_raised_before_stays_raised(storage: Storage) -> None:
     """Three are raised alone; three more within the day make a flood; the first three join it and stay open."""
     first, then, later = WHEELSETS[:3], WHEELSETS[3:6], WHEELSETS[6:]
@@ -243,6 +247,7 @@ def test_what_was_raised_before_stays_raised(storage: Storage) -> None:
     assert [event for event in news if event[1] is None] == [(CLEARED, None), (CLOSED, None)]
 
 
+@on_sqlite
 def test_a_wheelset_that_falls_silent_within_the_flood_joins_it(storage: Storage) -> None:
     fleet_of(storage, dict.fromkeys(WHEELSETS[:6], 1.0) | dict.fromkeys(WHEELSETS[6:], 1.9))
     evaluate(storage, 8.5)
@@ -256,6 +261,7 @@ def test_a_wheelset_that_falls_silent_within_the_flood_joins_it(storage: Storage
     assert (fleet_alert.occurrence_count, fleet_alert.acknowledged_by) == (8, "j.smith")
 
 
+@on_sqlite
 def test_the_operator_sets_what_a_flood_is(storage: Storage) -> None:
     fleet_of(storage, {"W1": 1.0, "W2": 1.0, "W3": 3.0})
     book = replace(RuleBook(), alarm_flood=AlarmFloodRule(more_than=2, within_hours=49.0)).with_rules(

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from one_database import on_sqlite
 from test_wear_jobs import feed, feed_of, open_alert, run_jobs
 from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, register, run_windows
 
@@ -167,6 +168,7 @@ def test_a_swap_raises_both_and_no_wear_alert_and_the_trend_begins_again(storage
     assert lengths == {"W1": 4, "W2": 4, "W3": 8}
 
 
+@on_sqlite
 @pytest.mark.parametrize("how", ["mounting", "exchange"])
 def test_the_alert_stands_until_the_mounting_is_corrected(storage: Storage, how: str) -> None:
     swapped_fleet(storage)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows
 
 from estimation.alerts.rules.book import RuleBook
@@ -79,6 +80,7 @@ def lived(storage: Storage) -> Storage:
     return storage
 
 
+@on_sqlite
 def test_a_replay_of_other_rules_shows_more_fewer_earlier_and_later_and_writes_nothing(lived: Storage) -> None:
     stored = on_file(lived, "W1")
     kinds = {one.kind for one in stored}

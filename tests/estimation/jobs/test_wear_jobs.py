@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
+from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, wear
 
 from estimation.alerts.actions import acknowledge
@@ -58,6 +59,7 @@ def open_alert(storage: Storage, wheelset: str, kind: str) -> Alert:
     return alert
 
 
+@on_sqlite
 def test_geometries_become_trends_and_a_repeat_changes_nothing(storage: Storage) -> None:
     register(storage, "W1", "W2")
     wear(storage, "W1", 40)
@@ -81,6 +83,7 @@ def test_geometries_become_trends_and_a_repeat_changes_nothing(storage: Storage)
     assert (third.counts["refreshed"], third.counts["unchanged"]) == (1, 1)
 
 
+@on_sqlite
 def test_intervals_that_were_followed_by_empty_ones_are_as_if_they_had_never_been(storage: Storage) -> None:
     register(storage, "W1")
     wear(storage, "W1", 40)
@@ -125,6 +128,7 @@ def test_worn_wheels_raise_alerts_once(storage: Storage) -> None:
     assert feed(storage) == before
 
 
+@on_sqlite
 def test_a_dead_sensor_makes_wear_unknown_and_is_reported_itself(storage: Storage) -> None:
     register(storage, "W1")
     wear(storage, "W1", 100)
@@ -149,6 +153,7 @@ def test_a_dead_sensor_makes_wear_unknown_and_is_reported_itself(storage: Storag
     assert (CLEARED, "no_data") in feed_of(storage)
 
 
+@on_sqlite
 def test_silence_is_found_once_and_reported_once(storage: Storage) -> None:
     register(storage, "W1")
     run_windows(storage, "W1", 1, 20)
@@ -162,6 +167,7 @@ def test_silence_is_found_once_and_reported_once(storage: Storage) -> None:
     assert feed_of(storage)[2:] == [(CLEARED, "no_data"), (CLOSED, "no_data")]
 
 
+@on_sqlite
 def test_reprofiling_closes_wear_alerts_and_begins_again(storage: Storage) -> None:
     register(storage, "W1")
     wear(storage, "W1", 100)
@@ -188,6 +194,7 @@ def test_reprofiling_closes_wear_alerts_and_begins_again(storage: Storage) -> No
     assert len(latest.trend.value) == 2
 
 
+@on_sqlite
 def test_an_exchange_closes_and_the_wheelset_is_judged_again_where_it_runs(storage: Storage) -> None:
     register(storage, "W1")
     wear(storage, "W1", 100)
@@ -211,6 +218,7 @@ def test_an_exchange_closes_and_the_wheelset_is_judged_again_where_it_runs(stora
     assert open_alert(storage, "W1", "conicity_limit").opened_ns == START_NS + round(104.1 * DAY_NS)
 
 
+@on_sqlite
 def test_rules_come_from_the_settings_and_one_switched_off_closes_its_alerts(storage: Storage) -> None:
     register(storage, "W1")
     run_jobs(storage, 6.0, RuleBook().with_rules(NoDataRule(days=5.0)))
@@ -245,6 +253,7 @@ def test_the_order_of_wheelsets_does_not_change_their_alerts(sqlite_storage: Sto
     assert alerts["W1"].evidence == alerts["W2"].evidence
 
 
+@on_sqlite
 def test_hunting_and_a_softened_suspension_become_alerts(storage: Storage) -> None:
     register(storage, "W1", "W2")
     hunting = Hunting(1.0, 4.0, 0.006)
