@@ -181,10 +181,10 @@ def populate(storage: SqlStorage) -> Mapping[str, str]:
     own = api_fleet.raised(storage, WHEELSET, fleet=FLEET)
     foreign = api_fleet.raised(storage, "WS-000")
     numbers = {ALERT: str(own.alert_id), FOREIGN_ALERT: str(foreign.alert_id)}
-    return numbers | {WEBHOOK: _webhook(storage, FLEET), FOREIGN_WEBHOOK: _webhook(storage, "alpha")}
+    return numbers | {WEBHOOK: paused_webhook(storage, FLEET), FOREIGN_WEBHOOK: paused_webhook(storage, "alpha")}
 
 
-def _webhook(storage: SqlStorage, fleet: str) -> str:
+def paused_webhook(storage: SqlStorage, fleet: str) -> str:
     """Store a paused webhook of a key that is bound to a fleet; return its number."""
     at_ns = api_fleet.RECORDED
     bound, paused = frozenset({fleet}), WebhookState.PAUSED

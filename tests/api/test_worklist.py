@@ -12,6 +12,7 @@ from typing import Any
 import api_fleet
 import httpx
 import pytest
+from access_examples import paused_webhook
 from populated_service import populated_service
 from running_service import Service
 
@@ -107,8 +108,12 @@ def lists() -> list[str]:
 
 
 @pytest.mark.parametrize("template", lists())
-def test_every_list_is_a_table_with_the_documented_columns(client: httpx.Client, template: str) -> None:
-    path = template.format_map(OF_FLEET | {name: "S-3" for name in ("code",) if "section" in template})
+def test_every_list_is_a_table_with_the_documented_columns(service: Service, template: str) -> None:
+    client = service.client
+    names = OF_FLEET | {name: "S-3" for name in ("code",) if "section" in template}
+    if "{webhook_id}" in template:
+        names["webhook_id"] = paused_webhook(service.storage, "alpha")
+    path = template.format_map(names)
     whole = client.get(path, params={"limit": 2} if "cursor" in json.dumps(DOCUMENT["paths"][template]) else {})
     answer = client.get(whole.url, headers={"Accept": "text/csv"})
     rows = table(answer)
