@@ -10,11 +10,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Engine, FromClause, Select, Table, and_, event, false, or_, select
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Engine,
+    FromClause,
+    Select,
+    Table,
+    and_,
+    event,
+    false,
+    func,
+    or_,
+    select,
+)
 from sqlalchemy.sql import Executable, visitors
 from sqlalchemy.sql.selectable import Alias, Join
 
-from fleet_db.models import AlertRow, VehicleRow, WebhookFleetRow, WheelsetRow
+from fleet_db.models import AlertRow, ChunkRow, VehicleRow, WebhookFleetRow, WheelsetRow
 from fleet_db.rows import table_of
 
 Fleets = frozenset[str]
@@ -23,7 +36,7 @@ Rule = Callable[[Columns, Fleets], ColumnElement[bool]]
 VISIBLE = "treadwatch_visible_fleets"
 """Execution option of a connection: the fleets that its statements see; absent, all."""
 _VEHICLES, _WHEELSETS, _ALERTS = table_of(VehicleRow), table_of(WheelsetRow), table_of(AlertRow)
-_WEBHOOK_FLEETS = table_of(WebhookFleetRow)
+_CHUNKS, _WEBHOOK_FLEETS = table_of(ChunkRow), table_of(WebhookFleetRow)
 
 
 def _of_fleet(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
@@ -83,8 +96,24 @@ def _of_subject(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
     return or_(of_wheelset, of_vehicle)
 
 
+def _of_quarantined(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
+    """Return what is kept apart of recordings, windows, wheelsets and vehicles of the fleets; sections are of none."""
+    chunks, serials = _CHUNKS.alias(), _WHEELSETS.alias()
+    digests = select(chunks.c.digest).where(_of_vehicle(chunks.c, fleets)).correlate(None)
+    begins = func.substr(columns.key, 1, func.length(serials.c.serial) + 1) == serials.c.serial + "@"
+    of_windows = select(serials.c.serial).where(_among(serials.c.fleet, fleets), begins).exists()
+    return or_(
+        and_(columns.kind == "recording", columns.key.in_(digests)),
+        and_(columns.kind == "window", of_windows),
+        and_(columns.kind == "wheelset", _in(columns.key, _WHEELSETS, "serial", fleets)),
+        and_(columns.kind == "vehicle", _in(columns.key, _VEHICLES, "code", fleets)),
+        and_(columns.kind == "fleet", _among(columns.key, fleets)),
+    )
+
+
 RULES: Mapping[str, Rule] = {
     "registry_events": _of_subject,
+    "quarantine": _of_quarantined,
     "fleets": _fleet_itself,
     "vehicles": _of_fleet,
     "wheelsets": _of_fleet,
@@ -131,7 +160,7 @@ SHARED = frozenset(
     }
 )
 """Tables of no fleet. What a row of them says of a fleet's vehicles is left out by its representation."""
-HIDDEN = frozenset({"api_keys", "audit_entries", "quarantine", "raw_marks", "webhook_secrets"})
+HIDDEN = frozenset({"api_keys", "audit_entries", "raw_marks", "webhook_secrets"})
 """Tables that a bound caller does not see at all."""
 
 

@@ -85,9 +85,9 @@ def get_accuracy(
     with services.storage.read() as unit:
         require_known(unit, fleet=fleet)
         on_file, keys = newest_measurements(unit.connection, fleet, measured_from, measured_to, limit)
-        rows = placed_comparisons(unit, _reader(services, unit), keys)
+        placed = placed_comparisons(unit, _reader(services, unit), keys)
     asked = f"?{urlencode(request.query_params.multi_items())}" if request.query_params else ""
-    body = accuracy.accuracy(fleet_accuracy(rows), rows, on_file, {"self": f"/v1/accuracy{asked}"})
+    body = accuracy.accuracy(fleet_accuracy(placed.rows), placed, on_file, {"self": f"/v1/accuracy{asked}"})
     return answer_payload(request, table_payload(body, accepted, accuracy.table(body.measurements)), accepted)
 
 

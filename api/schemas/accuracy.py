@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from pydantic import Field
 
+from api.accuracy.placed import Placed
 from api.schemas.common import Links, Representation, Uncertain, uncertain
 from api.schemas.comparison import comparison_path
 from api.schemas.geometry import MM
@@ -75,6 +76,14 @@ class MeasurementRow(Representation):
     links: Links
 
 
+class Unreadable(Representation):
+    """A wheelset of which something stored is damaged."""
+
+    wheelset: str = Field(examples=["WS-0001"])
+    reason: str = Field(description="What cannot be read.")
+    reason_code: ReasonCode
+
+
 class Accuracy(Representation):
     """Estimates against measurements over a fleet: whether the 95 % intervals cover, and which do not."""
 
@@ -89,17 +98,18 @@ class Accuracy(Representation):
     )
     not_compared: list[NotCompared] = Field(description="Measurements that are not compared at 3 mm, by reason.")
     measurements: list[MeasurementRow] = Field(description="Each measurement, the newest first.")
+    unreadable: list[Unreadable] = Field(
+        description="Wheelsets left out of all that is above, because something stored of them is damaged."
+    )
     links: Links
 
 
-def accuracy(
-    found: FleetAccuracy, rows: Sequence[PlacedComparison], on_file: int, links: Mapping[str, str]
-) -> Accuracy:
+def accuracy(found: FleetAccuracy, placed: Placed, on_file: int, links: Mapping[str, str]) -> Accuracy:
     """Return the representation of what the comparisons of a fleet add up to."""
     return Accuracy(
         amplitude_mm=LIMIT_AMPLITUDE * MM,
         on_file=on_file,
-        considered=len(rows),
+        considered=len(placed.rows),
         coverage=CoverageOfGroup(**_pair(found.at_limit)),
         coverage_by_amplitude=[
             CoverageAtAmplitude(amplitude_mm=round(a * MM, 3), **_pair(pair)) for a, pair in found.by_amplitude.items()
@@ -107,7 +117,11 @@ def accuracy(
         coverage_by_vehicle_class=[CoverageOfKey(key=k, **_pair(pair)) for k, pair in found.by_vehicle_class.items()],
         coverage_by_track_section=[CoverageOfKey(key=k, **_pair(pair)) for k, pair in found.by_section.items()],
         not_compared=[NotCompared(reason_code=code, measurements=n) for code, n in found.not_compared.items()],
-        measurements=[_row(row) for row in rows],
+        measurements=[_row(row) for row in placed.rows],
+        unreadable=[
+            Unreadable(wheelset=serial, reason=reason.text, reason_code=reason.code)
+            for serial, reason in placed.unreadable.items()
+        ],
         links=dict(links),
     )
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,48 +12,12 @@ import api_fleet as fleet
 import httpx
 import numpy as np
 import pytest
+from measured_fleet import BARE, OTHER, SERIAL, measure
 from running_service import running
+from sqlalchemy import create_engine, text
 
 from api.factory import open_store
 from api.settings import Settings
-from estimation.contact.profiles import MeasuredProfiles, wheel_profile
-from estimation.contact.wear import TreadWear, worn
-from estimation.values.geometry import BinStatus, BinValues
-from estimation.values.quantities import Estimate, Status
-from estimation.values.registry import Mounting
-from estimation.values.windows import WindowState
-
-SERIAL, OTHER, BARE = fleet.WHEELSETS[20], fleet.WHEELSETS[21], fleet.WHEELSETS[22]
-LATER = fleet.START + 2 * fleet.DAY
-NEW = wheel_profile("P8")
-WORN = worn(NEW, TreadWear(1.0e-3, 3e-3, 44e-3, 1.0e-3))
-
-
-def estimated(serial: str, conicity: float, interval: int = 9) -> Any:  # noqa: ANN401 - a record
-    """Return the geometry of an interval with a conicity at 3 mm and a straight rL - rR."""
-    edges = np.arange(-4.0, 4.5, 0.5) * 1e-3
-    centres = 0.5 * (edges[1:] + edges[:-1])
-    b = len(centres)
-    known = BinValues(2.0 * conicity * centres, np.full(b, 5e-5), (BinStatus.ESTIMATED,) * b)
-    nothing = BinValues(np.full(b, np.nan), np.full(b, np.nan), (BinStatus.UNOBSERVABLE,) * b)
-    one = Estimate(conicity, 0.02, conicity - 0.04, conicity + 0.04, 6.0, Status.ESTIMATED)
-    geometry = replace(
-        fleet.geometry(),
-        bin_edges=edges,
-        samples=np.full(b, 1000.0),
-        rolling_radius_sum=nothing,
-        rolling_radius_difference=known,
-        contact_angle_sum=nothing,
-        contact_angle_difference=nothing,
-        amplitude=np.array([1.0, 2.0, 3.0]) * 1e-3,
-        conicity=(one, one, one),
-        reported_amplitude=3e-3,
-        equivalent_conicity=one,
-    )
-    record = fleet.geometry_record(fleet.RECORDED, conicity)
-    return replace(
-        record, wheelset=serial, baseline=0, interval=interval, mileage_km=1e3 * interval + 400.0, geometry=geometry
-    )
 
 
 @pytest.fixture
@@ -63,14 +26,7 @@ def client(storage_url: str, tmp_path: Path) -> Iterator[httpx.Client]:
     settings = Settings(data_dir=tmp_path, database_url=storage_url, port=0, log_level="warning", _env_file=None)
     storage = open_store(settings)
     fleet.populate(storage)
-    with storage.write() as unit:
-        unit.registry.add_mounting(Mounting(SERIAL, "V-0", 1, 0, fleet.START, 0.0, 0.0))
-        for serial, conicity in ((SERIAL, 0.26), (OTHER, 0.60)):
-            unit.windows.put(replace(fleet.window(0), wheelset=serial), 9300.0, fleet.RECORDED)
-            unit.windows.mark(serial, fleet.window(0).start_ns, WindowState.ESTIMATED)
-            unit.geometries.put(replace(estimated(serial, conicity), from_ns=fleet.window(0).start_ns))
-        for serial in (SERIAL, OTHER, BARE):
-            unit.registry.add_measured_profiles(MeasuredProfiles(serial, LATER, 9500.0, WORN, NEW, 0.125e-3))
+    measure(storage)
     with running(settings) as address, httpx.Client(base_url=address, timeout=30.0) as found:
         yield found
     storage.close()
@@ -149,8 +105,8 @@ def test_the_count_is_bounded_filtered_and_a_table(client: httpx.Client) -> None
     assert {row["wheelset"] for row in until["measurements"]} == {SERIAL, OTHER, BARE}
     assert client.get("/v1/accuracy", params={"fleet": "none"}).status_code == 404
     assert client.get("/v1/accuracy", params={"limit": 501}).status_code == 422
-    text = client.get("/v1/accuracy", headers={"Accept": "text/csv"}).text
-    rows = {row["wheelset"]: row for row in csv.DictReader(io.StringIO(text))}
+    body = client.get("/v1/accuracy", headers={"Accept": "text/csv"}).text
+    rows = {row["wheelset"]: row for row in csv.DictReader(io.StringIO(body))}
     assert rows[OTHER]["outcome"] == "not_covered"
     assert float(rows[OTHER]["estimated_low_1"]) == pytest.approx(0.56)
     unknown = client.get(f"/v1/wheelsets/{SERIAL}/measured-profiles/2020-01-01T00:00:00Z/comparison")
@@ -168,3 +124,20 @@ def test_a_design_has_a_contact_geometry_on_the_rails_of_the_estimate(client: ht
     assert len(table) == 162
     again = client.get(f"/v1/wheelsets/{SERIAL}/contact")
     assert client.get(again.url, headers={"If-None-Match": again.headers["etag"]}).status_code == 304
+
+
+def test_a_damaged_measurement_is_named_and_keeps_no_other_from_being_compared(
+    client: httpx.Client, storage_url: str
+) -> None:
+    engine = create_engine(storage_url)
+    with engine.begin() as connection:
+        connection.execute(
+            text("UPDATE measured_profiles SET packed = :torn WHERE wheelset = :one"), {"torn": b"PK", "one": OTHER}
+        )
+    engine.dispose()
+    found = client.get("/v1/accuracy").raise_for_status().json()
+    (unreadable,) = found["unreadable"]
+    assert (unreadable["wheelset"], unreadable["reason_code"]) == (OTHER, "file_damaged")
+    assert OTHER in unreadable["reason"]
+    assert (found["on_file"], found["considered"], found["coverage"]["everything"]["compared"]) == (6, 5, 1)
+    assert {row["wheelset"] for row in found["measurements"]} >= {SERIAL, BARE}

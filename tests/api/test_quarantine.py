@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import api_fleet
@@ -10,6 +11,7 @@ import pytest
 from running_service import Service
 
 from estimation.values.quarantine import SubjectKind
+from estimation.values.registry import VehicleRecord, WheelsetRecord
 from fleet_db.receipts import ChunkRecord, ChunkState
 
 
@@ -78,3 +80,32 @@ def test_the_measures_count_what_is_held_by_kind_and_code(client: httpx.Client) 
     assert counts['treadwatch_quarantined{kind="fleet",reason_code="conflict"}'] == 0.0
     assert sum(counts.values()) == sum(one.state.value == "held" for one in api_fleet.quarantined())
     assert all(any(f'kind="{kind}"' in name for kind in SubjectKind) for name in counts)
+
+
+def test_a_caller_bound_to_a_fleet_sees_what_failed_of_that_fleet(service: Service) -> None:
+    def seen(*fleets: str) -> set[tuple[str, str]]:
+        with service.storage.seen_by(frozenset(fleets)).read() as unit:
+            found = unit.quarantine.page(kind=None, state=None, code=None, vehicle=None, after=None, limit=1000)
+        return {(one.kind.value, one.key) for one in found}
+
+    kept = {(one.kind.value, one.key) for one in api_fleet.quarantined()}
+    more = {
+        ("recording", "cd" * 32),
+        ("window", "WS-B@7"),
+        ("wheelset", "WS-B"),
+        ("fleet", "=beta"),
+        ("fleet", "alpha"),
+    }
+    of_beta = (more | {("window", f"{api_fleet.WHEELSETS[1]}@7")}) - {("fleet", "alpha")}
+    of_alpha = (kept | {("fleet", "alpha")}) - of_beta - {("section", "A/B")}
+    with service.storage.write() as unit:
+        unit.registry.add_wheelset(WheelsetRecord("WS-B", "=beta", "P8", 0.45, None, ()))
+        unit.registry.add_vehicle(VehicleRecord("V-B", "=beta", "regional", 4, 44.5, (0.0,) * 4))
+        for digest, vehicle in (("ab" * 32, "V-0"), ("cd" * 32, "V-B")):
+            unit.chunks.put(ChunkRecord(digest, vehicle, ".blf", 1, ChunkState.REJECTED, None, None, None, 0, {}, 1, 1))
+        for kind, key in more:
+            unit.quarantine.put(replace(api_fleet.quarantined()[0], kind=SubjectKind(kind), key=key))
+    assert seen("=beta") == of_beta
+    assert seen("alpha") == of_alpha
+    assert seen("alpha", "=beta") == of_alpha | of_beta
+    assert seen() == set()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import api_fleet
+import measured_fleet
 
 from estimation.storage import Storage
 from estimation.values.registry import WheelsetRecord
@@ -20,6 +21,7 @@ EXTRA = [f"M-{number:04d}" for number in range(250)]
 def populate(storage: Storage) -> None:
     """Store everything."""
     api_fleet.populate(storage)
+    measured_fleet.measure(storage)
     with storage.write() as unit:
         for serial in (MARKUP, UNSEEN, FORMULA, *EXTRA):
             unit.registry.add_wheelset(WheelsetRecord(serial, "alpha", "P8", 0.4375, None, ()))

@@ -6,6 +6,7 @@ import re
 import time
 
 import httpx
+import measured_fleet
 import pytest
 from playwright.sync_api import Page, expect
 from service_process import ServiceProcess
@@ -14,7 +15,17 @@ from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 
-VIEWS = ("#/", "#/plan", "#/alerts", "#/alerts/1", "#/tracks", "#/tracks/S-1", "#/tracks/S-3", "#/operation")
+VIEWS = (
+    "#/",
+    "#/plan",
+    "#/alerts",
+    "#/alerts/1",
+    "#/tracks",
+    "#/tracks/S-1",
+    "#/tracks/S-3",
+    "#/accuracy",
+    "#/operation",
+)
 TABLET = {"width": 1024, "height": 768}
 
 
@@ -91,3 +102,22 @@ def test_a_vehicle_whose_newest_recordings_are_all_rejected_comes_first(
     lines = page.get_by_label("Receiving").locator("tbody tr")
     expect(lines.first).to_contain_text(re.compile(r"V-9\s*2 h ago\s*the last 2 rejected\s*80\s*of another bus"))
     expect(lines.nth(1)).to_contain_text(re.compile(r"V-8\s*5 h ago\s*decoded\s*80"))
+
+
+def test_accuracy_counts_the_intervals_that_cover_and_lists_every_measurement(
+    page: Page, page_service: ServiceProcess, client: httpx.Client
+) -> None:
+    found = client.get("/v1/accuracy?limit=500").json()
+    page.goto(f"{page_service.url}/#/accuracy")
+    summary = page.get_by_label("Do the intervals cover?")
+    expect(summary).to_contain_text("1 of 2 50 %[1 %, 99 %]")
+    rows = page.get_by_label("Measurements").locator("tbody tr")
+    expect(rows).to_have_count(len(found["measurements"]))
+    expect(rows.filter(has_text=measured_fleet.SERIAL).first).to_contain_text("covered")
+    expect(rows.filter(has_text=measured_fleet.OTHER).first).to_contain_text("not covered")
+    expect(rows.filter(has_text=measured_fleet.BARE).first).to_contain_text("not compared")
+    expect(page.get_by_label("Estimated against measured").locator("canvas").first).to_be_visible()
+    page.locator('select[name="fleet"]').select_option("=beta")
+    expect(rows).to_have_count(len(client.get("/v1/accuracy?fleet=%3Dbeta").json()["measurements"]))
+    rows.first.get_by_role("link").click()
+    expect(page.locator("main h1")).to_be_visible()

@@ -1,13 +1,13 @@
 // The keyboard: `/` to search, `g` and a letter to a view, `?` for this list, Esc out of everything.
 import { el } from "./dom.js";
 
-const PLACES = { f: "#/", p: "#/plan", a: "#/alerts", t: "#/tracks", o: "#/operation" };
+const PLACES = { f: "#/", p: "#/plan", a: "#/alerts", t: "#/tracks", c: "#/accuracy", o: "#/operation" };
 const LIST = [
   ["/", "find a wheelset or a vehicle"],
   ["\u2191 \u2193 PgUp PgDn Home End", "move in a table"],
   ["Enter", "open the row"],
   ["Esc", "close a dialog, leave a field, go back to the list"],
-  ["g f, g p, g a, g t, g o", "fleet, turning plan, alerts, track sections, operation"],
+  ["g f, g p, g a, g t, g c, g o", "fleet, turning plan, alerts, track sections, accuracy, operation"],
   ["?", "this list"],
 ];
 

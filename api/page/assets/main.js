@@ -6,6 +6,7 @@ import { keyFromAddress, startLogin } from "./login.js";
 import { overview } from "./overview.js";
 import { route, show, start } from "./router.js";
 // the fleet comes first; the other views are read when they are shown, or once the first has been
+const accuracy = () => import("./accuracy.js");
 const alerts = () => import("./alerts.js");
 const operation = () => import("./operation.js");
 const plan = () => import("./plan.js");
@@ -21,6 +22,7 @@ route("/tracks", "tracks", later(tracks, "tracks"));
 route("/tracks/:code", "tracks", later(tracks, "track"));
 route("/wheelsets/:serial", "overview", later(wheelset, "wheelset"));
 route("/wheelsets/:serial/sheet", "overview", later(sheet, "sheet"));
+route("/accuracy", "accuracy", later(accuracy, "accuracy"));
 route("/operation", "operation", later(operation, "operation"));
 route("/operation/jobs/:name", "operation", later(operation, "jobView"));
 
@@ -40,7 +42,7 @@ function later(read, name) {
 
 /** Read the other views while nothing else happens, so that they are there when they are wanted. */
 function readOthers() {
-  for (const read of [wheelset, plan, alerts, sheet, tracks, operation]) read().catch(() => {});
+  for (const read of [wheelset, plan, alerts, sheet, tracks, accuracy, operation]) read().catch(() => {});
 }
 
 function startTheme() {

@@ -11,7 +11,7 @@ import { empty } from "./states.js";
 import { table } from "./table.js";
 import { saveButton } from "./table_file.js";
 
-const FIRST = 60, FURTHER = 250;
+const FIRST = 60, FURTHER = 100;
 const STATUSES = ["estimated", "unestimated", "invalid", "model_mismatch"];
 const FILTERS = ["fleet", "vehicle", "vehicle_class", "urgency", "status", "alert_kind"];
 
