@@ -9,6 +9,7 @@ from __future__ import annotations
 from fastapi import FastAPI
 
 from api import factory, logs
+from api.kept_objects import keep_what_is_loaded
 from api.settings import load_settings
 from api.tracing import start_tracing
 
@@ -24,4 +25,6 @@ def app() -> FastAPI:
     settings = load_settings()
     logs.configure(settings)
     start_tracing()
-    return factory.create_app(settings)
+    found = factory.create_app(settings)
+    keep_what_is_loaded()
+    return found

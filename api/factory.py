@@ -293,6 +293,7 @@ def serve(settings: Settings, stopping: Event) -> None:
     from api.app import build_app  # noqa: PLC0415 - the same
     from api.http_limits import limits_of  # noqa: PLC0415 - the same
     from api.http_server import check_address, http_server  # noqa: PLC0415 - the same
+    from api.kept_objects import keep_what_is_loaded  # noqa: PLC0415 - the same
     from api.webhooks.sending import sender_of  # noqa: PLC0415 - the same
 
     access, sender = plan_of(settings), sender_of(settings)
@@ -305,6 +306,7 @@ def serve(settings: Settings, stopping: Event) -> None:
         opening.add_done_callback(partial(_join, app, server))
         try:
             if not server.should_exit:
+                keep_what_is_loaded()
                 server.run()
         finally:
             stopping.set()

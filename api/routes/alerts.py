@@ -80,16 +80,16 @@ def list_alerts(
         found = _found(unit.alerts, choice, sort, after, limit + 1)
         if not found:
             require_known(unit, fleet=fleet, wheelset=wheelset, fleet_alert=fleet_alert)
-        places = unit.alerts.places([one.alert_id for one in found])
+        places = {one.alert_id: (one.vehicle, one.axle) for one in found}
 
         def made(numbers: Sequence[int]) -> Mapping[int, alert_rows.AlertRow]:
             records = unit.alerts.some(numbers)
-            return {number: alert_rows.alert_row(record, now_ns, places) for number, record in records.items()}
+            return {number: alert_rows.alert_row(record, now_ns, places[number]) for number, record in records.items()}
 
         def payloads(numbers: Sequence[int]) -> Mapping[int, bytes]:
             return {number: payload_of(row) for number, row in made(numbers).items()}
 
-        keys = {one.alert_id: _key(one, now_ns, places) for one in found[:limit]}
+        keys = {one.alert_id: _key(one, now_ns) for one in found[:limit]}
         rows = made(list(keys)) if wants_table(request) else {}
         texts = {} if rows else services.cache.get_or_make_all(keys, payloads)
     by_severity = sort is alert_rows.AlertSort.WORST
@@ -104,10 +104,10 @@ def list_alerts(
     )
 
 
-def _key(one: AlertOutline, now_ns: int, places: Mapping[int, tuple[str, int]]) -> Hashable:
+def _key(one: AlertOutline, now_ns: int) -> Hashable:
     """Return what changes whenever the row of an alert does."""
-    shown = (alerts.display_state(one, now_ns), places.get(one.alert_id))
-    return ("alert", one.alert_id, one.version, one.last_seen_ns, *shown)
+    shown = alerts.display_state(one, now_ns)
+    return ("alert", one.alert_id, one.version, one.last_seen_ns, shown, one.vehicle, one.axle)
 
 
 def _found(

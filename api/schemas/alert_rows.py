@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import StrEnum
 
 from pydantic import Field
@@ -28,7 +27,7 @@ class AlertRow(Alert):
     axle: int | None = Field(description="Number of its axle there, from 1.", examples=[1])
 
 
-def alert_row(record: AlertValue, now_ns: int, places: Mapping[int, tuple[str, int]]) -> AlertRow:
+def alert_row(record: AlertValue, now_ns: int, place: tuple[str | None, int | None]) -> AlertRow:
     """Return the representation of an alert in a list.
 
     Parameters
@@ -37,8 +36,8 @@ def alert_row(record: AlertValue, now_ns: int, places: Mapping[int, tuple[str, i
         The alert.
     now_ns
         Our time.
-    places
-        Vehicle and axle by number of the alert.
+    place
+        Vehicle and axle that its wheelset ran under when it was opened.
     """
-    vehicle, axle = places.get(record.alert_id, (None, None))
+    vehicle, axle = place
     return AlertRow(**dict(alert(record, now_ns)), vehicle=vehicle, axle=axle)

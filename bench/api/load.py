@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
@@ -29,7 +29,6 @@ class _Round:
     requests: Sequence[bytes]
     done: asyncio.Future[None]
     sent: int = 0
-    answered: int = 0
     latencies_s: list[float] = field(default_factory=list)
     statuses: list[int] = field(default_factory=list)
     sizes: list[int] = field(default_factory=list)
@@ -51,8 +50,8 @@ class _Round:
 class _Client(asyncio.Protocol):
     """One connection; its server must send Content-Length."""
 
-    def __init__(self, shared: _Round) -> None:
-        self.shared = shared
+    def __init__(self) -> None:
+        self.shared: _Round | None = None
         self.buffer = bytearray()
         self.expected = -1
         self.status = 0
@@ -61,10 +60,9 @@ class _Client(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = transport  # type: ignore[assignment] # a stream transport
-        self._ask()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        if not self.shared.done.done():
+        if self.shared is not None and not self.shared.done.done():
             self.shared.done.set_exception(exc or ConnectionError("the server closed a connection"))
 
     def data_received(self, data: bytes) -> None:
@@ -77,54 +75,69 @@ class _Client(asyncio.Protocol):
             self.status = int(head[9:12])
             length = head.partition(b"content-length:")[2].split(b"\r\n", 1)[0]
             self.expected = end + len(HEAD_END) + int(length or b"0")
-        if len(self.buffer) >= self.expected:
+        if len(self.buffer) >= self.expected and self.shared is not None:
             size = self.expected
             self.buffer.clear()
             self.expected = -1
             self.shared.note(time.perf_counter() - self.began, self.status, size)
-            self._ask()
+            self.ask(self.shared)
 
-    def _ask(self) -> None:
-        request = self.shared.next_request()
+    def ask(self, shared: _Round) -> None:
+        self.shared = shared
+        request = shared.next_request()
         if request is not None and self.transport is not None:
             self.began = time.perf_counter()
             self.transport.write(request)
 
 
-def ask(url: str, paths: Sequence[str], clients: int, headers: Sequence[str] = ()) -> Percentiles:
-    """Ask for every path once, by clients that each wait for their answer before they ask again.
+def ask(
+    url: str, wanted: Mapping[str, Sequence[str]], clients: int, headers: Sequence[str] = ()
+) -> dict[str, Percentiles]:
+    """Ask for every path of each endpoint in turn, by clients that wait for their answer before they ask again.
+
+    All endpoints are asked over the same connections, so that they share how these fell to the worker processes: a
+    worker that got 30 of 50 answers each half as often again, whatever it is asked for.
 
     Parameters
     ----------
     url
         Of the server.
-    paths
-        (n,) what to ask for.
+    wanted
+        What to ask for, by name of the endpoint.
     clients
         Connections at the same time.
     headers
         Lines that every request has.
     """
-    return asyncio.run(_ask_all(url, paths, clients, headers))
+    return asyncio.run(_ask_all(url, wanted, clients, headers))
 
 
-async def _ask_all(url: str, paths: Sequence[str], clients: int, headers: Sequence[str]) -> Percentiles:
+async def _ask_all(
+    url: str, wanted: Mapping[str, Sequence[str]], clients: int, headers: Sequence[str]
+) -> dict[str, Percentiles]:
     address = urlsplit(url)
     lines = "".join(f"{line}\r\n" for line in (f"Host: {address.netloc}", *headers))
     loop = asyncio.get_running_loop()
-    shared = _Round([f"GET {path} HTTP/1.1\r\n{lines}\r\n".encode() for path in paths], loop.create_future())
-    began = time.perf_counter()
-    make: Callable[[], _Client] = lambda: _Client(shared)  # noqa: E731 - a factory with a type
-    opened = [await loop.create_connection(make, address.hostname, address.port) for _ in range(clients)]
-    await shared.done
-    took = time.perf_counter() - began
+    opened = [await loop.create_connection(_Client, address.hostname, address.port) for _ in range(clients)]
+    found = {}
+    for name, paths in wanted.items():
+        shared = _Round([f"GET {path} HTTP/1.1\r\n{lines}\r\n".encode() for path in paths], loop.create_future())
+        began = time.perf_counter()
+        for _, client in opened:
+            client.ask(shared)
+        await shared.done
+        found[name] = _percentiles(shared, time.perf_counter() - began)
     for transport, _ in opened:
         transport.abort()
+    return found
+
+
+def _percentiles(shared: _Round, took_s: float) -> Percentiles:
     sorted_ms = sorted(1000.0 * latency for latency in shared.latencies_s)
     return Percentiles(
         p50_ms=_quantile(sorted_ms, 0.5),
         p99_ms=_quantile(sorted_ms, 0.99),
-        per_second=len(paths) / took,
+        per_second=len(sorted_ms) / took_s,
         refused=sum(status >= 300 for status in shared.statuses),
         mean_bytes=sum(shared.sizes) / len(shared.sizes),
     )

@@ -121,12 +121,12 @@ def _measure(
     random = np.random.default_rng(SEED)
     found: dict[str, list[Percentiles]] = {endpoint.name: [] for endpoint in ENDPOINTS}
     for number in range(rounds + 1):
-        for endpoint in ENDPOINTS:
-            seen = ask(address, endpoint.paths(size, random, asked), CLIENTS, [key])
+        wanted = {endpoint.name: endpoint.paths(size, random, asked) for endpoint in ENDPOINTS}
+        for name, seen in ask(address, wanted, CLIENTS, [key]).items():
             if seen.refused:
-                raise RuntimeError(f"{endpoint.template}: {seen.refused} of {asked} answers are refusals")
+                raise RuntimeError(f"{name}: {seen.refused} of {asked} answers are refusals")
             if number:  # the first round warms caches
-                found[endpoint.name].append(seen)
+                found[name].append(seen)
     rows = [_row(database, endpoint, found) for endpoint in ENDPOINTS]
     for row in rows:
         console.print("  ".join(f"{title} {cell}" for title, cell in zip(COLUMNS[1:], row[1:], strict=True)))
@@ -158,7 +158,7 @@ def _page(size: FleetSize, rows: Sequence[tuple[str, ...]]) -> Path:
     words = (
         f"{size.vehicles} vehicles, {size.wheelsets} wheelsets, {size.days} days of daily geometry (seed {SEED}). "
         f"uvicorn with 2 workers, {CLIENTS} clients on loopback that ask again as soon as they are answered. Medians "
-        "over rounds in which every endpoint is asked in turn; the bare endpoint is `/healthz`."
+        "over rounds in which every endpoint is asked in turn over the same connections; the bare one is `/healthz`."
     )
     body = [
         words,

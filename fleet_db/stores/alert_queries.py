@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
-from sqlalchemy import Select, select
+from sqlalchemy import Select, or_, select
 
 from estimation.values.alerts import AlertScope, Condition, Severity
-from fleet_db.models import AlertEventRow, AlertRow
+from fleet_db.models import AlertEventRow, AlertRow, MountingRow
 from fleet_db.rows import table_of
 
-ALERTS, EVENTS = table_of(AlertRow), table_of(AlertEventRow)
+ALERTS, EVENTS, MOUNTINGS = table_of(AlertRow), table_of(AlertEventRow), table_of(MountingRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +31,11 @@ class AlertChoice:
 
 
 class AlertOutline(NamedTuple):  # made by the hundred at every reading of a list: a tuple is made in C
-    """What of an alert orders a list, says how it is shown, and changes whenever the alert does."""
+    """What of an alert orders a list, says how it is shown, and changes whenever the alert does; and its place.
+
+    Vehicle and axle are those that its wheelset ran under when it was opened; None for an alert of a fleet, and where
+    no mounting of that time is on file.
+    """
 
     alert_id: int
     version: int
@@ -40,6 +45,8 @@ class AlertOutline(NamedTuple):  # made by the hundred at every reading of a lis
     closed_ns: int | None
     acknowledged_ns: int | None
     shelved_until_ns: int | None
+    vehicle: str | None
+    axle: int | None
 
 
 class EventOutline(NamedTuple):
@@ -58,8 +65,23 @@ def outlines_of(choice: AlertChoice, after_id: int | None, limit: int, *, newest
     choice, after_id, limit, newest_first
         As of :func:`page_of`.
     """
-    columns = (ALERTS.c[name] for name in AlertOutline._fields)
-    return page_of(select(*columns), choice, after_id, limit, newest_first=newest_first)
+    return page_of(_outlines(), choice, after_id, limit, newest_first=newest_first)
+
+
+@cache
+def _outlines() -> Select[Any]:
+    """Return what all lists of outlines begin with."""
+    at_opening = (
+        MOUNTINGS.c.wheelset == ALERTS.c.wheelset,
+        MOUNTINGS.c.from_ns <= ALERTS.c.opened_ns,
+        or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > ALERTS.c.opened_ns),
+    )
+    *own, vehicle, axle = AlertOutline._fields
+    # a subquery each, not a join: a mounting that the caller may not see leaves the alert in the list
+    place = (
+        select(MOUNTINGS.c[name]).where(*at_opening).correlate(ALERTS).scalar_subquery() for name in (vehicle, axle)
+    )
+    return select(*(ALERTS.c[name] for name in own), *place)
 
 
 def page_of(

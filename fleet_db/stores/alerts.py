@@ -5,18 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, and_, bindparam, insert, or_, select, update
+from sqlalchemy import Connection, Select, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
 from estimation.values.identity import IDENTITY
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import MountingRow
-from fleet_db.rows import table_of
 from fleet_db.session import to_json
 from fleet_db.stores.alert_queries import (
     ALERTS,
@@ -29,7 +26,6 @@ from fleet_db.stores.alert_queries import (
     page_of,
 )
 
-MOUNTINGS = table_of(MountingRow)
 SEVERITIES = {one.value: one for one in Severity}
 CONDITIONS = {one.value: one for one in Condition}
 
@@ -106,14 +102,6 @@ class AlertStore:
         """Return alerts by number; one that is not on file is left out."""
         found = self._alerts(select(ALERTS).where(ALERTS.c.alert_id.in_(alert_ids)))
         return {alert.alert_id: alert for alert in found}
-
-    def places(self, alert_ids: Sequence[int]) -> Mapping[int, tuple[str, int]]:
-        """Return vehicle and axle that the wheelsets of alerts ran under when they were opened, by number.
-
-        An alert of a fleet has none, nor has one of a time of which no mounting is on file.
-        """
-        rows = self.connection.execute(_places(), {"alert_ids": list(alert_ids)})
-        return {row.alert_id: (row.vehicle, row.axle) for row in rows.all()}
 
     def feed(
         self,
@@ -289,15 +277,6 @@ class AlertStore:
 
 def _open() -> Select[Any]:
     return select(ALERTS).where(ALERTS.c.closed_ns.is_(None))
-
-
-@cache
-def _places() -> Select[tuple[int, str, int]]:
-    """Return a statement that is built once, for it is executed whenever alerts are listed."""
-    there = and_(MOUNTINGS.c.wheelset == ALERTS.c.wheelset, MOUNTINGS.c.from_ns <= ALERTS.c.opened_ns)
-    statement = select(ALERTS.c.alert_id, MOUNTINGS.c.vehicle, MOUNTINGS.c.axle).join(MOUNTINGS, there)
-    still = or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > ALERTS.c.opened_ns)
-    return statement.where(ALERTS.c.alert_id.in_(bindparam("alert_ids", expanding=True)), still)
 
 
 def _subject(alert: Alert) -> str:
