@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Annotated, Generic, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 
@@ -73,9 +75,14 @@ def finite(value: float | None, scale: float = 1.0) -> float | None:
     return scaled if math.isfinite(scaled) else None
 
 
-def finite_list(values: Iterable[float], scale: float = 1.0) -> list[float | None]:
+def finite_list(values: Sequence[float] | FloatArray, scale: float = 1.0) -> list[float | None]:
     """Return every value as :func:`finite` does."""
-    return [finite(value, scale) for value in values]
+    with np.errstate(over="ignore"):  # beyond all floats is no finite number
+        scaled = np.asarray(values, np.float64) * scale
+    found: list[float | None] = scaled.tolist()
+    for place in np.flatnonzero(~np.isfinite(scaled)):
+        found[place] = None
+    return found
 
 
 def uncertain(estimate: Estimate, scale: float = 1.0) -> Uncertain:

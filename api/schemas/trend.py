@@ -8,7 +8,7 @@ from pydantic import Field, JsonValue
 
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
 from api.schemas.registry import segment
-from api.times import Timestamp, to_rfc3339
+from api.times import Timestamp, times_to_rfc3339, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
@@ -149,7 +149,7 @@ def trend(record: TrendRecord, current: GeometryRecord | None) -> Trend:
         recorded_at=to_rfc3339(record.recorded_ns),
         points=TrendPoints(
             mileage_km=finite_list(found.mileage_km),
-            measured_at=[to_rfc3339(int(t_ns)) for t_ns in found.measured_ns],
+            measured_at=times_to_rfc3339(found.measured_ns),
             value_1=finite_list(found.value),
             std_1=finite_list(found.std),
         ),

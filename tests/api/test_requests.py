@@ -9,6 +9,7 @@ import socket
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,7 +17,8 @@ from running_service import Service
 
 from api.answers import csv_text
 from api.contract import choose
-from api.times import from_rfc3339, to_rfc3339
+from api.schemas.common import finite, finite_list
+from api.times import from_rfc3339, times_to_rfc3339, to_rfc3339
 
 TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z")
 
@@ -72,6 +74,18 @@ def test_times_lose_nothing_on_their_way_out_and_in(t_ns: int) -> None:
     text = to_rfc3339(t_ns)
     assert TIME.fullmatch(text)
     assert from_rfc3339(text) == t_ns
+
+
+@settings(max_examples=100, derandomize=True)
+@given(st.lists(st.integers(-(2**63) + 1, 2**63 - 1) | st.integers(-10, 10).map(lambda s: s * 100_000_000)))
+def test_many_times_are_written_as_one_is(times_ns: list[int]) -> None:
+    assert times_to_rfc3339(np.array(times_ns, np.int64)) == [to_rfc3339(t_ns) for t_ns in times_ns]
+
+
+@settings(max_examples=100, derandomize=True)
+@given(st.lists(st.floats()), st.sampled_from([1.0, 1e3]))
+def test_many_numbers_are_written_as_one_is(values: list[float], scale: float) -> None:
+    assert finite_list(values, scale) == [finite(value, scale) for value in values]
 
 
 def test_an_offset_is_understood() -> None:

@@ -190,6 +190,31 @@ def test_paper_shows_the_rows_that_were_read_and_no_controls(page: Page, page_se
     expect(page.locator("form.filters")).to_be_hidden()
     expect(rows).to_have_count(60)
     assert on_screen < 60
+    expect(page.locator(".printed-cut")).to_have_text("The first 60 rows. The table saved as CSV has all.")
     assert page.pdf()[:5] == b"%PDF-"
     page.emulate_media(media="screen")
     expect(rows).to_have_count(on_screen)
+
+
+def test_paper_shows_the_first_rows_of_a_table_of_thousands_and_says_so(
+    page: Page, page_service: ServiceProcess
+) -> None:
+    opened(page, page_service)
+    page.evaluate(
+        """async () => {
+            const main = document.querySelector('script[type="module"]').src;
+            const { table } = await import(new URL("./table.js", main));
+            const columns = [{ name: "n", label: "n", cell: (row) => String(row) }];
+            const made = table({ columns, label: "thousands", keyOf: (row) => row });
+            document.querySelector("main").replaceChildren(made);
+            made.setRows(Array.from({ length: 4000 }, (_, place) => place));
+        }"""
+    )
+    rows = page.get_by_label("thousands").locator("tr[data-index]")
+    cut = page.locator(".printed-cut")
+    expect(cut).to_be_hidden()
+    page.emulate_media(media="print")
+    expect(rows).to_have_count(500)
+    expect(cut).to_have_text("The first 500 rows. The table saved as CSV has all.")
+    page.emulate_media(media="screen")
+    expect(cut).to_be_hidden()

@@ -1,8 +1,9 @@
-// A table of thousands of rows of which only those in sight are in the document; a grid for the keyboard.
+// A table of thousands of rows of which only those in sight are in the document, and the first when it is printed.
 import { el, replace } from "./dom.js";
 import { empty } from "./states.js";
 
 const MARGIN_ROWS = 8, AHEAD_ROWS = 20;
+const PRINTED_ROWS = 500; // some 25 sheets; a browser lays thousands of rows out for minutes
 
 /**
  * A table. `columns` are `{name, label, title, cell(row), class, sort}`; `sort` names what a click on the head sorts by.
@@ -22,7 +23,8 @@ export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, s
     el("colgroup", {}, columns.map((column) => el("col", { class: `col-${column.name}` }))),
     el("thead", {}, head), above, body, below,
   );
-  const scroller = el("div", { class: "scroller", on: { scroll: () => requestAnimationFrame(draw) } }, grid);
+  const cut = el("p", { class: "printed-cut" });
+  const scroller = el("div", { class: "scroller", on: { scroll: () => requestAnimationFrame(draw) } }, grid, cut);
   const element = el("div", { class: "table" }, scroller);
   const print = matchMedia("print"); // asked when it is drawn: sizes change before its own event
 
@@ -31,12 +33,13 @@ export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, s
     const forPrint = print.matches;
     const height = scroller.clientHeight || innerHeight;
     const from = forPrint ? 0 : Math.max(0, Math.floor(scroller.scrollTop / rowHeight) - MARGIN_ROWS);
-    const to = forPrint ? rows.length : Math.min(rows.length, from + Math.ceil(height / rowHeight) + 2 * MARGIN_ROWS);
+    const to = forPrint ? Math.min(rows.length, PRINTED_ROWS) : Math.min(rows.length, from + Math.ceil(height / rowHeight) + 2 * MARGIN_ROWS);
     if (more && !forPrint && to > rows.length - AHEAD_ROWS) {
       const ask = more;
       more = null;
       ask();
     }
+    cut.textContent = forPrint && (more || to < rows.length) ? `The first ${to} rows. The table saved as CSV has all.` : "";
     if (from === first && to === last) return;
     const held = body.contains(document.activeElement);
     drawRows(from, to);
