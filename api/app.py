@@ -95,8 +95,9 @@ RESOURCES = (
     recordings,
     recording_corrections,
 )
-# Multi-row reads of SQLite slow each other down in threads: one thread to read, one that may wait to write.
-EMBEDDED_THREADS = 2
+# Requests that work at the same time slow each other down: Python runs one of them, and all others wait as long.
+EMBEDDED_THREADS = 2  # of SQLite: one to read, one that may wait to write
+SERVER_THREADS = 4  # of a database server: some that wait for it
 SWITCH_S = 0.001
 """How long a thread that works may keep the others waiting, s: answers are to leave while lists are being read."""
 COMMITTED = "openapi.json"  # beside this file; a test compares it with the routes
@@ -196,8 +197,9 @@ def build_app(
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     sys.setswitchinterval(SWITCH_S)
-    if app.state.services is not None and app.state.services.one_reader:  # an embedded one is never waited for
-        anyio.to_thread.current_default_thread_limiter().total_tokens = EMBEDDED_THREADS
+    embedded = app.state.services is not None and app.state.services.one_reader  # an embedded one is never waited for
+    threads = anyio.to_thread.current_default_thread_limiter()
+    threads.total_tokens = EMBEDDED_THREADS if embedded else SERVER_THREADS
     app.state.webhook_worker.start()
     yield
     await anyio.to_thread.run_sync(app.state.webhook_worker.stop)

@@ -10,11 +10,12 @@ import os
 import time
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from enum import IntEnum
 from pathlib import Path
 
 from sqlalchemy import Connection, Engine, text
+from sqlalchemy.exc import SQLAlchemyError
 
 from estimation.errors import AlreadyRunningError, BusyError
 
@@ -34,8 +35,8 @@ class Subject(IntEnum):
     TRACKS = 5
     MIGRATION = 6
     SETTINGS = 7
-    KEEPING = 7
     WEBHOOKS = 8
+    KEEPING = 9
 
 
 def serialise(connection: Connection, subject: Subject) -> None:
@@ -139,6 +140,8 @@ def postgresql_session(engine: Engine, holder: str) -> Iterator[Connection]:
         connection.execute(text("SELECT set_config('application_name', :name, false)"), {"name": name})
         yield connection
     finally:
+        with suppress(SQLAlchemyError):  # a server that lost the connection has let them go
+            connection.execute(text("SELECT pg_advisory_unlock_all()"))  # here, not when it notices the end
         connection.invalidate()  # the session ends with its locks, and its name never gets back into the pool
         connection.close()
 

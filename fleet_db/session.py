@@ -7,6 +7,7 @@ write begins IMMEDIATE, so that two writers wait for each other instead of faili
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -14,8 +15,15 @@ from pathlib import Path
 from typing import Any
 
 import sqlalchemy
-from sqlalchemy import URL, Connection, Engine, event
-from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, SQLAlchemyError, StatementError
+from sqlalchemy import URL, Connection, Dialect, Engine, event
+from sqlalchemy.exc import (
+    ArgumentError,
+    DBAPIError,
+    IntegrityError,
+    InvalidatePoolError,
+    SQLAlchemyError,
+    StatementError,
+)
 from sqlalchemy.pool import ConnectionPoolEntry
 
 from estimation.errors import ConflictError, ParameterError, StorageError
@@ -28,6 +36,8 @@ BEGIN_OPTION = "sqlite_begin"
 IMMEDIATE = {BEGIN_OPTION: "BEGIN IMMEDIATE"}
 POOL_TIMEOUT_S = 10.0
 """How long a thread waits for one of the connections of its process, in seconds."""
+IDLE_S = 1.0
+"""A connection that the server has not answered for so long is asked whether it is alive before it is used, in seconds."""
 POSTGRESQL = ("postgresql", "postgresql+psycopg")
 UNLIMITED = ServerLimits()
 SQLITE = ("sqlite", "sqlite+pysqlite")
@@ -113,15 +123,28 @@ def _postgresql_engine(url: URL, limits: ServerLimits) -> Engine:
         raise ParameterError("has an @ in its password: write it as %40", field="database_url")
     engine = sqlalchemy.create_engine(
         url.set(drivername="postgresql+psycopg"),
-        pool_pre_ping=True,
         pool_size=10,
         pool_timeout=POOL_TIMEOUT_S,
         connect_args=limits.options(),
         json_serializer=to_json,
     )
     guard_connecting(engine, partial(WatchedConnection.open, limits))
+    event.listen(engine, "checkout", partial(_check_idle, engine.dialect))
     event.listen(engine, "connect", partial(_prepare_postgresql, limits))
     return engine
+
+
+def _check_idle(dialect: Dialect, connection: Any, _entry: ConnectionPoolEntry, _proxy: object) -> None:  # noqa: ANN401 - the driver's own type
+    """Ask a connection that has been idle whether it is alive; with a dead one go all that were opened before.
+
+    Not one that answered a moment ago: the question would double what a small request costs.
+    """
+    if time.monotonic() - connection.answered_s < IDLE_S:
+        return
+    try:
+        dialect.do_ping(connection)
+    except dialect.loaded_dbapi.Error:
+        raise InvalidatePoolError from None
 
 
 def _prepare_postgresql(limits: ServerLimits, connection: Any, _entry: ConnectionPoolEntry) -> None:  # noqa: ANN401 - the driver's own type

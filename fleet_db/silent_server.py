@@ -52,6 +52,8 @@ class ServerLimits:
 class WatchedConnection(psycopg.Connection[Any]):
     """A connection that ends with an error where the server is silent, and does not answer at another one either."""
 
+    answered_s = float("-inf")
+    """When the server answered it last, on the monotonic clock, in seconds."""
     _limits: ServerLimits | None = None
     _again: Callable[[], psycopg.Connection[Any]]
 
@@ -116,6 +118,7 @@ class WatchedConnection(psycopg.Connection[Any]):
                     said_s = time.monotonic()
                 wanted = gen.send(came)
         except StopIteration as end:
+            self.answered_s = time.monotonic()
             return cast("Returned", end.value)
 
     def _ask_whether_there(self, silent_s: float) -> None:

@@ -12,6 +12,7 @@ from api.feed.pages import Place, newest_place
 from api.representation_cache import RepresentationCache
 from api.schemas import alerts
 from fleet_db.storage import SqlUnitOfWork
+from fleet_db.stores.feed_branches import FeedBranch
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +55,12 @@ def read_kept(
     if len(found) < limit:
         end = newest_place(unit, narrowed, branch)
     else:
-        last = found[-1].sequence
-        end = Place(last, cursors.encode(narrowed, branch, unit.alerts.event(last)))
+        last = found[-1]
+        key = ("cursor", last.sequence, last.alert_id, last.recorded_ns, branch.identity, narrowed)
+        text = cache.get_or_make(key, lambda: _cursor(unit, narrowed, branch, last.sequence))
+        end = Place(last.sequence, text.decode())
     return KeptPage([texts[one.sequence] for one in found], end)
+
+
+def _cursor(unit: SqlUnitOfWork, narrowed: FeedFilter, branch: FeedBranch, sequence: int) -> bytes:
+    return cursors.encode(narrowed, branch, unit.alerts.event(sequence)).encode()

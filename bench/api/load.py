@@ -103,7 +103,7 @@ def ask(
     url
         Of the server.
     wanted
-        What to ask for, by name of the endpoint.
+        What to ask for, under the name of the endpoint.
     clients
         Connections at the same time.
     headers

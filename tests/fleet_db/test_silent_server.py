@@ -18,6 +18,7 @@ from api.factory import open_store
 from api.settings import Settings
 from estimation.errors import ConflictError, StorageError
 from estimation.values.registry import FleetRecord
+from fleet_db import session
 from fleet_db.migrate import upgrade
 from fleet_db.session import database_engine
 from fleet_db.silent_server import ServerLimits
@@ -62,6 +63,36 @@ def test_a_frozen_server_is_given_up_and_used_again(server: PostgresServer, tmp_
         assert fleets(storage) == 0
 
 
+def ended_by_the_server(server: PostgresServer, tmp_path: Path) -> None:
+    """End every other connection from the side of the server."""
+    with opened(server, QUICK, tmp_path) as other, other.read() as unit:
+        unit.connection.execute(
+            text(
+                "SELECT pg_terminate_backend(pid) FROM pg_stat_activity"
+                " WHERE pid <> pg_backend_pid() AND datname = current_database()"
+            )
+        )
+
+
+def test_a_connection_that_was_idle_is_asked_before_it_is_used(
+    server: PostgresServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with opened(server, QUICK, tmp_path) as storage:
+        assert fleets(storage) == 0
+        ended_by_the_server(server, tmp_path)
+        monkeypatch.setattr(session, "IDLE_S", 0.0)
+        assert fleets(storage) == 0  # nobody notices
+
+
+def test_a_connection_that_answered_a_moment_ago_is_not_asked(server: PostgresServer, tmp_path: Path) -> None:
+    with opened(server, QUICK, tmp_path) as storage:
+        assert fleets(storage) == 0
+        ended_by_the_server(server, tmp_path)
+        with pytest.raises(StorageError):
+            fleets(storage)
+        assert fleets(storage) == 0  # one request fails, the next has a new connection
+
+
 def add_fleet(storage: SqlStorage, before_commit: Callable[[], object]) -> None:
     with storage.write() as unit:
         unit.registry.add_fleet(FleetRecord("F", "Fleet"))
@@ -95,7 +126,10 @@ def execute(storage: SqlStorage, statement: TextClause) -> None:
         unit.connection.execute(statement)
 
 
-def test_one_frozen_connection_of_a_server_that_is_there_is_given_up(server: PostgresServer, tmp_path: Path) -> None:
+def test_one_frozen_connection_of_a_server_that_is_there_is_given_up(
+    server: PostgresServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session, "IDLE_S", 0.0)
     limits = ServerLimits(connect_s=2, silence_s=0.2, statement_s=0.5)
     with opened(server, limits, tmp_path) as storage:
         number = own_process(storage)
