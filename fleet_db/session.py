@@ -37,7 +37,7 @@ IMMEDIATE = {BEGIN_OPTION: "BEGIN IMMEDIATE"}
 POOL_TIMEOUT_S = 10.0
 """How long a thread waits for one of the connections of its process, in seconds."""
 IDLE_S = 1.0
-"""A connection that the server has not answered for so long is asked whether it is alive before it is used, in seconds."""
+"""A connection silent for so long is asked whether it is alive before it is used, in seconds."""
 POSTGRESQL = ("postgresql", "postgresql+psycopg")
 UNLIMITED = ServerLimits()
 SQLITE = ("sqlite", "sqlite+pysqlite")
