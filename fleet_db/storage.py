@@ -327,9 +327,9 @@ class OwnedStorage(SqlStorage):
 @contextmanager
 def _read_only(connection: Connection) -> Iterator[Connection]:
     if connection.dialect.name != "sqlite":
-        with connection.execution_options(**SNAPSHOT).begin() as transaction:
+        # committed: the driver forgets with a rollback what the server has prepared, and nothing was written
+        with connection.execution_options(**SNAPSHOT).begin():
             yield connection
-            transaction.rollback()
         return
     with connection.begin() as transaction:
         connection.exec_driver_sql("PRAGMA query_only = ON")
