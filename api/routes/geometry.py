@@ -67,7 +67,7 @@ def get_trend(
     not_in_the_future(as_of, services.clock.now_ns())
     with services.storage.read() as unit:
         if as_of is None:
-            key = ("trend", serial, accepted, unit.trends.version(serial), unit.geometries.version(serial))
+            key = ("trend", serial, accepted, unit.trends.version(serial))
             payload = services.cache.get_or_make(key, partial(_trend, unit, serial, accepted))
         else:
             payload = _trend(unit, serial, accepted, as_of)

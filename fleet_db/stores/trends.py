@@ -11,11 +11,11 @@ from sqlalchemy import Connection, Select, bindparam, insert, select
 from estimation.values.trend import TrendRecord
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import TrendRow
+from fleet_db.models import GeometryRow, TrendRow
 from fleet_db.packed_values import pack_trend, unpack_trend
 from fleet_db.rows import null_if_nan, reason_columns, table_of
 
-TRENDS = table_of(TrendRow)
+TRENDS, GEOMETRIES = table_of(TrendRow), table_of(GeometryRow)
 NEWEST_FIRST = (TRENDS.c.trend_id.desc(),)  # in the order of commit; clocks go back
 EVER_NS = 2**63 - 1
 
@@ -50,10 +50,12 @@ class TrendStore:
         self.changes.show(record.wheelset)
         return True
 
-    def version(self, wheelset: str) -> tuple[int, int, str] | None:
-        """Return number, recorded time and digest of inputs of the newest trend; None where there is none."""
-        row = self.connection.execute(_version(), {"serial": wheelset}).first()
-        return None if row is None else (row.trend_id, row.recorded_ns, row.input_digest)
+    def version(self, wheelset: str) -> tuple[int | None, ...]:
+        """Return what changes whenever the newest trend or the current geometry does, at less cost; None for none.
+
+        Number and recorded time of the trend, and those of the current geometry that was appended last.
+        """
+        return tuple(self.connection.execute(_version(), {"serial": wheelset}).one())
 
     def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None:
         """Return the newest trend, as it was recorded at ``as_of_ns``: that of the baseline in force then."""
@@ -74,10 +76,20 @@ class TrendStore:
 
 
 @cache
-def _version() -> Select[tuple[int, int, str]]:
+def _version() -> Select[Any]:
     """Return a statement that is built once, for it is executed whenever a trend is read."""
-    statement = select(TRENDS.c.trend_id, TRENDS.c.recorded_ns, TRENDS.c.input_digest)
-    return statement.where(TRENDS.c.wheelset == bindparam("serial")).order_by(*NEWEST_FIRST).limit(1)
+    trend = (
+        select(TRENDS.c[name]).where(TRENDS.c.wheelset == bindparam("serial")).order_by(*NEWEST_FIRST).limit(1)
+        for name in ("trend_id", "recorded_ns")
+    )
+    geometry = (
+        select(GEOMETRIES.c[name])
+        .where(GEOMETRIES.c.wheelset == bindparam("serial"), GEOMETRIES.c.baseline_interval.is_(None))
+        .order_by(GEOMETRIES.c.geometry_id.desc())
+        .limit(1)
+        for name in ("geometry_id", "recorded_ns")
+    )
+    return select(*(one.scalar_subquery() for one in (*trend, *geometry)))
 
 
 @cache
