@@ -19,6 +19,9 @@ MOST_DRAWN = 60
 """Rows in the document, however many the fleet has."""
 
 
+A4_LANDSCAPE_PX = 1032  # between the margins
+
+
 def opened(page: Page, service: ServiceProcess, query: str = "") -> Locator:
     """Open the overview; return its rows."""
     page.goto(f"{service.url}/#/{query}")
@@ -194,6 +197,19 @@ def test_paper_shows_the_rows_that_were_read_and_no_controls(page: Page, page_se
     assert page.pdf()[:5] == b"%PDF-"
     page.emulate_media(media="screen")
     expect(rows).to_have_count(on_screen)
+
+
+def test_paper_says_why_and_by_when_across_a_page_of_a4(page: Page, page_service: ServiceProcess) -> None:
+    rows = opened(page, page_service)
+    page.set_viewport_size({"width": A4_LANDSCAPE_PX, "height": 700})
+    page.emulate_media(media="print")
+    expect(rows).to_have_count(60)
+    first = rows.first
+    for column, least in (("why", 150), ("conicity", 220), ("distance", 120), ("limitdate", 95), ("data", 75)):
+        box = first.locator(f".c-{column}").bounding_box()
+        assert box is not None, column
+        assert box["width"] >= least, column
+    assert page.evaluate("document.documentElement.scrollWidth") <= A4_LANDSCAPE_PX
 
 
 def test_paper_shows_the_first_rows_of_a_table_of_thousands_and_says_so(
