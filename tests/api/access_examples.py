@@ -184,13 +184,13 @@ def populate(storage: SqlStorage) -> Mapping[str, str]:
     return numbers | {WEBHOOK: paused_webhook(storage, FLEET), FOREIGN_WEBHOOK: paused_webhook(storage, "alpha")}
 
 
-def paused_webhook(storage: SqlStorage, fleet: str) -> str:
-    """Store a paused webhook of a key that is bound to a fleet; return its number."""
+def paused_webhook(storage: SqlStorage, fleet: str, state: WebhookState = WebhookState.PAUSED) -> str:
+    """Store a webhook, paused unless another state is given, of a key that is bound to a fleet; return its number."""
     at_ns = api_fleet.RECORDED
-    bound, paused = frozenset({fleet}), WebhookState.PAUSED
+    bound = frozenset({fleet})
     with storage.write() as unit:
         one = Webhook(
-            0, "https://203.0.113.9/", fleet, bound, *(frozenset(),) * 2, bound, paused, None, *(at_ns,) * 2, "", 0
+            0, "https://203.0.113.9/", fleet, bound, *(frozenset(),) * 2, bound, state, None, *(at_ns,) * 2, "", 0
         )
         return str(unit.webhooks.add(one, "whsec_c2VjcmV0").webhook_id)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,20 @@ from typing import Any
 import httpx
 import pytest
 import yaml
+from access_examples import paused_webhook
 from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 from running_service import Service
 
+from api.factory import open_store
+from api.settings import Settings
 from api.terminal.live_health import registered
+from api.webhooks.measures import webhook_measures
+from estimation.values.registry import FleetRecord
 from estimation.values.windows import WindowState
+from fleet_db.migrate import upgrade
 from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.webhook_records import WebhookState
 from ingest.live.status import LiveStatus
 
 ROOT = Path(__file__).parents[2]
@@ -50,11 +58,23 @@ def exposed(text: str) -> dict[str, set[str]]:
 
 
 @pytest.fixture
-def measures(client: httpx.Client) -> dict[str, set[str]]:
+def measures(client: httpx.Client, tmp_path: Path) -> dict[str, set[str]]:
     """Return what service and receiver expose, each under its name, with the labels."""
     client.get("/healthz")
     live = generate_latest(registered(LiveStatus())).decode()
-    return exposed(client.get("/metrics").text) | exposed(live)
+    return exposed(client.get("/metrics").text) | exposed(live) | of_an_active_webhook(tmp_path)
+
+
+def of_an_active_webhook(folder: Path) -> dict[str, set[str]]:
+    """Return what is exposed of a webhook that nobody delivers to: it has no place in a service that would."""
+    settings = Settings(data_dir=folder, _env_file=None)
+    upgrade(settings.url)
+    with closing(open_store(settings)) as storage:
+        with storage.write() as unit:
+            unit.registry.add_fleet(FleetRecord("F", "Fleet"))
+        paused_webhook(storage, "F", WebhookState.ACTIVE)
+        families = webhook_measures(storage)
+    return {sample.name: set(sample.labels) for family in families for sample in family.samples}
 
 
 def test_every_expression_asks_for_what_there_is(measures: dict[str, set[str]]) -> None:

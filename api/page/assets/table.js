@@ -9,10 +9,10 @@ const PRINTED_ROWS = 500; // some 25 sheets; a browser lays thousands of rows ou
  * A table. `columns` are `{name, label, title, cell(row), class, sort}`; `sort` names what a click on the head sorts by.
  *
  * `table.setRows(rows, {total, more})` shows other rows; `more()` is called when the end of the rows comes into sight.
- * Arrows, Page Up, Page Down, Home and End move, Enter opens.
+ * Arrows, Page Up, Page Down, Home and End move, Enter opens. End reads on until the last row is there.
  */
 export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, sorted, rowClass, nothing }) {
-  let rows = [], total = 0, more = null, focused = 0, first = -1, last = -1;
+  let rows = [], total = 0, more = null, focused = 0, first = -1, last = -1, toEnd = false;
   const head = el("tr", { "aria-rowindex": 1 }, columns.map((column) => headCell(column, sorted, onSort)));
   const above = el("tbody", { "aria-hidden": "true" });
   const body = el("tbody", {});
@@ -111,6 +111,7 @@ export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, s
 
   body.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName !== "TR") return;
+    toEnd = event.key === "End";
     if (event.key === "Enter") onOpen?.(rows[focused], event.target);
     else if (event.key in steps) move(steps[event.key]());
     else return;
@@ -145,6 +146,8 @@ export function table({ columns, label, rowHeight = 44, keyOf, onOpen, onSort, s
     if (rows.length === 0) replace(element, nothing?.() ?? empty("Nothing here."));
     else if (!scroller.isConnected || element.firstChild !== scroller) replace(element, scroller);
     draw();
+    if (toEnd && rows.length > 0 && element.isConnected) move(rows.length - 1); // on to the end of what is there
+    toEnd &&= Boolean(options.more);
     return element;
   };
   element.focusFirst = () => move(focused);
