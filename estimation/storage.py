@@ -11,7 +11,7 @@ from typing import Protocol
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, Condition
-from estimation.values.geometry import BinTable, GeometryRecord, TableKey
+from estimation.values.geometry import BinTable, FilledCells, GeometryRecord, TableKey
 from estimation.values.quarantine import Quarantined
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
@@ -119,6 +119,7 @@ class BinTables(Protocol):
     def stream(
         self, wheelset: str, from_ns: int, to_ns: int | None
     ) -> Iterator[tuple[WindowRecord, BinTable, int | None]]: ...
+    def filled(self, wheelset: str, from_ns: int, to_ns: int | None) -> Iterator[tuple[int, FilledCells]]: ...
 
 
 class Geometries(Protocol):

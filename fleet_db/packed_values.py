@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from estimation.contact.profiles import Profile
-from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinValues, WheelsetGeometry
+from estimation.values.arrays import BoolArray
+from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinValues, FilledCells, WheelsetGeometry
 from estimation.values.json_value import JsonValue
 from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings, TrackLayout
 from estimation.values.trend import WearTrend
@@ -229,31 +229,40 @@ def unpack_bin_table(blob: bytes, *, where: str) -> BinTable:
     StorageError
         The blob is damaged; ``where`` names it.
     """
+    return unpack_filled_cells(blob, where=where).table()
+
+
+def unpack_filled_cells(blob: bytes, *, where: str) -> FilledCells:
+    """Return the filled cells of a packed bin table, bit for bit.
+
+    Parameters
+    ----------
+    blob
+        From ``pack_bin_table``.
+    where
+        Name of the place it was read from, for messages.
+
+    Raises
+    ------
+    StorageError
+        The blob is damaged; ``where`` names it.
+    """
     packed = unpack(blob, BIN_TABLE, where=where)
-    edges, found = packed.arrays["edges"], packed.arrays["cells"]
-    groups, bins = packed.scalars["groups"], len(edges) - 1
-    filled = np.unpackbits(packed.arrays["filled"], count=groups * bins).astype(bool)
+    edges, rows = packed.arrays["edges"], packed.arrays["cells"].T
+    groups = packed.scalars["groups"]
+    filled = np.unpackbits(packed.arrays["filled"], count=groups * (len(edges) - 1))
     yaw_from = 1 + packed.scalars["lateral"]
-    weight, lateral, yaw = (
-        _spread(rows, filled, groups, bins) for rows in (found[:1], found[1:yaw_from], found[yaw_from:])
-    )
-    return BinTable(
+    return FilledCells(
         parameter_key=packed.scalars["parameter_key"],
         edges=edges,
-        weight=weight[:, :, 0],
-        lateral=lateral,
-        yaw=yaw,
+        groups=groups,
+        cells=np.flatnonzero(filled),
+        weight=rows[:, 0],
+        lateral=rows[:, 1:yaw_from],
+        yaw=rows[:, yaw_from:],
         samples=packed.scalars["samples"],
         windows=packed.scalars["windows"],
     )
-
-
-def _spread(rows: FloatArray, filled: BoolArray, groups: int, bins: int) -> FloatArray:
-    """Return columns ``rows`` (m, filled) put back among the empty cells: (groups, bins, m)."""
-    cells = np.zeros((groups * bins, len(rows)))
-    cells[filled] = rows.T
-    cells.flags.writeable = False
-    return cells.reshape(groups, bins, len(rows))
 
 
 def _renamed(scalars: Mapping[str, Any], before: str, after: str) -> dict[str, Any]:

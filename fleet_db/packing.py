@@ -8,6 +8,7 @@ one after the other, each shuffled so that equal bytes of neighbouring numbers l
 from __future__ import annotations
 
 import json
+import math
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -123,7 +124,7 @@ def _arrays(body: bytes, at: int, described: list[list[Any]]) -> dict[str, Array
     found: dict[str, Array] = {}
     for name, code, shape in described:
         dtype: np.dtype[Any] = DTYPES[code]
-        count = int(np.prod(shape, dtype=np.int64))
+        count = math.prod(shape)
         size = count * dtype.itemsize
         raw = np.frombuffer(body, np.uint8, size, at)
         # reshaping before the view keeps the result contiguous, which the frozen values ask for

@@ -30,7 +30,7 @@ from estimation.motion.parameters import WindowParameters
 from estimation.storage import UnitOfWork
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters, bin_parameters
-from estimation.values.geometry import LEFT_OUT, BinTable, GeometryRecord, WheelsetGeometry
+from estimation.values.geometry import LEFT_OUT, FilledCells, GeometryRecord, WheelsetGeometry
 from estimation.values.identity import IdentityChange
 from estimation.values.json_value import JsonValue
 from estimation.values.motion import Motion
@@ -245,15 +245,13 @@ def _remembered(entries: Sequence[_Entry], half_life_km: float) -> list[_Entry]:
     return [entry for entry in entries if newest - entry[0].mileage_km <= REMEMBERED_HALF_LIVES * half_life_km]
 
 
-def _tables(unit: UnitOfWork, entries: Sequence[_Entry]) -> list[tuple[float, BinTable]]:
-    """Return mileage and table of the entries, oldest first."""
+def _tables(unit: UnitOfWork, entries: Sequence[_Entry]) -> Iterator[tuple[float, FilledCells]]:
+    """Yield mileage and table of the entries, oldest first."""
     wanted = {entry[0].start_ns: entry[0].mileage_km for entry in entries}
     first, last = entries[0][0], entries[-1][0]
-    return [
-        (wanted[window.start_ns], table)
-        for window, table, _ in unit.tables.stream(first.wheelset, first.start_ns, last.start_ns + 1)
-        if window.start_ns in wanted
-    ]
+    for start_ns, table in unit.tables.filled(first.wheelset, first.start_ns, last.start_ns + 1):
+        if start_ns in wanted:
+            yield wanted[start_ns], table
 
 
 def _digest(
@@ -341,7 +339,7 @@ def _geometry(unit: UnitOfWork, entries: Sequence[_Entry], used: _Used, half_lif
     bins, settings = bin_parameters(used.assumed.windows), used.settings
     tables = _tables(unit, entries)
     table = (
-        bin_table.merge_all([table for _, table in tables], bins)
+        bin_table.merge_all((table for _, table in tables), bins)
         if half_life_km is None
         else bin_table.merge_with_mileage(tables, half_life_km, bins)
     )

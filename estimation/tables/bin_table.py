@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
-from functools import reduce
-from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -20,8 +19,9 @@ from estimation.errors import ParameterError
 from estimation.motion.parameters import WindowParameters
 from estimation.motion.window_motion import window_motion
 from estimation.tables import least_squares
+from estimation.tables.table_sum import TableSum
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-from estimation.values.geometry import BinTable
+from estimation.values.geometry import BinTable, FilledCells
 from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
@@ -199,39 +199,53 @@ def merge(first: BinTable, second: BinTable, forgetting: float = 1.0) -> BinTabl
     )
 
 
-def merge_all(tables: list[BinTable], parameters: BinParameters) -> BinTable:
+def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameters) -> BinTable:
     """Merge in the order given, without forgetting.
 
     Parameters
     ----------
     tables
-        Of the same parameters.
+        Of the same parameters; one is in memory at a time where they come one by one.
     parameters
         Those of the tables; of the empty table where there are none.
+
+    Raises
+    ------
+    ValueError
+        A table was made with other parameters.
     """
-    return reduce(merge, tables, init(parameters))
+    merged = TableSum(init(parameters))
+    for table in tables:
+        merged.add(table)
+    return merged.table()
 
 
 def merge_with_mileage(
-    tables: list[tuple[float, BinTable]], half_life_km: float, parameters: BinParameters
+    tables: Iterable[tuple[float, BinTable | FilledCells]], half_life_km: float, parameters: BinParameters
 ) -> BinTable:
     """Merge tables in order of mileage, halving the weight of what was seen ``half_life_km`` earlier.
 
     Parameters
     ----------
     tables
-        (mileage in km, table), ascending.
+        (mileage in km, table), ascending; one is in memory at a time where they come one by one.
     half_life_km
         Distance after which an observation counts half.
     parameters
         Those of the tables; of the empty table where there are none.
+
+    Raises
+    ------
+    ValueError
+        A table was made with other parameters.
     """
-    if not tables:
-        return init(parameters)
-    state = tables[0][1]
-    for (before, _), (mileage, table) in pairwise(tables):
-        state = merge(state, table, float(0.5 ** ((mileage - before) / half_life_km)))
-    return state
+    merged, before = TableSum(init(parameters)), None
+    for mileage, table in tables:
+        if before is not None:
+            merged.forget(float(0.5 ** ((mileage - before) / half_life_km)))
+        merged.add(table)
+        before = mileage
+    return merged.table()
 
 
 def tabulate_window(

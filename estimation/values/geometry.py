@@ -8,7 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from estimation.values.arrays import FloatArray, bin_centres, frozen_array
+from estimation.values.arrays import FloatArray, IntArray, bin_centres, frozen_array
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
@@ -43,6 +43,52 @@ class BinTable:
     def centres(self) -> FloatArray:
         """Bin centres (b,), m."""
         return bin_centres(self.edges)
+
+
+@dataclass(frozen=True, slots=True)
+class FilledCells:
+    """A bin table as it is stored: only its cells with samples, which are a tenth of all in a window of a minute."""
+
+    parameter_key: str
+    edges: FloatArray  # (b + 1,) m
+    groups: int
+    cells: IntArray  # (k,) group * b + bin of each cell, increasing
+    weight: FloatArray  # (k,)
+    lateral: FloatArray  # (k, q)
+    yaw: FloatArray  # (k, r)
+    samples: int
+    windows: int
+
+    def __post_init__(self) -> None:
+        k = len(self.cells)
+        object.__setattr__(self, "edges", frozen_array(self.edges, (None,), name="edges"))
+        object.__setattr__(self, "cells", frozen_array(self.cells, (k,), np.int64, name="cells"))
+        object.__setattr__(self, "weight", frozen_array(self.weight, (k,), name="weight"))
+        object.__setattr__(self, "lateral", frozen_array(self.lateral, (k, None), name="lateral"))
+        object.__setattr__(self, "yaw", frozen_array(self.yaw, (k, None), name="yaw"))
+        count = self.groups * (len(self.edges) - 1)
+        if k and (self.cells[0] < 0 or self.cells[-1] >= count):
+            raise ValueError(f"cells {self.cells[0]} to {self.cells[-1]} of {count}")
+
+    def table(self) -> BinTable:
+        """Return the table with its empty cells."""
+        groups, bins = self.groups, len(self.edges) - 1
+
+        def spread(rows: FloatArray) -> FloatArray:
+            whole = np.zeros((groups * bins, *rows.shape[1:]))
+            whole[self.cells] = rows
+            whole.flags.writeable = False
+            return whole.reshape(groups, bins, *rows.shape[1:])
+
+        return BinTable(
+            parameter_key=self.parameter_key,
+            edges=self.edges,
+            weight=spread(self.weight),
+            lateral=spread(self.lateral),
+            yaw=spread(self.yaw),
+            samples=self.samples,
+            windows=self.windows,
+        )
 
 
 @dataclass(frozen=True, slots=True)

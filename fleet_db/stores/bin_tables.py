@@ -10,11 +10,11 @@ from typing import Any
 from sqlalchemy import Connection, Select, and_, select
 
 from estimation.errors import ConflictError
-from estimation.values.geometry import BinTable, TableKey
+from estimation.values.geometry import BinTable, FilledCells, TableKey
 from estimation.values.windows import WindowRecord
 from fleet_db.changes import Changes
 from fleet_db.models import WindowBinTableRow, WindowRow
-from fleet_db.packed_values import pack_bin_table, unpack_bin_table
+from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
 from fleet_db.rows import table_of, upsert
 from fleet_db.stores.windows import content_digest, to_window_record
 
@@ -101,6 +101,19 @@ class BinTableStore:
             for row in found:
                 where = f"bin table of window {wheelset}@{row.start_ns}"
                 yield to_window_record(row), unpack_bin_table(row.packed, where=where), row.track_version
+
+    def filled(self, wheelset: str, from_ns: int, to_ns: int | None) -> Iterator[tuple[int, FilledCells]]:
+        """Yield start and filled cells of the tables of windows that start in ``[from_ns, to_ns)``, oldest first.
+
+        Raises
+        ------
+        DamagedError
+            A table is damaged; names the window.
+        """
+        statement = _selected(select(TABLES.c.start_ns, TABLES.c.packed), wheelset, from_ns, to_ns)
+        with self.connection.execute(statement.execution_options(yield_per=BATCH)) as found:
+            for start_ns, packed in found:
+                yield start_ns, unpack_filled_cells(packed, where=f"bin table of window {wheelset}@{start_ns}")
 
 
 def _selected(columns: Select[Any], wheelset: str, from_ns: int, to_ns: int | None) -> Select[Any]:

@@ -15,6 +15,8 @@ from smooth_wheelset import SmoothTable, ideal, run
 from estimation.errors import ParameterError
 from estimation.tables import bin_table
 from estimation.tables.least_squares import solve
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import BinTable, FilledCells
 from estimation.values.motion import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
@@ -95,6 +97,50 @@ def test_forgetting_halves_what_is_a_half_life_old() -> None:
     merged = bin_table.merge_with_mileage([(0.0, table), (5_000.0, table), (10_000.0, table)], 5_000.0, PARAMETERS)
     np.testing.assert_allclose(merged.weight, 1.75 * table.weight)
     assert bin_table.merge_with_mileage([], 5_000.0, PARAMETERS).samples == 0
+
+
+def test_a_sum_has_the_bits_of_merging_table_by_table() -> None:
+    motion = ideal(run(60))
+    parts = [bin_table.tabulate(_slice(motion, slice(k, k + 20_000)), PARAMETERS) for k in (0, 20_000, 40_000)]
+    merged = bin_table.merge_with_mileage([(1_000.0 * k, t) for k, t in enumerate(parts)], 5_000.0, PARAMETERS)
+    weight = 0.5 ** (1_000.0 / 5_000.0)
+    assert same_values(merged, bin_table.merge(bin_table.merge(parts[0], parts[1], weight), parts[2], weight))
+    alone = bin_table.merge(bin_table.merge(bin_table.init(PARAMETERS), parts[0]), parts[1])
+    assert same_values(bin_table.merge_all(iter(parts[:2]), PARAMETERS), alone)
+
+
+def test_filled_cells_are_the_table() -> None:
+    tables = [bin_table.tabulate(ideal(run(10, seed=seed)), PARAMETERS) for seed in (1, 2)]
+    filled = [filled_cells(table) for table in tables]
+    assert 0 < len(filled[0].cells) < filled[0].groups * len(tables[0].centres)
+    for one, table in zip(filled, tables, strict=True):
+        assert same_values(one.table(), table)
+    mixed = bin_table.merge_all([filled[0], tables[1]], PARAMETERS)
+    assert same_values(mixed, bin_table.merge_all(tables, PARAMETERS))
+    empty = filled_cells(bin_table.init(PARAMETERS))
+    assert same_values(bin_table.merge_all([empty], PARAMETERS), bin_table.init(PARAMETERS))
+
+
+def filled_cells(table: BinTable) -> FilledCells:
+    cells = np.flatnonzero(table.weight.reshape(-1))
+
+    def rows(array: FloatArray) -> FloatArray:
+        return array.reshape(-1, *array.shape[2:])[cells]
+
+    sums = rows(table.weight), rows(table.lateral), rows(table.yaw)
+    return FilledCells(table.parameter_key, table.edges, len(table.weight), cells, *sums, table.samples, table.windows)
+
+
+@pytest.mark.parametrize("cells", [[-1, 4], [4, 16 * 57]])
+def test_filled_cells_lie_in_the_table(cells: list[int]) -> None:
+    edges = bin_table.init(PARAMETERS).edges
+    with pytest.raises(ValueError, match=r"cells .* of 912"):
+        FilledCells("key", edges, 16, np.array(cells), np.ones(2), np.ones((2, 3)), np.ones((2, 4)), 2, 1)
+
+
+def test_a_sum_takes_no_table_of_other_parameters() -> None:
+    with pytest.raises(ValueError, match="do not merge"):
+        bin_table.merge_all([bin_table.init(replace(PARAMETERS, width=0.5e-3))], PARAMETERS)
 
 
 def test_samples_outside_the_bins_or_not_valid_are_left_out() -> None:
