@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sqlalchemy import CheckConstraint, ForeignKey, Index, String
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.quantities import Status
@@ -20,6 +20,8 @@ from fleet_db.models.base import (
     one_of,
 )
 
+CURRENT = text("baseline_interval IS NULL")
+
 
 class GeometryRow(Base):
     """One estimate; never changed. ``packed`` holds the whole value, bit for bit; the columns beside it are for SQL.
@@ -31,7 +33,14 @@ class GeometryRow(Base):
     __table_args__ = (
         one_of("status", Status),
         CheckConstraint("baseline >= 0", name="baseline_counted"),
-        Index(None, "wheelset", "baseline", "baseline_interval", "recorded_ns"),
+        Index("ix_geometry_interval", "wheelset", "baseline", "baseline_interval", "geometry_id", "recorded_ns"),
+        Index("ix_geometry_current", "wheelset", "geometry_id", sqlite_where=CURRENT, postgresql_where=CURRENT),
+        Index(
+            "ix_geometry_current_baseline",
+            *("wheelset", "baseline", "geometry_id", "recorded_ns"),
+            sqlite_where=CURRENT,
+            postgresql_where=CURRENT,
+        ),
         Index(None, "recorded_ns"),
         {"sqlite_autoincrement": True},
     )

@@ -28,7 +28,7 @@ class TrendRow(Base):
     __table_args__ = (
         one_of("status", Status),
         CheckConstraint("baseline >= 0", name="baseline_counted"),
-        Index(None, "wheelset", "recorded_ns"),
+        Index(None, "wheelset", "trend_id"),
         Index(None, "recorded_ns"),
         {"sqlite_autoincrement": True},
     )

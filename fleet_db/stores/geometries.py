@@ -18,7 +18,6 @@ from sqlalchemy import (
     case,
     delete,
     exists,
-    func,
     insert,
     or_,
     select,
@@ -32,6 +31,7 @@ from fleet_db.models import GeometryRow, WheelsetBinRow, WindowBinTableRow
 from fleet_db.packed_values import pack_geometry, unpack_geometry
 from fleet_db.rows import nan_if_null, null_if_nan, reason_columns, table_of
 from fleet_db.session import to_json
+from fleet_db.stores.newest_geometries import newest_of_baselines, newest_of_intervals
 
 BINS = table_of(WheelsetBinRow)
 UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in COMBINATIONS}
@@ -88,7 +88,7 @@ class GeometryStore:
 
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]:
         """Return the current geometry of each baseline that there has been, by its number."""
-        statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(_newest_of_baselines()))
+        statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(newest_of_baselines()))
         as_of = {"serial": wheelset, "as_of_ns": EVER_NS}
         return [_record(row) for row in self.connection.execute(statement.order_by(GEOMETRIES.c.baseline), as_of)]
 
@@ -96,22 +96,12 @@ class GeometryStore:
         self, wheelset: str, baseline: int | None = None, as_of_ns: int | None = None
     ) -> Sequence[GeometryRecord]:
         """Return the newest geometry of each mileage interval, of one baseline or of all, in the order of mileage."""
-        key = (GEOMETRIES.c.baseline, GEOMETRIES.c.baseline_interval)
-        place = func.row_number().over(partition_by=key, order_by=NEWEST_FIRST).label("place")
-        wanted = (
-            select(GEOMETRIES.c.geometry_id, place)
-            .where(GEOMETRIES.c.wheelset == wheelset, GEOMETRIES.c.baseline_interval.is_not(None), _until(as_of_ns))
-            .subquery()
-        )
-        statement = (
-            select(GEOMETRIES)
-            .join(wanted, wanted.c.geometry_id == GEOMETRIES.c.geometry_id)
-            .where(wanted.c.place == 1)
-            .order_by(*key)
-        )
+        statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(newest_of_intervals()))
         if baseline is not None:
             statement = statement.where(GEOMETRIES.c.baseline == baseline)
-        return [_record(row) for row in self.connection.execute(statement)]
+        statement = statement.order_by(GEOMETRIES.c.baseline, GEOMETRIES.c.baseline_interval)
+        as_of = {"serial": wheelset, "as_of_ns": EVER_NS if as_of_ns is None else as_of_ns}
+        return [_record(row) for row in self.connection.execute(statement, as_of)]
 
     def stale(self, limit: int, estimator: str | None = None) -> Sequence[str]:
         """Return serials whose windows, bin tables, mountings or reprofilings changed since their current geometry.
@@ -190,16 +180,8 @@ def _version() -> Select[tuple[int, int, str]]:
 @cache
 def _current() -> Select[Any]:
     with_windows_first = case((GEOMETRIES.c.windows > 0, 0), else_=1)
-    statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(_newest_of_baselines()))
+    statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(newest_of_baselines()))
     return statement.order_by(with_windows_first, GEOMETRIES.c.baseline.desc()).limit(1)
-
-
-@cache
-def _newest_of_baselines() -> Select[tuple[int]]:
-    """Return the numbers of the last current geometry of each baseline, of ``serial`` until ``as_of_ns``."""
-    until = GEOMETRIES.c.recorded_ns <= bindparam("as_of_ns")
-    chosen = (GEOMETRIES.c.wheelset == bindparam("serial"), GEOMETRIES.c.baseline_interval.is_(None), until)
-    return select(func.max(GEOMETRIES.c.geometry_id)).where(*chosen).group_by(GEOMETRIES.c.baseline)
 
 
 def _made_otherwise(estimator: str) -> ColumnElement[bool]:
@@ -220,10 +202,6 @@ def _key(record: GeometryRecord) -> ColumnElement[bool]:
         GEOMETRIES.c.baseline == record.baseline,
         interval.is_(None) if record.interval is None else interval == record.interval,
     )
-
-
-def _until(as_of_ns: int | None) -> ColumnElement[bool]:
-    return GEOMETRIES.c.recorded_ns <= (EVER_NS if as_of_ns is None else as_of_ns)
 
 
 def geometry_columns(record: GeometryRecord) -> dict[str, Any]:
