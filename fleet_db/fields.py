@@ -131,7 +131,7 @@ def _reader(hint: Hashable) -> Callable[[Any], Any]:
     if hint is float:
         return _number
     if isinstance(hint, type) and issubclass(hint, Enum):
-        return hint
+        return _Members(hint).__getitem__
     if isinstance(hint, type) and is_dataclass(hint):
         return _value_reader(hint)
     return lambda stored: stored
@@ -149,16 +149,27 @@ def _value_reader(kind: type[Any]) -> Callable[[Any], Any]:
     def read(stored: Any) -> Any:  # noqa: ANN401 - as ``from_json``
         if kind is Reason and isinstance(stored, str):  # stored before reasons had codes
             return former_reason(stored)
-        return kind(*(reader(one) for reader, one in zip(readers, stored, strict=False)))
+        return kind(*[reader(one) for reader, one in zip(readers, stored, strict=False)])
 
     return read
 
 
+class _Members(dict[Any, Enum]):
+    """The members of an enumeration by their values: a geometry holds hundreds, and to call the class takes longer."""
+
+    def __init__(self, kind: type[Enum]) -> None:
+        super().__init__({member.value: member for member in kind})
+        self._kind = kind
+
+    def __missing__(self, stored: object) -> Enum:
+        return self._kind(stored)  # raises, or knows it by another name
+
+
 def _number(stored: object) -> float:
-    if isinstance(stored, int):
-        return stored  # a whole number beside floats, such as a date in nanoseconds, keeps its last digit
     if isinstance(stored, str):
         return float.fromhex(stored)
+    if isinstance(stored, int):
+        return stored  # a whole number beside floats, such as a date in nanoseconds, keeps its last digit
     raise StorageError(f"a packed number is {stored!r}")
 
 

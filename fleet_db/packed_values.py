@@ -17,7 +17,7 @@ from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinVal
 from estimation.values.json_value import JsonValue
 from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings, TrackLayout
 from estimation.values.trend import WearTrend
-from fleet_db.fields import fields_of, from_json, to_json, value_of
+from fleet_db.fields import fields_of, to_json, value_of
 from fleet_db.packing import Array, pack, unpack
 
 VERSION = 1
@@ -30,6 +30,8 @@ FORMER_STATUSES = {  # of a bin, as they were stored before they were codes
     "a contact jump crosses the bin": "contact_jump",
     "the data cannot say": "unobservable",
 }
+STATUSES = {status.value: status for status in BinStatus}
+STATUSES |= {former: STATUSES[value] for former, value in FORMER_STATUSES.items()}
 PROFILE_ARRAYS = ("y", "z", "slope")
 
 
@@ -79,7 +81,7 @@ def unpack_geometry(blob: bytes, *, where: str) -> WheelsetGeometry:
     packed = unpack(blob, GEOMETRY, where=where)
     statuses, arrays = packed.scalars["combinations"], packed.arrays
     combinations = {
-        name: BinValues(value, std, from_json([FORMER_STATUSES.get(one, one) for one in listed], tuple[BinStatus, ...]))
+        name: BinValues(value, std, tuple(map(STATUSES.__getitem__, listed)))
         for (name, listed), value, std in zip(statuses.items(), arrays["values"], arrays["stds"], strict=True)
     }
     scalars = _renamed(packed.scalars, "headline_amplitude", "reported_amplitude")
