@@ -26,6 +26,7 @@ from fleet_db.stores.feed_branches import FeedBranchStore
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.idempotency import IdempotencyStore
 from fleet_db.stores.jobs import JobRunStore
+from fleet_db.stores.looks import LookStore
 from fleet_db.stores.plausibility import PlausibilityStore
 from fleet_db.stores.quarantine import QuarantineStore
 from fleet_db.stores.raw_marks import RawMarkStore
@@ -88,6 +89,7 @@ class SqlUnitOfWork:
     worklist: WorklistStore = field(init=False)
     api_keys: ApiKeyStore = field(init=False)
     audit: AuditStore = field(init=False)
+    looks: LookStore = field(init=False)
     webhooks: WebhookStore = field(init=False)
 
     def __post_init__(self) -> None:
@@ -123,6 +125,7 @@ class SqlUnitOfWork:
         self.worklist = WorklistStore(connection, self.changes, reader)
         self.api_keys = ApiKeyStore(connection)
         self.audit = AuditStore(connection)
+        self.looks = LookStore(connection)
         self.webhooks = WebhookStore(connection)
 
     def finish(self) -> None:

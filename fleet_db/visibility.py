@@ -138,6 +138,7 @@ RULES: Mapping[str, Rule] = {
     "webhooks": _of_webhook,
     "webhook_fleets": _of_webhook,
     "webhook_deliveries": _of_webhook,
+    "looks": _of_wheelset,
     "worklist_entries": _of_fleet,
     "worklist_alerts": _of_wheelset,
 }

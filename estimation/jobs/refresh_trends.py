@@ -5,70 +5,120 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.steps.identities import identity_change
+from estimation.jobs.steps.identities import identity_change, suspected
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.trend.points import conicity_points
 from estimation.trend.trend import TrendParameters, refresh
 from estimation.values.geometry import GeometryRecord
-from estimation.values.identity import since_change
+from estimation.values.identity import IdentityChange, since_change
 from estimation.values.quarantine import SubjectKind
-from estimation.values.registry import WheelsetRecord
+from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord, WearTrend
+
+STAGE = "refresh_trends"
 
 
 def run(context: JobContext) -> Mapping[str, int]:
-    """Refresh trends; each wheelset is committed on its own, and one without news is left alone."""
+    """Refresh trends; each wheelset is committed on its own, and one without news is not even looked at."""
+    isolation = Isolation(context, STAGE)
     with context.storage.read() as unit:
-        wheelsets = unit.registry.wheelsets()
+        seen, now = unit.looks.of(STAGE), _inputs(unit, context)
     counts = dict.fromkeys(("wheelsets", "refreshed", "unchanged", "without_limit"), 0)
-    isolation = Isolation(context, "refresh_trends")
-    for done, wheelset in enumerate(wheelsets):
-        context.checkpoint(done, len(wheelsets))
-        inputs = inputs_of(context, wheelset.serial)
-        if isolation.waits(SubjectKind.WHEELSET, wheelset.serial, inputs):
+    failed = {item.key for item in isolation.held(SubjectKind.WHEELSET)}
+    for done, (serial, inputs) in enumerate(now.items()):
+        context.checkpoint(done, len(now))
+        if seen.get(serial) == inputs.digest and serial not in failed:
+            counts["without_limit" if inputs.limit is None else "unchanged"] += 1
+            counts["wheelsets"] += 1
             continue
-        with isolation.alone(SubjectKind.WHEELSET, wheelset.serial, inputs):
-            counts[_refresh(context, wheelset)] += 1
+        changes = inputs_of(context, serial)
+        if isolation.waits(SubjectKind.WHEELSET, serial, changes):
+            continue
+        with isolation.alone(SubjectKind.WHEELSET, serial, changes):
+            counts[_refresh(context, serial, inputs)] += 1
             counts["wheelsets"] += 1
     counts["quarantined"] = isolation.quarantined
     return counts
 
 
-def _refresh(context: JobContext, wheelset: WheelsetRecord) -> str:
-    params, baseline = context.settings.trend, len(wheelset.reprofilings)
-    with context.storage.read() as unit:
-        limit = _limit(unit, wheelset, context.settings.rules)
-        change = identity_change(unit, wheelset.serial)
-        known = since_change(unit.geometries.intervals(wheelset.serial, baseline), change)
-        records = [record for record in known if record.geometry.windows]  # others were followed by empty ones
-        latest = unit.trends.latest(wheelset.serial)
-    if limit is None:
+@dataclass(frozen=True, slots=True)
+class _Inputs:
+    """What stands for everything that the trend of a wheelset is made from; with another one it is looked at again."""
+
+    baseline: int
+    newest_geometry: int | None  # number of the one that was appended last
+    limit: float | None
+    change: IdentityChange | None
+    limit_amplitude: float
+    parameters: TrendParameters
+    code_version: str
+
+    @property
+    def digest(self) -> str:
+        """Digest of all of it."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+
+def _inputs(unit: UnitOfWork, context: JobContext) -> dict[str, _Inputs]:
+    """Return the inputs of all wheelsets by serial: some statements for all, not some for each."""
+    geometries = unit.geometries.newest_numbers()
+    vehicles = {vehicle.code: vehicle for vehicle in unit.registry.vehicles()}
+    changed = suspected(unit)
+
+    def inputs(wheelset: WheelsetRecord) -> _Inputs:
+        return _Inputs(
+            baseline=len(wheelset.reprofilings),
+            newest_geometry=geometries.get(wheelset.serial),
+            limit=_limit(unit, wheelset, context.settings.rules, vehicles),
+            change=identity_change(unit, wheelset.serial) if wheelset.serial in changed else None,
+            limit_amplitude=LIMIT_AMPLITUDE,
+            parameters=context.settings.trend,
+            code_version=context.code_version,
+        )
+
+    return {wheelset.serial: inputs(wheelset) for wheelset in unit.registry.wheelsets()}
+
+
+def _refresh(context: JobContext, serial: str, inputs: _Inputs) -> str:
+    """Store the trend of a wheelset if it is another by now, and with what it was looked at."""
+    record = None if inputs.limit is None else _news(context, serial, inputs, inputs.limit)
+    with context.storage.write() as unit:
+        refreshed = record is not None and unit.trends.put(record)
+        unit.looks.note(STAGE, serial, inputs.digest)
+    if inputs.limit is None:
         return "without_limit"
-    digest = _digest(records, limit, params)
+    return "refreshed" if refreshed else "unchanged"
+
+
+def _news(context: JobContext, serial: str, inputs: _Inputs, limit: float) -> TrendRecord | None:
+    """Return the trend of a wheelset; None where it would be the newest one again."""
+    with context.storage.read() as unit:
+        known = since_change(unit.geometries.intervals(serial, inputs.baseline), inputs.change)
+        records = [record for record in known if record.geometry.windows]  # others were followed by empty ones
+        latest = unit.trends.latest(serial)
+    params, digest = inputs.parameters, _digest(records, limit, inputs.parameters)
     if latest is not None and (latest.baseline, latest.input_digest, latest.code_version) == (
-        baseline,
+        inputs.baseline,
         digest,
-        context.code_version,
+        inputs.code_version,
     ):
-        return "unchanged"
-    record = TrendRecord(
-        wheelset=wheelset.serial,
-        baseline=baseline,
+        return None
+    return TrendRecord(
+        wheelset=serial,
+        baseline=inputs.baseline,
         trend=trend_of(records, limit, params),
         input_digest=digest,
-        code_version=context.code_version,
+        code_version=inputs.code_version,
         recorded_ns=context.clock.now_ns(),
         parameters=asdict(params),
     )
-    with context.storage.write() as unit:
-        return "refreshed" if unit.trends.put(record) else "unchanged"
 
 
 def trend_of(records: Sequence[GeometryRecord], limit: float, parameters: TrendParameters) -> WearTrend:
@@ -95,12 +145,14 @@ def trend_of(records: Sequence[GeometryRecord], limit: float, parameters: TrendP
     )
 
 
-def _limit(unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook) -> float | None:
+def _limit(
+    unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook, vehicles: Mapping[str, VehicleRecord]
+) -> float | None:
     """Return the conicity limit in the vehicle it runs in, or ran in last."""
     mounting = wheelset.mounting or max(unit.registry.mountings(wheelset.serial), key=lambda m: m.from_ns, default=None)
     if mounting is None:
         return None
-    vehicle = unit.registry.vehicle(mounting.vehicle)
+    vehicle = vehicles[mounting.vehicle]
     return book.of(wheelset.fleet, vehicle.vehicle_class).rule(ConicityLimitRule).limit_for(vehicle)
 
 
@@ -111,7 +163,7 @@ def _digest(records: Sequence[GeometryRecord], limit: float, params: TrendParame
 
 
 JOB = Job(
-    name="refresh_trends",
+    name=STAGE,
     description="Refresh the wear trend of every wheelset with new geometry",
     every_s=60.0,
     run=run,

@@ -11,6 +11,7 @@ from fleet_db.models.geometries import GeometryRow
 from fleet_db.models.idempotency import IdempotencyRow
 from fleet_db.models.job_owners import JobOwnerRow
 from fleet_db.models.jobs import JobRunRow
+from fleet_db.models.looks import LookRow
 from fleet_db.models.measured_profiles import MeasuredProfilesRow
 from fleet_db.models.mountings import MountingRow
 from fleet_db.models.purges import PurgeRow
@@ -50,6 +51,7 @@ __all__ = [
     "IdempotencyRow",
     "JobOwnerRow",
     "JobRunRow",
+    "LookRow",
     "MeasuredProfilesRow",
     "MountingRow",
     "PurgeRow",

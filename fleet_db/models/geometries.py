@@ -34,7 +34,7 @@ class GeometryRow(Base):
         one_of("status", Status),
         CheckConstraint("baseline >= 0", name="baseline_counted"),
         Index("ix_geometry_interval", "wheelset", "baseline", "baseline_interval", "geometry_id", "recorded_ns"),
-        Index("ix_geometry_current", "wheelset", "geometry_id", sqlite_where=CURRENT, postgresql_where=CURRENT),
+        Index(None, "wheelset", "geometry_id"),
         Index(
             "ix_geometry_current_baseline",
             *("wheelset", "baseline", "geometry_id", "recorded_ns"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -17,6 +17,7 @@ from sqlalchemy import (
     bindparam,
     case,
     delete,
+    func,
     exists,
     insert,
     or_,
@@ -27,7 +28,7 @@ from sqlalchemy import (
 from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, WheelsetGeometry
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import GeometryRow, WheelsetBinRow, WindowBinTableRow
+from fleet_db.models import GeometryRow, WheelsetBinRow, WheelsetRow, WindowBinTableRow
 from fleet_db.packed_values import pack_geometry, unpack_geometry
 from fleet_db.rows import nan_if_null, null_if_nan, reason_columns, table_of
 from fleet_db.session import to_json
@@ -35,7 +36,7 @@ from fleet_db.stores.newest_geometries import newest_of_baselines, newest_of_int
 
 BINS = table_of(WheelsetBinRow)
 UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in COMBINATIONS}
-GEOMETRIES, TABLES = table_of(GeometryRow), table_of(WindowBinTableRow)
+GEOMETRIES, TABLES, WHEELSETS = table_of(GeometryRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
 NEWEST_FIRST = (GEOMETRIES.c.geometry_id.desc(),)  # in the order of commit; clocks go back
 EVER_NS = 2**63 - 1
 
@@ -85,6 +86,12 @@ class GeometryStore:
         """
         row = self.connection.execute(_version(), {"serial": wheelset}).first()
         return None if row is None else (row.geometry_id, row.recorded_ns, row.input_digest)
+
+    def newest_numbers(self) -> Mapping[str, int]:
+        """Return by wheelset what changes whenever a geometry of it is appended: the number of the last."""
+        last = select(func.max(GEOMETRIES.c.geometry_id)).where(GEOMETRIES.c.wheelset == WHEELSETS.c.serial)
+        rows = self.connection.execute(select(WHEELSETS.c.serial, last.scalar_subquery()))
+        return {serial: number for serial, number in rows if number is not None}
 
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]:
         """Return the current geometry of each baseline that there has been, by its number."""

@@ -90,6 +90,10 @@ class RegistryStore:
             statement = statement.where(VEHICLES.c.code > after)
         return self._vehicles(statement.limit(limit))
 
+    def vehicles(self) -> Sequence[VehicleRecord]:
+        """Return all vehicles, those that are voided too, by code."""
+        return self._vehicles(select(VEHICLES))
+
     def vehicles_of_class(self, code: str) -> Sequence[VehicleRecord]:
         """Return the vehicles of a class, by code."""
         return self._vehicles(select(VEHICLES).where(VEHICLES.c.vehicle_class == code))

@@ -35,6 +35,26 @@ def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
     return latest_identity_change([alert for alert in alerts if _still_there(alert, mountings)])
 
 
+def suspected(unit: UnitOfWork) -> frozenset[str]:
+    """Return the wheelsets with an identity alert, open or closed: all others have had no identity change.
+
+    Parameters
+    ----------
+    unit
+        Alerts are read.
+    """
+    found: set[str] = set()
+    after = None
+    while True:
+        alerts = unit.alerts.page(
+            fleet=None, wheelset=None, kind=IDENTITY, condition=None, open_only=False, after_id=after, limit=_ALL
+        )
+        found.update(alert.wheelset for alert in alerts if alert.wheelset is not None)
+        if len(alerts) < _ALL:
+            return frozenset(found)
+        after = alerts[-1].alert_id
+
+
 def _still_there(alert: Alert, mountings: Sequence[Mounting]) -> bool:
     """Whether a wheelset was mounted after a change where the alert says; its way round may have been corrected."""
     place, after_ns = alert.evidence.get(MOUNTED), alert.evidence.get(AFTER)
