@@ -19,6 +19,7 @@ from sqlalchemy import (
     delete,
     func,
     exists,
+    func,
     insert,
     or_,
     select,

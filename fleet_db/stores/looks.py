@@ -22,7 +22,7 @@ class LookStore:
     def of(self, stage: str) -> Mapping[str, str]:
         """Return by wheelset what the last look of a job was made from, as a digest."""
         rows = self.connection.execute(select(LOOKS.c.wheelset, LOOKS.c.inputs).where(LOOKS.c.stage == stage))
-        return {wheelset: inputs for wheelset, inputs in rows}
+        return {row.wheelset: row.inputs for row in rows}
 
     def note(self, stage: str, wheelset: str, inputs: str) -> None:
         """Note what a look at a wheelset was made from.
