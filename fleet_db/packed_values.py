@@ -6,15 +6,17 @@ same value is the same blob: versions of a track are compared by it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from estimation.contact.profiles import Profile
 from estimation.values.arrays import BoolArray
+from estimation.values.exact_table import ExactTable
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinValues, FilledCells, WheelsetGeometry
 from estimation.values.json_value import JsonValue
+from estimation.values.rolling_sums import RollingSums
 from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings, TrackLayout
 from estimation.values.trend import WearTrend
 from fleet_db.fields import fields_of, to_json, value_of
@@ -23,6 +25,7 @@ from fleet_db.packing import Array, pack, unpack
 VERSION = 1
 TREND, GEOMETRY, LAYOUT, BIN_TABLE = "wear_trend", "wheelset_geometry", "track_layout", "bin_table"
 WHEEL_PAIR, ALIGNMENT = "wheel_pair", "track_alignment"
+EXACT_TABLE, ROLLING_SUMS = "exact_table", "rolling_sums"
 SURVEYED, ESTIMATED = 1, 2  # versions of a packed alignment: the first has no source, cut-off, scale and gauge
 SURVEY = (AlignmentSource.RECORDED, np.inf, 0, True)  # these four of a surveyed alignment
 FORMER_STATUSES = {  # of a bin, as they were stored before they were codes
@@ -265,6 +268,91 @@ def unpack_filled_cells(blob: bytes, *, where: str) -> FilledCells:
         samples=packed.scalars["samples"],
         windows=packed.scalars["windows"],
     )
+
+
+def pack_exact_table(table: ExactTable) -> bytes:
+    """Return an exact sum as one blob. A cell is empty when every bit of it is zero."""
+    upper, lower = table.upper, table.lower.view(np.int64)
+    filled: BoolArray = np.any(upper | lower, axis=1)
+    return pack(
+        EXACT_TABLE,
+        VERSION,
+        {
+            "parameter_key": table.parameter_key,
+            "samples": int(table.samples),
+            "windows": int(table.windows),
+            "groups": table.groups,
+            "lateral": table.lateral,
+            "columns": upper.shape[1],
+            "exponent": table.exponent,
+        },
+        {
+            "edges": table.edges,
+            "filled": np.packbits(filled),
+            "upper": np.ascontiguousarray(upper[filled].T),
+            "lower": np.ascontiguousarray(lower[filled].T),
+        },
+    )
+
+
+def unpack_exact_table(blob: bytes, *, where: str) -> ExactTable:
+    """Return the sum, bit for bit.
+
+    Parameters
+    ----------
+    blob
+        From ``pack_exact_table``.
+    where
+        Name of the place it was read from, for messages.
+
+    Raises
+    ------
+    StorageError
+        The blob is damaged; ``where`` names it.
+    """
+    packed = unpack(blob, EXACT_TABLE, where=where)
+    edges, scalars = packed.arrays["edges"], packed.scalars
+    cells = scalars["groups"] * (len(edges) - 1)
+    filled = np.unpackbits(packed.arrays["filled"], count=cells).astype(bool)
+    upper, lower = np.zeros((2, cells, scalars["columns"]), dtype=np.int64)
+    upper[filled], lower[filled] = packed.arrays["upper"].T, packed.arrays["lower"].T
+    return ExactTable(
+        parameter_key=scalars["parameter_key"],
+        edges=edges,
+        groups=scalars["groups"],
+        lateral=scalars["lateral"],
+        exponent=scalars["exponent"],
+        upper=upper,
+        lower=lower.view(np.uint64),
+        samples=scalars["samples"],
+        windows=scalars["windows"],
+    )
+
+
+def pack_rolling_sums(parts: Sequence[RollingSums]) -> bytes:
+    """Return what a window says of its rolling radius as one blob."""
+    products = np.array([one.products for one in parts], dtype=np.float64)
+    noise = np.array([one.noise for one in parts], dtype=np.float64)
+    return pack(ROLLING_SUMS, VERSION, {}, {"products": products, "noise": noise})
+
+
+def unpack_rolling_sums(blob: bytes, *, where: str) -> tuple[RollingSums, ...]:
+    """Return the sums of each part of a window, bit for bit.
+
+    Parameters
+    ----------
+    blob
+        From ``pack_rolling_sums``.
+    where
+        Name of the place it was read from, for messages.
+
+    Raises
+    ------
+    StorageError
+        The blob is damaged; ``where`` names it.
+    """
+    arrays = unpack(blob, ROLLING_SUMS, where=where).arrays
+    return tuple(RollingSums(*both) for both in zip(arrays["products"], arrays["noise"], strict=True))
 
 
 def _renamed(scalars: Mapping[str, Any], before: str, after: str) -> dict[str, Any]:

@@ -34,6 +34,7 @@ from fleet_db.stores.recorded_times import RecordedTimeStore
 from fleet_db.stores.recording_changes import RecordingChangeStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RegistryHistoryStore
+from fleet_db.stores.roll_ups import RollUpStore
 from fleet_db.stores.sensor_changes import SensorChangeStore
 from fleet_db.stores.settings import StoredSettingStore
 from fleet_db.stores.stale_spans import StaleSpanStore
@@ -90,6 +91,7 @@ class SqlUnitOfWork:
     api_keys: ApiKeyStore = field(init=False)
     audit: AuditStore = field(init=False)
     looks: LookStore = field(init=False)
+    roll_ups: RollUpStore = field(init=False)
     webhooks: WebhookStore = field(init=False)
 
     def __post_init__(self) -> None:
@@ -126,6 +128,7 @@ class SqlUnitOfWork:
         self.api_keys = ApiKeyStore(connection)
         self.audit = AuditStore(connection)
         self.looks = LookStore(connection)
+        self.roll_ups = RollUpStore(connection)
         self.webhooks = WebhookStore(connection)
 
     def finish(self) -> None:

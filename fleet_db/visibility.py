@@ -139,6 +139,10 @@ RULES: Mapping[str, Rule] = {
     "webhook_fleets": _of_webhook,
     "webhook_deliveries": _of_webhook,
     "looks": _of_wheelset,
+    "roll_ups": _of_wheelset,
+    "roll_up_states": _of_wheelset,
+    "rolling_sums": _of_wheelset,
+    "taken_tables": _of_wheelset,
     "worklist_entries": _of_fleet,
     "worklist_alerts": _of_wheelset,
 }

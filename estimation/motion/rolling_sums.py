@@ -13,14 +13,13 @@ the sums that the noise of the sensors makes of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from estimation.motion.integration import segments
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.rolling_sums import RollingSums
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.equations_of_motion import GRAVITY
 from estimation.vehicle.linear_wheelset import ComplexArray
@@ -34,14 +33,6 @@ USUAL_LATERAL, USUAL_ANGULAR = 1e-3, 2e-3  # m/s2 and rad/s2 per root hertz: MEM
 USUAL_RATE = 1e-4  # rad/s per root hertz, of a gyroscope
 UNKNOWNS = ("scale", "radius", "inertia", "suspension", "gravity", "spin")
 TERMS = 1 + len(UNKNOWNS)  # the lateral acceleration first
-
-
-@dataclass(frozen=True, slots=True)
-class RollingSums:
-    """Sums over pieces of a window, weighted by what the noise of the sensors leaves of the equation."""
-
-    products: FloatArray  # (BANDS, TERMS, TERMS)
-    noise: FloatArray  # (BANDS, TERMS, TERMS), of ``products``: what the noise on file makes of it on average
 
 
 def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalParameters) -> tuple[RollingSums, ...]:

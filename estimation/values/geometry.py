@@ -217,3 +217,11 @@ class GeometryRecord:
     def estimator(self) -> str:
         """Name of the estimator; records from before there was a choice are of ``bins``."""
         return str(self.parameters.get("estimator", "bins"))
+
+
+@dataclass(frozen=True, slots=True)
+class IntervalDigest:
+    """What the newest geometry of an interval was made from, and of how many windows."""
+
+    input_digest: str
+    windows: int

@@ -17,6 +17,7 @@ from fleet_db.models.mountings import MountingRow
 from fleet_db.models.purges import PurgeRow
 from fleet_db.models.quarantine import QuarantineRow, RawMarkRow, RecordingChangeRow
 from fleet_db.models.registry_history import RegistryEventRow
+from fleet_db.models.roll_ups import RollingSumsRow, RollUpRow, RollUpStateRow, TakenTableRow
 from fleet_db.models.sensor_changes import SensorChangeRow
 from fleet_db.models.settings import StoredSettingRow
 from fleet_db.models.stale_spans import StaleSpanRow
@@ -60,10 +61,14 @@ __all__ = [
     "RecordingChangeRow",
     "RegistryEventRow",
     "ReprofilingRow",
+    "RollUpRow",
+    "RollUpStateRow",
+    "RollingSumsRow",
     "SensorChangeRow",
     "StaleSpanRow",
     "StoredSettingRow",
     "SuspensionFindingRow",
+    "TakenTableRow",
     "TrackAlignmentRow",
     "TrackEpochRow",
     "TrackEpochWindowRow",

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
-from sqlalchemy import ForeignKey, ForeignKeyConstraint, String
+from sqlalchemy import BigInteger, ForeignKey, ForeignKeyConstraint, Index, String, false, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.geometry import BinStatus
 from fleet_db.models.base import Base, Count, Digest, Nanoseconds, Packed, Real, one_of
 
+WAITING, WAITING_PG = text("rolled = 0"), text("NOT rolled")
+
 
 class WindowBinTableRow(Base):
     """The sufficient statistics of one window, packed; ``window_digest`` identifies the content of the window.
 
-    ``content_digest`` is of the table itself, null of one from before it was kept.
+    ``content_digest`` is of the table itself, null of one from before it was kept. A table that is ``rolled`` is part
+    of the sums of ``roll_up``, with the mileage and the digest of its share there; or of none.
     """
 
     __tablename__ = "window_bin_tables"
     __table_args__ = (
         ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
+        Index(
+            "ix_window_bin_tables_waiting", "wheelset", "start_ns", sqlite_where=WAITING, postgresql_where=WAITING_PG
+        ),
+        Index(None, "roll_up", "start_ns"),
     )
 
     wheelset: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -27,6 +34,10 @@ class WindowBinTableRow(Base):
     parameter_key: Mapped[str] = mapped_column(String(128))
     samples: Mapped[Count]
     content_digest: Mapped[Digest | None]
+    rolled: Mapped[bool] = mapped_column(server_default=false())
+    roll_up: Mapped[int | None] = mapped_column(BigInteger)
+    running_km: Mapped[Real | None]
+    line: Mapped[Digest | None]
     packed: Mapped[Packed]
 
 

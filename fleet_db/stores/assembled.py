@@ -13,6 +13,7 @@ from fleet_db.changes import Changes
 from fleet_db.models import ChunkRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
+from fleet_db.stores.taken_tables import take_back
 from fleet_db.stores.windows import to_window_record
 from fleet_db.telemetry import WindowFiles
 
@@ -57,6 +58,7 @@ class AssembledWindowStore:
     def remove(self, records: Sequence[WindowRecord]) -> None:
         """Remove windows with their bin tables and positions; their files are no concern of a transaction."""
         for record in records:
+            take_back(self.connection, record.wheelset, record.start_ns)
             for table in (TABLES, POSITIONS, WINDOWS):
                 same = (table.c.wheelset == record.wheelset, table.c.start_ns == record.start_ns)
                 self.connection.execute(delete(table).where(*same))

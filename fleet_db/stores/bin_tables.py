@@ -5,17 +5,20 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from sqlalchemy import Connection, Select, and_, select
 
 from estimation.errors import ConflictError
 from estimation.values.geometry import BinTable, FilledCells, TableKey
+from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowRecord
 from fleet_db.changes import Changes
 from fleet_db.models import WindowBinTableRow, WindowRow
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
-from fleet_db.rows import table_of, upsert
+from fleet_db.rows import insert_new, key_given, key_of, replace, table_of
+from fleet_db.stores.taken_tables import take_back
 from fleet_db.stores.windows import content_digest, to_window_record
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
@@ -54,8 +57,21 @@ class BinTableStore:
             "content_digest": hashlib.sha256(packed).hexdigest(),
             "packed": packed,
         }
-        if upsert(self.connection, TABLES, values):
+        if self._stored(values):
             self.changes.note(wheelset, shown=False)  # its geometry follows
+
+    def _stored(self, values: Mapping[str, Any]) -> bool:
+        """Store a row, with another one in its place taken from its roll-up; return whether anything changed."""
+        if insert_new(self.connection, TABLES, values):
+            return True
+        found = (
+            self.connection.execute(select(TABLES).where(key_given(TABLES)), key_of(TABLES, values)).mappings().one()
+        )
+        if all(found[name] == value for name, value in values.items()):
+            return False
+        take_back(self.connection, values["wheelset"], values["start_ns"])
+        replace(self.connection, TABLES, values)
+        return True
 
     def parameter_keys(self) -> Sequence[TableKey]:
         """Return every combination of wheelset, vehicle and parameters of which there is a table."""
@@ -74,17 +90,81 @@ class BinTableStore:
         )
         return [(key.wheelset, start_ns) for start_ns in self.connection.scalars(statement)]
 
-    def index(self, wheelset: str, from_ns: int, to_ns: int | None) -> Sequence[tuple[WindowRecord, str, int | None]]:
-        """Return what :meth:`stream` would yield without the tables: window, parameter key, track version."""
-        statement = _selected(select(WINDOWS, TABLES.c.parameter_key, TABLES.c.track_version), wheelset, from_ns, to_ns)
-        rows = self.connection.execute(statement)
-        return [(to_window_record(row), row.parameter_key, row.track_version) for row in rows]
+    def tabled(self, wheelset: str) -> Sequence[TabledWindow]:
+        """Return all windows of a wheelset with tables, oldest first, without the tables."""
+        return self._tabled(_without_tables().where(TABLES.c.wheelset == wheelset))
 
-    def digests(self, wheelset: str, from_ns: int, to_ns: int | None) -> Mapping[int, str]:
-        """Return the digest of each table by start of its window; older tables may have none."""
-        columns = select(TABLES.c.start_ns, TABLES.c.content_digest)
-        rows = self.connection.execute(_selected(columns, wheelset, from_ns, to_ns))
-        return {row.start_ns: row.content_digest for row in rows if row.content_digest is not None}
+    def waiting(self, wheelset: str) -> Sequence[TabledWindow]:
+        """Return the windows of a wheelset whose tables have not been rolled up, oldest first."""
+        return self._tabled(_without_tables().where(TABLES.c.wheelset == wheelset, ~TABLES.c.rolled))
+
+    def of_roll_up(self, wheelset: str, number: int) -> Sequence[TabledWindow]:
+        """Return the windows of a roll-up whose tables are there, oldest first."""
+        return self._tabled(_without_tables().where(TABLES.c.wheelset == wheelset, TABLES.c.roll_up == number))
+
+    def beside(self, wheelset: str, start_ns: int, from_ns: int, to_ns: int | None) -> Sequence[TabledWindow]:
+        """Return the windows with tables before, at and after a time, at most one of each, oldest first.
+
+        Parameters
+        ----------
+        wheelset
+            Serial.
+        start_ns
+            The time.
+        from_ns, to_ns
+            Windows that do not start in ``[from_ns, to_ns)`` are left out.
+        """
+        starts, within = TABLES.c.start_ns, [TABLES.c.wheelset == wheelset, TABLES.c.start_ns >= from_ns]
+        if to_ns is not None:
+            within.append(starts < to_ns)
+        statement = _without_tables().where(*within)
+        return [
+            *self._tabled(statement.where(starts < start_ns).order_by(None).order_by(starts.desc()).limit(1)),
+            *self._tabled(statement.where(starts >= start_ns).limit(2 if self._has(wheelset, start_ns) else 1)),
+        ]
+
+    def cells_of(self, wheelset: str, starts: Sequence[int]) -> Iterator[tuple[int, FilledCells]]:
+        """Yield start and filled cells of the tables of some windows, oldest first.
+
+        Parameters
+        ----------
+        wheelset
+            Serial.
+        starts
+            Of the windows, increasing.
+
+        Raises
+        ------
+        DamagedError
+            A table is damaged; names the window.
+        """
+        for first in range(0, len(starts), BATCH):
+            statement = (
+                select(TABLES.c.start_ns, TABLES.c.packed)
+                .where(TABLES.c.wheelset == wheelset, TABLES.c.start_ns.in_(starts[first : first + BATCH]))
+                .order_by(TABLES.c.start_ns)
+            )
+            with self.connection.execute(statement.execution_options(yield_per=BATCH)) as found:
+                for start_ns, packed in found:
+                    yield start_ns, unpack_filled_cells(packed, where=f"bin table of window {wheelset}@{start_ns}")
+
+    def _has(self, wheelset: str, start_ns: int) -> bool:
+        same = (TABLES.c.wheelset == wheelset, TABLES.c.start_ns == start_ns)
+        return self.connection.scalar(select(TABLES.c.start_ns).where(*same)) is not None
+
+    def _tabled(self, statement: Select[Any]) -> list[TabledWindow]:
+        return [
+            TabledWindow(
+                record=to_window_record(row),
+                parameter_key=row.parameter_key,
+                track_version=row.track_version,
+                content_digest=row.table_digest,
+                rolled=row.rolled,
+                roll_up=row.roll_up,
+                running_km=row.running_km,
+            )
+            for row in self.connection.execute(statement)
+        ]
 
     def stream(
         self, wheelset: str, from_ns: int, to_ns: int | None
@@ -102,18 +182,12 @@ class BinTableStore:
                 where = f"bin table of window {wheelset}@{row.start_ns}"
                 yield to_window_record(row), unpack_bin_table(row.packed, where=where), row.track_version
 
-    def filled(self, wheelset: str, from_ns: int, to_ns: int | None) -> Iterator[tuple[int, FilledCells]]:
-        """Yield start and filled cells of the tables of windows that start in ``[from_ns, to_ns)``, oldest first.
 
-        Raises
-        ------
-        DamagedError
-            A table is damaged; names the window.
-        """
-        statement = _selected(select(TABLES.c.start_ns, TABLES.c.packed), wheelset, from_ns, to_ns)
-        with self.connection.execute(statement.execution_options(yield_per=BATCH)) as found:
-            for start_ns, packed in found:
-                yield start_ns, unpack_filled_cells(packed, where=f"bin table of window {wheelset}@{start_ns}")
+@cache
+def _without_tables() -> Select[Any]:
+    rolled = (TABLES.c.rolled, TABLES.c.roll_up, TABLES.c.running_km)
+    columns = (TABLES.c.parameter_key, TABLES.c.track_version, TABLES.c.content_digest.label("table_digest"), *rolled)
+    return select(WINDOWS, *columns).join_from(WINDOWS, TABLES, SAME_WINDOW).order_by(TABLES.c.start_ns)
 
 
 def _selected(columns: Select[Any], wheelset: str, from_ns: int, to_ns: int | None) -> Select[Any]:

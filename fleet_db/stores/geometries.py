@@ -25,12 +25,13 @@ from sqlalchemy import (
     update,
 )
 
-from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, WheelsetGeometry
+from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, IntervalDigest, WheelsetGeometry
+from estimation.values.reasons import Reason
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import GeometryRow, WheelsetBinRow, WheelsetRow, WindowBinTableRow
 from fleet_db.packed_values import pack_geometry, unpack_geometry
-from fleet_db.rows import nan_if_null, null_if_nan, reason_columns, table_of
+from fleet_db.rows import nan_if_null, null_if_nan, reason_columns, stored_reason, table_of
 from fleet_db.session import to_json
 from fleet_db.stores.newest_geometries import newest_of_baselines, newest_of_intervals
 
@@ -98,6 +99,38 @@ class GeometryStore:
         statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(newest_of_baselines()))
         as_of = {"serial": wheelset, "as_of_ns": EVER_NS}
         return [_record(row) for row in self.connection.execute(statement.order_by(GEOMETRIES.c.baseline), as_of)]
+
+    def interval_digests(self, wheelset: str) -> Mapping[tuple[int, int], IntervalDigest]:
+        """Return by baseline and interval what the newest geometry was made from."""
+        columns = (
+            GEOMETRIES.c.baseline,
+            GEOMETRIES.c.baseline_interval,
+            GEOMETRIES.c.input_digest,
+            GEOMETRIES.c.windows,
+        )
+        statement = select(*columns).where(GEOMETRIES.c.geometry_id.in_(newest_of_intervals()))
+        rows = self.connection.execute(statement, {"serial": wheelset, "as_of_ns": EVER_NS})
+        return {(b, interval): IntervalDigest(digest, windows) for b, interval, digest, windows in rows}
+
+    def reason(self, wheelset: str, baseline: int, interval: int | None) -> Reason | None:
+        """Return why the newest geometry of an interval, or the current one, holds no number; None where it does.
+
+        Parameters
+        ----------
+        wheelset
+            Serial.
+        baseline, interval
+            Its key; None is the current geometry.
+        """
+        column = GEOMETRIES.c.baseline_interval
+        of_interval = column.is_(None) if interval is None else column == interval
+        row = self.connection.execute(
+            select(GEOMETRIES.c.reason, GEOMETRIES.c.reason_code)
+            .where(GEOMETRIES.c.wheelset == wheelset, GEOMETRIES.c.baseline == baseline, of_interval)
+            .order_by(*NEWEST_FIRST)
+            .limit(1)
+        ).first()
+        return None if row is None else stored_reason(row)
 
     def intervals(
         self, wheelset: str, baseline: int | None = None, as_of_ns: int | None = None

@@ -25,6 +25,7 @@ from fleet_db.rows import (
     stored_reason,
     table_of,
 )
+from fleet_db.stores.taken_tables import take_back
 from fleet_db.telemetry import WindowFiles, window_digest
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
@@ -259,10 +260,12 @@ class WindowStore:
             return False
         values = {"wheelset": window.wheelset, "start_ns": window.start_ns, "mileage_km": mileage_km, "judged": False}
         replace(self.connection, WINDOWS, values)
+        take_back(self.connection, window.wheelset, window.start_ns)
         self.changes.note(window.wheelset)
         return True
 
     def _remove_table(self, wheelset: str, start_ns: int) -> None:
+        take_back(self.connection, wheelset, start_ns)
         result = self.connection.execute(
             delete(TABLES).where(TABLES.c.wheelset == wheelset, TABLES.c.start_ns == start_ns)
         )

@@ -69,11 +69,10 @@ def test_what_is_taken_away_again_leaves_the_state_without_it(new_sqlite_storage
     storage = new_sqlite_storage()
     played(storage, [ordered[3:15], ordered[:3]])
     with storage.write() as unit:
-        for window in ordered[12:]:
-            unit.connection.exec_driver_sql(
-                "DELETE FROM windows WHERE wheelset = ? AND start_ns = ?", (window.wheelset, window.start_ns)
-            )
-            unit.changes.note(window.wheelset)
+        for window in ordered[12:15]:
+            record = unit.windows.get(window.wheelset, window.start_ns)
+            assert record is not None
+            unit.assembled.remove([record])
     for _ in range(2):
         for name in JOBS:
             counts(storage, name)

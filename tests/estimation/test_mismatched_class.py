@@ -23,14 +23,14 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import EstimationSettings, JobSettings
-from estimation.jobs.steps.rolling_radius import radius_contradicted
-from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
+from estimation.jobs.steps.rolling_radius import RadiusOnFile
+from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.storage import Storage
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobTrigger
 from estimation.values.track import TrackSectionRecord
-from estimation.values.windows import Hunting, WindowState
+from estimation.values.windows import WindowState
 from fleet_db.storage import SqlStorage
 
 LOW_LIMIT = RuleBook().with_rules(ConicityLimitRule(minimum_windows=1, bands=(SpeedBand(0.02),)))
@@ -118,20 +118,20 @@ def test_a_radius_on_file_of_another_wheel_gives_no_number_and_names_both(sqlite
     assert kinds_of_alerts(sqlite_storage) == set()
 
 
-@pytest.mark.parametrize("case", ["few", "hunting", "lost"])
-def test_windows_that_cannot_speak_of_the_radius_do_not_contradict_it(sqlite_storage: SqlStorage, case: str) -> None:
+def test_windows_that_cannot_speak_of_the_radius_do_not_contradict_it(sqlite_storage: SqlStorage) -> None:
     register(sqlite_storage, SOFT, radius=0.5)
-    swaying = Hunting(0.9, 1.5, 5e-3)
     with sqlite_storage.read() as unit:
-        records = unit.windows.list("W1")
-        parameters = WindowParameters.of(of_bogie(SOFT), 0.5, SignalParameters(), Gates())
-        assert radius_contradicted(unit, records, parameters) is not None
-        of_case = {
-            "few": records[:1],
-            "hunting": [replace(one, quality=replace(one.quality, hunting=swaying)) for one in records],
-            "lost": [replace(one, start_ns=one.start_ns + 1) for one in records],
-        }
-        assert radius_contradicted(unit, of_case[case], parameters) is None
+        chosen = [(one.content_digest, one.start_ns) for one in unit.windows.list("W1")]
+        lost = [(digest, start_ns + 1) for digest, start_ns in chosen]
+        assumed = ClassLookup(unit, EstimationSettings()).assumed("V1", "W1")
+        assert isinstance(assumed, Assumed)
+        radius = RadiusOnFile(unit, "W1")
+        reason = radius.contradicted(chosen, assumed)
+        assert reason is not None
+        assert radius.contradicted(chosen[:1], assumed) is None
+        assert radius.contradicted(lost, assumed) is None
+        assert radius.contradicted(lost, assumed, reason) == reason  # what was found remains when samples are gone
+        assert radius.contradicted(lost, assumed, Reason(ReasonCode.NO_CONICITY, "other")) is None
 
 
 @pytest.mark.parametrize("estimator", ["bins", "cubic"])

@@ -6,7 +6,7 @@ refused for what is on file of the vehicle, the few that were not are no better.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowRecord
@@ -16,19 +16,22 @@ BEFORE_AND_AFTER_NS = 24 * 3600 * 10**9  # of the time that is looked at
 MOST_SHARE = 0.5  # of all windows that may be refused so
 
 
-def contradiction(refused: Sequence[WindowRecord], windows: Sequence[WindowRecord]) -> Reason | None:
+def contradiction(
+    refused: Sequence[WindowRecord], vehicles: Collection[str], first_ns: int, last_ns: int, windows: int
+) -> Reason | None:
     """Return why most windows of the time of some were refused; None where fewer were.
 
     Parameters
     ----------
     refused
         Windows of the same wheelset that were refused by one of ``CONTRADICTIONS``, oldest first.
+    vehicles
+        On which the windows with tables were measured.
+    first_ns, last_ns
+        Start of the first and of the last of them.
     windows
-        Oldest first, with tables.
+        Their number.
     """
-    if not windows:
-        return None
-    first, last = windows[0].start_ns - BEFORE_AND_AFTER_NS, windows[-1].start_ns + BEFORE_AND_AFTER_NS
-    vehicles = {one.vehicle for one in windows}
+    first, last = first_ns - BEFORE_AND_AFTER_NS, last_ns + BEFORE_AND_AFTER_NS
     against = [one.reason for one in refused if one.vehicle in vehicles and first <= one.start_ns <= last]
-    return against[-1] if len(against) > MOST_SHARE * (len(against) + len(windows)) else None
+    return against[-1] if len(against) > MOST_SHARE * (len(against) + windows) else None

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
+from estimation.values.roll_up import Odometer
 from estimation.values.windows import WindowRecord
 
 NANOSECONDS = 1_000_000_000
@@ -29,35 +31,64 @@ def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
     windows
         Of one wheelset between two reprofilings, oldest first.
     """
-    known = [window.mileage_km if abs(window.mileage_km) <= MOST_KM else math.nan for window in windows]
-    first = next((value for value in known if math.isfinite(value)), 0.0)
-    found: list[float] = []
-    shift, last, last_km, last_ns = 0.0, first, first, 0
-    for window, stored in zip(windows, known, strict=True):
-        if math.isnan(stored):  # it says nothing
-            found.append(last_km)
-            continue
-        most = most_km((window.start_ns - last_ns) / NANOSECONDS)
-        if not 0.0 <= stored - last <= most:
-            shift = last_km + min(max(stored - last, 0.0), most) - stored
-        last, last_km, last_ns = stored, stored + shift, window.start_ns
-        found.append(last_km)
-    return found
+    return [mileage_km for mileage_km, _ in running(windows, None)]
 
 
-def mean_mileage(windows: Sequence[WindowRecord], half_life_km: float | None) -> float:
-    """Return the mean mileage, weighted as forgetting weights the windows.
+def running(windows: Sequence[WindowRecord], before: Odometer | None) -> list[tuple[float, Odometer]]:
+    """Return the mileage of each window, km, and where the chain stands after it.
 
     Parameters
     ----------
     windows
-        Oldest first, with running mileages.
-    half_life_km
-        Of forgetting; None for none.
+        Of one wheelset between two reprofilings, oldest first.
+    before
+        Where the chain stands before the first of them; None where there is no earlier one.
     """
-    newest = windows[-1].mileage_km
-    weights = [1.0 if half_life_km is None else 0.5 ** ((newest - w.mileage_km) / half_life_km) for w in windows]
-    return sum(weight * w.mileage_km for weight, w in zip(weights, windows, strict=True)) / sum(weights)
+    at = before or _begin(windows)
+    found: list[tuple[float, Odometer]] = []
+    for window in windows:
+        at = _read(at, window)
+        found.append((at.last_km, at))
+    return found
+
+
+def known_mileage(stored_km: float) -> float:
+    """Return a stored mileage, NaN where no wheelset can have run it.
+
+    Parameters
+    ----------
+    stored_km
+        As the odometer gave it.
+    """
+    return stored_km if abs(stored_km) <= MOST_KM else math.nan
+
+
+def plausible_step(first: WindowRecord, second: WindowRecord) -> bool:
+    """Whether the odometer made no impossible step from one window to a later one; both must have a reading.
+
+    Parameters
+    ----------
+    first, second
+        Of one wheelset between two reprofilings.
+    """
+    step = known_mileage(second.mileage_km) - known_mileage(first.mileage_km)
+    return 0.0 <= step <= most_km((second.start_ns - first.start_ns) / NANOSECONDS)
+
+
+def _begin(windows: Sequence[WindowRecord]) -> Odometer:
+    known = (known_mileage(window.mileage_km) for window in windows)
+    first = next((value for value in known if math.isfinite(value)), 0.0)
+    return Odometer(shift=0.0, last=first, last_km=first, last_ns=0, seen_ns=0)
+
+
+def _read(at: Odometer, window: WindowRecord) -> Odometer:
+    stored = known_mileage(window.mileage_km)
+    if math.isnan(stored):  # it says nothing
+        return replace(at, seen_ns=window.start_ns)
+    most, shift = most_km((window.start_ns - at.last_ns) / NANOSECONDS), at.shift
+    if not 0.0 <= stored - at.last <= most:
+        shift = at.last_km + min(max(stored - at.last, 0.0), most) - stored
+    return Odometer(shift, stored, stored + shift, window.start_ns, window.start_ns)
 
 
 def most_km(seconds: float) -> float:

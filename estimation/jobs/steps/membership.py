@@ -1,0 +1,169 @@
+"""Which roll-up a window of a wheelset belongs to."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+from estimation.jobs.steps.baselines import Baseline, baselines
+from estimation.jobs.steps.identities import identity_change
+from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
+from estimation.storage import UnitOfWork
+from estimation.values.identity import IdentityChange
+from estimation.values.registry import Mounting
+from estimation.values.roll_up import Member, RollUp, RollUpKey, Side, TabledWindow
+
+ROLL_UP_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Membership:
+    """What says to which roll-up the windows of one wheelset belong, and with what weight."""
+
+    wheelset: str
+    baselines: Sequence[Baseline]
+    change: IdentityChange | None
+    turned: Sequence[Mounting]  # those in which it was mounted the other way round
+    interval_km: float
+    half_life_km: float
+    classes: ClassLookup
+
+    @property
+    def digest(self) -> str:
+        """Digest of all but the classes of vehicles."""
+        inputs = [
+            ROLL_UP_VERSION,
+            [asdict(one) for one in self.baselines],
+            None if self.change is None else asdict(self.change),
+            [(one.from_ns, one.to_ns) for one in self.turned],
+            self.interval_km,
+            self.half_life_km,
+        ]
+        return hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
+
+    def baseline_of(self, start_ns: int) -> Baseline:
+        """Return the baseline of a time.
+
+        Parameters
+        ----------
+        start_ns
+            From 0.
+        """
+        return next(one for one in reversed(self.baselines) if one.from_ns <= start_ns)
+
+    def assumed(self, roll_up: RollUp) -> Assumed | None:
+        """Return what the windows of a roll-up are estimated with; None where its class is another by now.
+
+        Parameters
+        ----------
+        roll_up
+            With windows.
+        """
+        found = self.classes.assumed(roll_up.vehicles[-1], self.wheelset)
+        if not isinstance(found, Assumed) or found.table_key != roll_up.key.table_key:
+            return None
+        return found if found.on_file.vehicle_class.code == roll_up.key.vehicle_class else None
+
+    def class_of(self, vehicle: str) -> str:
+        """Return the key of the tables on a vehicle and the code of its class; empty where that is not on file.
+
+        Parameters
+        ----------
+        vehicle
+            Code.
+        """
+        found = self.classes.assumed(vehicle, self.wheelset)
+        return f"{found.table_key} {found.on_file.vehicle_class.code}" if isinstance(found, Assumed) else ""
+
+    def key_of(self, window: TabledWindow, mileage_km: float) -> RollUpKey | None:
+        """Return the roll-up of a window; None where it belongs to none.
+
+        A table of other parameters waits to be made again, and what was recorded while a wheelset was exchanged is of
+        neither.
+
+        Parameters
+        ----------
+        window
+            With its bin table.
+        mileage_km
+            That the wheelset had run.
+        """
+        record = window.record
+        found, side = self.classes.assumed(record.vehicle, self.wheelset), self._side(record.start_ns)
+        if not isinstance(found, Assumed) or found.table_key != window.parameter_key or side is None:
+            return None
+        baseline = self.baseline_of(record.start_ns)
+        interval = int((mileage_km - baseline.mileage_km) // self.interval_km)
+        return RollUpKey(baseline.number, interval, side, found.table_key, found.on_file.vehicle_class.code)
+
+    def member(self, window: TabledWindow, mileage_km: float, key: RollUpKey) -> Member:
+        """Return a window as part of its roll-up.
+
+        Parameters
+        ----------
+        window, mileage_km
+            The window, and what the wheelset had run.
+        key
+            Of the roll-up.
+        """
+        record, at_ns = window.record, window.record.start_ns
+        table = " ".join((window.parameter_key, *([window.content_digest] if window.content_digest else ())))
+        if any(m.from_ns <= at_ns and (m.to_ns is None or at_ns < m.to_ns) for m in self.turned):
+            table = f"{table} reversed"
+        line = f"{at_ns} {record.content_digest} {table} {window.track_version} {mileage_km!r}"
+        digest = hashlib.sha256(line.encode()).hexdigest()
+        return Member(window, mileage_km, digest, self.forgetting(key, mileage_km))
+
+    def forgetting(self, key: RollUpKey, mileage_km: float) -> float:
+        """Return the weight of a window against the end of its interval.
+
+        Parameters
+        ----------
+        key
+            Of the roll-up.
+        mileage_km
+            Of the window.
+        """
+        return float(0.5 ** ((self.end_km(key) - mileage_km) / self.half_life_km))
+
+    def end_km(self, key: RollUpKey) -> float:
+        """Return the mileage at which an interval ends.
+
+        Parameters
+        ----------
+        key
+            Of a roll-up.
+        """
+        return self.baselines[key.baseline].mileage_km + (key.interval + 1) * self.interval_km
+
+    def _side(self, start_ns: int) -> Side | None:
+        if self.change is None:
+            return Side.WHOLE
+        if start_ns < self.change.before_ns:
+            return Side.BEFORE
+        return Side.AFTER if start_ns >= self.change.after_ns else None
+
+
+def membership(unit: UnitOfWork, serial: str, classes: ClassLookup) -> Membership:
+    """Return the rules for the windows of a wheelset as they are now.
+
+    Parameters
+    ----------
+    unit
+        Registry and alerts are read.
+    serial
+        Serial number of the wheelset.
+    classes
+        Of the same transaction.
+    """
+    return Membership(
+        serial,
+        baselines(unit.registry.wheelset(serial)),
+        identity_change(unit, serial),
+        [mounting for mounting in unit.registry.mountings(serial) if mounting.reversed],
+        classes.settings.interval_km,
+        classes.settings.half_life_km,
+        classes,
+    )

@@ -1,0 +1,303 @@
+"""The geometries of a wheelset from its roll-ups: one per mileage interval, and the current one with forgetting."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.jobs.job import JobContext
+from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, contradiction
+from estimation.jobs.steps.estimated_geometry import EstimatedWith, estimated_geometry, no_geometry
+from estimation.jobs.steps.membership import Membership
+from estimation.jobs.steps.replay import TabulatedWindow, replayed
+from estimation.jobs.steps.rolling import Part, Rolled, members, sums
+from estimation.jobs.steps.rolling_radius import RadiusOnFile
+from estimation.jobs.steps.vehicle_classes import Assumed
+from estimation.storage import UnitOfWork
+from estimation.tables.weighted_tables import weighted_sum
+from estimation.values.exact_table import ExactTable
+from estimation.values.geometry import LEFT_OUT, BinTable, GeometryRecord
+from estimation.values.json_value import JsonValue
+from estimation.values.motion import Motion
+from estimation.values.quantities import Status
+from estimation.values.reasons import Reason
+from estimation.values.roll_up import MILLIMETRES, MOST_CHOSEN, RollUp, Side
+from estimation.values.windows import WindowRecord
+
+REMEMBERED_HALF_LIVES = 20.0  # a weight of one in a million
+Place = tuple[int, int]  # baseline and interval
+
+
+@dataclass(slots=True)
+class RolledGeometries:
+    """Geometries of one wheelset, as one transaction sees its roll-ups.
+
+    Attributes
+    ----------
+    unit
+        Everything is read from it.
+    rules
+        By which the windows were rolled.
+    rolled
+        The roll-ups.
+    context
+        Settings and version of the numerics.
+    radius
+        What was found of the radius on file on the way.
+    earlier
+        Digest and sum of the intervals before the newest one, where it had to be made.
+    """
+
+    unit: UnitOfWork
+    rules: Membership
+    rolled: Rolled
+    context: JobContext
+    radius: RadiusOnFile = field(init=False)
+    earlier: tuple[str, BinTable] | None = None
+    _refused: Sequence[WindowRecord] = field(init=False)
+    _newest_sums: tuple[RollUp, tuple[ExactTable, ExactTable]] | None = None
+
+    def __post_init__(self) -> None:
+        self.radius = RadiusOnFile(self.unit, self.rules.wheelset)
+        self._refused = self.unit.windows.refused(self.rules.wheelset, CONTRADICTIONS)
+
+    def sums(self, part: Part) -> tuple[ExactTable, ExactTable]:
+        """Return the sums of a roll-up, those of the last one from memory.
+
+        Parameters
+        ----------
+        part
+            With a class that is still the same.
+        """
+        if self._newest_sums is None or self._newest_sums[0] is not part.roll_up:
+            found = sums(self.unit, self.rules, part)
+            assert found is not None  # ``records`` asks for parts whose class is the same
+            self._newest_sums = part.roll_up, found
+        return self._newest_sums[1]
+
+    def records(self) -> list[GeometryRecord]:
+        """Return the geometries whose inputs differ from what is stored; the current one comes last.
+
+        A geometry whose windows are all gone (refused since, or of another baseline now) is followed by an empty one.
+        The current geometry is that of the newest baseline with windows. What was measured before and after an
+        identity change of the wheelset is never merged. Nor is what was measured on vehicles of different classes: the
+        current geometry is of the class that the wheelset ran in last, an interval of the one with most of its windows.
+        What cannot be made again, because its class is another by now and its windows are gone, stays as it is.
+        """
+        filled = [part for part in self.rolled.parts if part.roll_up.windows]
+        usable = [part for part in filled if self.rules.assumed(part.roll_up) is not None]
+        left = {_place(part) for part in filled} - {_place(part) for part in usable}
+        found = self._intervals(usable, left)
+        newest = max((part.roll_up.key.baseline for part in usable), default=None)
+        if left and (newest is None or newest < max(left)[0]):
+            return found
+        found += self._ended(newest)
+        return found if newest is None else [*found, self._current(newest, usable)]
+
+    def _intervals(self, usable: Sequence[Part], left: set[Place]) -> list[GeometryRecord]:
+        """Return the geometries per mileage interval that are not stored like that."""
+        stored = self.unit.geometries.interval_digests(self.rules.wheelset)
+        parts: defaultdict[Place, list[Part]] = defaultdict(list)
+        for part in usable:
+            parts[_place(part)].append(part)
+        records = []
+        for place in sorted(parts):
+            part = _most_windows(parts[place])
+            assumed, against = self._assumed(part), self._against([part.roll_up])
+            digest = self._digest([part.roll_up], assumed, against)
+            if place not in stored or stored[place].input_digest != digest:
+                records.append(self._record([part], place, assumed, against, digest))
+        gone = [p for p in stored if p not in parts and p not in left and stored[p].windows]
+        return records + self._emptied_intervals(gone)
+
+    def _emptied_intervals(self, gone: Sequence[Place]) -> list[GeometryRecord]:
+        if not gone:
+            return []
+        intervals = self.unit.geometries.intervals(self.rules.wheelset)
+        return [self._emptied(one) for one in intervals if (one.baseline, one.interval) in gone]
+
+    def _ended(self, newest: int | None) -> list[GeometryRecord]:
+        """Return empty geometries behind those of baselines that have no windows any more, or that there are not.
+
+        A reprofiling that was voided leaves fewer baselines than have been estimated.
+        """
+        records = self.unit.geometries.baselines(self.rules.wheelset)
+        gone = [one for one in records if one.geometry.windows and (newest is None or one.baseline > newest)]
+        return [self._emptied(one) for one in gone]
+
+    def _current(self, baseline: int, usable: Sequence[Part]) -> GeometryRecord:
+        used = self._remembered([part for part in usable if part.roll_up.key.baseline == baseline])
+        assumed, roll_ups = self._assumed(used[-1]), [part.roll_up for part in used]
+        against = self._against(roll_ups)
+        record = self._record(used, (baseline, None), assumed, against, self._digest(roll_ups, assumed, against))
+        left_out = self.unit.plausibility.left_out(self.rules.wheelset, self.rules.baselines[baseline].from_ns)
+        counted: dict[str, JsonValue] = {code.value: count for code, count in left_out.items()}
+        return replace(record, parameters={**record.parameters, LEFT_OUT: counted})
+
+    def _remembered(self, parts: Sequence[Part]) -> list[Part]:
+        """Return what the current geometry is made of, by interval: of the newest side and class, with a weight."""
+        after = [part for part in parts if part.roll_up.key.side is Side.AFTER]
+        near = after or list(parts)
+        last = max(near, key=lambda part: part.roll_up.last_ns).roll_up
+        longest = REMEMBERED_HALF_LIVES * self.rules.half_life_km
+        same = (last.key.table_key, last.key.vehicle_class)
+        return sorted(
+            (
+                part
+                for part in near
+                if (part.roll_up.key.table_key, part.roll_up.key.vehicle_class) == same
+                and last.last_km - self.rules.end_km(part.roll_up.key) <= longest
+            ),
+            key=lambda part: part.roll_up.key,
+        )
+
+    def _assumed(self, part: Part) -> Assumed:
+        found = self.rules.assumed(part.roll_up)
+        assert found is not None  # ``records`` leaves the others out
+        return found
+
+    def _against(self, roll_ups: Sequence[RollUp]) -> Reason | None:
+        """Return why most windows of the time of some roll-ups were refused; None where fewer were."""
+        return contradiction(
+            self._refused,
+            frozenset(vehicle for one in roll_ups for vehicle in one.vehicles),
+            min(one.first_ns for one in roll_ups),
+            max(one.last_ns for one in roll_ups),
+            sum(one.windows for one in roll_ups),
+        )
+
+    def _digest(self, roll_ups: Sequence[RollUp], assumed: Assumed | None, against: Reason | None) -> str:
+        of_class = "" if assumed is None else f" {assumed.digest}"
+        of_class += "" if against is None else f" {against.code}"
+        estimator = self.context.settings.estimation.estimator
+        text = hashlib.sha256(f"{self.context.code_version} {estimator}{of_class}\n".encode())
+        for one in roll_ups:
+            text.update(f"{one.key.interval} {int(one.key.side)} {one.windows} {one.content_digest}\n".encode())
+        return text.hexdigest()
+
+    def _record(
+        self,
+        parts: Sequence[Part],
+        place: tuple[int, int | None],
+        assumed: Assumed,
+        against: Reason | None,
+        digest: str,
+    ) -> GeometryRecord:
+        settings, roll_ups = self.context.settings.estimation, [part.roll_up for part in parts]
+        versions = _versions(roll_ups)
+        newest = [self.unit.tracks.alignment(code, used[-1]) for code, used in versions.items()]
+        of_class = ParameterUncertainty.of(assumed.on_file.vehicle_class)
+        tracks = [track for track in newest if track is not None]
+        used = EstimatedWith(settings, assumed, of_class.on(tracks, self.rules.wheelset))
+        current, last = place[1] is None, max(roll_ups, key=lambda one: one.last_ns)
+        table = self._forgetting(parts, last.last_km) if current else self.sums(parts[0])[0].table()
+        forgotten_from = last.last_km if current else None
+        geometry = estimated_geometry(table, used, lambda: self._motions(parts, assumed, forgotten_from))
+        if geometry.status is not Status.MODEL_MISMATCH:
+            contradicted = against or self.radius.contradicted(_chosen(roll_ups), assumed, self._stored_reason(place))
+            geometry = geometry if contradicted is None else geometry.mismatched(contradicted)
+        return GeometryRecord(
+            wheelset=self.rules.wheelset,
+            baseline=place[0],
+            interval=place[1],
+            mileage_km=self._mean_km(roll_ups) if current else roll_ups[0].mean_km,
+            from_ns=min(one.first_ns for one in roll_ups),
+            to_ns=last.end_ns,
+            geometry=geometry,
+            input_digest=digest,
+            track_versions=versions,
+            parameters=used.as_json(),
+            code_version=self.context.code_version,
+            recorded_ns=self.context.clock.now_ns(),
+        )
+
+    def _stored_reason(self, place: tuple[int, int | None]) -> Reason | None:
+        """Return why the geometry that is stored holds no numbers; None where it does or there is none."""
+        return self.unit.geometries.reason(self.rules.wheelset, *place)
+
+    def _forgetting(self, parts: Sequence[Part], newest_km: float) -> BinTable:
+        """Return the sum of all with forgetting; the newest window has weight 1."""
+        *before, last = parts
+        tables = [(self._weight(last.roll_up, newest_km), self.sums(last)[1].table())]
+        if before:
+            tables.insert(0, (self._weight(before[-1].roll_up, newest_km), self._earlier(before)))
+        return weighted_sum(tables)
+
+    def _earlier(self, parts: Sequence[Part]) -> BinTable:
+        """Return the sum of the intervals that are over with forgetting, weighted as at the end of the last of them."""
+        text = "".join(f"{one.roll_up.key} {one.roll_up.windows} {one.roll_up.content_digest}\n" for one in parts)
+        digest = hashlib.sha256(f"{self.rules.digest}\n{text}".encode()).hexdigest()
+        stored = self.unit.roll_ups.earlier(self.rules.wheelset, digest)
+        if stored is None:
+            end_km = self.rules.end_km(parts[-1].roll_up.key)
+            stored = weighted_sum((self._weight(part.roll_up, end_km), self.sums(part)[1].table()) for part in parts)
+            self.earlier = digest, stored
+        return stored
+
+    def _weight(self, roll_up: RollUp, at_km: float) -> float:
+        return float(0.5 ** ((at_km - self.rules.end_km(roll_up.key)) / self.rules.half_life_km))
+
+    def _mean_km(self, roll_ups: Sequence[RollUp]) -> float:
+        """Return the mean mileage with forgetting."""
+        newest_km = max(one.last_km for one in roll_ups)
+        weights = [self._weight(one, newest_km) for one in roll_ups]
+        total = sum(weight * one.weighted_mileage for weight, one in zip(weights, roll_ups, strict=True))
+        return total / sum(w * one.weight for w, one in zip(weights, roll_ups, strict=True)) / MILLIMETRES
+
+    def _motions(
+        self, parts: Sequence[Part], assumed: Assumed, forgotten_from: float | None
+    ) -> Iterator[tuple[float, Motion]]:
+        """Yield weight and motion of the windows that have samples, oldest first; the newest has weight 1."""
+        found = [member for part in parts for member in members(self.unit, self.rules, part)]
+        mileages = {member.start_ns: member.mileage_km for member in found}
+        ordered = sorted((member.window for member in found), key=lambda window: window.record.start_ns)
+        windows = [TabulatedWindow(window.record, window.track_version) for window in ordered]
+        half_life_km = self.rules.half_life_km
+        for record, moved in replayed(self.unit, windows, assumed.windows):
+            behind_km = 0.0 if forgotten_from is None else forgotten_from - mileages[record.start_ns]
+            yield 0.5 ** (behind_km / half_life_km), moved
+
+    def _emptied(self, record: GeometryRecord) -> GeometryRecord:
+        """Return what follows ``record`` when none of its windows is left."""
+        settings = self.context.settings.estimation
+        return replace(
+            record,
+            geometry=no_geometry(settings, record.geometry.parameter_key),
+            input_digest=self._digest([], None, None),
+            track_versions={},
+            parameters=settings.as_json(),
+            code_version=self.context.code_version,
+            recorded_ns=self.context.clock.now_ns(),
+        )
+
+
+def _place(part: Part) -> Place:
+    return part.roll_up.key.baseline, part.roll_up.key.interval
+
+
+def _most_windows(parts: Sequence[Part]) -> Part:
+    """Return the part that stands for an interval: after an identity change, of the class with most windows."""
+    after = [part for part in parts if part.roll_up.key.side is Side.AFTER]
+    return max(after or parts, key=lambda part: (part.roll_up.windows, part.roll_up.last_ns))
+
+
+def _versions(roll_ups: Sequence[RollUp]) -> Mapping[str, tuple[int, ...]]:
+    """Return by section the versions of its alignment that tables rest on, increasing."""
+    found: defaultdict[str, set[int]] = defaultdict(set)
+    for one in roll_ups:
+        for section, versions in one.versions.items():
+            found[section].update(versions)
+    return {section: tuple(sorted(found[section])) for section in sorted(found)}
+
+
+def _chosen(roll_ups: Sequence[RollUp]) -> list[tuple[str, int]]:
+    """Return windows that stand for the newest of some roll-ups, as many as one has at most."""
+    chosen: list[tuple[str, int]] = []
+    for one in sorted(roll_ups, key=lambda one: one.last_ns, reverse=True):
+        chosen += one.chosen
+        if len(chosen) >= MOST_CHOSEN:
+            break
+    return sorted(chosen[:MOST_CHOSEN], key=lambda item: item[1])
