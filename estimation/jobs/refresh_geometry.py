@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from estimation.errors import ConflictError
 from estimation.estimators.catalogue import SHIPPED
@@ -73,37 +73,51 @@ def _seen(unit: UnitOfWork, serial: str, context: JobContext) -> RolledGeometrie
 def _refresh(context: JobContext, serial: str) -> int:
     """Store roll-ups and geometries of a wheelset; what another process changes meanwhile is left to the next run."""
     try:
-        _roll_again(context, serial)
-        with context.storage.read() as unit:
-            change = unit.geometries.change(serial)
-            seen = _seen(unit, serial, context)
-            records = seen.records()
-            parts = [_with_sums(seen, part) for part in seen.rolled.parts if _changed(part) and seen.rolled.due]
+        found = _made(context, serial)
+        if found.seen.rolled.again:
+            _roll_again(context, serial, found.seen)
+            found = _made(context, serial)
         with context.storage.write() as unit:
-            changed = sum(unit.geometries.put(record) for record in records)
-            _store(unit, serial, seen, parts)
-            unit.geometries.mark_current(serial, change)
+            changed = sum(unit.geometries.put(record) for record in found.records)
+            _store(unit, serial, found)
+            unit.geometries.mark_current(serial, found.change)
     except ConflictError:
         return 0  # still stale
     return changed
 
 
-def _roll_again(context: JobContext, serial: str) -> None:
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """What was made of a wheelset in one transaction: roll-ups to store, and geometries."""
+
+    change: int
+    seen: RolledGeometries
+    parts: list[RolledPart]
+    records: list[GeometryRecord]
+
+
+def _made(context: JobContext, serial: str) -> _Made:
+    """Return what is to be stored of a wheelset; nothing but the roll-ups where all of these are to be made again."""
+    with context.storage.read() as unit:
+        change, seen = unit.geometries.change(serial), _seen(unit, serial, context)
+        if seen.rolled.again:
+            return _Made(change, seen, [], [])
+        records = seen.records()
+        parts = [_with_sums(seen, part) for part in seen.rolled.parts if seen.rolled.due and _changed(part)]
+        return _Made(change, seen, parts, records)
+
+
+def _roll_again(context: JobContext, serial: str, seen: RolledGeometries) -> None:
     """Make the roll-ups of a wheelset again where rules or mileages have changed, one at a time.
 
     What is stored on the way counts only when all are: until then the next run begins again.
     """
-    with context.storage.read() as unit:
-        seen = _seen(unit, serial, context)
-        if not seen.rolled.again:
-            return
     with context.storage.write() as unit:
         unit.roll_ups.put_state(serial, _BEING_MADE)
     for part in seen.rolled.parts:
         if _changed(part):
             with context.storage.read() as unit:
-                rules = _in(unit, seen.rules)
-                whole = _with_sums(RolledGeometries(unit, rules, seen.rolled, context), part)
+                whole = _with_sums(RolledGeometries(unit, _in(unit, seen.rules), seen.rolled, context), part)
             with context.storage.write() as unit:
                 unit.roll_ups.put(serial, [whole])
     with context.storage.write() as unit:
@@ -126,12 +140,15 @@ def _with_sums(seen: RolledGeometries, part: Part) -> RolledPart:
     return RolledPart(part.roll_up, part.before, plain, forgetting, part.added)
 
 
-def _store(unit: UnitOfWork, serial: str, seen: RolledGeometries, parts: list[RolledPart]) -> None:
+def _store(unit: UnitOfWork, serial: str, found: _Made) -> None:
+    seen = found.seen
     if seen.rolled.due:
-        unit.roll_ups.put(serial, parts, seen.rolled.outside)
+        unit.roll_ups.put(serial, found.parts, seen.rolled.outside)
         unit.roll_ups.drop(serial, seen.rolled.dropped, seen.rolled.taken)
         unit.roll_ups.put_state(serial, seen.rolled.state)
     if seen.earlier is not None:
         unit.roll_ups.put_earlier(serial, *seen.earlier)
     for one in seen.radius.fresh.values():
         unit.roll_ups.put_rolling(serial, one.start_ns, one.window_digest, one.assumed, one.parts)
+    if seen.rolled.due:
+        unit.roll_ups.keep_rolling(serial, [start for part in seen.rolled.parts for _, start in part.roll_up.chosen])

@@ -9,6 +9,7 @@ from estimation.values.windows import WindowState
 from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Real, ReasonCodeColumn, one_of
 
 PENDING = text("state = 'pending'")
+REFUSED, DOUBTED = text("reason_code IS NOT NULL"), text("implausible_code IS NOT NULL")
 UNJUDGED = text("judged = 0")
 UNJUDGED_POSTGRESQL = text("NOT judged")
 
@@ -25,6 +26,8 @@ class WindowRow(Base):
         CheckConstraint("length_ns > 0", name="length_positive"),
         Index(None, "track_section", "start_ns"),
         Index("ix_windows_pending", "wheelset", "start_ns", sqlite_where=PENDING, postgresql_where=PENDING),
+        Index("ix_windows_refused", "wheelset", "reason_code", sqlite_where=REFUSED, postgresql_where=REFUSED),
+        Index("ix_windows_implausible", "wheelset", "start_ns", sqlite_where=DOUBTED, postgresql_where=DOUBTED),
         Index("ix_windows_unjudged", "wheelset", sqlite_where=UNJUDGED, postgresql_where=UNJUDGED_POSTGRESQL),
     )
 

@@ -152,22 +152,28 @@ class RollUpStore:
             if numbers:
                 self.connection.execute(delete(table).where(table.c.wheelset == wheelset, table.c.number.in_(numbers)))
 
-    def rolling(self, wheelset: str, start_ns: int, window_digest: str, assumed: str) -> tuple[RollingSums, ...] | None:
-        """Return what a window says of its rolling radius; None where that is not kept for this content and class.
+    def rolling(self, wheelset: str, windows: Mapping[int, str], assumed: str) -> Mapping[int, tuple[RollingSums, ...]]:
+        """Return by start what windows say of their rolling radius, where that is kept.
 
         Parameters
         ----------
-        wheelset, start_ns
-            Of the window.
-        window_digest
-            Of its content.
+        wheelset
+            Serial.
+        windows
+            Digest of their content by start; what was made of other content does not count.
         assumed
-            Digest of its class and parameters.
+            Digest of the class and parameters that it must have been made with.
         """
-        same = (ROLLING.c.wheelset == wheelset, ROLLING.c.start_ns == start_ns)
-        made = (ROLLING.c.window_digest == window_digest, ROLLING.c.assumed == assumed)
-        packed: bytes | None = self.connection.scalar(select(ROLLING.c.packed).where(*same, *made))
-        return None if packed is None else unpack_rolling_sums(packed, where=f"rolling sums of {wheelset}@{start_ns}")
+        rows = self.connection.execute(
+            select(ROLLING.c.start_ns, ROLLING.c.window_digest, ROLLING.c.packed)
+            .where(ROLLING.c.wheelset == wheelset, ROLLING.c.start_ns.in_(list(windows)))
+            .where(ROLLING.c.assumed == assumed)
+        )
+        return {
+            row.start_ns: unpack_rolling_sums(row.packed, where=f"rolling sums of {wheelset}@{row.start_ns}")
+            for row in rows
+            if row.window_digest == windows[row.start_ns]
+        }
 
     def put_rolling(
         self, wheelset: str, start_ns: int, window_digest: str, assumed: str, parts: Sequence[RollingSums]
@@ -176,13 +182,21 @@ class RollUpStore:
 
         Parameters
         ----------
-        wheelset, start_ns, window_digest, assumed
-            As :meth:`rolling` takes them.
+        wheelset, start_ns, window_digest
+            The window and its content.
+        assumed
+            Digest of its class and parameters.
         parts
             Of the window.
         """
         values = {"wheelset": wheelset, "start_ns": start_ns, "window_digest": window_digest, "assumed": assumed}
         upsert(self.connection, ROLLING, values | {"packed": pack_rolling_sums(parts)})
+
+    def keep_rolling(self, wheelset: str, starts: Sequence[int]) -> None:
+        """Forget what windows other than these say of their rolling radius."""
+        self.connection.execute(
+            delete(ROLLING).where(ROLLING.c.wheelset == wheelset, ROLLING.c.start_ns.not_in(starts))
+        )
 
     def _put_sums(self, wheelset: str, part: RolledPart) -> int:
         """Store what is known of a roll-up and its sums; return its number."""

@@ -24,10 +24,11 @@ from estimation.values.json_value import JsonValue
 from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
-from estimation.values.roll_up import MILLIMETRES, MOST_CHOSEN, RollUp, Side
+from estimation.values.roll_up import MILLIMETRES, MOST_CHOSEN, RollUp, RollUpKey, Side
 from estimation.values.windows import WindowRecord
 
 REMEMBERED_HALF_LIVES = 20.0  # a weight of one in a million
+SUMS_IN_MEMORY = 4  # roll-ups of a wheelset, 3 MB each
 Place = tuple[int, int]  # baseline and interval
 
 
@@ -57,26 +58,27 @@ class RolledGeometries:
     context: JobContext
     radius: RadiusOnFile = field(init=False)
     earlier: tuple[str, BinTable] | None = None
-    _refused: Sequence[WindowRecord] = field(init=False)
-    _newest_sums: tuple[RollUp, tuple[ExactTable, ExactTable]] | None = None
+    _refused: Sequence[WindowRecord] | None = None
+    _sums: dict[RollUpKey, tuple[ExactTable, ExactTable]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.radius = RadiusOnFile(self.unit, self.rules.wheelset)
-        self._refused = self.unit.windows.refused(self.rules.wheelset, CONTRADICTIONS)
 
     def sums(self, part: Part) -> tuple[ExactTable, ExactTable]:
-        """Return the sums of a roll-up, those of the last one from memory.
+        """Return the sums of a roll-up; of those that have changed some are kept in memory.
 
         Parameters
         ----------
         part
             With a class that is still the same.
         """
-        if self._newest_sums is None or self._newest_sums[0] is not part.roll_up:
-            found = sums(self.unit, self.rules, part)
-            assert found is not None  # ``records`` asks for parts whose class is the same
-            self._newest_sums = part.roll_up, found
-        return self._newest_sums[1]
+        found = self._sums.get(part.roll_up.key) or sums(self.unit, self.rules, part)
+        assert found is not None  # ``records`` asks for parts whose class is the same
+        if part.added or part.taken:
+            if len(self._sums) >= SUMS_IN_MEMORY:
+                self._sums.pop(next(iter(self._sums)))
+            self._sums[part.roll_up.key] = found
+        return found
 
     def records(self) -> list[GeometryRecord]:
         """Return the geometries whose inputs differ from what is stored; the current one comes last.
@@ -161,6 +163,8 @@ class RolledGeometries:
 
     def _against(self, roll_ups: Sequence[RollUp]) -> Reason | None:
         """Return why most windows of the time of some roll-ups were refused; None where fewer were."""
+        if self._refused is None:
+            self._refused = self.unit.windows.refused(self.rules.wheelset, CONTRADICTIONS)
         return contradiction(
             self._refused,
             frozenset(vehicle for one in roll_ups for vehicle in one.vehicles),

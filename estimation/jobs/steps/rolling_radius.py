@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from estimation.errors import DamagedError, NotFoundError
@@ -59,28 +59,28 @@ class RadiusOnFile:
         stored
             Reason of the geometry that is stored.
         """
-        parts: list[RollingSums] = []
-        looked_at = False
-        for digest, start_ns in chosen:
-            found = self._sums(digest, start_ns, assumed)
-            looked_at |= found is not None
-            parts += found or ()
-        if not looked_at and stored is not None and stored.code is ReasonCode.ROLLING_RADIUS_DIFFERS:
+        found = self._sums({start_ns: digest for digest, start_ns in chosen}, assumed)
+        if not found and stored is not None and stored.code is ReasonCode.ROLLING_RADIUS_DIFFERS:
             return stored
+        parts = [part for start_ns in sorted(found) for part in found[start_ns]]
         return check_radius(parts, assumed.windows.vehicle_class.parameters.nominal_radius)
 
-    def _sums(self, digest: str, start_ns: int, assumed: Assumed) -> tuple[RollingSums, ...] | None:
-        key = (start_ns, assumed.digest)
-        if key in self.fresh:
-            return self.fresh[key].parts
-        kept = self.unit.roll_ups.rolling(self.wheelset, start_ns, digest, assumed.digest)
-        if kept is not None:
-            return kept
+    def _sums(self, chosen: Mapping[int, str], assumed: Assumed) -> dict[int, tuple[RollingSums, ...]]:
+        """Return by start what the windows say that have samples, or had them when they were looked at."""
+        found = dict(self.unit.roll_ups.rolling(self.wheelset, chosen, assumed.digest))
+        for start_ns in chosen.keys() - found.keys():
+            key = (start_ns, assumed.digest)
+            if key not in self.fresh:
+                parts = self._of_samples(start_ns, assumed)
+                if parts is None:
+                    continue
+                self.fresh[key] = FreshSums(start_ns, chosen[start_ns], assumed.digest, parts)
+            found[start_ns] = self.fresh[key].parts
+        return found
+
+    def _of_samples(self, start_ns: int, assumed: Assumed) -> tuple[RollingSums, ...] | None:
         try:
             window = self.unit.windows.load(self.wheelset, start_ns)
         except (NotFoundError, DamagedError):
             return None  # its table remains
-        parameters = assumed.windows
-        parts = rolling_sums(window, parameters.vehicle_class, parameters.signals)
-        self.fresh[key] = FreshSums(start_ns, digest, assumed.digest, parts)
-        return parts
+        return rolling_sums(window, assumed.windows.vehicle_class, assumed.windows.signals)

@@ -11,6 +11,10 @@ branch_labels: str | None = None
 depends_on: str | None = None
 
 TABLES = "window_bin_tables"
+WINDOWS = (
+    ("ix_windows_refused", "reason_code", "reason_code"),
+    ("ix_windows_implausible", "start_ns", "implausible_code"),
+)
 
 
 def _serial() -> sa.types.TypeEngine[int]:
@@ -91,10 +95,15 @@ def upgrade() -> None:
         postgresql_where=sa.text("NOT rolled"),
     )
     op.create_index(op.f("ix_window_bin_tables_roll_up_start_ns"), TABLES, ["roll_up", "start_ns"])
+    for index, column, where in WINDOWS:
+        condition = sa.text(f"{where} IS NOT NULL")
+        op.create_index(index, "windows", ["wheelset", column], sqlite_where=condition, postgresql_where=condition)
 
 
 def downgrade() -> None:
     """Remove them; geometries are made from the bin tables."""
+    for index, _, _ in WINDOWS:
+        op.drop_index(index, "windows")
     op.drop_index(op.f("ix_window_bin_tables_roll_up_start_ns"), TABLES)
     op.drop_index("ix_window_bin_tables_waiting", TABLES)
     for column in ("line", "running_km", "roll_up", "rolled"):

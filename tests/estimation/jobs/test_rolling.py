@@ -1,0 +1,343 @@
+"""Roll-ups: whatever happens to windows, they hold the sum of the tables that are there, bit for bit."""
+
+from __future__ import annotations
+
+import random
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from alignment_job import counts
+from paper_class import PAPER_CLASS, WINDOWS
+from section_runs import windows
+from smooth_wheelset import alignment, track
+from sqlalchemy import Engine, event
+
+from estimation.jobs.settings import EstimationSettings, JobSettings
+from estimation.jobs.steps import rolling
+from estimation.jobs.steps.membership import Membership, membership
+from estimation.jobs.steps.rolling import Part, rolled, sums
+from estimation.jobs.steps.running_mileage import running_mileage
+from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.storage import UnitOfWork
+from estimation.tables.bin_table import BinParameters, bin_parameters, init, tabulate_window
+from estimation.tables.exact_sum import ExactSum, nothing
+from estimation.tables.table_sum import TableSum
+from estimation.values.exact_table import ExactTable
+from estimation.values.geometry import BinTable, FilledCells
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import (
+    FleetRecord,
+    Mounting,
+    Reprofiling,
+    VehicleRecord,
+    WheelsetRecord,
+)
+from estimation.values.roll_up import RollUpState
+from estimation.values.track import TrackSectionRecord
+from estimation.values.windows import Window, WindowState
+from fleet_db.packed_values import pack_bin_table, pack_exact_table, unpack_filled_cells
+from fleet_db.storage import SqlStorage
+
+SETTINGS = JobSettings(estimation=EstimationSettings(interval_km=20.0, half_life_km=30.0))
+MINUTE = 60 * 10**9
+BINS = bin_parameters(WINDOWS)
+
+
+@pytest.fixture(scope="module")
+def tables() -> list[BinTable]:
+    """Return bin tables of some real windows."""
+    on = alignment(track(1))
+    found = [tabulate_window(window, on, WINDOWS) for number in (1, 2, 4) for window in windows(number)]
+    return [table for table in found if isinstance(table, BinTable)]
+
+
+def register(storage: SqlStorage) -> None:
+    with storage.write() as unit:
+        unit.registry.add_vehicle_class(PAPER_CLASS, 1)
+        unit.registry.add_fleet(FleetRecord("F", "Fleet"))
+        unit.tracks.add_section(TrackSectionRecord("S1", 1, "Section", "56E1", 0.05, 1.435, 2900.0))
+        unit.registry.add_vehicle(VehicleRecord("V1", "F", "paper", 1, 40.0, (0.0,)))
+        unit.registry.add_wheelset(WheelsetRecord("W1", "F", "P8", 0.45, None))
+        unit.registry.add_mounting(Mounting("W1", "V1", 1, 0, None, 0.0, 0.0))
+
+
+@dataclass
+class Life:
+    """What may happen to the windows of a wheelset, in the order of a seed; a step is a minute and 1.2 km."""
+
+    storage: SqlStorage
+    tables: list[BinTable]
+    dice: random.Random
+    left: list[int] = field(default_factory=lambda: list(range(400)))
+    there: set[int] = field(default_factory=set)
+
+    def window(self, step: int) -> Window:
+        one = windows(1)[0]
+        speed = one.speed + 1e-6 * step  # so that each has content of its own
+        return replace(one, wheelset="W1", vehicle="V1", start_ns=step * MINUTE, speed=speed)
+
+    def put(self, unit: UnitOfWork, step: int, *, mileage_km: float | None = None) -> None:
+        window = self.window(step)
+        unit.windows.put(window, 1.2 * step if mileage_km is None else mileage_km, 1)
+        record = unit.windows.get("W1", window.start_ns)
+        assert record is not None
+        unit.tables.put("W1", window.start_ns, self.dice.choice(self.tables), None, record.content_digest)
+        unit.windows.mark("W1", window.start_ns, WindowState.ESTIMATED)
+        self.there.add(step)
+
+    def appended(self, unit: UnitOfWork) -> None:
+        first = max(self.there, default=-1) + 1
+        for step in range(first, first + self.dice.randint(1, 40)):
+            if self.dice.random() < 0.9:
+                self.put(unit, step)
+
+    def late(self, unit: UnitOfWork) -> None:
+        missing = sorted(set(range(max(self.there, default=0))) - self.there)
+        for step in self.dice.sample(missing, min(3, len(missing))):
+            self.put(unit, step)
+
+    def estimated_again(self, unit: UnitOfWork) -> None:
+        for step in self.some():
+            record = unit.windows.get("W1", step * MINUTE)
+            assert record is not None
+            unit.tables.put("W1", step * MINUTE, self.dice.choice(self.tables), 2, record.content_digest)
+
+    def newest_again(self, unit: UnitOfWork) -> None:
+        if self.there:
+            self.put(unit, max(self.there))
+
+    def refused(self, unit: UnitOfWork) -> None:
+        for step in self.some():
+            unit.windows.mark("W1", step * MINUTE, WindowState.REFUSED, Reason(ReasonCode.INTERRUPTED, "no"))
+            self.there.discard(step)
+
+    def removed(self, unit: UnitOfWork) -> None:
+        for step in [*self.some(), *sorted(self.there)[-1:]]:
+            record = unit.windows.get("W1", step * MINUTE)
+            if record is not None:
+                unit.assembled.remove([record])
+            self.there.discard(step)
+
+    def other_mileage(self, unit: UnitOfWork) -> None:
+        for step in self.some():
+            unit.windows.put(self.window(step), 1.2 * step + self.dice.choice((0.1, 0.3, -500.0, 1e12)), 1)
+
+    def turned(self, unit: UnitOfWork) -> None:
+        if self.there and self.dice.random() < 0.3:
+            step = self.dice.choice(sorted(self.there))
+            unit.registry.add_reprofiling(Reprofiling("W1", step * MINUTE + 1, 1.2 * step, "lathe"), 1)
+
+    def some(self) -> list[int]:
+        return self.dice.sample(sorted(self.there), min(2, len(self.there)))
+
+
+EVENTS: list[Callable[[Life, UnitOfWork], None]] = [
+    Life.appended,
+    Life.appended,
+    Life.late,
+    Life.estimated_again,
+    Life.newest_again,
+    Life.refused,
+    Life.removed,
+    Life.other_mileage,
+    Life.turned,
+]
+
+
+def rules_of(unit: UnitOfWork) -> Membership:
+    return membership(unit, "W1", ClassLookup(unit, SETTINGS.estimation))
+
+
+def exact(storage: SqlStorage) -> dict[object, tuple[object, ...]]:
+    """Return every roll-up as it is now, with what waits added, by its key."""
+    with storage.read() as unit:
+        rules = rules_of(unit)
+        found = rolled(unit, rules)
+        return {part.roll_up.key: (*known(part), *packed(unit, rules, part)) for part in found.parts}
+
+
+def known(part: Part) -> tuple[object, ...]:
+    return replace(part.roll_up, number=None), len(part.roll_up.chosen)
+
+
+def packed(unit: UnitOfWork, rules: Membership, part: Part) -> Iterator[bytes]:
+    found = sums(unit, rules, part)
+    assert found is not None
+    return map(pack_exact_table, found)
+
+
+def by_the_book(storage: SqlStorage) -> dict[tuple[int, int], tuple[BinTable, BinTable, list[float]]]:
+    """Return table by table, in the order of time, what the sums should be: plain, forgetting, and mileages."""
+    with storage.read() as unit:
+        rules = rules_of(unit)
+        found: defaultdict[tuple[int, int], list[tuple[float, BinTable]]] = defaultdict(list)
+        for baseline in rules.baselines:
+            entries = [(w, table) for w, table, _ in unit.tables.stream("W1", baseline.from_ns, baseline.to_ns)]
+            mileages = running_mileage([window for window, _ in entries])
+            for km, (_, table) in zip(mileages, entries, strict=True):
+                found[baseline.number, int((km - baseline.mileage_km) // 20.0)].append((km, table))
+        ends = {place: rules.baselines[place[0]].mileage_km + 20.0 * (place[1] + 1) for place in found}
+    summed = {}
+    for place, members in found.items():
+        plain, forgetting = TableSum(init(BINS)), TableSum(init(BINS))
+        for km, table in members:
+            plain.add(table)
+            w = 0.5 ** ((ends[place] - km) / 30.0)
+            forgetting.add(replace(table, weight=w * table.weight, lateral=w * table.lateral, yaw=w * table.yaw))
+        summed[place] = plain.table(), forgetting.table(), [km for km, _ in members]
+    return summed
+
+
+def close(first: BinTable, second: BinTable) -> bool:
+    return all(
+        np.allclose(getattr(first, name), getattr(second, name), rtol=1e-9, atol=1e-3)
+        for name in ("weight", "lateral", "yaw")
+    ) and (first.samples, first.windows) == (second.samples, second.windows)
+
+
+def made_again(storage: SqlStorage) -> None:
+    with storage.write() as unit:
+        unit.roll_ups.put_state("W1", RollUpState("", {}, {}))
+        unit.changes.note("W1")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_after_anything_the_sums_are_those_of_the_tables_that_are_there(
+    sqlite_storage: SqlStorage, tables: list[BinTable], seed: int
+) -> None:
+    register(sqlite_storage)
+    life = Life(sqlite_storage, tables, random.Random(seed))  # noqa: S311 - an order of events
+    for _ in range(9):
+        for happens in life.dice.choices(EVENTS, k=2):
+            with sqlite_storage.write() as unit:
+                happens(life, unit)
+        counts(sqlite_storage, "refresh_geometry", SETTINGS)
+        kept, expected = exact(sqlite_storage), by_the_book(sqlite_storage)
+        assert {(key.baseline, key.interval) for key in kept} == set(expected)
+        with sqlite_storage.read() as unit:
+            rules = rules_of(unit)
+            for part in rolled(unit, rules).parts:
+                plain, forgetting, mileages = expected[part.roll_up.key.baseline, part.roll_up.key.interval]
+                found = sums(unit, rules, part)
+                assert found is not None
+                assert close(found[0].table(), plain)
+                assert close(found[1].table(), forgetting)
+                assert part.roll_up.windows == len(mileages)
+                assert part.roll_up.mean_km == pytest.approx(np.mean(mileages))
+                assert part.roll_up.last_km == max(mileages)
+        made_again(sqlite_storage)
+        assert counts(sqlite_storage, "refresh_geometry", SETTINGS)["geometries"] == 0  # the same inputs, the same
+        assert exact(sqlite_storage) == kept
+
+
+def test_one_more_window_costs_itself(
+    sqlite_storage: SqlStorage, tables: list[BinTable], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tables read and statements executed are the same after 60 windows and after 300; so is a late one."""
+    monkeypatch.setattr(rolling, "KEPT_WAITING", 1)
+    register(sqlite_storage)
+    life = Life(sqlite_storage, tables, random.Random(1))  # noqa: S311
+    costs = []
+    for until in (70, 300):
+        with sqlite_storage.write() as unit:
+            for step in range(max(life.there, default=-1) + 1, until):
+                if step not in {45, 250}:
+                    life.put(unit, step)
+        counts(sqlite_storage, "refresh_geometry", SETTINGS)
+        for step in (until, until + 1):
+            with sqlite_storage.write() as unit:
+                life.put(unit, step)
+            spent = cost(sqlite_storage, monkeypatch)
+        with sqlite_storage.write() as unit:
+            life.put(unit, until - 50 if until == 300 else 45)
+        costs.append((spent, cost(sqlite_storage, monkeypatch)))
+    assert costs[0][0] == costs[1][0]
+    assert costs[0][0][0] == 1
+    assert costs[1][1][0] == 1
+
+
+def cost(storage: SqlStorage, monkeypatch: pytest.MonkeyPatch) -> tuple[int, int]:
+    """Return how many tables were added and how many statements executed by a run."""
+    added, executed = [0], [0]
+    original = ExactSum.add
+
+    def add(self: ExactSum, cells: FilledCells, weight: float = 1.0) -> None:
+        added[0] += 1
+        original(self, cells, weight)
+
+    def count(*_: object) -> None:
+        executed[0] += 1
+
+    monkeypatch.setattr(ExactSum, "add", add)
+    event.listen(Engine, "before_cursor_execute", count)
+    try:
+        counts(storage, "refresh_geometry", SETTINGS)
+    finally:
+        event.remove(Engine, "before_cursor_execute", count)
+        monkeypatch.setattr(ExactSum, "add", original)
+    return added[0] // 2, executed[0]
+
+
+def test_few_windows_wait_before_their_sums_are_written(sqlite_storage: SqlStorage, tables: list[BinTable]) -> None:
+    register(sqlite_storage)
+    life = Life(sqlite_storage, tables, random.Random(2))  # noqa: S311
+    waiting = []
+    for step in range(40):
+        with sqlite_storage.write() as unit:
+            life.put(unit, step)
+        counts(sqlite_storage, "refresh_geometry", SETTINGS)
+        with sqlite_storage.read() as unit:
+            waiting.append(len(unit.tables.waiting("W1")))
+            geometry = unit.geometries.current("W1")
+        assert geometry is not None
+        assert geometry.geometry.windows == step + 1
+    assert waiting == [0, *range(1, 32), 0, *range(1, 8)]
+
+
+def cells(tables: list[BinTable]) -> list[FilledCells]:
+    return [unpack_filled_cells(pack_bin_table(table), where="here") for table in tables]
+
+
+def start() -> ExactSum:
+    return ExactSum(nothing(init(BINS), BINS))
+
+
+def bits(table: ExactTable) -> tuple[bytes, bytes, int, int]:
+    return table.upper.tobytes(), table.lower.tobytes(), table.samples, table.windows
+
+
+@pytest.mark.parametrize("weight", [1.0, 0.3, 1e-6])
+def test_an_exact_sum_does_not_depend_on_the_order_and_forgets_what_is_taken_away(
+    tables: list[BinTable], weight: float
+) -> None:
+    found = cells(tables)
+    first, second = start(), start()
+    for one in found:
+        first.add(one, weight)
+    for one in reversed([*found, found[2]]):
+        second.add(one, weight)
+    second.take(found[2], weight)
+    assert bits(first.result()) == bits(second.result())
+    for one in found:
+        second.take(one, weight)
+    assert bits(second.result()) == bits(start().result())
+
+
+def test_the_unit_of_a_sum_follows_from_the_axle_load() -> None:
+    """A unit that is too coarse loses small moments, one that is too fine overflows."""
+    assert nothing(init(BINS), BINS).exponent == 2 * 16 - 76  # 91 kN
+    heavy = BinParameters(vehicle=replace(BINS.vehicle, suspended_mass=4 * BINS.vehicle.suspended_mass))
+    assert nothing(init(heavy), heavy).exponent == 2 * 18 - 76
+
+
+def test_what_cannot_be_held_or_does_not_belong_is_refused(tables: list[BinTable]) -> None:
+    one = cells(tables)[0]
+    with pytest.raises(OverflowError, match="128 bits"):
+        start().add(replace(one, weight=one.weight * 1e60))
+    with pytest.raises(OverflowError, match="not finite"):
+        start().add(replace(one, yaw=one.yaw * np.nan))
+    with pytest.raises(ValueError, match="do not merge"):
+        start().add(replace(one, parameter_key="other"))
