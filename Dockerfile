@@ -9,14 +9,19 @@ COPY ingest ingest
 RUN python -m venv /opt/treadwatch \
     && /opt/treadwatch/bin/pip install --no-cache-dir --disable-pip-version-check --constraint constraints.txt '.[otel]'
 
+# machine code of every kernel, so that a container whose file system cannot be written starts without compiling
+ENV TREADWATCH_COMPILED_DIR=/opt/treadwatch/compiled TREADWATCH_COMPILED_CPU=portable
+RUN /opt/treadwatch/bin/treadwatch compile
+
 FROM python:3.11-slim
 RUN useradd --system --uid 10001 --home-dir /var/lib/treadwatch --create-home treadwatch \
-    && mkdir /var/lib/treadwatch/data /var/lib/treadwatch/registry /var/cache/treadwatch \
-    && chown -R treadwatch:treadwatch /var/lib/treadwatch /var/cache/treadwatch
+    && mkdir /var/lib/treadwatch/data /var/lib/treadwatch/registry \
+    && chown -R treadwatch:treadwatch /var/lib/treadwatch
 COPY --from=build /opt/treadwatch /opt/treadwatch
 ENV PATH=/opt/treadwatch/bin:$PATH \
     PYTHONUNBUFFERED=1 \
-    NUMBA_CACHE_DIR=/var/cache/treadwatch \
+    TREADWATCH_COMPILED_DIR=/opt/treadwatch/compiled \
+    TREADWATCH_COMPILED_CPU=portable \
     TREADWATCH_DATA_DIR=/var/lib/treadwatch/data \
     TREADWATCH_LOG_FORMAT=json
 USER treadwatch

@@ -6,9 +6,12 @@ on connections.
 
 from __future__ import annotations
 
+import os
+
 from fastapi import FastAPI
 
 from api import factory, logs
+from api.compiled_code import choose_compiled_code
 from api.kept_objects import keep_what_is_loaded
 from api.settings import load_settings
 from api.tracing import start_tracing
@@ -22,6 +25,7 @@ def app() -> FastAPI:
     InputError, MigrationError, ParameterError, StorageError
         As ``treadwatch serve``; the server ends with the error.
     """
+    choose_compiled_code(os.environ)
     settings = load_settings()
     logs.configure(settings)
     start_tracing()

@@ -15,6 +15,7 @@ from typing import Annotated
 
 import typer
 
+from api.compiled_code import choose_compiled_code
 from estimation.errors import TreadwatchError
 
 REFUSED = 2
@@ -69,6 +70,12 @@ COMMANDS = (
     ),
     Command(
         "reproduce", "api.commands.reproduce", "reproduce", "Reproduce the published figures.", reads_settings=False
+    ),
+    Command(
+        "compile",
+        "api.commands.compile",
+        "compile_kernels",
+        "Compile every kernel, so that the first start need not.",
     ),
     Command("db", "api.commands.db", "db", "Upgrade, check or purge the database."),
     Command("backup", "api.commands.backup", "backup", "Back up database and files while everything runs."),
@@ -135,6 +142,7 @@ def main() -> None:
     wait for each other on busy cores made the estimation eight times slower.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    choose_compiled_code(os.environ)
     arguments = sys.argv[1:]
     try:
         build(arguments or _being_completed())(arguments, prog_name="treadwatch")

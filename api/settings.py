@@ -64,6 +64,11 @@ class Settings(BaseSettings):
     catalogues
         Mapping files of buses of one's own, with ``:`` between them (``;`` on Windows); left out, all vehicles have
         the shipped bus.
+    compiled_dir
+        Directory of compiled code; left out, the user's own for caches (XDG_CACHE_HOME). Only who may run the services
+        may write there.
+    compiled_cpu
+        ``host``: code for the CPU of this machine. ``portable``: code that other machines of its kind load too.
     estimator
         Which estimator of ``estimation.estimators.catalogue`` turns windows into geometries.
     spool_mb, spool_memory_mb
@@ -124,6 +129,8 @@ class Settings(BaseSettings):
     log_format: Literal["json", "text"] = "text"
     window_length_s: float = Field(default=60.0, gt=0.0, le=3600.0)
     jobs_every_s: float | None = Field(default=None, gt=0.0)
+    compiled_dir: Path | None = None
+    compiled_cpu: Literal["host", "portable"] = "host"
     estimator: str = "bins"
     catalogues: str | None = None
     spool_mb: int = Field(default=1024, ge=1)

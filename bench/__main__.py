@@ -22,7 +22,7 @@ from bench.results_page import markdown_table, write_page
 
 NAMES = ("contact", "estimation", "recursion", "decoding", "simulator", "trend")
 WITH_OPTIONS = ("section", "world", "vehicles", "mutants", "house", "chaos", "api", "feed", "page")
-LONG = ("signals", "curves", "mounting", "window_files")  # of many minutes, run where they are named
+LONG = ("signals", "curves", "mounting", "window_files", "compiled_code")  # of many minutes, run where they are named
 TITLES = {
     "contact": "Contact geometry against EN 15302",
     "estimation": "Accuracy on known track",
@@ -34,6 +34,7 @@ TITLES = {
     "curves": "Cost of curves that are not on file",
     "mounting": "Sensors that are turned",
     "window_files": "Formats of window files",
+    "compiled_code": "First start",
 }
 COLUMNS = ("what", "measured", "reach", "met")
 

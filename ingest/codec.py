@@ -10,10 +10,10 @@ from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from estimation.compiled import compiled
 from estimation.errors import ParameterError
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from ingest.catalogue import Catalogue, MessagePlan, SignalPlan
@@ -22,7 +22,7 @@ from ingest.frames import DATA_BYTES, DEFAULT_CHANNEL, ERROR_FLAG, REMOTE_FLAG, 
 STANDARD_IDENTIFIERS = 0x800
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def count_by_identifier(
     arbitration_id: npt.NDArray[np.uint32], dlc: npt.NDArray[np.uint8], lengths: npt.NDArray[np.int16]
 ) -> tuple[IntArray, int, int]:
@@ -60,7 +60,7 @@ def count_by_identifier(
     return counts, wrong, unknown
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def gather_by_identifier(
     arbitration_id: npt.NDArray[np.uint32],
     dlc: npt.NDArray[np.uint8],
@@ -96,7 +96,7 @@ def gather_by_identifier(
     return index, gathered
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def scaled(
     raw: npt.NDArray[np.signedinteger[Any]], low: IntArray, high: IntArray, scale: FloatArray, offset: FloatArray
 ) -> FloatArray:
@@ -120,7 +120,7 @@ def scaled(
     return values
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def count_within(raw: npt.NDArray[np.signedinteger[Any]], low: IntArray, high: IntArray) -> int:
     """Count the raw values (n, m) inside ``low..high`` (each (m,)).
 

@@ -21,8 +21,8 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from estimation.compiled import compiled
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 
@@ -104,7 +104,7 @@ def _amplitudes(amplitudes: npt.ArrayLike) -> FloatArray:
     return wanted
 
 
-@njit(cache=True)
+@compiled()
 def _equilibrium(y, difference):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202 - compiled
     """Return the deepest upward zero crossing (NaN if none) and the integral of the difference from y[0] to it."""
     crossing, depth, energy = math.nan, math.inf, 0.0
@@ -125,7 +125,7 @@ def _equilibrium(y, difference):  # type: ignore[no-untyped-def]  # noqa: ANN001
     return crossing, depth
 
 
-@njit(cache=True)
+@compiled()
 def _potentials(y, difference, crossing):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return points with the crossing among them, Delta r, S there, and the running maximum of S outwards."""
     k = np.searchsorted(y, crossing)
@@ -140,7 +140,7 @@ def _potentials(y, difference, crossing):  # type: ignore[no-untyped-def]  # noq
     return points, values, potential, k
 
 
-@njit(cache=True)
+@compiled()
 def _potential_at(x, points, values, potential):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return S at x: quadratic between points."""
     i = min(max(np.searchsorted(points, x, side="right") - 1, 0), len(points) - 2)
@@ -151,7 +151,7 @@ def _potential_at(x, points, values, potential):  # type: ignore[no-untyped-def]
     return potential[i] + t * (values[i] + 0.5 * t * (values[i + 1] - values[i]) / width)
 
 
-@njit(cache=True)
+@compiled()
 def _peaks(points, values, potential, k):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return, per point, the largest S between the crossing and it, peaks between points included."""
     n = len(points)
@@ -171,7 +171,7 @@ def _peaks(points, values, potential, k):  # type: ignore[no-untyped-def]  # noq
     return highest
 
 
-@njit(cache=True)
+@compiled()
 def _highest_at(x, points, values, potential, highest, k):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return the running maximum of S between the crossing and x."""
     here = _potential_at(x, points, values, potential)
@@ -186,7 +186,7 @@ def _highest_at(x, points, values, potential, highest, k):  # type: ignore[no-un
     return max(here, highest[inner])
 
 
-@njit(cache=True)
+@compiled()
 def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return tan(gamma_e) (k,) of a piecewise straight curve."""
     result = np.full(len(amplitudes), np.nan)
@@ -223,7 +223,7 @@ def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # no
     return result
 
 
-@njit(cache=True)
+@compiled()
 def _from_travel(middle, amplitude, energy, points, values, potential):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return pi^2 / I^2 for the travel middle +- amplitude; 0 where the wheelset comes to rest on the way."""
     total = 0.0

@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from estimation.compiled import compiled
 
 STRIDE = 10  # the first scan looks at every tenth point of the wheel's grid
 RIVAL_MARGIN = 2e-5  # m, scan minima within this of the best are refined
@@ -30,7 +31,7 @@ FOUND, NO_OVERLAP, FLANGE_TIP, OUTER_EDGE, NO_ROLL = 0, 1, 2, 3, 4
 """Outcome of a search: why there is no contact point."""
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _cubic(height, slope, step, position):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202 - compiled
     """Return height and slope at ``position`` (in grid steps) of the cubic through heights and slopes."""
     i = min(max(int(position), 0), len(height) - 2)
@@ -43,7 +44,7 @@ def _cubic(height, slope, step, position):  # type: ignore[no-untyped-def]  # no
     return value, derivative / step
 
 
-@njit(cache=True, inline="always")
+@compiled(inline="always")
 def _gap_at(y, shift, cosine, sine, half, radius, wheel, rail):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return the gap at wheel coordinate ``y``, its slope along the wheel, the rail's position and slope there."""
     z, dz = _cubic(wheel[2], wheel[3], wheel[1], (y - wheel[0]) / wheel[1])
@@ -54,7 +55,7 @@ def _gap_at(y, shift, cosine, sine, half, radius, wheel, rail):  # type: ignore[
     return gap, rail_slope * (cosine + dz * sine) - (dz * cosine - sine), position, rail_slope
 
 
-@njit(cache=True)
+@compiled()
 def _refine(low, high, shift, cosine, sine, half, radius, wheel, rail):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return where between low and high the gap's slope crosses zero upwards (regula falsi, Illinois)."""
     slope_low = _gap_at(low, shift, cosine, sine, half, radius, wheel, rail)[1]
@@ -80,7 +81,7 @@ def _refine(low, high, shift, cosine, sine, half, radius, wheel, rail):  # type:
     return 0.5 * (low + high)
 
 
-@njit(cache=True)
+@compiled()
 def _scan(gaps, shift, cosine, sine, half, radius, wheel, rail):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Fill ``gaps`` at every STRIDE-th wheel point; return the smallest and the first and last index over the rail."""
     rail_length = len(rail[2]) - 1
@@ -101,7 +102,7 @@ def _scan(gaps, shift, cosine, sine, half, radius, wheel, rail):  # type: ignore
     return best, first, last
 
 
-@njit(cache=True)
+@compiled()
 def nearest(shift, roll, half, radius, wheel, rail):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Return gap, wheel coordinate, rail position, d gap / d roll and outcome of the smallest gap of one wheel.
 
@@ -148,7 +149,7 @@ def nearest(shift, roll, half, radius, wheel, rail):  # type: ignore[no-untyped-
     return smallest, found, position, rail_slope * below + across, outcome
 
 
-@njit(cache=True)
+@compiled()
 def touching_roll(start, left_shift, right_shift, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Return the roll at which both gaps are equal, both contacts, and the outcome: safeguarded Newton-Raphson.
 
@@ -189,7 +190,7 @@ def touching_roll(start, left_shift, right_shift, half, radii, wheels, rails):  
     return math.nan, math.nan, math.nan, math.nan, math.nan, NO_ROLL
 
 
-@njit(cache=True)
+@compiled()
 def contact(displacement, deviation, start, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Return roll, wheel coordinates, rail positions (left, right each) and outcome of one position of the wheelset.
 
@@ -219,7 +220,7 @@ def contact(displacement, deviation, start, rigid, half, radii, wheels, rails): 
     return 0.0, left[1], right[1], left[2], right[2], left[4] if left[4] != FOUND else right[4]
 
 
-@njit(cache=True)
+@compiled()
 def table(displacement, deviation, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Return (5, n, g) roll, wheel coordinates and rail positions, and outcomes (n, g).
 
@@ -258,7 +259,7 @@ def table(displacement, deviation, rigid, half, radii, wheels, rails):  # type: 
     return values, outcomes
 
 
-@njit(cache=True)
+@compiled()
 def _moved(first, second):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return how far the contact that moved most, moved."""
     left = max(abs(first[1] - second[1]), abs(first[3] - second[3]))
@@ -266,7 +267,7 @@ def _moved(first, second):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN2
     return max(left, right)
 
 
-@njit(cache=True)
+@compiled()
 def _is_jump(low, high, first, second, deviation, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return whether a contact jumps between two displacements: halve, keep the half that moves more."""
     while _moved(first, second) > JUMP_DISTANCE:
@@ -283,7 +284,7 @@ def _is_jump(low, high, first, second, deviation, rigid, half, radii, wheels, ra
     return False
 
 
-@njit(cache=True)
+@compiled()
 def jumps(displacement, deviation, values, outcomes, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Return (n - 1, g): whether a contact jumps between a displacement and the next.
 
@@ -318,7 +319,7 @@ def jumps(displacement, deviation, values, outcomes, rigid, half, radii, wheels,
     return crossed
 
 
-@njit(cache=True)
+@compiled()
 def _difference(found, wheels):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return left minus right height of the contacts on the wheels."""
     left, right = wheels
@@ -326,7 +327,7 @@ def _difference(found, wheels):  # type: ignore[no-untyped-def]  # noqa: ANN001,
     return z_left - _cubic(right[2], right[3], right[1], (found[2] - right[0]) / right[1])[0]
 
 
-@njit(cache=True)
+@compiled()
 def refined(displacement, deviation, values, outcomes, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Return (m,) displacements and (2, m) contacts on the wheels between which the radius difference is straight.
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 
+from estimation.compiled import compiled
 from estimation.errors import ParameterError
 from estimation.estimators.coverage import REACH, usable
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
@@ -156,7 +156,7 @@ def _start(waiting: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     return theta, inverse @ inverse.T, float(((z - X @ theta) ** 2).sum())
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _recurse(
     theta: FloatArray, P: FloatArray, squares: float, X: FloatArray, z: FloatArray, W: float
 ) -> tuple[FloatArray, FloatArray, float]:

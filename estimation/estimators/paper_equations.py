@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 
+from estimation.compiled import compiled
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.motion import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -144,7 +144,7 @@ def recursion_in_bins(
     return theta, count
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _recurse(theta: FloatArray, P: FloatArray, X: FloatArray, z: FloatArray, W: float) -> FloatArray:
     """Eq. 12-14, sample by sample."""
     for i in range(len(z)):

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from estimation.compiled import compiled
 from estimation.values.arrays import FloatArray, IntArray, frozen_array
 
 SMALLEST_EIGENVALUE = 1e-10  # of the scaled normal matrix; below it a direction is not in the data
@@ -50,7 +50,7 @@ class Moments:
         object.__setattr__(self, "weight", frozen_array(self.weight, (c,), name="weight"))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _collect(
     features: FloatArray,
     targets: FloatArray,

@@ -22,7 +22,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from estimation.errors import ParameterError
-from ingest.simulator.rates import compiled
+from ingest.simulator.rates import stepped
 
 
 class CreepLaw(IntEnum):
@@ -81,7 +81,7 @@ class Creep:
         return CreepConstants(int(self.law), self.friction, self.adhesion, self.slip, self.residual, self.decay)
 
 
-@compiled
+@stepped
 def share_of_linear(c: CreepConstants, linear: float, bound: float, slip_velocity: float) -> float:
     """Return by what factor (0 to 1) a law, not the linear one, multiplies the linear creep forces of one wheel.
 

@@ -27,7 +27,7 @@ from typing import NamedTuple
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import GRAVITY
 from ingest.simulator.creep_laws import CreepConstants, share_of_linear
-from ingest.simulator.rates import STANDSTILL, Constants, Grid, compiled, look_up, track_at
+from ingest.simulator.rates import STANDSTILL, Constants, Grid, look_up, stepped, track_at
 
 AXLE_STATES = 5  # y, y', psi, psi', u of each wheelset
 FRAME, BODY = 10, 14  # first state of the frame (y, y', psi, psi') and of the body (y, y')
@@ -63,7 +63,7 @@ class Wheels(NamedTuple):
     phase: tuple[float, float, float, float]  # rad
 
 
-@compiled
+@stepped
 def place_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) -> None:
     """Write cross level (rad), friction and load (both over their mean), each with its slope, into ``out`` (6,).
 
@@ -91,7 +91,7 @@ def place_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) ->
         out[2 * k + 1] = (3.0 * c[at] * h + 2.0 * c[at + 1]) * h + c[at + 2]
 
 
-@compiled
+@stepped
 def roll_above(
     g: GearConstants, coefficients: FloatArray, grids: tuple[Grid, Grid], s: float, place: FloatArray
 ) -> float:
@@ -116,7 +116,7 @@ def roll_above(
     return total / g.axles
 
 
-@compiled
+@stepped
 def out_of_round(c: Constants, wheels: Wheels, axle: int, s: float, speed: float, contact: FloatArray) -> None:
     """Add what wheels that are not round change to rolling radii, roll and roll rate in ``contact`` (8,).
 
@@ -147,7 +147,7 @@ def out_of_round(c: Constants, wheels: Wheels, axle: int, s: float, speed: float
     contact[7] += speed / c.r0 * (left * math.cos(at_left) - right * math.cos(at_right)) / (2.0 * c.half)
 
 
-@compiled
+@stepped
 def gear_rates(
     g: GearConstants,
     creep: CreepConstants,
@@ -227,7 +227,7 @@ def gear_rates(
     return outside
 
 
-@compiled
+@stepped
 def suspended(c: Constants, x: float, path: FloatArray, axle: FloatArray, state: FloatArray) -> tuple[float, float]:
     """Return lateral force (N) and yaw moment (N m) of the suspension on a wheelset.
 
@@ -250,7 +250,7 @@ def suspended(c: Constants, x: float, path: FloatArray, axle: FloatArray, state:
     return c.ky * deflection + c.fy * rate, -c.k_psi * turned - c.f_psi * turning
 
 
-@compiled
+@stepped
 def wheelset(
     c: Constants,
     creep: CreepConstants,
@@ -318,7 +318,7 @@ def wheelset(
     rates[4] = (c.r0 * traction - braking) * c.r0 / c.pitch_inertia if creep.free_rolling else 0.0
 
 
-@compiled
+@stepped
 def carried(
     g: GearConstants, path: FloatArray, force: float, moment: float, state: FloatArray, rates: FloatArray
 ) -> None:

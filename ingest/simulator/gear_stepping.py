@@ -21,14 +21,14 @@ from ingest.simulator.gear_rates import (
     Wheels,
     gear_rates,
 )
-from ingest.simulator.rates import STANDSTILL, Grid, compiled
+from ingest.simulator.rates import STANDSTILL, Grid, stepped
 from ingest.simulator.stepping import OUTPUTS, advance
 
 GEAR_OUTPUTS = (*OUTPUTS, "frame_yaw")
 TRACK = 4
 
 
-@compiled
+@stepped
 def integrate_gear(
     g: GearConstants,
     creep: CreepConstants,
@@ -109,7 +109,7 @@ def integrate_gear(
             )  # fmt: skip
 
 
-@compiled
+@stepped
 def gear_step(
     g: GearConstants,
     creep: CreepConstants,
@@ -173,7 +173,7 @@ def gear_step(
         state[k] += h / 6.0 * (k1[k] + 2.0 * k2[k] + 2.0 * k3[k] + k4[k])
 
 
-@compiled
+@stepped
 def stand_still(state: FloatArray) -> None:
     """Take the velocities of both wheelsets from ``state`` (16,): below ``STANDSTILL`` the wheels stick.
 
@@ -187,7 +187,7 @@ def stand_still(state: FloatArray) -> None:
         state[first + 1] = state[first + 3] = state[first + 4] = 0.0
 
 
-@compiled
+@stepped
 def write_axle(
     g: GearConstants,
     axle: int,

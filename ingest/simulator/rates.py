@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
-
+from estimation.compiled import compiled
 from estimation.values.arrays import FloatArray
 
 STANDSTILL = 0.05  # m/s: below it the wheels stick, and only the suspended mass moves
@@ -18,7 +17,7 @@ FORCED = 3  # accelerations that the path forces: y, psi, ym
 STATES = 6  # y, y', psi, psi', ym, ym'
 LOOKED_UP = 7  # rL, rR, dL, dR, phi, phi_x, phi_e
 
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
+stepped = compiled(nogil=True, error_model="numpy")
 
 
 class Constants(NamedTuple):
@@ -52,7 +51,7 @@ class Grid(NamedTuple):
     interval: float
 
 
-@compiled
+@stepped
 def look_up(table: FloatArray, grid: Grid, x: float, e: float, out: FloatArray) -> bool:
     """Interpolate ``table`` (n, g, 7) at (x, e) into ``out`` (7,); return whether x is inside the grid.
 
@@ -91,7 +90,7 @@ def look_up(table: FloatArray, grid: Grid, x: float, e: float, out: FloatArray) 
     return inside
 
 
-@compiled
+@stepped
 def track_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) -> None:
     """Write alignment, its slope, gauge deviation, its slope at distance ``s`` into ``out`` (4,).
 
@@ -115,7 +114,7 @@ def track_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) ->
     out[3] = (3.0 * c[4] * h + 2.0 * c[5]) * h + c[6]
 
 
-@compiled
+@stepped
 def derivatives(
     c: Constants,
     table: FloatArray,
@@ -173,7 +172,7 @@ def derivatives(
     return inside
 
 
-@compiled
+@stepped
 def at_rest(c: Constants, state: FloatArray, rates: FloatArray) -> None:
     """Write the time derivative of ``state`` (6,) of a wheelset that stands, with the mass swinging on its spring.
 
@@ -190,7 +189,7 @@ def at_rest(c: Constants, state: FloatArray, rates: FloatArray) -> None:
     rates[4], rates[5] = state[5], -(c.ky * (state[4] - state[0]) + c.fy * state[5]) / c.suspended
 
 
-@compiled
+@stepped
 def equations(c: Constants, speed: float, state: FloatArray, contact: FloatArray, rates: FloatArray) -> None:
     """Write the time derivative of ``state`` (6,) by Eq. 1-5 into ``rates`` (6,), with ``contact`` (8,) known.
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimation.values.arrays import FloatArray, IntArray
-from ingest.simulator.rates import FORCED, LOOKED_UP, STANDSTILL, STATES, Constants, Grid, compiled, derivatives
+from ingest.simulator.rates import FORCED, LOOKED_UP, STANDSTILL, STATES, Constants, Grid, derivatives, stepped
 
 OUTPUTS = (
     "lateral_displacement",
@@ -33,7 +33,7 @@ OUTPUTS = (
 )
 
 
-@compiled
+@stepped
 def advance(state: FloatArray, h: float, rates: FloatArray, out: FloatArray) -> None:
     """Write ``state`` + ``h`` ``rates`` into ``out``.
 
@@ -52,7 +52,7 @@ def advance(state: FloatArray, h: float, rates: FloatArray, out: FloatArray) -> 
         out[k] = state[k] + h * rates[k]
 
 
-@compiled
+@stepped
 def runge_kutta(
     c: Constants,
     table: FloatArray,
@@ -119,7 +119,7 @@ def runge_kutta(
         state[k] += h / 6.0 * (k1[k] + 2.0 * k2[k] + 2.0 * k3[k] + k4[k])
 
 
-@compiled
+@stepped
 def integrate(
     c: Constants,
     table: FloatArray,
@@ -187,7 +187,7 @@ def integrate(
     return outside
 
 
-@compiled
+@stepped
 def write_sample(
     state: FloatArray, rates: FloatArray, contact: FloatArray, track: FloatArray, out: FloatArray, i: int
 ) -> None:

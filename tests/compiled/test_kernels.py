@@ -13,13 +13,15 @@ from pathlib import Path
 from types import CodeType
 from typing import Any
 
-import kernel_runs
+import interpreted_runs
 import numpy as np
 import pytest
 from numba.core.registry import CPUDispatcher
 
+from api.kernel_runs import results
+
 PACKAGES = ("api", "ingest", "fleet_db", "estimation")
-RUNS = Path(kernel_runs.__file__)
+RUNS = Path(interpreted_runs.__file__)
 
 GUARDS = {
     ("estimation.contact.kernels._refine", "return high"),
@@ -70,7 +72,7 @@ def test_every_line_of_every_kernel_runs(kernels: dict[str, CodeType], interpret
 
 
 def test_kernels_give_the_same_compiled(interpreted: dict[str, Any]) -> None:
-    for name, compiled in kernel_runs.results().items():
+    for name, compiled in results().items():
         plain = interpreted["results"][name]
         assert len(plain) == len(compiled)
         for one, other in zip(plain, compiled, strict=True):

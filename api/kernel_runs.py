@@ -1,18 +1,12 @@
-"""Small inputs that run every compiled kernel of the product, every line of it.
+"""Small inputs that run every compiled kernel of the product, every line of it, with every type of arguments.
 
-As a program, started with ``NUMBA_DISABLE_JIT=1``, it runs them as plain Python and prints the results and the lines
-that ran.
+``treadwatch compile`` runs them so that the machine code is there before the first start.
 """
 
 from __future__ import annotations
 
-import json
-import sys
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from types import CodeType, FrameType
-from typing import Protocol
 
 import numpy as np
 
@@ -38,14 +32,6 @@ from ingest.simulator.curves import Curves
 from ingest.simulator.motion import simulate_wheelset
 from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
 from ingest.simulator.track import Surface, TrackTruth
-
-
-class Tracer(Protocol):
-    """What the interpreter calls at every line of a function."""
-
-    def __call__(self, frame: FrameType, event: str, _: object) -> Tracer | None:
-        """Note the line, and return what to call at the next one."""
-
 
 Results = dict[str, list[FloatArray]]
 
@@ -75,13 +61,13 @@ def _contact() -> Iterator[FloatArray]:
 
 def _columns(table: ContactTable) -> Iterator[FloatArray]:
     yield from (table.roll, table.contact_position_left, table.rail_position_right, table.rolling_radius_difference)
-    yield from (table.exists, table.jump)
+    yield from (table.exists.astype(float), table.jump.astype(float))
 
 
 def _conicity() -> Iterator[FloatArray]:
     y = np.linspace(-8e-3, 8e-3, 33)
     waves = 0.2 * y + 0.9e-3 * np.sin(y / 0.8e-3)
-    steps = np.where(np.abs(y) < 1.2e-3, 0.0, np.sign(y) * (np.abs(y) - 1.2e-3))
+    steps = np.sign(y) * np.maximum(np.abs(y) - 1.2e-3, 0.0)
     touching = np.minimum(0.3 * (y - y[-1]), -1e-3)
     touching[-1] = 1e-300  # the crossing is the last point itself
     for curve in (
@@ -156,8 +142,10 @@ def _running_gears() -> Iterator[FloatArray]:
 def _stretches() -> Iterator[FloatArray]:
     rng = np.random.default_rng(6)
     n = 90
-    random = rng.standard_normal((10, n)) * 1e-3
-    motion = Motion(np.full(n, 20.0), *random, valid=np.ones(n, bool), block=np.arange(n) // 30, band_limited=False)
+    signals = list(rng.standard_normal((10, n)) * 1e-3)
+    y, y1, y2, yaw, yaw1, yaw2, roll, roll1, apart, apart1 = signals
+    speed, valid, block = np.full(n, 20.0), np.ones(n, bool), np.arange(n) // 30
+    motion = Motion(speed, y, y1, y2, yaw, yaw1, yaw2, roll, roll1, apart, apart1, valid, block, band_limited=False)
     algorithm = PaperAlgorithm(width=2e-3, threshold=10)
     state = algorithm.update(algorithm.update(algorithm.init(EstimatorParameters()), motion), motion, weight=0.5)
     yield from (state.theta, state.squares)
@@ -172,49 +160,28 @@ class Cones:
 
     @property
     def rolling_radius_left(self) -> FloatArray:
+        """(n, g) m."""
         return 0.45 + 0.1 * (self.lateral_displacement[:, None] + 0.2 * self.gauge_deviation)
 
     @property
     def rolling_radius_right(self) -> FloatArray:
+        """(n, g) m."""
         return self.rolling_radius_left[::-1]
 
     @property
     def contact_angle_left(self) -> FloatArray:
+        """(n, g) rad."""
         return 0.1 + self.roll
 
     @property
     def contact_angle_right(self) -> FloatArray:
+        """(n, g) rad."""
         return 0.1 - self.roll
 
     @property
     def roll(self) -> FloatArray:
+        """(n, g) rad."""
         return (self.rolling_radius_left - self.rolling_radius_right) / 1.5
-
-
-def interpreted(files: list[str]) -> None:
-    """Print the results, and by file the lines of ``files`` that ran."""
-    ran: defaultdict[str, set[int]] = defaultdict(set)
-    left: dict[CodeType, set[int]] = {}  # lines that have not run; a function without any is traced no more
-
-    def call(frame: FrameType, _: str, __: object) -> Tracer | None:
-        code = frame.f_code
-        if code not in left:
-            left[code] = {line for *_, line in code.co_lines() if line} if code.co_filename in files else set()
-            left[code].discard(code.co_firstlineno)
-        return step if left[code] else None
-
-    def step(frame: FrameType, event: str, _: object) -> Tracer:
-        if event == "line":
-            ran[frame.f_code.co_filename].add(frame.f_lineno)
-            left[frame.f_code].discard(frame.f_lineno)
-        return step
-
-    sys.settrace(call)
-    found = results()
-    sys.settrace(None)
-    numbers = {name: [np.asarray(array, float).ravel().tolist() for array in run] for name, run in found.items()}
-    lines = {file: sorted(numbers) for file, numbers in ran.items()}
-    json.dump({"results": numbers, "lines": lines}, sys.stdout)
 
 
 RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
@@ -227,6 +194,3 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _simulator,
     _running_gears,
 )
-
-if __name__ == "__main__":
-    interpreted(sys.argv[1:])

@@ -1,0 +1,61 @@
+"""Where compiled code is kept and for which CPU: our settings, handed to numba before it is imported."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import MutableMapping
+from pathlib import Path
+
+DIRECTORY, CPU = "TREADWATCH_COMPILED_DIR", "TREADWATCH_COMPILED_CPU"
+PORTABLE = "portable"
+GENERIC = ("generic", "")
+LEVEL_3 = ("x86-64-v3", "+avx2,+fma,+bmi,+bmi2,+f16c,+lzcnt,+movbe")
+"""Name and features, as LLVM takes them, of what servers have had since 2015."""
+NEEDED_OF_LEVEL_3 = frozenset({"avx2", "fma", "bmi1", "bmi2", "f16c", "abm", "movbe"})  # as Linux names them
+CPU_FACTS = Path("/proc/cpuinfo")
+
+
+def choose_compiled_code(environment: MutableMapping[str, str], dot_env: Path = Path(".env")) -> None:
+    """Say to numba, and to every process that this one starts, where compiled code is and for which CPU.
+
+    Parameters
+    ----------
+    environment
+        Of this process; what it already says to numba stays.
+    dot_env
+        File of settings beside the environment.
+    """
+    settings = _of_file(dot_env) | dict(environment)
+    if settings.get(DIRECTORY):
+        environment.setdefault("NUMBA_CACHE_DIR", str(Path(settings[DIRECTORY]).absolute()))
+    if settings.get(CPU) == PORTABLE and "NUMBA_CPU_NAME" not in environment:
+        environment["NUMBA_CPU_NAME"], environment["NUMBA_CPU_FEATURES"] = portable_cpu()
+
+
+def portable_cpu(machine: str | None = None, facts: Path = CPU_FACTS) -> tuple[str, str]:
+    """Return name and features of the CPU to compile for, so that other machines load the same code.
+
+    Parameters
+    ----------
+    machine
+        As ``platform.machine`` names it; None: this one.
+    facts
+        What Linux says of its CPU.
+    """
+    try:
+        lines = facts.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    flags = next((line.partition(":")[2].split() for line in lines if line.startswith("flags")), [])
+    wide = (machine or platform.machine()) == "x86_64" and set(flags) >= NEEDED_OF_LEVEL_3
+    return LEVEL_3 if wide else GENERIC
+
+
+def _of_file(path: Path) -> dict[str, str]:
+    """Return the two settings as a file ``.env`` has them."""
+    if not path.is_file():
+        return {}
+    from dotenv import dotenv_values  # noqa: PLC0415 - most starts have no such file
+
+    found = dotenv_values(path, interpolate=False)
+    return {name: value for name in (DIRECTORY, CPU) if (value := found.get(name))}

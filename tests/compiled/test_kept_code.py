@@ -1,0 +1,188 @@
+"""Compiled code is kept between processes, in a directory that is named, and nothing about that directory does harm."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from api.compiled_code import LEVEL_3, choose_compiled_code, portable_cpu
+
+ROOT = Path(__file__).parents[2]
+WITHOUT_PRIVILEGE = ("setpriv", "--bounding-set=-dac_override") if os.geteuid() == 0 else ()
+"""Permissions hold for root too."""
+PROGRAM = """
+import json, os
+from api.compiled_code import choose_compiled_code
+choose_compiled_code(os.environ)
+from estimation.compiled import COUNTS
+from estimation.tables.least_squares import collect
+import numpy as np
+found = collect(np.eye(3), np.ones((3, 1)), np.zeros(3, np.int64), 1)
+print(json.dumps([COUNTS.loaded, COUNTS.compiled, COUNTS.not_kept, found.packed.tolist()]))
+"""
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a copy of the packages that nobody may write."""
+    folder = tmp_path_factory.mktemp("installed")
+    for package in ("api", "ingest", "fleet_db", "estimation"):
+        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    for path in [folder, *folder.rglob("*")]:
+        path.chmod(0o555 if path.is_dir() else 0o444)
+    return folder
+
+
+def run(
+    installed: Path, *, home: str = "none", program: str = PROGRAM, **settings: str
+) -> subprocess.CompletedProcess[str]:
+    """Run a program of the copy as somebody who may write where permissions say so; its home is below the copy."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_C", "XDG_", "TREADWATCH"))}
+    environment = (
+        kept | {"PYTHONPATH": str(installed), "HOME": str(installed / home), "PYTHONDONTWRITEBYTECODE": "1"} | settings
+    )
+    return subprocess.run(
+        [*WITHOUT_PRIVILEGE, sys.executable, "-c", program], cwd=installed, env=environment, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+
+
+def counts(done: subprocess.CompletedProcess[str]) -> list[int]:
+    assert done.returncode == 0, done.stderr
+    return [int(number) for number in json.loads(done.stdout)[:3]]
+
+
+@pytest.fixture
+def writable(tmp_path: Path) -> Path:
+    """Return a directory that can be written."""
+    folder = tmp_path / "compiled"
+    folder.mkdir()
+    return folder
+
+
+def test_a_read_only_install_without_a_home_runs_and_warns_once(installed: Path) -> None:
+    done = run(installed)
+    assert counts(done) == [0, 1, 1]
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"compiled code cannot be kept in {installed}/none/.cache/treadwatch/compiled")
+    assert "TREADWATCH_COMPILED_DIR" in line
+    assert "treadwatch compile" in line
+
+
+def test_what_was_compiled_is_loaded_by_the_next_process(installed: Path, writable: Path) -> None:
+    first = run(installed, TREADWATCH_COMPILED_DIR=str(writable))
+    second = run(installed, TREADWATCH_COMPILED_DIR=str(writable))
+    assert (counts(first), counts(second)) == ([0, 1, 0], [1, 0, 0])
+    assert first.stdout.partition("[[")[2] == second.stdout.partition("[[")[2]
+
+
+def test_the_default_is_the_users_directory_for_caches(installed: Path, writable: Path) -> None:
+    assert counts(run(installed, home=str(writable))) == [0, 1, 0]
+    assert len(list((writable / ".cache/treadwatch/compiled").glob("*.compiled"))) == 1
+    other = writable / "elsewhere"
+    assert counts(run(installed, XDG_CACHE_HOME=str(other))) == [0, 1, 0]
+    assert len(list((other / "treadwatch/compiled").iterdir())) == 1
+
+
+def test_a_directory_that_can_only_be_read_is_read(installed: Path, writable: Path) -> None:
+    run(installed, TREADWATCH_COMPILED_DIR=str(writable))
+    for path in [*writable.rglob("*"), writable]:
+        path.chmod(0o555 if path.is_dir() else 0o444)
+    done = run(installed, TREADWATCH_COMPILED_DIR=str(writable))
+    assert (counts(done), done.stderr) == ([1, 0, 0], "")
+
+
+def test_another_cpu_compiles_its_own_and_leaves_the_other(installed: Path, writable: Path) -> None:
+    run(installed, TREADWATCH_COMPILED_DIR=str(writable))
+    foreign = run(installed, TREADWATCH_COMPILED_DIR=str(writable), NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="")
+    assert counts(foreign) == [0, 1, 0]
+    assert counts(run(installed, TREADWATCH_COMPILED_DIR=str(writable))) == [1, 0, 0]
+
+
+@pytest.mark.parametrize("damage", ["cut", "one bit", "emptied", "other content", "open to everybody", "a directory"])
+def test_damaged_code_is_compiled_again(installed: Path, writable: Path, damage: str) -> None:
+    run(installed, TREADWATCH_COMPILED_DIR=str(writable))
+    (file,) = writable.rglob("*.compiled")
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    if damage == "open to everybody":
+        file.chmod(0o666)
+    elif damage == "a directory":
+        file.unlink()
+        file.mkdir()
+    else:
+        stored = {"cut": bytes(content[:-9]), "one bit": bytes(content), "emptied": b"", "other content": b"x" * 99}
+        file.write_bytes(stored[damage])
+    done = run(installed, TREADWATCH_COMPILED_DIR=str(writable))
+    assert counts(done) == [0, 1, damage == "a directory"]
+    assert "Traceback" not in done.stderr
+
+
+def test_a_change_of_a_called_function_in_another_file_is_noticed(tmp_path: Path) -> None:
+    program = "import caller\nfrom estimation.compiled import COUNTS\nprint(caller.twice(4), COUNTS.loaded)"
+    decorated = "from estimation.compiled import compiled\nFACTOR = 2\n@compiled()\n"
+    (tmp_path / "called.py").write_text(f"{decorated}def times(x):\n    return FACTOR * x\n")
+    (tmp_path / "caller.py").write_text(f"from called import times\n{decorated}def twice(x):\n    return times(x)\n")
+
+    def said() -> str:
+        environment = os.environ | {
+            "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}",
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }  # fmt: skip
+        command = [sys.executable, "-c", program]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+
+    assert [said(), said()] == ["8 0\n", "8 1\n"]
+    source = (tmp_path / "called.py").read_text()
+    (tmp_path / "called.py").write_text(source.replace("FACTOR = 2", "FACTOR = 3"))
+    assert said() == "12 0\n"
+
+
+def test_the_command_compiles_what_is_loaded_after_it(installed: Path, writable: Path) -> None:
+    command = "import sys\nfrom api.cli import main\nsys.argv = {}\nmain()"
+    contact_only = "import api.kernel_runs as runs\nruns.RUNS = runs.RUNS[:2]\n"  # the others take a minute more
+    compiling = contact_only + command.format(["treadwatch", "compile"])
+    named = {"TREADWATCH_COMPILED_DIR": str(writable), "TREADWATCH_COMPILED_CPU": "portable"}
+    done = run(installed, program=compiling, **named)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout.split()[0]) >= 15
+    again = run(installed, program=compiling, **named)
+    assert again.stdout.startswith("0 compiled, ")
+    for path in [*writable.rglob("*"), writable]:
+        path.chmod(0o555 if path.is_dir() else 0o444)
+    contact = run(installed, program=command.format(["treadwatch", "contact"]), **named)
+    assert contact.returncode == 0
+    assert "compiled code" not in contact.stderr
+    refused = run(installed, program=compiling)
+    assert (refused.returncode, refused.stderr.count("Traceback")) == (2, 0)
+    assert "could not be written" in refused.stderr.splitlines()[-1]
+
+
+def test_portable_code_is_for_what_all_servers_have(tmp_path: Path) -> None:
+    facts = tmp_path / "cpuinfo"
+    facts.write_text("processor : 0\nflags\t\t: fpu avx2 fma bmi1 bmi2 f16c abm movbe avx512f\n")
+    assert portable_cpu("x86_64", facts) == LEVEL_3
+    assert portable_cpu("aarch64", facts) == ("generic", "")
+    facts.write_text("flags\t\t: fpu avx2 bmi1 bmi2 f16c abm movbe\n")
+    assert portable_cpu("x86_64", facts) == ("generic", "")
+    assert portable_cpu("x86_64", tmp_path / "nothing") == ("generic", "")
+
+
+def test_settings_come_from_the_environment_before_the_file(tmp_path: Path) -> None:
+    file = tmp_path / ".env"
+    file.write_text("TREADWATCH_COMPILED_DIR=/of/file\nTREADWATCH_COMPILED_CPU=portable\n")
+    of_file: dict[str, str] = {}
+    choose_compiled_code(of_file, file)
+    assert of_file["NUMBA_CACHE_DIR"] == "/of/file"
+    assert (of_file["NUMBA_CPU_NAME"], of_file["NUMBA_CPU_FEATURES"]) == portable_cpu()
+    both = {"TREADWATCH_COMPILED_DIR": "/of/environment", "NUMBA_CPU_NAME": "znver4"}
+    choose_compiled_code(both, file)
+    assert both["NUMBA_CACHE_DIR"] == "/of/environment"
+    assert both["NUMBA_CPU_NAME"] == "znver4"
+    assert "NUMBA_CPU_FEATURES" not in both
