@@ -26,6 +26,7 @@ class Changes:
     connection: Connection
     noted: set[str] = field(default_factory=set)
     shown: set[str] = field(default_factory=set)
+    touched: set[str] = field(default_factory=set)  # noted or shown since they were written last
 
     def note(self, wheelset: str, *, shown: bool = True) -> None:
         """Something that the geometry of a wheelset is computed from has changed.
@@ -38,12 +39,14 @@ class Changes:
             Whether the worklist shows it.
         """
         self.noted.add(wheelset)
+        self.touched.add(wheelset)
         if shown:
             self.show(wheelset)
 
     def show(self, wheelset: str) -> None:
         """Something that the worklist shows of ``wheelset`` has changed."""
         self.shown.add(wheelset)
+        self.touched.add(wheelset)
 
     def take_shown(self) -> list[str]:
         """Return the serials whose row of the worklist is to be made again, in their order; they are forgotten here."""
@@ -53,9 +56,13 @@ class Changes:
 
     def flush(self) -> None:
         """Write what was noted."""
-        for wheelset in sorted(self.noted):
-            if not insert_new(self.connection, CHANGES, {"wheelset": wheelset, "change": 1, "geometry_change": 0}):
-                self.connection.execute(
-                    update(CHANGES).where(CHANGES.c.wheelset == wheelset).values(change=CHANGES.c.change + 1)
-                )
+        for wheelset in sorted(self.touched):
+            more = 1 if wheelset in self.noted else 0
+            counted = update(CHANGES).where(CHANGES.c.wheelset == wheelset)
+            counted = counted.values(change=CHANGES.c.change + more, touched=CHANGES.c.touched + 1)
+            if not self.connection.execute(counted.execution_options(preserve_rowcount=True)).rowcount:
+                first = {"wheelset": wheelset, "change": more, "geometry_change": 0, "touched": 1}
+                if not insert_new(self.connection, CHANGES, first):
+                    self.connection.execute(counted)
         self.noted.clear()
+        self.touched.clear()

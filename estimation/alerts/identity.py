@@ -120,6 +120,21 @@ def identity_events(
     return events
 
 
+def jumps(seen: Sequence[Observation], parameters: IdentityParameters) -> bool:
+    """Whether the geometry of a wheelset jumps, so that it must be compared with those of the others.
+
+    Observations before the last two of which one did not jump need not be looked at again.
+
+    Parameters
+    ----------
+    seen
+        Its geometries, in order of mileage.
+    parameters
+        When a jump is one.
+    """
+    return _first_jump(seen, parameters) is not None
+
+
 def _first_jump(seen: Sequence[Observation], p: IdentityParameters) -> tuple[Observation, Observation] | None:
     """Return the first two observations between which the geometry jumps, the one with both kinds in it left out."""
     usable = [item for item in seen if item.geometry.windows >= p.least_windows]

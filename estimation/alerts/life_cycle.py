@@ -210,10 +210,24 @@ def _refreshed(alert: Alert, finding: Finding) -> Alert:
 
 def without_stale_acknowledgement(alert: Alert, now_ns: int) -> Alert:
     """Return the alert without an acknowledgement that has run out."""
-    days = _number(_counters(alert).get("acknowledgement_days"), AlertDelays().acknowledgement_days)
-    if alert.acknowledged_ns is not None and now_ns - alert.acknowledged_ns > days * DAY_NS:
+    ends_ns = acknowledgement_ends_ns(alert)
+    if ends_ns is not None and now_ns > ends_ns:
         return replace(alert, acknowledged_by=None, acknowledged_ns=None)
     return alert
+
+
+def acknowledgement_ends_ns(alert: Alert) -> int | None:
+    """Return when the acknowledgement of an alert runs out, ns UTC; None where it has none.
+
+    Parameters
+    ----------
+    alert
+        Open or closed.
+    """
+    if alert.acknowledged_ns is None:
+        return None
+    days = _number(_counters(alert).get("acknowledgement_days"), AlertDelays().acknowledgement_days)
+    return alert.acknowledged_ns + round(days * DAY_NS)
 
 
 def updated(before: Alert, after: Alert) -> Transition | None:

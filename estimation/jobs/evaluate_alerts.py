@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from estimation.alerts.fleet_alerts import in_flood, opened, refreshed
-from estimation.alerts.identity import IdentityEvent
+from estimation.alerts.identity import IdentityEvent, IdentityParameters
 from estimation.alerts.life_cycle import close, transition
+from estimation.alerts.next_change import next_change_ns
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.data_quality import DataQualityRule
 from estimation.alerts.rules.evaluation import findings, superseded
@@ -20,6 +22,7 @@ from estimation.alerts.rules.standing import LOOK_BACK, reach_km, within_reach
 from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import JobSettings
+from estimation.jobs.steps import identities
 from estimation.jobs.steps.first_axles import at_first_axles
 from estimation.jobs.steps.identities import identity_change, new_events
 from estimation.jobs.steps.suspension import shown_by_wheelset
@@ -27,6 +30,7 @@ from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Transition
 from estimation.values.geometry import GeometryRecord
 from estimation.values.identity import since_change
+from estimation.values.look import Look
 from estimation.values.quarantine import SubjectKind
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.suspension import SuspensionShown
@@ -119,36 +123,40 @@ def _refresh(unit: UnitOfWork, fleet_alert: Alert, now_ns: int, *, new: bool) ->
 
 
 FIRST_LOOK_NS = 3_600_000_000_000
+STAGE = "evaluate_alerts"
 
 
 def run(context: JobContext) -> Mapping[str, int]:
-    """Evaluate alerts; the same data again change nothing.
+    """Evaluate alerts; the same data again change nothing, and are not even read.
 
     Each wheelset is one transaction, in which its alerts are updated, cleared and closed. What is to be raised waits
     for the others of its fleet, since too many of a kind are raised as one; each fleet is then one transaction. A run
     that ends early raises what it has found; what it has not stored the next run finds again. Rows of the worklist that
     an earlier release made, or left empty, are made again on the way.
     """
-    isolation = Isolation(context, "evaluate_alerts")
+    isolation = Isolation(context, STAGE)
     with context.storage.read() as unit:
-        serials = [wheelset.serial for wheelset in unit.registry.wheelsets()]
         fleets = [fleet.code for fleet in unit.registry.fleets()]
         of_before = frozenset(unit.worklist.outdated())
-    compared, version = _compared(context, isolation), context.settings.rules.version
+    compared = _compared(context, isolation)
     counts: Counter[str] = Counter(dict.fromkeys(("wheelsets", *(kind.value for kind in AlertEventKind)), 0))
     found: list[Transition] = []
+    asked = _asked(context, compared, of_before | {item.key for item in isolation.held(SubjectKind.WHEELSET)})
+    counts["wheelsets"] += len(asked.serials) - len(asked.due)
     try:
-        for done, serial in enumerate(serials):
-            context.checkpoint(done, len(serials))
+        for done, (serial, digest) in enumerate(asked.due.items()):
+            context.checkpoint(done, len(asked.due))
             inputs = inputs_of(context, serial)
             if isolation.waits(SubjectKind.WHEELSET, serial, inputs):
                 continue
             with isolation.alone(SubjectKind.WHEELSET, serial, inputs):
                 with context.storage.write() as unit:
-                    events, to_raise = _evaluate(unit, serial, context, compared.of(serial), version)
+                    evaluated = _evaluate(unit, serial, context, compared.of(serial), asked.version)
                     unit.worklist.renew([serial] if serial in of_before else [])
-                counts.update(kind.value for kind in events)
-                found += to_raise
+                    if evaluated.settled:
+                        unit.looks.note(STAGE, serial, Look(digest, evaluated.until_ns))
+                counts.update(kind.value for kind in evaluated.events)
+                found += evaluated.to_raise
                 counts["wheelsets"] += 1
     finally:
         for fleet in fleets:
@@ -159,6 +167,34 @@ def run(context: JobContext) -> Mapping[str, int]:
                 counts.update(kind.value for kind in events)
     counts["quarantined"] = isolation.quarantined
     return counts
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """The wheelsets, and those of which something has changed, or time may change something, with their inputs."""
+
+    serials: Sequence[str]
+    due: Mapping[str, str]
+    version: str  # of the rules
+
+
+def _asked(context: JobContext, compared: _Compared, always: frozenset[str]) -> _Asked:
+    """Return which wheelsets to evaluate: some statements for all, not some for each."""
+    rules, now_ns = context.settings.rules, context.clock.now_ns()
+    common = (rules.version, repr(context.settings.trend), context.code_version)
+    with context.storage.read() as unit:
+        wheelsets, looks, touched = unit.registry.wheelsets(), unit.looks.of(STAGE), unit.looks.touched()
+        vehicles = {vehicle.code: vehicle for vehicle in unit.registry.vehicles()}
+    due = {}
+    for wheelset in wheelsets:
+        serial, mounting = wheelset.serial, wheelset.mounting
+        vehicle = None if mounting is None else vehicles[mounting.vehicle]
+        inputs = repr((common, touched.get(serial), wheelset, vehicle, compared.of(serial)))
+        digest = hashlib.sha256(inputs.encode()).hexdigest()
+        look = looks.get(serial)
+        if look is None or serial in always or not look.holds(digest, now_ns):
+            due[serial] = digest
+    return _Asked([wheelset.serial for wheelset in wheelsets], due, rules.version)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,8 +222,8 @@ class _Compared:
 def _compared(context: JobContext, isolation: Isolation) -> _Compared:
     """Compare the wheelsets of all fleets; where that fails their other alerts are evaluated without it."""
     rules, compared = context.settings.rules, _Compared()
-    with isolation.alone(SubjectKind.FLEET, "comparison of identities"), context.storage.read() as unit:
-        compared.identities = new_events(unit, unit.registry.wheelsets(), rules.rule(IdentityRule).parameters)
+    with isolation.alone(SubjectKind.FLEET, "comparison of identities"):
+        compared.identities = _identities(context, rules.rule(IdentityRule).parameters)
     with isolation.alone(SubjectKind.FLEET, "comparison of suspensions"), context.storage.read() as unit:
         compared.suspensions = shown_by_wheelset(unit, rules)
     with isolation.alone(SubjectKind.FLEET, "rejected recordings"), context.storage.read() as unit:
@@ -195,9 +231,30 @@ def _compared(context: JobContext, isolation: Isolation) -> _Compared:
     return compared
 
 
-def _evaluate(
-    unit: UnitOfWork, serial: str, context: JobContext, found: _Found, version: str
-) -> tuple[list[AlertEventKind], list[Transition]]:
+def _identities(context: JobContext, parameters: IdentityParameters) -> Mapping[str, IdentityEvent]:
+    with context.storage.read() as unit:
+        found = new_events(unit, unit.registry.wheelsets(), parameters, context.code_version)
+    if found.calm:
+        with context.storage.write() as unit:
+            for serial, look in found.calm.items():
+                unit.looks.note(identities.STAGE, serial, look)
+    return found.events
+
+
+@dataclass(slots=True)
+class _Evaluated:
+    """What the evaluation of a wheelset recorded and is to raise.
+
+    ``settled`` is whether the same again would change nothing, until ``until_ns`` of our time.
+    """
+
+    events: list[AlertEventKind] = field(default_factory=list)
+    to_raise: list[Transition] = field(default_factory=list)
+    settled: bool = True
+    until_ns: int | None = None
+
+
+def _evaluate(unit: UnitOfWork, serial: str, context: JobContext, found: _Found, version: str) -> _Evaluated:
     """Store what changes on the open alerts of a wheelset; return the events of that, and what is to be raised."""
     wheelset, now_ns = unit.registry.wheelset(serial), context.clock.now_ns()
     mounting = wheelset.mounting
@@ -205,13 +262,13 @@ def _evaluate(
     book = context.settings.rules.of(wheelset.fleet, None if vehicle is None else vehicle.vehicle_class)
     stored = _facts(unit, wheelset, vehicle, book, context.settings)
     facts = replace(stored, identity=found.identity, suspension=found.suspension, rejected_recordings=found.rejected)
-    events: list[AlertEventKind] = []
-    to_raise: list[Transition] = []
+    done = _Evaluated(until_ns=next_change_ns(facts, book, now_ns))
     ended = superseded(facts, book)
     for alert, reason, at_ns in ended:
-        events += _save(unit, close(alert, reason, at_ns), now_ns, reason.sentence)
+        done.events += _save(unit, close(alert, reason, at_ns), now_ns, reason.sentence)
     gone = {alert.alert_id for alert, _, _ in ended}
     still_open = {alert.kind: alert for alert in facts.open_alerts if alert.alert_id not in gone}
+    done.settled = not ended
     for finding in findings(facts, book, now_ns):
         change = transition(
             still_open.get(finding.kind),
@@ -223,11 +280,12 @@ def _evaluate(
         )
         if change is None:
             continue
+        done.settled = False
         if AlertEventKind.RAISED in change.events:
-            to_raise.append(change)
+            done.to_raise.append(change)
         else:
-            events += _save(unit, change, now_ns, "")
-    return events, to_raise
+            done.events += _save(unit, change, now_ns, "")
+    return done
 
 
 def _save(unit: UnitOfWork, change: Transition, now_ns: int, note: str) -> Sequence[AlertEventKind]:
@@ -296,7 +354,7 @@ def _latest_windows(unit: UnitOfWork, serial: str, since_ns: int, wanted: int, f
 
 
 JOB = Job(
-    name="evaluate_alerts",
+    name=STAGE,
     description="Evaluate the alert rules and record what they raise, update, clear and close",
     every_s=60.0,
     run=run,

@@ -18,6 +18,7 @@ from estimation.trend.points import conicity_points
 from estimation.trend.trend import TrendParameters, refresh
 from estimation.values.geometry import GeometryRecord
 from estimation.values.identity import IdentityChange, since_change
+from estimation.values.look import Look
 from estimation.values.quarantine import SubjectKind
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord, WearTrend
@@ -34,7 +35,7 @@ def run(context: JobContext) -> Mapping[str, int]:
     failed = {item.key for item in isolation.held(SubjectKind.WHEELSET)}
     for done, (serial, inputs) in enumerate(now.items()):
         context.checkpoint(done, len(now))
-        if seen.get(serial) == inputs.digest and serial not in failed:
+        if (look := seen.get(serial)) is not None and look.inputs == inputs.digest and serial not in failed:
             counts["without_limit" if inputs.limit is None else "unchanged"] += 1
             counts["wheelsets"] += 1
             continue
@@ -91,7 +92,7 @@ def _refresh(context: JobContext, serial: str, inputs: _Inputs) -> str:
     record = None if inputs.limit is None else _news(context, serial, inputs, inputs.limit)
     with context.storage.write() as unit:
         refreshed = record is not None and unit.trends.put(record)
-        unit.looks.note(STAGE, serial, inputs.digest)
+        unit.looks.note(STAGE, serial, Look(inputs.digest))
     if inputs.limit is None:
         return "without_limit"
     return "refreshed" if refreshed else "unchanged"

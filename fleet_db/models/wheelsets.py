@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sqlalchemy import CheckConstraint, ForeignKey, String
+from sqlalchemy import CheckConstraint, ForeignKey, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from fleet_db.models.base import Base, Count, Name, Nanoseconds, Real
@@ -23,7 +23,8 @@ class WheelsetRow(Base):
 class WheelsetChangeRow(Base):
     """How many times what a geometry is computed from has changed, and up to which change it was computed.
 
-    A wheelset is stale while ``geometry_change`` is behind ``change``.
+    A wheelset is stale while ``geometry_change`` is behind ``change``. ``touched`` also counts what else has happened
+    to its windows, results and alerts.
     """
 
     __tablename__ = "wheelset_changes"
@@ -31,6 +32,7 @@ class WheelsetChangeRow(Base):
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     change: Mapped[Count]
     geometry_change: Mapped[Count] = mapped_column(default=0)
+    touched: Mapped[Count] = mapped_column(default=0, server_default=text("0"))
 
 
 class ReprofilingRow(Base):

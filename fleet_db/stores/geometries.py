@@ -132,13 +132,39 @@ class GeometryStore:
         ).first()
         return None if row is None else stored_reason(row)
 
+    def interval_numbers(self, wheelset: str, baseline: int) -> Mapping[int, int]:
+        """Return by interval the number of its newest geometry."""
+        statement = select(GEOMETRIES.c.baseline_interval, GEOMETRIES.c.geometry_id).where(
+            GEOMETRIES.c.geometry_id.in_(newest_of_intervals()), GEOMETRIES.c.baseline == baseline
+        )
+        return {row[0]: row[1] for row in self.connection.execute(statement, {"serial": wheelset, "as_of_ns": EVER_NS})}
+
     def intervals(
-        self, wheelset: str, baseline: int | None = None, as_of_ns: int | None = None
+        self,
+        wheelset: str,
+        baseline: int | None = None,
+        as_of_ns: int | None = None,
+        *,
+        first: int | None = None,
     ) -> Sequence[GeometryRecord]:
-        """Return the newest geometry of each mileage interval, of one baseline or of all, in the order of mileage."""
+        """Return the newest geometry of each mileage interval, of one baseline or of all, in the order of mileage.
+
+        Parameters
+        ----------
+        wheelset
+            Serial.
+        baseline
+            Its number; None is all.
+        as_of_ns
+            Recorded until then; None is now.
+        first
+            Number of the first interval; None is all.
+        """
         statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(newest_of_intervals()))
         if baseline is not None:
             statement = statement.where(GEOMETRIES.c.baseline == baseline)
+        if first is not None:
+            statement = statement.where(GEOMETRIES.c.baseline_interval >= first)
         statement = statement.order_by(GEOMETRIES.c.baseline, GEOMETRIES.c.baseline_interval)
         as_of = {"serial": wheelset, "as_of_ns": EVER_NS if as_of_ns is None else as_of_ns}
         return [_record(row) for row in self.connection.execute(statement, as_of)]

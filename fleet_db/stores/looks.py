@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, select
 
-from fleet_db.models import LookRow
+from estimation.values.look import Look
+from fleet_db.models import LookRow, WheelsetChangeRow
 from fleet_db.rows import table_of, upsert
 
-LOOKS = table_of(LookRow)
+LOOKS, CHANGES = table_of(LookRow), table_of(WheelsetChangeRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,12 +20,13 @@ class LookStore:
 
     connection: Connection
 
-    def of(self, stage: str) -> Mapping[str, str]:
-        """Return by wheelset what the last look of a job was made from, as a digest."""
-        rows = self.connection.execute(select(LOOKS.c.wheelset, LOOKS.c.inputs).where(LOOKS.c.stage == stage))
-        return {row.wheelset: row.inputs for row in rows}
+    def of(self, stage: str) -> Mapping[str, Look]:
+        """Return by wheelset what the last look of a job was made from."""
+        columns = (LOOKS.c.wheelset, LOOKS.c.inputs, LOOKS.c.until_ns, LOOKS.c.number)
+        rows = self.connection.execute(select(*columns).where(LOOKS.c.stage == stage))
+        return {row.wheelset: Look(row.inputs, row.until_ns, row.number) for row in rows}
 
-    def note(self, stage: str, wheelset: str, inputs: str) -> None:
+    def note(self, stage: str, wheelset: str, look: Look) -> None:
         """Note what a look at a wheelset was made from.
 
         Parameters
@@ -33,7 +35,14 @@ class LookStore:
             Name of the job.
         wheelset
             Serial number.
-        inputs
-            Digest of 64 hexadecimal digits.
+        look
+            Its inputs, and until when they say the same.
         """
-        upsert(self.connection, LOOKS, {"stage": stage, "wheelset": wheelset, "inputs": inputs})
+        values = {"inputs": look.inputs, "until_ns": look.until_ns, "number": look.number}
+        upsert(self.connection, LOOKS, {"stage": stage, "wheelset": wheelset, **values})
+
+    def touched(self) -> Mapping[str, int]:
+        """Return by wheelset how often something has happened to its windows, results, alerts or registration."""
+        return {
+            row.wheelset: row.touched for row in self.connection.execute(select(CHANGES.c.wheelset, CHANGES.c.touched))
+        }

@@ -58,7 +58,7 @@ def no_data_finding(
         Its ``measured_ns`` is when the silence began to count, not the time of the evaluation, so that another
         evaluation says the same.
     """
-    since = max(in_service_since_ns, last_usable_ns if last_usable_ns is not None else in_service_since_ns)
+    since = silent_since_ns(last_usable_ns, in_service_since_ns)
     silent_days = (now_ns - since) / DAY_NS
     breached = silent_days > rule.days
     critical = silent_days > rule.critical_days
@@ -81,3 +81,16 @@ def no_data_finding(
         measured_ns=(critical_ns if critical else raised_ns) if breached else since,
         since_ns=raised_ns if breached else None,
     )
+
+
+def silent_since_ns(last_usable_ns: int | None, in_service_since_ns: int) -> int:
+    """Return from when silence counts.
+
+    Parameters
+    ----------
+    last_usable_ns
+        End of the newest window that was estimated or waits for it; None where there is none.
+    in_service_since_ns
+        When the wheelset was mounted.
+    """
+    return max(in_service_since_ns, last_usable_ns if last_usable_ns is not None else in_service_since_ns)

@@ -98,10 +98,18 @@ def upgrade() -> None:
     for index, column, where in WINDOWS:
         condition = sa.text(f"{where} IS NOT NULL")
         op.create_index(index, "windows", ["wheelset", column], sqlite_where=condition, postgresql_where=condition)
+    op.add_column("looks", sa.Column("until_ns", sa.BigInteger(), nullable=True))
+    op.add_column("looks", sa.Column("number", sa.BigInteger(), nullable=True))
+    op.add_column(
+        "wheelset_changes", sa.Column("touched", sa.BigInteger(), server_default=sa.text("0"), nullable=False)
+    )
 
 
 def downgrade() -> None:
     """Remove them; geometries are made from the bin tables."""
+    op.drop_column("wheelset_changes", "touched")
+    op.drop_column("looks", "number")
+    op.drop_column("looks", "until_ns")
     for index, _, _ in WINDOWS:
         op.drop_index(index, "windows")
     op.drop_index(op.f("ix_window_bin_tables_roll_up_start_ns"), TABLES)
