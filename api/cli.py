@@ -77,7 +77,7 @@ COMMANDS = (
         "compile_kernels",
         "Compile every kernel, so that the first start need not.",
     ),
-    Command("db", "api.commands.db", "db", "Upgrade, check or purge the database."),
+    Command("db", "api.commands.db", "db", "Upgrade, check, measure or purge the database."),
     Command("backup", "api.commands.backup", "backup", "Back up database and files while everything runs."),
     Command("restore", "api.commands.backup", "restore", "Restore a backup into an empty database."),
     Command("settings", "api.commands.settings", "settings", "List the settings of a deployment with their defaults."),

@@ -103,8 +103,12 @@ def _frames() -> Iterator[FloatArray]:
     good = encode(plan, np.arange(4), {plan.names[0]: wanted})
     payloads = np.zeros((2, 8), np.uint8)
     strange = [batch_of(plan.arbitration_id, np.arange(2), payloads, 3), batch_of(0x7FE, np.arange(2), payloads, 8)]
-    decoded = decode(catalogue, concatenate([good, *strange]))
+    uneven = next(plan for plan in catalogue.messages.values() if not plan.four_int16)
+    zeros = np.zeros(3)
+    odd = encode(uneven, np.arange(3), {uneven.names[0]: zeros})
+    decoded = decode(catalogue, concatenate([good, odd, *strange]))
     yield decoded.messages[plan.arbitration_id].values()
+    yield decoded.messages[uneven.arbitration_id].values()
     counts = decoded.counts
     yield np.array([counts.decoded, counts.wrong_lengths, counts.unknown_identifiers, counts.clipped_values])
 

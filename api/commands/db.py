@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-db = typer.Typer(no_args_is_help=True, help="Upgrade, check or purge the database.", rich_markup_mode=None)
+db = typer.Typer(no_args_is_help=True, help="Upgrade, check, measure or purge the database.", rich_markup_mode=None)
 
 
 @db.command("upgrade")
@@ -48,3 +48,18 @@ def purge_database() -> None:
     from api.terminal.keeping import purge_and_report
 
     purge_and_report()
+
+
+@db.command("stats")
+def show_stored_bytes(
+    *,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    hours_per_day: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=24.0, metavar="<hours>", help="Running of a wheelset; without, as in its last days."),
+    ] = None,
+) -> None:
+    """Show where the bytes are, by kind, and what a wheelset keeps of a year."""
+    from api.terminal.stored_bytes import print_stored_bytes
+
+    print_stored_bytes(as_json=as_json, hours_per_day=hours_per_day)

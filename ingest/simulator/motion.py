@@ -175,7 +175,7 @@ def simulate_wheelset(
     ParameterError
         Speed that is negative or not finite, or the run leaves the track.
     """
-    speed = np.ascontiguousarray(speed, dtype=np.float64)
+    speed = frozen_array(speed, (None,), name="speed")  # read-only from every caller: it is compiled once
     prepared = table if isinstance(table, PreparedTable) else PreparedTable.of(table)
     distance = course(track, speed, start)
     coefficients = track.spline_coefficients()

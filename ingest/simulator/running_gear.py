@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, frozen_array
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters, creep_rate
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
 from ingest.simulator.creep_laws import Creep, CreepLaw
@@ -156,7 +156,7 @@ def simulate_gear(
     """
     if len(tables) != gear.axles:
         raise ParameterError(f"{len(tables)} for {gear.axles} wheelsets", field="tables")
-    speed = np.ascontiguousarray(speed, dtype=np.float64)
+    speed = frozen_array(speed, (None,), name="speed")  # read-only from every caller: it is compiled once
     prepared = [table if isinstance(table, PreparedTable) else PreparedTable.of(table) for table in tables]
     courses = [course(track, speed, start - gear.places[0] + x) for x in gear.places]
     coefficients = track.spline_coefficients()

@@ -23,7 +23,7 @@ def test_every_command_of_the_page(treadwatch: Run, tmp_path: Path, monkeypatch:
     monkeypatch.setenv("TREADWATCH_WINDOW_LENGTH_S", str(make.LENGTH // make.SECOND))
     lines = re.findall(r"^ {4}treadwatch ([^#\n]+?)(?: +#.*)?$", PAGE.read_text(), re.MULTILINE)
     commands = [shlex.split(line.replace("/srv/backup", str(tmp_path / "backup"))) for line in lines]
-    assert [command[0] for command in commands] == ["backup", "restore", "db", "db"]
+    assert [command[0] for command in commands] == ["backup", "restore", "db", "db", "db"]
     url = f"sqlite:///{tmp_path / 'data' / 'treadwatch.sqlite'}"
     upgrade(url)
     with closing(SqlStorage(database_engine(url), tmp_path / "data")) as storage:

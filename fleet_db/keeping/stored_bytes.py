@@ -1,0 +1,228 @@
+"""Where the bytes of a deployment are, by kind, and what a wheelset adds in a year."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from sqlalchemy import Connection, func, select
+
+from estimation.errors import StorageError
+from fleet_db.keeping.kept_files import RAW, SAMPLES
+from fleet_db.keeping.retention import DAY_NS, Kept, Retention
+from fleet_db.keeping.table_sizes import EXACT_BYTES, TableSize, database_size
+from fleet_db.models import ChunkRow, VehicleRow, WheelsetRow, WindowRow
+from fleet_db.rows import table_of
+from fleet_db.storage import SqlStorage
+
+WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
+WHEELSETS, VEHICLES = table_of(WheelsetRow), table_of(VehicleRow)
+YEAR_DAYS = 365.0
+HOUR_NS = 3_600_000_000_000
+LOOKED_AT_FILES = 20_000
+"""Files whose size is read; of more, whole subdirectories are left out. Names are digests, so that any are like all."""
+LOOKED_AT_WHEELSETS = 50
+LOOKED_AT_RECORDINGS = 500
+RATE_DAYS = 30
+OTHER = "other"
+
+TABLES: Mapping[str, tuple[str, ...]] = {
+    "windows": ("windows", "window_positions"),
+    "bin tables": ("window_bin_tables",),
+    "roll-ups": ("roll_ups", "taken_tables", "roll_up_states", "rolling_sums"),
+    "geometries": ("geometry_estimates", "wheelset_bins"),
+    "trends": ("trends",),
+    "alignments": ("track_alignments", "track_versions", "track_reports", "track_epochs", "track_epoch_windows"),
+    "receipts": ("chunks", "raw_marks", "recording_changes", "quarantine", "stale_spans"),
+    "alerts and worklist": ("alerts", "alert_events", "worklist_entries", "worklist_alerts", "webhook_deliveries"),
+    "audit and runs": ("audit_entries", "job_runs", "registry_events", "idempotency_keys", "purges"),
+}
+"""Tables by kind; those of no kind are ``other``: registry, settings."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredKind:
+    """What there is of one kind.
+
+    Attributes
+    ----------
+    items
+        Rows, or files.
+    item_bytes, index_bytes
+        Of rows or files, and of the indexes of the rows.
+    estimated
+        Whether items or bytes were sampled or are the database's own estimate.
+    days
+        How long it is kept; None for ever.
+    wheelset_year_bytes
+        What one wheelset keeps of it after a year at its running rate and these days; None where nothing has run.
+    """
+
+    kind: str
+    items: int
+    item_bytes: int
+    index_bytes: int
+    estimated: bool
+    days: float | None
+    wheelset_year_bytes: int | None
+
+    @property
+    def bytes(self) -> int:
+        """Of items and indexes."""
+        return self.item_bytes + self.index_bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """How much the fleet runs: wheelsets and vehicles with data, hours of a window, of all, and of a wheelset's day."""
+
+    wheelsets: int
+    vehicles: int
+    window_hours: float
+    wheelset_hours: float
+    hours_per_day: float
+
+
+@dataclass(frozen=True, slots=True)
+class StoredBytes:
+    """Everything that is stored, by kind, with the running that it came from."""
+
+    kinds: tuple[StoredKind, ...]
+    running: Running
+    free_bytes: int
+
+    @property
+    def total(self) -> int:
+        """Bytes of all kinds."""
+        return sum(kind.bytes for kind in self.kinds)
+
+
+def stored_bytes(storage: SqlStorage, retention: Retention, hours_per_day: float | None = None) -> StoredBytes:
+    """Return where the bytes are.
+
+    Parameters
+    ----------
+    storage
+        Database and data folder.
+    retention
+        Days by kind.
+    hours_per_day
+        Running of a wheelset to reckon with; None: as in the last days of data.
+
+    Raises
+    ------
+    StorageError
+        The database or a directory cannot be read.
+    """
+    with storage.read() as unit:
+        size = database_size(unit.connection, EXACT_BYTES)
+        running = _running(unit.connection, size.tables["windows"].rows, hours_per_day)
+        raw_hour = _raw_bytes_per_hour(unit.connection, running)
+    year = _Year(running, retention)
+    kinds = [_of_tables(kind, size.tables, year) for kind in (*TABLES, OTHER)]
+    raw, samples = (_directory(storage.data_dir / name) for name in (RAW, SAMPLES))
+    one = samples.bytes / samples.files if samples.files else 0.0
+    per_hour = one / running.window_hours if running.window_hours else 0.0
+    kinds += [
+        _of_files("samples of windows", samples, retention.window_samples, year.kept(per_hour, Kept.WINDOW_SAMPLES)),
+        _of_files("raw recordings", raw, retention.recordings, year.kept(raw_hour, Kept.RECORDINGS)),
+    ]
+    return StoredBytes(tuple(sorted(kinds, key=lambda kind: -kind.bytes)), running, size.free_bytes)
+
+
+@dataclass(frozen=True, slots=True)
+class _Year:
+    running: Running
+    retention: Retention
+
+    def kept(self, bytes_per_hour: float, kind: Kept | None) -> int | None:
+        """Return the bytes of a year of one wheelset that are still there at its end."""
+        if not self.running.wheelset_hours:
+            return None
+        days = None if kind is None else getattr(self.retention, kind.value)
+        counted = YEAR_DAYS if days is None else min(days, YEAR_DAYS)
+        return round(bytes_per_hour * self.running.hours_per_day * counted)
+
+
+def _of_tables(kind: str, sizes: Mapping[str, TableSize], year: _Year) -> StoredKind:
+    listed = {name for names in TABLES.values() for name in names}
+    names = [name for name in sizes if name not in listed] if kind == OTHER else TABLES[kind]
+    found = [sizes[name] for name in names if name in sizes]
+    item_bytes, index_bytes = sum(one.table_bytes for one in found), sum(one.index_bytes for one in found)
+    items = sum(one.rows for one in found)
+    kept = Kept.WINDOW_BIN_TABLES if kind == "bin tables" else None
+    hours = items * year.running.window_hours if kept else year.running.wheelset_hours
+    per_hour = (item_bytes + index_bytes) / hours if hours and kind != OTHER else 0.0
+    days = getattr(year.retention, kept.value) if kept else None
+    estimated = any(one.estimated for one in found)
+    return StoredKind(kind, items, item_bytes, index_bytes, estimated, days, year.kept(per_hour, kept))
+
+
+@dataclass(frozen=True, slots=True)
+class _Directory:
+    files: int
+    bytes: int
+    estimated: bool
+
+
+def _of_files(kind: str, found: _Directory, days: float | None, year_bytes: int | None) -> StoredKind:
+    return StoredKind(kind, found.files, found.bytes, 0, found.estimated, days, year_bytes)
+
+
+def _directory(path: Path) -> _Directory:
+    """Return the files below a directory, by whole subdirectories until enough were looked at."""
+    try:
+        below = sorted(entry.path for entry in os.scandir(path) if entry.is_dir())
+        files = size = seen = 0
+        for folder in below:
+            sizes = [entry.stat().st_size for entry in os.scandir(folder) if entry.is_file()]
+            files, size, seen = files + len(sizes), size + sum(sizes), seen + 1
+            if files >= LOOKED_AT_FILES:
+                break
+    except FileNotFoundError:
+        return _Directory(0, 0, estimated=False)
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
+    scale = len(below) / seen if seen else 1.0
+    return _Directory(round(files * scale), round(size * scale), estimated=seen < len(below))
+
+
+def _running(connection: Connection, windows: int, hours_per_day: float | None) -> Running:
+    there = select(WHEELSETS.c.serial).where(select(WINDOWS.c.start_ns).where(WINDOWS.c.wheelset == WHEELSETS.c.serial)
+                                             .exists())  # fmt: skip
+    serials = list(connection.scalars(there.order_by(WHEELSETS.c.serial)))
+    chosen = serials[:: max(len(serials) // LOOKED_AT_WHEELSETS, 1)]
+    lengths, rates = [], []
+    for serial in chosen:
+        own = WINDOWS.c.wheelset == serial
+        last = connection.execute(
+            select(WINDOWS.c.start_ns, WINDOWS.c.length_ns).where(own).order_by(WINDOWS.c.start_ns.desc()).limit(1)
+        ).one()
+        first = connection.scalar(select(func.min(WINDOWS.c.start_ns)).where(own)) or 0
+        from_ns = max(first, last.start_ns - RATE_DAYS * DAY_NS)
+        count = connection.scalar(select(func.count()).where(own, WINDOWS.c.start_ns >= from_ns)) or 0
+        days = max((last.start_ns + last.length_ns - from_ns) / DAY_NS, 1.0)
+        lengths.append(last.length_ns / HOUR_NS)
+        rates.append(count * last.length_ns / HOUR_NS / days)
+    hours = sum(lengths) / len(lengths) if lengths else 0.0
+    rate = sum(rates) / len(rates) if rates else 0.0
+    own_recordings = select(CHUNKS.c.digest).where(CHUNKS.c.vehicle == VEHICLES.c.code).exists()
+    vehicles = int(connection.scalar(select(func.count()).select_from(VEHICLES).where(own_recordings)) or 0)
+    return Running(len(serials), vehicles, hours, windows * hours, rate if hours_per_day is None else hours_per_day)
+
+
+def _raw_bytes_per_hour(connection: Connection, running: Running) -> float:
+    """Return the bytes of raw recordings of an hour of one wheelset, by the newest recordings."""
+    newest = (
+        select(CHUNKS.c.size_bytes, (CHUNKS.c.last_ns - CHUNKS.c.first_ns).label("length_ns"))
+        .where(CHUNKS.c.first_ns.is_not(None))
+        .order_by(CHUNKS.c.received_ns.desc())
+        .limit(LOOKED_AT_RECORDINGS)
+    )
+    found = connection.execute(newest).all()
+    hours = float(sum(row.length_ns for row in found)) / HOUR_NS
+    if not hours or not running.wheelsets:
+        return 0.0
+    return float(sum(row.size_bytes for row in found)) / hours * running.vehicles / running.wheelsets
