@@ -15,6 +15,8 @@ mistake of ours or bad input from the outside world, and carries its facts as fi
     ├── NotFoundError              no such fleet, vehicle, wheelset, section, alert, job
     ├── ConflictError              the thing is not in the state that the request assumes
     ├── PassingFaultError          the machine cannot do it now: no space, mount, permission, memory, extra
+    ├── WorkersEndedError          so many worker processes ended at one thing that it is set aside
+    ├── WorkFailedError            a unit of work failed in its worker process
     ├── StoppedError               a job ended between two batches because the process is stopping
     └── StorageError               the database or the window files
         ├── DamagedError           something that was stored is missing or damaged; the rest is whole
@@ -22,6 +24,7 @@ mistake of ours or bad input from the outside world, and carries its facts as fi
         ├── BusyError              another writer did not end in time; nothing was changed
         ├── AlreadyRunningError    a second scheduler on the same database
         └── ClaimLostError         this process no longer owns the jobs that it runs
+            └── LeaseLostError     its lease on what it works on has ended
 """
 
 from __future__ import annotations
@@ -148,6 +151,18 @@ class StoppedError(TreadwatchError):
         super().__init__(f"stopped on request after {done} of {total}")
 
 
+class WorkersEndedError(TreadwatchError):
+    """So many worker processes ended while they worked at one thing that it is set aside."""
+
+    def __init__(self, ended: int) -> None:
+        self.ended = ended
+        super().__init__(f"{ended} worker processes ended while they worked at it")
+
+
+class WorkFailedError(TreadwatchError):
+    """A unit of work failed in its worker process, or the workers cannot be reached; a later run does the rest."""
+
+
 class StorageError(TreadwatchError):
     """The database or the window files cannot do what was asked."""
 
@@ -184,3 +199,11 @@ class ClaimLostError(StorageError):
     def __init__(self, holder: str) -> None:
         self.holder = holder
         super().__init__(f"{holder} has lost its claim: its connection broke, and its runs were given up or taken over")
+
+
+class LeaseLostError(ClaimLostError):
+    """The lease on what this process works on has ended, and others may work on it; nothing was committed."""
+
+    def __init__(self, holder: str) -> None:
+        StorageError.__init__(self, f"{holder} stood still for longer than its lease: its work is left to others")
+        self.holder = holder

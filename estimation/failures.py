@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from estimation.errors import ConflictError, DamagedError, PassingFaultError, StorageError, TreadwatchError
+from estimation.errors import (
+    ConflictError,
+    DamagedError,
+    PassingFaultError,
+    StorageError,
+    TreadwatchError,
+    WorkersEndedError,
+)
 from estimation.values.quarantine import SECOND_NS, Quarantined, QuarantineState, SubjectKind, delay_s
 from estimation.values.reasons import ReasonCode
 
@@ -48,6 +55,8 @@ def code_of_error(error: Exception) -> ReasonCode:
     """Return the code that stands for what was raised."""
     if isinstance(error, PassingFaultError):
         return ReasonCode(error.code)
+    if isinstance(error, WorkersEndedError):
+        return ReasonCode.WORKERS_ENDED
     if isinstance(error, MemoryError):
         return ReasonCode.WAITS_FOR_MEMORY
     if isinstance(error, DamagedError):

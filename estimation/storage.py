@@ -11,6 +11,7 @@ from typing import Protocol
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, Condition
+from estimation.values.claims import Claimed
 from estimation.values.exact_table import ExactTable, RolledPart
 from estimation.values.geometry import BinTable, FilledCells, GeometryRecord, IntervalDigest, TableKey
 from estimation.values.look import Look
@@ -24,7 +25,7 @@ from estimation.values.suspension import SuspensionFinding
 from estimation.values.track import AlignmentRecord, TrackAlignment, TrackLayout, TrackReport, TrackSectionRecord
 from estimation.values.track_epochs import EpochMember, EpochNews, TrackEpoch
 from estimation.values.trend import TrendRecord
-from estimation.values.windows import MileageReading, Window, WindowPosition, WindowRecord, WindowState
+from estimation.values.windows import MileageReading, Window, WindowKey, WindowPosition, WindowRecord, WindowState
 from estimation.vehicle.class_on_file import ClassOnFile
 
 
@@ -89,7 +90,10 @@ class Epochs(Protocol):
 class Windows(Protocol):
     """Windows of samples and their state."""
 
-    def ready(self, limit: int, waiting_sections: Sequence[str]) -> Sequence[WindowRecord]: ...
+    def ready(
+        self, limit: int, waiting_sections: Sequence[str], after: WindowKey | None = None
+    ) -> Sequence[WindowRecord]: ...
+    def pending(self, keys: Sequence[WindowKey]) -> Sequence[WindowRecord]: ...
     def get(self, wheelset: str, start_ns: int) -> WindowRecord | None: ...
     def requeue(self, track_section: str, code: ReasonCode) -> int: ...
     def refused_vehicles(self, code: ReasonCode) -> Sequence[str]: ...
@@ -323,11 +327,28 @@ class Storage(Protocol):
 
     ``owned`` makes this process the owner of the runs that it starts with the storage that is yielded: they are shown
     as abandoned once it is gone. Of kind SCHEDULE there is one in a deployment; a second gets ``AlreadyRunningError``.
+
+    ``leased`` claims things to work on, for as long as the block lasts and the process lives, and yields the storage
+    for their results: once the lease has ended its ``write`` raises ``LeaseLostError`` and commits nothing. What is
+    worked on by others is left out of ``Claimed.keys``, and so is what workers have ended at, unless it is asked for
+    ``alone``.
     """
 
     def write(self) -> AbstractContextManager[UnitOfWork]: ...
     def read(self) -> AbstractContextManager[UnitOfWork]: ...
+    def leased(
+        self, stage: str, keys: Sequence[str], holder: str, length_s: float, *, alone: bool = False
+    ) -> AbstractContextManager[tuple[LeasedStorage, Claimed]]: ...
     def owned(self, kind: JobTrigger, holder: str, now_ns: int) -> AbstractContextManager[OwnedStorage]: ...
+
+
+class LeasedStorage(Storage, Protocol):
+    """Storage for the results of work under a lease.
+
+    ``lease_lost`` is whether the lease has ended; False where the database cannot be asked.
+    """
+
+    def lease_lost(self) -> bool: ...
 
 
 class OwnedStorage(Storage, Protocol):

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from sqlalchemy import Connection, Engine
 
 from estimation.errors import StorageError
+from estimation.values.claims import Claimed
 from estimation.values.runs import JobTrigger
 from fleet_db import owners
 from fleet_db.changes import Changes
+from fleet_db.leases import Lease, prolonged
 from fleet_db.locks import file_scheduler_lock, lock_scheduler, postgresql_session, serialise_vehicle, single_writer
 from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, sqlite_file, translate_errors
 from fleet_db.stores.alerts import AlertStore
@@ -45,6 +48,7 @@ from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.vehicle_classes import Shipped, no_class
 from fleet_db.stores.webhooks import WebhookStore
 from fleet_db.stores.windows import WindowStore
+from fleet_db.stores.work_claims import WorkClaimStore
 from fleet_db.stores.worklist import WorklistStore
 from fleet_db.stores.worklist_inputs import WorklistReader
 from fleet_db.telemetry import WindowFiles
@@ -93,6 +97,7 @@ class SqlUnitOfWork:
     looks: LookStore = field(init=False)
     roll_ups: RollUpStore = field(init=False)
     webhooks: WebhookStore = field(init=False)
+    work_claims: WorkClaimStore = field(init=False)
 
     def __post_init__(self) -> None:
         connection = self.connection
@@ -130,6 +135,7 @@ class SqlUnitOfWork:
         self.looks = LookStore(connection)
         self.roll_ups = RollUpStore(connection)
         self.webhooks = WebhookStore(connection)
+        self.work_claims = WorkClaimStore(connection)
 
     def finish(self) -> None:
         """Let what follows from the changes follow, as the last of the transaction: see ``Changes``."""
@@ -160,6 +166,10 @@ class SqlStorage:
         How long a writing transaction on SQLite waits for that of another process.
     visible_fleets
         Codes of the fleets that reading transactions see; None for all.
+    lease
+        Without which nothing is committed; None where none is needed.
+    works_for
+        Token of the process that runs the job and started this one; with it leases end. None where there is none.
     """
 
     engine: Engine
@@ -167,6 +177,8 @@ class SqlStorage:
     shipped: Shipped = no_class
     patience_s: float = BUSY_TIMEOUT_MS / 1000
     visible_fleets: frozenset[str] | None = None
+    lease: Lease | None = None
+    works_for: int | None = None
 
     def seen_by(self, fleets: frozenset[str] | None) -> SqlStorage:
         """Return the storage whose reading transactions see only these fleets.
@@ -188,6 +200,8 @@ class SqlStorage:
             A constraint of the database refused it.
         BusyError
             Another writer holds it too long.
+        LeaseLostError
+            The lease that this storage was made with has ended.
         StorageError
             The database cannot be reached.
         """
@@ -198,8 +212,12 @@ class SqlStorage:
             connection.begin(),
         ):
             unit = SqlUnitOfWork(connection, self._files(), writing=True, shipped=self.shipped, owner=self.owner_token)
+            if self.lease is not None:
+                unit.work_claims.bound(self.lease.length_s)
             yield unit
             unit.finish()
+            if self.lease is not None:
+                unit.work_claims.check(self.lease.number, self.lease.holder)
 
     @contextmanager
     def read(self) -> Iterator[SqlUnitOfWork]:
@@ -250,6 +268,59 @@ class SqlStorage:
             finally:
                 with suppress(StorageError), self.write() as unit:  # out of reach: whoever looks next removes it
                     owners.remove(unit.connection, token)
+
+    @contextmanager
+    def leased(
+        self, stage: str, keys: Sequence[str], holder: str, length_s: float, *, alone: bool = False
+    ) -> Iterator[tuple[SqlStorage, Claimed]]:
+        """Claim what is free and yield a storage that commits nothing once the claim has ended.
+
+        The claim is prolonged until the block ends, and forgotten then, however it ends. Where the process is killed
+        or stands still it ends by itself after ``length_s``.
+
+        Parameters
+        ----------
+        stage
+            Of the work, such as the name of a job.
+        keys
+            What.
+        holder
+            Name of the process, such as host and number.
+        length_s
+            Of the lease, s.
+        alone
+            Whether also what workers have ended at is claimed.
+
+        Raises
+        ------
+        LeaseLostError
+            In transactions of the storage: the lease has ended meanwhile.
+        StorageError
+            The database cannot be reached.
+        """
+        with self.write() as unit:
+            number = unit.work_claims.lease(holder, round(length_s * 1e9), self.owner_token or self.works_for)
+            claimed = unit.work_claims.take(number, stage, keys, alone=alone)
+        try:
+            with prolonged(partial(self._prolong, number), length_s):
+                yield replace(self, lease=Lease(number, holder, length_s)), claimed
+        finally:
+            with suppress(StorageError), self.write() as unit:  # out of reach: it ends by itself
+                unit.work_claims.end(number)
+
+    def lease_lost(self) -> bool:
+        """Return whether the lease of this storage has ended; False where the database cannot be asked."""
+        if self.lease is None:
+            return False
+        try:
+            with self.read() as unit:
+                return not unit.work_claims.holds(self.lease.number)
+        except StorageError:
+            return False
+
+    def _prolong(self, lease: int) -> bool:
+        with SqlStorage.write(self) as unit:
+            return unit.work_claims.prolong(lease)
 
     @contextmanager
     def _file_claim(self, kind: JobTrigger, holder: str, now_ns: int) -> Iterator[int]:

@@ -11,13 +11,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from estimation.errors import DamagedError, PassingFaultError
+from estimation.errors import DamagedError, PassingFaultError, TreadwatchError
+from estimation.jobs.hand_out import Unit, hand_out, unit_size
 from estimation.jobs.isolation import Isolation, fails_alone
-from estimation.jobs.job import Job, JobContext
+from estimation.jobs.job import Job, JobContext, Stage
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.failed_windows import (
     FailedWindow,
     attempted,
+    key_of,
+    key_of_text,
     let_due_wait_again,
     refuse_failed,
     release_others,
@@ -36,11 +39,11 @@ from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
 from estimation.values.track import AlignmentRecord, AlignmentSource, Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import WindowPosition, WindowRecord, WindowState
+from estimation.values.windows import WindowKey, WindowPosition, WindowRecord, WindowState
 
 
 def run(context: JobContext) -> Mapping[str, int]:
-    """Estimate every pending window; each batch is committed together."""
+    """Estimate every pending window; each batch is claimed and committed together."""
     settings = context.settings.estimation
     counts: Counter[str] = Counter(estimated=0, refused=0, changed_meanwhile=0)
     if judged := judge_mileages(context):
@@ -52,20 +55,70 @@ def run(context: JobContext) -> Mapping[str, int]:
         in_force = {code: record for code, record in known.items() if record is not None}
         counts["requeued"] = _requeue(unit, settings, in_force)
         total = unit.windows.counts().get(WindowState.PENDING, 0)
+    waiting = [code for code, record in in_force.items() if _waits_for_place(record)]
+    counts["quarantined"] = isolation.quarantined
+    _hand_out(context, waiting, total, counts)
+    return counts
+
+
+def _hand_out(context: JobContext, waiting: Sequence[str], total: int, counts: Counter[str]) -> None:
+    """Let the windows that are ready be estimated, again and again until none is left that somebody here can do."""
     done = 0
-    waiting = [code for code, record in in_force.items() if record.source == AlignmentSource.FLEET]
-    while batch := _compute(context, settings, waiting):
-        failed = [one for one in batch if isinstance(one, FailedWindow)]
-        failed += _store_all(context, [one for one in batch if not isinstance(one, FailedWindow)], counts)
-        refuse_failed(context, isolation, failed)
-        release_others(isolation, [one[0].record for one in batch if not isinstance(one, FailedWindow)], failed)
-        done += len(batch)
+
+    def progress(more: int) -> None:
+        nonlocal done
+        done += more
         context.checkpoint(done, max(total, done))
+
+    size = unit_size(context, total, context.settings.estimation.batch)
+    while True:
+        found = hand_out(context, STAGE, _units(context, waiting, size), progress)
+        counts.update(found)
+        if not any(found[name] for name in _DONE):
+            return
+
+
+def _units(context: JobContext, waiting: Sequence[str], size: int) -> Iterator[Unit]:
+    """Yield the keys of windows that are ready, in their order, so many together."""
+    last: WindowKey | None = None
+    while True:
+        with context.storage.read() as unit:
+            found = unit.windows.ready(_PAGE * size, waiting, last)
+        if not found:
+            return
+        last = found[-1].wheelset, found[-1].start_ns
+        for first in range(0, len(found), size):
+            yield tuple(key_of(record) for record in found[first : first + size])
+
+
+def _work(context: JobContext, keys: Sequence[str]) -> Mapping[str, int]:
+    """Estimate windows and store what comes of them in one transaction."""
+    counts: Counter[str] = Counter()
+    isolation = Isolation(context, "estimate_windows")
+    batch = _compute(context, context.settings.estimation, [key_of_text(key) for key in keys])
+    failed = [one for one in batch if isinstance(one, FailedWindow)]
+    failed += _store_all(context, [one for one in batch if not isinstance(one, FailedWindow)], counts)
+    refuse_failed(context, isolation, failed)
+    release_others(isolation, [one[0].record for one in batch if not isinstance(one, FailedWindow)], failed)
     counts["quarantined"] = isolation.quarantined
     return counts
 
 
+def _set_aside(context: JobContext, key: str, error: TreadwatchError) -> None:
+    with context.storage.read() as unit:
+        found = unit.windows.pending([key_of_text(key)])
+    refuse_failed(context, Isolation(context, "estimate_windows"), [FailedWindow(record, error) for record in found])
+
+
+def _waits_for_place(record: AlignmentRecord) -> bool:
+    """Whether windows of a section wait until the alignment job has found their positions."""
+    return record.source == AlignmentSource.FLEET
+
+
 JOB = Job("estimate_windows", "Reduce pending windows to bin tables", every_s=60.0, run=run)
+STAGE = Stage(JOB.name, _work, _set_aside)
+_DONE = ("estimated", "refused", "quarantined")
+_PAGE = 16  # units whose keys are read together
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,14 +191,14 @@ def _class_known(unit: UnitOfWork, classes: ClassLookup) -> int:
 
 
 def _compute(
-    context: JobContext, settings: EstimationSettings, waiting: Sequence[str]
+    context: JobContext, settings: EstimationSettings, keys: Sequence[WindowKey]
 ) -> list[_Outcome | FailedWindow]:
+    """Return what the windows come to that are still ready."""
     with context.storage.read() as unit:
 
         @lru_cache
-        def in_force(section: str) -> int | None:
-            record = unit.tracks.in_force(section)
-            return None if record is None else record.version
+        def in_force(section: str) -> AlignmentRecord | None:
+            return unit.tracks.in_force(section)
 
         @lru_cache
         def of_version(section: str, version: int) -> TrackAlignment | None:
@@ -155,7 +208,9 @@ def _compute(
             section = record.track_section
             if section is None:
                 return None
-            version = unit.epochs.alignment_version(record.wheelset, record.start_ns, in_force(section))
+            now = in_force(section)
+            version = None if now is None else now.version
+            version = unit.epochs.alignment_version(record.wheelset, record.start_ns, version)
             return None if version is None else of_version(section, version)
 
         @lru_cache
@@ -164,9 +219,13 @@ def _compute(
 
         classes = ClassLookup(unit, settings)
 
-        def computed(record: WindowRecord) -> _Outcome:
+        def computed(record: WindowRecord) -> _Outcome | None:
             position = unit.tracks.position(record.wheelset, record.start_ns)
             section = record.track_section
+            now = None if section is None else in_force(section)
+            placed = position is not None and position.content_digest == record.content_digest
+            if now is not None and _waits_for_place(now) and not placed:
+                return None  # its position has been taken back since it was handed out
             assumed = classes.assumed(record.vehicle, record.wheelset)
             partner = _partner(unit, record, assumed)
             work = _Work(
@@ -174,7 +233,8 @@ def _compute(
             )
             return work, _outcome(unit, work)
 
-        return [attempted(computed, record) for record in unit.windows.ready(settings.batch, waiting)]
+        found = [attempted(computed, record) for record in unit.windows.pending(keys)]
+    return [one for one in found if one is not None]
 
 
 def _outcome(unit: UnitOfWork, work: _Work) -> BinTable | Reason:

@@ -1,4 +1,4 @@
-"""What a job is, what it gets, and how one run of it is recorded.
+"""What a job is, what it gets, in which units it hands out its work, and how one run of it is recorded.
 
 A job is some twenty lines: load, compute with pure functions, store. It commits its work in batches, each batch in
 one ``storage.write()`` and keyed, so that a kill leaves nothing half-written and a rerun repeats nothing. Between
@@ -8,13 +8,18 @@ batches it calls :meth:`JobContext.checkpoint`, which reports the progress and e
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 from estimation.errors import ClaimLostError, ConflictError, StoppedError, TreadwatchError
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Clock, Storage
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
+
+LEASE_S = 60.0
+"""How long a claim lasts by default, s."""
 
 _log = logging.getLogger(__name__)
 
@@ -35,6 +40,12 @@ class JobContext:
         Returns whether a stop of the process was requested.
     settings
         Settings of all jobs.
+    executor
+        Where units of work are done; None for here, one after the other.
+    holder
+        Name of this process in the claims that it makes.
+    lease_s
+        How long a claim lasts once its process is gone or stands still, s.
     """
 
     storage: Storage
@@ -43,6 +54,9 @@ class JobContext:
     settings: JobSettings
     progress: Callable[[int, int], None] | None = None
     stopping: Callable[[], bool] | None = None
+    executor: WorkExecutor | None = None
+    holder: str = "worker"
+    lease_s: float = LEASE_S
 
     def checkpoint(self, done: int, total: int) -> None:
         """Report the progress; to be called between two batches, with everything before it committed.
@@ -56,6 +70,40 @@ class JobContext:
             self.progress(done, total)
         if self.stopping is not None and self.stopping():
             raise StoppedError(done, total)
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """Work of a job that is done in units: some keys each, such as the serials of wheelsets.
+
+    Whoever does a unit claims its keys in the database and stores what comes of them; what is handed back are counts.
+    So an executor may lose a unit or do it twice: the claims decide who works on what, and what was lost is found
+    again by the next run.
+
+    Attributes
+    ----------
+    name
+        Of the job.
+    work
+        Does the work for some keys, which are claimed; stores what comes of it and returns what it counted.
+    set_aside
+        Keeps one key in quarantine, at which workers have ended.
+    """
+
+    name: str
+    work: Callable[[JobContext, Sequence[str]], Mapping[str, int]]
+    set_aside: Callable[[JobContext, str, TreadwatchError], None]
+
+
+class WorkExecutor(Protocol):
+    """Does units of work, as many at once as ``width`` says: in processes of this machine, or on other machines.
+
+    ``submit`` returns what will hold the counts of a unit, or a ``TreadwatchError``: why it was not done.
+    """
+
+    @property
+    def width(self) -> int: ...  # noqa: D102 - of a Protocol
+    def submit(self, context: JobContext, stage: Stage, keys: Sequence[str]) -> Future[Mapping[str, int]]: ...  # noqa: D102 - the same
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from estimation.jobs.isolation import Isolation
-from estimation.jobs.job import Job, JobContext
+from estimation.errors import TreadwatchError
+from estimation.jobs.hand_out import hand_out
+from estimation.jobs.isolation import Isolation, fails_alone, no_inputs
+from estimation.jobs.job import Job, JobContext, Stage
 from estimation.jobs.steps.epoch_inputs import FileLookup, entries, given, input_digest
 from estimation.jobs.steps.epoch_passes import epoch_passes
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
@@ -55,17 +57,60 @@ def run(context: JobContext) -> Mapping[str, int]:
     isolation = Isolation(context, "refresh_alignment")
     with context.storage.read() as unit:
         sections = unit.tracks.sections()
+    due = []
     for section in sections:
         if isolation.waits(SubjectKind.SECTION, section.code):
             continue
         counts["sections"] += 1
+        try:
+            if _is_due(context, section):
+                due.append(section.code)
+                continue
+        except Exception as error:
+            if not fails_alone(error):
+                raise
+            isolation.keep(SubjectKind.SECTION, section.code, no_inputs(), error)
+        else:
+            counts["unchanged"] += 1
+            isolation.release(SubjectKind.SECTION, section.code)
+    counts["quarantined"] = isolation.quarantined
+    done = 0
+
+    def progress(more: int) -> None:
+        nonlocal done
+        done += more
+        context.checkpoint(done, len(due))
+
+    counts.update(hand_out(context, STAGE, ((code,) for code in due), progress))
+    return counts
+
+
+def _work(context: JobContext, codes: Sequence[str]) -> Mapping[str, int]:
+    """Compute the epochs of sections; what fails at one of them is kept in quarantine."""
+    counts: Counter[str] = Counter()
+    isolation = Isolation(context, "refresh_alignment")
+    with context.storage.read() as unit:
+        sections = [section for section in unit.tracks.sections() if section.code in codes]
+    for section in sections:
         with isolation.alone(SubjectKind.SECTION, section.code):
             _fold(context, section, counts)
     counts["quarantined"] = isolation.quarantined
     return counts
 
 
+def _set_aside(context: JobContext, code: str, error: TreadwatchError) -> None:
+    Isolation(context, "refresh_alignment").keep(SubjectKind.SECTION, code, no_inputs(), error)
+
+
 JOB = Job("refresh_alignment", "Find the alignment of sections and the positions of windows", every_s=600.0, run=run)
+STAGE = Stage(JOB.name, _work, _set_aside)
+
+
+def _is_due(context: JobContext, section: TrackSectionRecord) -> bool:
+    """Whether an epoch of a section has to be looked at; asked before the section is claimed, for that writes."""
+    files_ns = _files_changed(context, section)
+    with context.storage.read() as unit:
+        return _due(unit, section, context, 0, files_ns) is not None
 
 
 def _fold(context: JobContext, section: TrackSectionRecord, counts: Counter[str]) -> None:

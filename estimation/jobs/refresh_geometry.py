@@ -8,13 +8,14 @@ of the same windows.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from estimation.errors import ConflictError
+from estimation.errors import ConflictError, TreadwatchError
 from estimation.estimators.catalogue import SHIPPED
+from estimation.jobs.hand_out import hand_out, unit_size
 from estimation.jobs.isolation import Isolation, inputs_of
-from estimation.jobs.job import Job, JobContext
+from estimation.jobs.job import Job, JobContext, Stage
 from estimation.jobs.steps.membership import Membership, membership
 from estimation.jobs.steps.rolled_geometries import RolledGeometries
 from estimation.jobs.steps.rolling import Part, rolled
@@ -36,18 +37,41 @@ def run(context: JobContext) -> Mapping[str, int]:
     with context.storage.read() as unit:
         named = context.settings.estimation.estimator
         stale = unit.geometries.stale(_STALE_AT_ONCE, "" if named == SHIPPED else named)
-    for done, serial in enumerate(stale, start=1):
-        inputs = inputs_of(context, serial)
-        if not isolation.waits(SubjectKind.WHEELSET, serial, inputs):
-            with isolation.alone(SubjectKind.WHEELSET, serial, inputs):
-                counts["geometries"] += _refresh(context, serial)
-                counts["wheelsets"] += 1
+    due = [one for one in stale if not isolation.waits(SubjectKind.WHEELSET, one, inputs_of(context, one))]
+    counts["quarantined"] = isolation.quarantined
+    size = unit_size(context, len(due), _MOST_TOGETHER)
+    units = (tuple(due[first : first + size]) for first in range(0, len(due), size))
+    done = len(stale) - len(due)
+
+    def progress(more: int) -> None:
+        nonlocal done
+        done += more
         context.checkpoint(done, len(stale))
+
+    counts.update(hand_out(context, STAGE, units, progress))
+    return counts
+
+
+def _work(context: JobContext, serials: Sequence[str]) -> Mapping[str, int]:
+    """Refresh wheelsets; what fails at one of them is kept in quarantine."""
+    counts: Counter[str] = Counter()
+    isolation = Isolation(context, "refresh_geometry")
+    for serial in serials:
+        with isolation.alone(SubjectKind.WHEELSET, serial, inputs_of(context, serial)):
+            counts["geometries"] += _refresh(context, serial)
+            counts["wheelsets"] += 1
     counts["quarantined"] = isolation.quarantined
     return counts
 
 
+def _set_aside(context: JobContext, serial: str, error: TreadwatchError) -> None:
+    isolation = Isolation(context, "refresh_geometry")
+    isolation.keep(SubjectKind.WHEELSET, serial, inputs_of(context, serial)(), error)
+
+
 JOB = Job("refresh_geometry", "Merge bin tables into wheelset geometries", every_s=300.0, run=run)
+STAGE = Stage(JOB.name, _work, _set_aside)
+_MOST_TOGETHER = 16  # wheelsets that are claimed together
 
 
 def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[GeometryRecord]:

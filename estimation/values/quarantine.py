@@ -34,7 +34,7 @@ class QuarantineState(StrEnum):
 PASSING = (ReasonCode.WAITS_FOR_STORAGE, ReasonCode.WAITS_FOR_EXTRA, ReasonCode.WAITS_FOR_MEMORY)
 """Codes of faults that have nothing to do with the input."""
 
-TRIED_AGAIN = (*PASSING, ReasonCode.CONFLICT, ReasonCode.PROCESSING_FAILED)
+TRIED_AGAIN = (*PASSING, ReasonCode.CONFLICT, ReasonCode.PROCESSING_FAILED, ReasonCode.WORKERS_ENDED)
 """Codes of what is tried again after a while, though nothing has changed."""
 
 AT_ONCE = (ReasonCode.WAITS_FOR_STORAGE, ReasonCode.WAITS_FOR_EXTRA, ReasonCode.CONFLICT)

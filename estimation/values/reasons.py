@@ -199,6 +199,10 @@ class ReasonCode(StrEnum):
     WAITS_FOR_EXTRA = "waits_for_extra", "An extra is not installed. Install it; what waits is tried again by itself."
     WAITS_FOR_MEMORY = "waits_for_memory", "The system had no memory left. What waits is tried again by itself."
     CONFLICT = "conflict", "It contradicts what is stored, or what was changed meanwhile. It is tried again by itself."
+    WORKERS_ENDED = (
+        "workers_ended",
+        "Three worker processes ended while they worked at it. Report the log; it is tried again by itself.",
+    )
     PROCESSING_FAILED = (
         "processing_failed",
         "The program failed at it. It is in quarantine and tried again at growing intervals; see the log.",

@@ -115,6 +115,10 @@ class WindowPosition:
     reason: Reason | None = None
 
 
+WindowKey = tuple[str, int]
+"""Wheelset and start of a window, in vehicle time."""
+
+
 @dataclass(frozen=True, slots=True)
 class WindowRecord:
     """A stored window without its samples. Key: (wheelset, start_ns)."""

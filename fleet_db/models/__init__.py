@@ -37,6 +37,7 @@ from fleet_db.models.vehicles import VehicleRow
 from fleet_db.models.webhooks import WebhookDeliveryRow, WebhookFleetRow, WebhookRow, WebhookSecretRow
 from fleet_db.models.wheelsets import ReprofilingRow, WheelsetChangeRow, WheelsetRow
 from fleet_db.models.windows import WindowRow
+from fleet_db.models.work_claims import WorkClaimRow, WorkLeaseRow
 from fleet_db.models.worklist import WorklistAlertRow, WorklistEntryRow
 
 __all__ = [
@@ -89,6 +90,8 @@ __all__ = [
     "WindowBinTableRow",
     "WindowPositionRow",
     "WindowRow",
+    "WorkClaimRow",
+    "WorkLeaseRow",
     "WorklistAlertRow",
     "WorklistEntryRow",
 ]

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, and_, bindparam, delete, exists, func, or_, select
+from sqlalchemy import Connection, Row, Select, and_, bindparam, delete, exists, func, or_, select, tuple_
 
 from estimation.errors import NotFoundError
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.windows import NOT_HUNTING, Hunting, Window, WindowQuality, WindowRecord, WindowState
+from estimation.values.windows import NOT_HUNTING, Hunting, Window, WindowKey, WindowQuality, WindowRecord, WindowState
 from fleet_db.changes import Changes
 from fleet_db.models import WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.rows import (
@@ -95,16 +95,34 @@ class WindowStore:
         self._remove_table(window.wheelset, window.start_ns)
         return True
 
-    def ready(self, limit: int, waiting_sections: Sequence[str]) -> Sequence[WindowRecord]:
+    def ready(
+        self, limit: int, waiting_sections: Sequence[str], after: WindowKey | None = None
+    ) -> Sequence[WindowRecord]:
         """Return windows that wait to be estimated, by wheelset and start.
 
-        Those of ``waiting_sections`` are skipped until their positions have been found.
+        Parameters
+        ----------
+        limit
+            Largest number.
+        waiting_sections
+            Sections whose windows are skipped until their positions have been found.
+        after
+            Key behind which they are.
         """
+        key = (WINDOWS.c.wheelset, WINDOWS.c.start_ns)
         statement = select(WINDOWS).where(WINDOWS.c.state == WindowState.PENDING.value)
         if waiting_sections:
             elsewhere = func.coalesce(WINDOWS.c.track_section, "").not_in(waiting_sections)
             statement = statement.where(or_(elsewhere, PLACED))
-        return self._records(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns).limit(limit))
+        if after is not None:
+            statement = statement.where(tuple_(*key) > tuple_(*after))
+        return self._records(statement.order_by(*key).limit(limit))
+
+    def pending(self, keys: Sequence[WindowKey]) -> Sequence[WindowRecord]:
+        """Return those of some windows that wait to be estimated, by wheelset and start."""
+        key = (WINDOWS.c.wheelset, WINDOWS.c.start_ns)
+        wanted = (tuple_(*key).in_(keys), WINDOWS.c.state == WindowState.PENDING.value)
+        return self._records(select(WINDOWS).where(*wanted).order_by(*key))
 
     def get(self, wheelset: str, start_ns: int) -> WindowRecord | None:
         """Return one window's record."""

@@ -20,6 +20,8 @@ from estimation.values.runs import JobTrigger
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
+LEASE_S = 2.0
+
 
 class SystemClock:
     def now_ns(self) -> int:
@@ -43,4 +45,4 @@ if __name__ == "__main__":
     address, directory, name = sys.argv[1:]
     storage = Hesitant(database_engine(address), Path(directory))
     settings = JobSettings(estimation=EstimationSettings(batch=1))
-    run_job(job_named(name), JobContext(storage, SystemClock(), "test", settings), JobTrigger.CLI)
+    run_job(job_named(name), JobContext(storage, SystemClock(), "test", settings, lease_s=LEASE_S), JobTrigger.CLI)

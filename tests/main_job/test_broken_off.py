@@ -5,12 +5,14 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from job_process import LEASE_S
 from sqlalchemy import update
 from tiny_fleet import DEAD, WORN, Deployment, results
 
@@ -49,6 +51,7 @@ def killed(fleet: Deployment, url: str, job: str, commits: int) -> None:
             assert process.stdout.readline() == "not committed\n"
         process.kill()
     assert process.returncode == -signal.SIGKILL
+    time.sleep(LEASE_S + 0.1)  # until what it had claimed is free
 
 
 def estimated(fleet: Deployment) -> tuple[set[tuple[str, int]], set[tuple[str, int]]]:
@@ -65,12 +68,14 @@ def test_a_killed_job_leaves_nothing_half_written_and_the_next_run_completes(
 ) -> None:
     for deployed in (fleet, second_fleet):
         deployed.receive(report.recordings[:3])
-    killed(fleet, storage_url, "estimate_windows", 7)  # its owner, begin, mileages and queue, and the third window
+    killed(
+        fleet, storage_url, "estimate_windows", 12
+    )  # its begin, mileages (2), queue, 2 x (claim, result, end), and the third
     said, tabled = estimated(fleet)
     assert said == tabled
     assert len(said) == 2
     succeeded(fleet, "estimate_windows")
-    killed(fleet, storage_url, "refresh_geometry", 3)  # its begin, and the second wheelset
+    killed(fleet, storage_url, "refresh_geometry", 4)  # its begin, the claim, and the second wheelset
     with fleet.storage.read() as unit:
         assert unit.geometries.stale(10) == [WORN]
         assert unit.geometries.intervals(WORN) == []

@@ -14,7 +14,7 @@ from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import JobContext
 from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason, code_of
-from estimation.values.windows import WindowRecord, WindowState
+from estimation.values.windows import WindowKey, WindowRecord, WindowState
 
 T = TypeVar("T")
 
@@ -99,9 +99,8 @@ def let_due_wait_again(context: JobContext, isolation: Isolation) -> None:
         The quarantine.
     """
     for item in isolation.held(SubjectKind.WINDOW):
-        wheelset, _, start = item.key.rpartition("@")
         with context.storage.read() as unit:
-            record = unit.windows.get(wheelset, int(start))
+            record = unit.windows.get(*key_of_text(item.key))
         if record is None or code_of(record.reason) is not item.code:  # gone, or replaced since
             isolation.release(SubjectKind.WINDOW, item.key)
         elif not isolation.waits(SubjectKind.WINDOW, item.key, partial(_inputs, context, record)):
@@ -112,6 +111,12 @@ def let_due_wait_again(context: JobContext, isolation: Isolation) -> None:
 def key_of(record: WindowRecord) -> str:
     """Return the key of a window in quarantine."""
     return f"{record.wheelset}@{record.start_ns}"
+
+
+def key_of_text(text: str) -> WindowKey:
+    """Return wheelset and start of a window from its key as text."""
+    wheelset, _, start = text.rpartition("@")
+    return wheelset, int(start)
 
 
 def _inputs(context: JobContext, record: WindowRecord) -> str:

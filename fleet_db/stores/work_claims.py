@@ -1,0 +1,180 @@
+"""Claims on things to work on, each under a lease that ends unless it is prolonged.
+
+A claim costs the same however much waits: it names what it is for. The clock is that of the database, or of the machine
+with SQLite. Whoever stores results locks the row of the lease first; so nobody takes over what is being committed.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Connection,
+    Select,
+    cast,
+    delete,
+    func,
+    insert,
+    literal,
+    or_,
+    select,
+    update,
+)
+from sqlalchemy.dialects import postgresql, sqlite
+
+from estimation.errors import LeaseLostError
+from estimation.values.claims import Claimed
+from fleet_db.models import WorkClaimRow, WorkLeaseRow
+from fleet_db.owners import living
+from fleet_db.rows import table_of
+
+LEASES, CLAIMS = table_of(WorkLeaseRow), table_of(WorkClaimRow)
+KEPT_NS = 86_400_000_000_000
+"""So long it counts that a worker has ended at a thing."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorkClaimStore:
+    """Implements ``estimation.storage.WorkClaims``."""
+
+    connection: Connection
+
+    def lease(self, holder: str, length_ns: int, owner: int | None = None) -> int:
+        """Begin a lease and return its number; those that have ended are removed, what was claimed is free again.
+
+        A lease has ended at its time, or when its owner is gone. One that ends further ahead than its own length was
+        given before the clock was set back: it has ended, too.
+
+        Parameters
+        ----------
+        holder
+            Name of the process.
+        length_ns
+            How long it lasts from now, ns.
+        owner
+            Token of the process that runs the job; None where the worker goes on without it.
+        """
+        self._end_outdated()
+        self._end_of_the_dead(owner)
+        values = {"holder": holder, "owner": owner, "length_ns": length_ns, "until_ns": self._now() + length_ns}
+        return int(self.connection.execute(insert(LEASES).values(values).returning(LEASES.c.lease_id)).scalar_one())
+
+    def take(self, lease: int, stage: str, keys: Sequence[str], *, alone: bool = False) -> Claimed:
+        """Claim what is free.
+
+        Parameters
+        ----------
+        lease
+            That it is claimed under.
+        stage
+            Of the work, such as the name of a job.
+        keys
+            What.
+        alone
+            Whether also what workers have ended at.
+        """
+        taken = self._insert(lease, stage, sorted(keys), alone=alone)
+        rest = set(keys) - taken
+        if not rest:
+            return Claimed(tuple(key for key in keys if key in taken))
+        columns = (CLAIMS.c.key, CLAIMS.c.lease_id, CLAIMS.c.attempts)
+        held = {
+            row.key: row
+            for row in self.connection.execute(select(*columns).where(CLAIMS.c.stage == stage, CLAIMS.c.key.in_(rest)))
+        }
+        free = tuple((key, held[key].attempts) for key in keys if key in held and held[key].lease_id is None)
+        return Claimed(tuple(key for key in keys if key in taken), free, len(rest) - len(free))
+
+    def prolong(self, lease: int) -> bool:
+        """Let a lease last its length from now; return whether it is still there."""
+        until = self._now() + LEASES.c.length_ns
+        return (
+            self.connection.execute(update(LEASES).where(LEASES.c.lease_id == lease).values(until_ns=until)).rowcount
+            > 0
+        )
+
+    def bound(self, length_s: float) -> None:
+        """Let the server end this transaction where its process stands still in it for longer than its lease.
+
+        Parameters
+        ----------
+        length_s
+            Of the lease, s.
+        """
+        if self.connection.dialect.name == "postgresql":
+            name, limit = literal("idle_in_transaction_session_timeout"), literal(str(round(1000 * length_s)))
+            self.connection.execute(select(func.set_config(name, limit, literal(True))))  # noqa: FBT003 - of this transaction
+
+    def check(self, lease: int, holder: str) -> None:
+        """Raise unless a lease is still there; nobody ends it before this transaction does.
+
+        Raises
+        ------
+        LeaseLostError
+            It has ended.
+        """
+        if self.connection.execute(_locked(lease)).first() is None:
+            raise LeaseLostError(holder)
+
+    def holds(self, lease: int) -> bool:
+        """Return whether a lease is still there."""
+        return self.connection.scalar(select(LEASES.c.lease_id).where(LEASES.c.lease_id == lease)) is not None
+
+    def end(self, lease: int) -> None:
+        """End a lease in order, if it is still there: what was claimed under it is forgotten."""
+        if self.connection.execute(_locked(lease, ending=True)).first() is None:
+            return
+        self.connection.execute(delete(CLAIMS).where(CLAIMS.c.lease_id == lease))
+        self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease))
+
+    def end_of(self, holder: str) -> int:
+        """End the leases of a worker that is known to be gone; what it had claimed is free at once; return how many."""
+        return self.connection.execute(delete(LEASES).where(LEASES.c.holder == holder)).rowcount
+
+    def _end_outdated(self) -> None:
+        now = self._now()
+        outdated = or_(LEASES.c.until_ns < now, LEASES.c.until_ns > now + 2 * LEASES.c.length_ns)
+        # one that is being committed under is skipped
+        found = select(LEASES.c.lease_id).where(outdated).with_for_update(skip_locked=True)
+        ended = self.connection.execute(delete(LEASES).where(LEASES.c.lease_id.in_(found))).rowcount
+        if ended:
+            forgotten = (CLAIMS.c.lease_id.is_(None), CLAIMS.c.begun_ns < now - KEPT_NS)
+            self.connection.execute(delete(CLAIMS).where(*forgotten))
+
+    def _end_of_the_dead(self, owner: int | None) -> None:
+        found = select(LEASES.c.owner).where(LEASES.c.owner.is_not(None), LEASES.c.owner != (owner or 0)).distinct()
+        others = {token for token in self.connection.scalars(found) if token is not None}
+        dead = others - living(self.connection, others)
+        if dead:
+            self.connection.execute(delete(LEASES).where(LEASES.c.owner.in_(dead)))
+
+    def _insert(self, lease: int, stage: str, keys: Sequence[str], *, alone: bool) -> set[str]:
+        """Insert claims, in one order in all transactions; return those that are ours now."""
+        now = self._now()
+        values = [
+            {"stage": stage, "key": key, "lease_id": lease, "attempts": 1, "begun_ns": now}
+            for key in dict.fromkeys(keys)
+        ]
+        new = (postgresql if self.connection.dialect.name == "postgresql" else sqlite).insert(CLAIMS).values(values)
+        forgotten = CLAIMS.c.begun_ns < now - KEPT_NS
+        claimed = new.on_conflict_do_update(
+            index_elements=[CLAIMS.c.stage, CLAIMS.c.key],
+            set_={"lease_id": lease, "attempts": CLAIMS.c.attempts + 1 if alone else literal(1), "begun_ns": now},
+            where=CLAIMS.c.lease_id.is_(None) if alone else CLAIMS.c.lease_id.is_(None) & forgotten,
+        )
+        return set(self.connection.scalars(claimed.returning(CLAIMS.c.key)))
+
+    def _now(self) -> ColumnElement[int]:
+        if self.connection.dialect.name == "sqlite":
+            return literal(time.time_ns(), BigInteger)
+        return cast(func.extract("epoch", func.clock_timestamp()) * 1_000_000_000, BigInteger)
+
+
+def _locked(lease: int, *, ending: bool = False) -> Select[tuple[int]]:
+    """Return the statement that keeps a lease from being ended by others; unless it is ending it may be prolonged."""
+    found = select(LEASES.c.lease_id).where(LEASES.c.lease_id == lease)
+    return found.with_for_update() if ending else found.with_for_update(read=True, key_share=True)
