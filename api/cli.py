@@ -53,6 +53,7 @@ COMMANDS = (
     Command("keys", "api.commands.keys", "keys", "Make, list and revoke keys of the REST API."),
     Command("webhooks", "api.commands.webhooks", "webhooks", "Make, list, try out and move webhooks."),
     Command("schedule", "api.commands.schedule", "schedule", "Run the jobs on schedule; one per deployment."),
+    Command("worker", "api.commands.worker", "worker", "Work for a Dask scheduler, on any machine."),
     Command("feed", "api.commands.feed", "feed", "Print what happens to alerts, or follow it.", reads_settings=False),
     Command("rules", "api.commands.rules", "rules", "Check alert rules, and try them on what is stored."),
     Command(

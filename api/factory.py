@@ -69,9 +69,15 @@ def code_version() -> str:
     return f"numerics {NUMERICS_VERSION}"
 
 
-def process_name() -> str:
-    """Return what others read of this process where it holds something."""
-    return f"{socket.gethostname()}, process {os.getpid()}"
+def process_name(number: int | None = None) -> str:
+    """Return what others read of a process of this machine where it holds something.
+
+    Parameters
+    ----------
+    number
+        Of the process; None for this one.
+    """
+    return f"{socket.gethostname()}, process {os.getpid() if number is None else number}"
 
 
 def open_store(settings: Settings) -> SqlStorage:
@@ -129,7 +135,15 @@ def job_context(
     """
     rules = RuleBook() if settings.rules_file is None else load_rules(settings.rules_file)
     chosen = JobSettings(estimation=estimation_settings(settings), rules=rules)
-    return JobContext(storage, SystemClock(), code_version(), chosen, progress=progress)
+    return JobContext(
+        storage,
+        SystemClock(),
+        code_version(),
+        chosen,
+        progress=progress,
+        holder=process_name(),
+        lease_s=settings.lease_s,
+    )
 
 
 def estimation_settings(settings: Settings) -> EstimationSettings:

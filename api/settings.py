@@ -13,6 +13,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from estimation.errors import ParameterError
 
 PREFIX = "TREADWATCH_"
+MOST_WORKERS = 256
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
@@ -61,6 +62,14 @@ class Settings(BaseSettings):
         after data are stored.
     jobs_every_s
         Interval of all scheduled jobs, in seconds; left out, each job has its own.
+    workers
+        How many processes of this machine estimate; ``auto`` is one for each processor, 1 does without processes.
+    worker_memory_mb
+        How many megabytes a worker process may have after a unit of work before it is replaced.
+    lease_s
+        How long what a process works on is kept from others once that process is gone or stands still, in seconds.
+    dask_scheduler
+        URL of a Dask scheduler whose workers estimate in place of processes of this machine.
     catalogues
         Mapping files of buses of one's own, with ``:`` between them (``;`` on Windows); left out, all vehicles have
         the shipped bus.
@@ -132,6 +141,10 @@ class Settings(BaseSettings):
     compiled_dir: Path | None = None
     compiled_cpu: Literal["host", "portable"] = "host"
     estimator: str = "bins"
+    workers: int | Literal["auto"] = 1
+    worker_memory_mb: int = Field(default=1024, ge=256, le=1 << 20)
+    lease_s: float = Field(default=60.0, ge=1.0, le=3600.0)
+    dask_scheduler: str | None = None
     catalogues: str | None = None
     spool_mb: int = Field(default=1024, ge=1)
     spool_memory_mb: int = Field(default=64, ge=1)
@@ -161,6 +174,20 @@ class Settings(BaseSettings):
             raise ValueError(msg)
         return value
 
+    @field_validator("workers")
+    @classmethod
+    def _some_workers(cls, value: int | str) -> int | str:
+        if not isinstance(value, str) and not 1 <= value <= MOST_WORKERS:
+            raise ValueError(f"must be auto, or from 1 to {MOST_WORKERS}")
+        return value
+
+    @field_validator("dask_scheduler")
+    @classmethod
+    def _address_of_scheduler(cls, value: str | None) -> str | None:
+        if value is not None and "://" not in value:
+            raise ValueError("must be an address such as tcp://scheduler:8786")
+        return value
+
     @field_validator("oidc_keys")
     @classmethod
     def _keys_come_unchanged(cls, value: str | None) -> str | None:
@@ -183,6 +210,11 @@ class Settings(BaseSettings):
         where = f"[{host}]" if ":" in host else host
         who = f"{quote(self.database_user, safe='')}{password}"
         return f"postgresql://{who}@{where}:{self.database_port}/{quote(self.database_name, safe='')}"
+
+    @property
+    def worker_count(self) -> int:
+        """How many worker processes there are."""
+        return len(os.sched_getaffinity(0)) if isinstance(self.workers, str) else self.workers
 
     @property
     def on_server(self) -> bool:

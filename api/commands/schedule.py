@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from api.commands.worker_options import DaskScheduler, Workers
 
-def schedule() -> None:
+
+def schedule(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -> None:
     """Run the jobs on schedule until asked to stop; refused where another scheduler is at work on the database."""
     import threading
     from contextlib import closing
+    from dataclasses import replace
     from functools import partial
 
     from api import logs
@@ -14,9 +17,10 @@ def schedule() -> None:
     from api.settings import load_settings
     from api.starting import once_the_database_answers
     from api.tracing import start_tracing
+    from api.workers.choice import executor_of
     from estimation.jobs.scheduler import serve_jobs, stop_on_signals
 
-    settings = load_settings()
+    settings = load_settings(workers=workers, dask_scheduler=dask_scheduler)
     logs.configure(settings)
     start_tracing()
     stopping = threading.Event()
@@ -24,7 +28,7 @@ def schedule() -> None:
     opened = once_the_database_answers(partial(open_store, settings), settings, stopping)
     if opened is None:
         return
-    with closing(opened) as storage:
-        context = job_context(settings, storage)
+    with closing(opened) as storage, executor_of(settings) as executor:
+        context = replace(job_context(settings, storage), executor=executor)
         jobs = (*scheduled_jobs(settings), *upkeep_jobs(settings))
         serve_jobs(context, jobs, stopping, holder=process_name())

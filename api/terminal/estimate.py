@@ -13,16 +13,24 @@ from rich.table import Table
 
 from api import logs
 from api.factory import job_context, open_store, process_name, scheduled_jobs
-from api.settings import Settings, load_settings
+from api.settings import Settings
 from api.tracing import start_tracing
+from api.workers.choice import executor_of
 from estimation.errors import ParameterError
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.jobs.scheduler import stop_on_signals
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 
 
-def run_jobs_once(name: str | None) -> bool:
-    """Run every job, or the one called ``name``, print what the runs did, and return whether all succeeded.
+def run_jobs_once(name: str | None, settings: Settings) -> bool:
+    """Run every job, or one, print what the runs did, and return whether all succeeded.
+
+    Parameters
+    ----------
+    name
+        Of the one job; None for all.
+    settings
+        Of the deployment.
 
     Raises
     ------
@@ -31,15 +39,14 @@ def run_jobs_once(name: str | None) -> bool:
     StorageError
         The database cannot be used.
     """
-    settings = load_settings()
     logs.configure(settings)
     start_tracing()
     jobs = _chosen(settings, name)
     console = Console(stderr=True)
     stopping = threading.Event()
     stop_on_signals(stopping)
-    with closing(open_store(settings)) as storage:
-        context = replace(job_context(settings, storage), stopping=stopping.is_set)
+    with closing(open_store(settings)) as storage, executor_of(settings) as executor:
+        context = replace(job_context(settings, storage), stopping=stopping.is_set, executor=executor)
         with storage.owned(JobTrigger.CLI, process_name(), context.clock.now_ns()) as owned:
             runs = run_in_order(jobs, replace(context, storage=owned), console)
     Console().print(summary(runs))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from estimation.errors import NotFoundError
 from estimation.jobs import estimate_windows, evaluate_alerts, refresh_alignment, refresh_geometry, refresh_trends
-from estimation.jobs.job import Job, JobContext, run_job
+from estimation.jobs.job import Job, JobContext, Stage, run_job
 from estimation.values.runs import JobRun, JobTrigger
 
 ALL_JOBS: tuple[Job, ...] = (
@@ -16,6 +16,23 @@ ALL_JOBS: tuple[Job, ...] = (
     refresh_trends.JOB,
     evaluate_alerts.JOB,
 )
+
+STAGES = (refresh_alignment.STAGE, estimate_windows.STAGE, refresh_geometry.STAGE)
+"""Work that is done in units, by other processes where there are some."""
+
+
+def stage_named(name: str) -> Stage:
+    """Return the stage of a name.
+
+    Raises
+    ------
+    NotFoundError
+        There is none.
+    """
+    for stage in STAGES:
+        if stage.name == name:
+            return stage
+    raise NotFoundError("stage", name)
 
 
 def job_named(name: str) -> Job:

@@ -62,4 +62,4 @@ def _done(
         if leased.lease_lost():  # the server has ended a transaction that stood still
             return {LOST: 1}
         raise
-    return {SET_ASIDE: 1}
+    return {SET_ASIDE: 1, "quarantined": 1}

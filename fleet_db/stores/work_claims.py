@@ -131,9 +131,20 @@ class WorkClaimStore:
         self.connection.execute(delete(CLAIMS).where(CLAIMS.c.lease_id == lease))
         self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease))
 
-    def end_of(self, holder: str) -> int:
-        """End the leases of a worker that is known to be gone; what it had claimed is free at once; return how many."""
-        return self.connection.execute(delete(LEASES).where(LEASES.c.holder == holder)).rowcount
+    def end_of(self, holder: str, *, forgiven: bool) -> None:
+        """End the leases of a worker that is known to be gone: what it had claimed is free at once.
+
+        Parameters
+        ----------
+        holder
+            Name of the process.
+        forgiven
+            Whether it ended for reasons of its own, which do not count against what it had claimed.
+        """
+        of_holder = select(LEASES.c.lease_id).where(LEASES.c.holder == holder)
+        if forgiven:
+            self.connection.execute(delete(CLAIMS).where(CLAIMS.c.lease_id.in_(of_holder)))
+        self.connection.execute(delete(LEASES).where(LEASES.c.holder == holder))
 
     def _end_outdated(self) -> None:
         now = self._now()

@@ -1,0 +1,31 @@
+"""Which executor a deployment has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from api.settings import Settings
+from api.workers.on_dask import DaskExecutor
+from api.workers.pool import ProcessPool
+from estimation.jobs.job import WorkExecutor
+
+
+@contextmanager
+def executor_of(settings: Settings) -> Iterator[WorkExecutor | None]:
+    """Yield what does the units of work of this deployment: None for this process itself.
+
+    Parameters
+    ----------
+    settings
+        Of the deployment.
+    """
+    if settings.dask_scheduler is None and settings.worker_count == 1:
+        yield None
+        return
+    address = settings.dask_scheduler
+    executor = ProcessPool(settings, settings.worker_count) if address is None else DaskExecutor(address)
+    try:
+        yield executor
+    finally:
+        executor.close()
