@@ -14,7 +14,7 @@ def worker(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -> 
     from api.factory import open_store
     from api.settings import load_settings
     from api.starting import once_the_database_answers
-    from api.workers.dask_worker import become_dask_workers
+    from api.workers.dask_worker import serve_dask
     from estimation.errors import ParameterError
     from estimation.jobs.scheduler import stop_on_signals
 
@@ -27,4 +27,4 @@ def worker(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -> 
     opened = once_the_database_answers(partial(open_store, settings), settings, stopping)
     if opened is not None:
         opened.close()
-        become_dask_workers(settings.dask_scheduler, settings)
+        serve_dask(settings.dask_scheduler, settings, stopping)

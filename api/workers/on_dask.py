@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import os
 import threading
+import time
 import uuid
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, cast
 
 from api.factory import process_name
 from api.settings import load_settings
@@ -24,7 +26,11 @@ from estimation.jobs.job import JobContext, Stage
 from estimation.values.reasons import ReasonCode
 
 CONNECT_S = 10.0
-"""How long the scheduler may take to answer."""
+"""How long the scheduler may take to answer, s."""
+LOOK_S = 5.0
+"""How often it is asked whether there are workers, while a unit is waited for, s."""
+WITHOUT_WORKERS_S = 30.0
+"""So long a unit waits for workers, s; they may be starting again."""
 
 
 @dataclass(slots=True)
@@ -43,14 +49,25 @@ class DaskExecutor:
 
     @property
     def width(self) -> int:
-        """Number of threads of all workers; at least 1.
+        """Number of threads of all workers.
 
         Raises
         ------
         WorkFailedError
-            The scheduler does not answer.
+            The scheduler does not answer, or has no workers.
         """
-        return max(1, sum(int(threads) for threads in self._connected().ncores().values()))
+        threads = self.threads()
+        if threads == 0:
+            raise WorkFailedError(f"the Dask scheduler at {self.address} has no workers")
+        return threads
+
+    def threads(self) -> int:
+        """Return how many units the workers of the moment do at once; 0 where there are none."""
+        return sum(int(count) for count in self._connected().ncores().values())
+
+    def pids(self) -> list[int]:
+        """Return the numbers of the processes of all workers, on whatever machine."""
+        return [int(number) for number in self._connected().run(os.getpid).values()]
 
     def submit(self, context: JobContext, stage: Stage, keys: Sequence[str]) -> Future[Mapping[str, int]]:
         """Return what will hold the counts of a unit.
@@ -69,10 +86,11 @@ class DaskExecutor:
         """
         name = f"{stage.name}-{uuid.uuid4().hex}"  # another one each time: Dask keeps no result for later
         unit = UnitOfWork(stage.name, tuple(keys))
-        sent = self._connected().submit(work, unit, estimated_with(context), key=name, pure=False, retries=0)
+        client = self._connected()
+        sent = client.submit(work, unit, estimated_with(context), key=name, pure=False, retries=0)
         future: Future[Mapping[str, int]] = Future()
         future.set_running_or_notify_cancel()
-        threading.Thread(target=_hand_over, args=(sent, future), name=name, daemon=True).start()
+        threading.Thread(target=_hand_over, args=(client, sent, future), name=name, daemon=True).start()
         return future
 
     def close(self) -> None:
@@ -107,10 +125,10 @@ def _client(address: str) -> Any:  # noqa: ANN401 - the same
         raise WorkFailedError(f"the Dask scheduler at {address} does not answer: {error}") from error
 
 
-def _hand_over(sent: Any, future: Future[Mapping[str, int]]) -> None:  # noqa: ANN401 - the same
+def _hand_over(client: Any, sent: Any, future: Future[Mapping[str, int]]) -> None:  # noqa: ANN401 - the same
     """Wait for a unit; whatever Dask says of one that it has lost is that it was not done."""
     try:
-        done = sent.result()
+        done = _waited_for(client, sent)
     except BaseException as error:  # noqa: BLE001 - of Dask: a worker or the scheduler is gone
         future.set_exception(WorkFailedError(f"Dask has lost a unit: {type(error).__name__}: {error}"))
         return
@@ -120,6 +138,27 @@ def _hand_over(sent: Any, future: Future[Mapping[str, int]]) -> None:  # noqa: A
         future.set_result(done.counts)
     else:
         future.set_exception(WorkFailedError(done.error))
+
+
+def _waited_for(client: Any, sent: Any) -> UnitDone:  # noqa: ANN401 - the same
+    """Return what comes of a unit.
+
+    Raises
+    ------
+    WorkFailedError
+        There have been no workers for a while.
+    """
+    alone_s: float | None = None
+    while True:
+        try:
+            return cast("UnitDone", sent.result(timeout=LOOK_S))
+        except TimeoutError:
+            if client.ncores():
+                alone_s = None
+                continue
+        alone_s = time.monotonic() if alone_s is None else alone_s
+        if time.monotonic() - alone_s > WITHOUT_WORKERS_S:
+            raise WorkFailedError("there are no workers")
 
 
 def estimated_with(context: JobContext) -> str:

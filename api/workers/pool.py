@@ -43,7 +43,7 @@ class Worker:
 
     process: ForkServerProcess
     connection: Connection
-    heard_s: float
+    said_s: float
     memory_mb: float = 0.0
     units: int = 0
     begun: bool = False  # it has said something
@@ -168,13 +168,13 @@ class ProcessPool:
 
     def _of_worker(self, worker: Worker, unit: UnitOfWork) -> UnitDone | None:
         """Return what comes of a unit in one worker; None where the worker is to be replaced."""
-        worker.heard_s = time.monotonic()
+        worker.said_s = time.monotonic()
         try:
             worker.connection.send(unit)
             while True:
                 if wait([worker.connection, worker.process.sentinel], self._sign_s) and worker.connection.poll():
                     said = worker.connection.recv()
-                    worker.heard_s, worker.begun = time.monotonic(), True
+                    worker.said_s, worker.begun = time.monotonic(), True
                     if isinstance(said, UnitDone):
                         return said
                     worker.memory_mb = said
@@ -192,8 +192,8 @@ class ProcessPool:
     def _why_ended(self, worker: Worker) -> str | None:
         """Return why a worker that is at work is to be ended; None where it is not."""
         now_s = time.monotonic()
-        if now_s - worker.heard_s > (self.settings.lease_s if worker.begun else START_S):
-            return f"it has said nothing for {now_s - worker.heard_s:.0f} s"
+        if now_s - worker.said_s > (self.settings.lease_s if worker.begun else START_S):
+            return f"it has said nothing for {now_s - worker.said_s:.0f} s"
         if worker.memory_mb > LARGEST * self.settings.worker_memory_mb:
             return f"it has {worker.memory_mb:.0f} MB"
         if self._closing.is_set() and now_s > self._until_s:

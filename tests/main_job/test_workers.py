@@ -167,7 +167,7 @@ def holders(storage: SqlStorage, key: str | None = None) -> list[int]:
     chosen = select(LEASES.c.holder).join(CLAIMS, CLAIMS.c.lease_id == LEASES.c.lease_id)
     with storage.read() as unit:
         found = unit.connection.scalars(chosen if key is None else chosen.where(CLAIMS.c.key == key)).all()
-    return [int(match[1]) for holder in set(found) if (match := re.search(r"process (\d+)$", holder))]
+    return [int(match[1]) for holder in set(found) if (match := re.search(r"process (\d+)(, Dask)?$", holder))]
 
 
 def harm(storage: SqlStorage, signals: tuple[signal.Signals, ...]) -> None:
