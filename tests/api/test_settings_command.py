@@ -14,7 +14,7 @@ from api.cli import COMMANDS
 from api.settings import Settings
 from api.terminal.settings import default_of, meanings, variable_of
 
-OWN = {("demo", "port"), ("rules replay", "rules_file")}
+OWN = {("demo", "port"), ("rules replay", "rules_file"), ("simulate", "workers")}
 """Options that have a setting's name and are not read from it."""
 
 
