@@ -15,6 +15,9 @@ Workers = Annotated[
 DaskScheduler = Annotated[
     str | None,
     typer.Option(
-        help="Address of a Dask scheduler whose workers estimate instead.  [env var: TREADWATCH_DASK_SCHEDULER; default: none]"
+        help=(
+            "Address of a Dask scheduler whose workers estimate instead.  "
+            "[env var: TREADWATCH_DASK_SCHEDULER; default: none]"
+        )
     ),
 ]
