@@ -132,7 +132,7 @@ class SqlUnitOfWork:
         self.worklist = WorklistStore(connection, self.changes, reader)
         self.api_keys = ApiKeyStore(connection)
         self.audit = AuditStore(connection)
-        self.looks = LookStore(connection)
+        self.looks = LookStore(connection, self.changes)
         self.roll_ups = RollUpStore(connection)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)

@@ -16,8 +16,8 @@ from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.trend.points import conicity_points
 from estimation.trend.trend import TrendParameters, refresh
-from estimation.values.geometry import GeometryRecord
 from estimation.values.identity import IdentityChange, since_change
+from estimation.values.interval_conicities import IntervalConicities
 from estimation.values.look import Look
 from estimation.values.quarantine import SubjectKind
 from estimation.values.registry import VehicleRecord, WheelsetRecord
@@ -101,8 +101,8 @@ def _refresh(context: JobContext, serial: str, inputs: _Inputs) -> str:
 def _news(context: JobContext, serial: str, inputs: _Inputs, limit: float) -> TrendRecord | None:
     """Return the trend of a wheelset; None where it would be the newest one again."""
     with context.storage.read() as unit:
-        known = since_change(unit.geometries.intervals(serial, inputs.baseline), inputs.change)
-        records = [record for record in known if record.geometry.windows]  # others were followed by empty ones
+        known = since_change(unit.geometries.conicities(serial, inputs.baseline), inputs.change)
+        records = [record for record in known if record.windows]  # others were followed by empty ones
         latest = unit.trends.latest(serial)
     params, digest = inputs.parameters, _digest(records, limit, inputs.parameters)
     if latest is not None and (latest.baseline, latest.input_digest, latest.code_version) == (
@@ -122,8 +122,8 @@ def _news(context: JobContext, serial: str, inputs: _Inputs, limit: float) -> Tr
     )
 
 
-def trend_of(records: Sequence[GeometryRecord], limit: float, parameters: TrendParameters) -> WearTrend:
-    """Return the trend of the geometries of intervals.
+def trend_of(records: Sequence[IntervalConicities], limit: float, parameters: TrendParameters) -> WearTrend:
+    """Return the trend of the conicities of intervals.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def _limit(
     return book.of(wheelset.fleet, vehicle.vehicle_class).rule(ConicityLimitRule).limit_for(vehicle)
 
 
-def _digest(records: Sequence[GeometryRecord], limit: float, params: TrendParameters) -> str:
+def _digest(records: Sequence[IntervalConicities], limit: float, params: TrendParameters) -> str:
     inputs = [[r.interval, r.input_digest, r.mileage_km, r.code_version] for r in records]
     text = json.dumps([inputs, limit, LIMIT_AMPLITUDE, asdict(params)], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

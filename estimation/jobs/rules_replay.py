@@ -22,14 +22,15 @@ from estimation.alerts.rules.no_data import NoDataRule
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.alerts.rules.standing import within_reach
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule
-from estimation.jobs.evaluate_alerts import windows_wanted
 from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.identities import identity_change
+from estimation.jobs.steps.wheelset_facts import windows_wanted
 from estimation.storage import UnitOfWork
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, Condition
 from estimation.values.geometry import GeometryRecord
 from estimation.values.identity import IDENTITY, IdentityChange, since_change
+from estimation.values.interval_conicities import IntervalConicities, interval_conicities
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord, WearTrend
 from estimation.values.windows import WindowRecord, WindowState
@@ -37,7 +38,7 @@ from estimation.values.windows import WindowRecord, WindowState
 DAY_NS = 86_400_000_000_000
 NOT_REPLAYED = (IDENTITY, SuspensionChangeRule.kind)
 _ALL = 1000
-_Trends = Callable[[Sequence[GeometryRecord], float], WearTrend]
+_Trends = Callable[[Sequence[IntervalConicities], float], WearTrend]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +55,7 @@ class History:
     raised: Sequence[Alert]  # all alerts of the wheelset, open and closed
     window_ends: Sequence[int] = field(default=())
     interval_ends: Sequence[int] = field(default=())
+    conicities: Sequence[IntervalConicities] = field(default=())
 
 
 def history_of(unit: UnitOfWork, serial: str) -> History:
@@ -92,6 +94,7 @@ def history_of(unit: UnitOfWork, serial: str) -> History:
         raised=raised,
         window_ends=[one.start_ns + one.length_ns for one in windows],
         interval_ends=[one.to_ns for one in intervals],
+        conicities=[interval_conicities(one) for one in intervals],
     )
 
 
@@ -113,7 +116,7 @@ def replayed(
     """
     parameters, kept = trend or TrendParameters(), dict[tuple[int, int, float], WearTrend]()
 
-    def trends(records: Sequence[GeometryRecord], limit: float) -> WearTrend:
+    def trends(records: Sequence[IntervalConicities], limit: float) -> WearTrend:
         key = (records[-1].baseline, len(records), limit)
         if key not in kept:
             kept[key] = trend_of(records, limit, parameters)
@@ -179,6 +182,8 @@ def _facts(
     known = history.intervals[: bisect_right(history.interval_ends, at_ns)]
     change = history.change if history.change is not None and history.change.after_ns <= at_ns else None
     own = [one for one in since_change(known, change) if one.baseline == len(wheelset.reprofilings)]
+    light = since_change(history.conicities[: len(known)], change)
+    conicities = [one for one in light if one.baseline == len(wheelset.reprofilings)]
     geometry = max(known, key=lambda one: (one.baseline, one.to_ns), default=None)
     current = history.current
     if current is not None and current.to_ns <= at_ns and (geometry is None or current.baseline >= geometry.baseline):
@@ -186,7 +191,7 @@ def _facts(
     limit = book.rule(ConicityLimitRule).limit_for(vehicle)
     trend = None
     if own and limit is not None:
-        fitted = trends(own, limit)
+        fitted = trends(conicities, limit)
         trend = TrendRecord(wheelset.serial, own[-1].baseline, fitted, "", "", at_ns)
     return WheelsetFacts(
         wheelset=wheelset,
@@ -195,6 +200,7 @@ def _facts(
         trend=trend,
         windows=_windows(history, mounting.from_ns, at_ns, book),
         intervals=[one for one in own if one.to_ns > mounting.from_ns],
+        conicities=[one for one in conicities if one.to_ns > mounting.from_ns],
         open_alerts=[one for one in history.raised if one.kind == IDENTITY and _open_at(one, at_ns)],
     )
 

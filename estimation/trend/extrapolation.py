@@ -16,6 +16,7 @@ import numpy as np
 from estimation.contact.worn_family import WornFamily, worn_family
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
+from estimation.values.interval_conicities import KnownConicity, known_conicities
 from estimation.values.intervals import with_interval
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -48,7 +49,7 @@ class Extrapolation:
         return float(np.hypot(self.measured_std, self.spread))
 
 
-def conicities(geometry: WheelsetGeometry) -> list[tuple[float, Estimate]]:
+def _estimates(geometry: WheelsetGeometry) -> list[tuple[float, Estimate]]:
     """Return the amplitudes (m) of a geometry with the conicity at each, where that is estimated; increasing."""
     pairs = list(zip((float(a) for a in geometry.amplitude), geometry.conicity, strict=True))
     if np.isfinite(geometry.reported_amplitude):
@@ -70,21 +71,20 @@ def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
         As the geometry has it; where the motion does not cover 3 mm extrapolated, with the reason
         ``amplitude_extrapolated``; unknown where neither is possible.
     """
-    known = conicities(geometry)
+    known = _estimates(geometry)
     covered = [e for a, e in known if abs(a - LIMIT_AMPLITUDE) < SAME_AMPLITUDE]
     if covered:
         return covered[-1]
-    below = [(a, e) for a, e in known if a < LIMIT_AMPLITUDE]
+    below = [one for one in known_conicities(geometry) if one.amplitude < LIMIT_AMPLITUDE]
     if not known:
         return geometry.equivalent_conicity
     if not below:
         return Estimate.unknown(not_comparable(known[0][0]), known[0][1].count)
-    amplitude, largest = below[-1]
+    amplitude, count = below[-1].amplitude, known[len(below) - 1][1].count
     found = extrapolated(below)
     if found is None:
-        return Estimate.unknown(not_comparable(amplitude), largest.count)
-    estimate = with_interval(found.value, found.measured_std, found.spread, count=largest.count)
-    return marked(estimate, amplitude)
+        return Estimate.unknown(not_comparable(amplitude), count)
+    return marked(with_interval(found.value, found.measured_std, found.spread, count=count), amplitude)
 
 
 def marked(estimate: Estimate, amplitude: float) -> Estimate:
@@ -120,28 +120,28 @@ def not_comparable(amplitude: float) -> Reason:
     return Reason(ReasonCode.AMPLITUDE_NOT_COMPARABLE, text)
 
 
-def extrapolated(known: Sequence[tuple[float, Estimate]], family: WornFamily | None = None) -> Extrapolation | None:
+def extrapolated(known: Sequence[KnownConicity], family: WornFamily | None = None) -> Extrapolation | None:
     """Return the conicity at the limit's amplitude from those at smaller ones; None where it cannot be known.
 
     Parameters
     ----------
     known
-        Amplitudes (m), increasing and below the limit's, each with its estimate.
+        At amplitudes below the limit's, increasing.
     family
         Curves of wheelsets like it; by default the worn design pairs.
     """
     family = family or worn_family()
-    amplitude, largest = known[-1]
-    if amplitude < LEAST_AMPLITUDE - SAME_AMPLITUDE or largest.value is None or largest.std is None:
+    largest = known[-1]
+    if largest.amplitude < LEAST_AMPLITUDE - SAME_AMPLITUDE:
         return None
-    wanted = amplitude - SLOPE_STEP
-    lower = min(known[:-1], key=lambda pair: abs(pair[0] - wanted), default=None)
-    if lower is None or lower[1].value is None or lower[1].std is None or lower[0] < family.amplitude[0]:
+    wanted = largest.amplitude - SLOPE_STEP
+    lower = min(known[:-1], key=lambda one: abs(one.amplitude - wanted), default=None)
+    if lower is None or lower.amplitude < family.amplitude[0]:
         return None
-    at_largest, at_lower = _at(family, amplitude), _at(family, lower[0])
-    own = np.array([largest.value, largest.value - lower[1].value])
+    at_largest, at_lower = _at(family, largest.amplitude), _at(family, lower.amplitude)
+    own = np.array([largest.value, largest.value - lower.value])
     error = np.column_stack([at_largest, at_largest - at_lower]) - own
-    found = _local_fit(error, _covariance(largest.std, lower[1].std), _width(largest.value), family, at_largest)
+    found = _local_fit(error, _covariance(largest.std, lower.std), _width(largest.value), family, at_largest)
     if found is None:
         return None
     change, measured_std, spread = found

@@ -8,21 +8,19 @@ from dataclasses import dataclass
 from estimation.trend.extrapolation import (
     LIMIT_AMPLITUDE,
     SAME_AMPLITUDE,
-    conicities,
     extrapolated,
     extrapolated_from,
     not_comparable,
 )
 from estimation.trend.trend import TrendPoint
-from estimation.values.geometry import GeometryRecord
-from estimation.values.quantities import Estimate
+from estimation.values.interval_conicities import IntervalConicities, KnownConicity
 from estimation.values.reasons import Reason, ReasonCode, combined
 
 QUANTITY = "equivalent_conicity"  # at the limit's amplitude; at another one its name has the amplitude
 WANTED_SHARE = 0.75  # of the latest intervals that must cover an amplitude
 LATEST = 8  # intervals: an amplitude that a little worn wheelset did not reach long ago may be covered now
 
-_Covered = tuple[GeometryRecord, Mapping[int, Estimate]]  # with its conicities by amplitude in micrometres
+_Covered = tuple[IntervalConicities, Mapping[int, KnownConicity]]  # with its conicities by amplitude in micrometres
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +39,7 @@ class TrendPoints:
     not_comparable: Reason | None = None
 
 
-def conicity_points(records: Sequence[GeometryRecord]) -> TrendPoints:
+def conicity_points(records: Sequence[IntervalConicities]) -> TrendPoints:
     """Return the equivalent conicity of each interval, at one amplitude.
 
     The amplitude is 3 mm where three quarters of the latest eight intervals cover it. Else every interval is
@@ -52,9 +50,9 @@ def conicity_points(records: Sequence[GeometryRecord]) -> TrendPoints:
     Parameters
     ----------
     records
-        Interval geometries of one wheelset and baseline.
+        Of the intervals of one wheelset and baseline.
     """
-    covered = [{_key(a): e for a, e in conicities(r.geometry)} for r in records]
+    covered = [{_key(one.amplitude): one for one in r.known} for r in records]
     if not any(covered):
         return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, (), _why_none(records))
     chosen = _amplitude([c for c in covered if c])
@@ -89,11 +87,11 @@ def _points_at(having: Sequence[_Covered], chosen: int, notes: Sequence[Reason])
     return TrendPoints(quantity, amplitude, points, note, not_comparable=not_comparable(amplitude))
 
 
-def _up_to(covered: Mapping[int, Estimate], chosen: int) -> list[tuple[float, Estimate]]:
-    return [(key * SAME_AMPLITUDE, covered[key]) for key in sorted(covered) if key <= chosen]
+def _up_to(covered: Mapping[int, KnownConicity], chosen: int) -> list[KnownConicity]:
+    return [covered[key]._replace(amplitude=key * SAME_AMPLITUDE) for key in sorted(covered) if key <= chosen]
 
 
-def _amplitude(covered: Sequence[Mapping[int, Estimate]]) -> int:
+def _amplitude(covered: Sequence[Mapping[int, KnownConicity]]) -> int:
     """Return the key of the amplitude to show, from what each interval covers, which is something."""
     keys = sorted({key for c in covered for key in c})
     keys = [key for key in keys if key <= _PREFERRED] or keys
@@ -110,19 +108,17 @@ def _key(amplitude: float) -> int:
 _PREFERRED = _key(LIMIT_AMPLITUDE)
 
 
-def _point(record: GeometryRecord, estimate: Estimate) -> TrendPoint:
-    assert estimate.value is not None
-    assert estimate.std is not None
-    return TrendPoint(record.mileage_km, _middle_ns(record), estimate.value, estimate.std)
+def _point(record: IntervalConicities, conicity: KnownConicity) -> TrendPoint:
+    return TrendPoint(record.mileage_km, _middle_ns(record), conicity.value, conicity.std)
 
 
-def _middle_ns(record: GeometryRecord) -> int:
+def _middle_ns(record: IntervalConicities) -> int:
     return (record.from_ns + record.to_ns) // 2
 
 
-def _why_none(records: Sequence[GeometryRecord]) -> Reason:
+def _why_none(records: Sequence[IntervalConicities]) -> Reason:
     if not records:
         return Reason(ReasonCode.NO_GEOMETRY_SINCE_REPROFILING, "no geometry since the last reprofiling")
-    reasons = {r.geometry.equivalent_conicity.reason or r.geometry.reason for r in records} - {None}
+    reasons = {r.reason for r in records} - {None}
     given = ", ".join(sorted(map(str, reasons))[:3])
     return Reason(ReasonCode.NO_CONICITY, f"no interval has an equivalent conicity: {given}")

@@ -8,12 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 from estimation.values.alerts import Alert
-from estimation.values.geometry import GeometryRecord
 
 IDENTITY = "identity"  # kind of the alerts that record a change
 BEFORE, AFTER = "before_ns", "after_ns"  # in their evidence
+
+
+class _Dated(Protocol):
+    @property
+    def from_ns(self) -> int: ...
+
+
+_Record = TypeVar("_Record", bound=_Dated)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +44,13 @@ def latest_identity_change(alerts: Iterable[Alert]) -> IdentityChange | None:
     return max((change for change in changes if change is not None), key=lambda change: change.after_ns, default=None)
 
 
-def since_change(records: Sequence[GeometryRecord], change: IdentityChange | None) -> list[GeometryRecord]:
+def since_change(records: Sequence[_Record], change: IdentityChange | None) -> list[_Record]:
     """Return the geometries of the wheelset that it is now.
 
     Parameters
     ----------
     records
-        Geometries of one wheelset.
+        Geometries of one wheelset, or what is left of them.
     change
         Its last; None keeps all records.
     """

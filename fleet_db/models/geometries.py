@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String, Text, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.quantities import Status
@@ -71,4 +71,5 @@ class GeometryRow(Base):
     nonlinearity_std_per_mm: Mapped[Real | None]
     zero_crossing_m: Mapped[Real | None]
     zero_crossing_std_m: Mapped[Real | None]
+    conicities: Mapped[str | None] = mapped_column(Text)
     packed: Mapped[Packed]

@@ -26,6 +26,7 @@ from sqlalchemy import (
 )
 
 from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, IntervalDigest, WheelsetGeometry
+from estimation.values.interval_conicities import IntervalConicities, interval_conicities
 from estimation.values.reasons import Reason
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
@@ -33,6 +34,7 @@ from fleet_db.models import GeometryRow, WheelsetBinRow, WheelsetRow, WindowBinT
 from fleet_db.packed_values import pack_geometry, unpack_geometry
 from fleet_db.rows import nan_if_null, null_if_nan, reason_columns, stored_reason, table_of
 from fleet_db.session import to_json
+from fleet_db.stores.interval_conicities import COLUMNS, conicities_of, conicities_text
 from fleet_db.stores.newest_geometries import newest_of_baselines, newest_of_intervals
 
 BINS = table_of(WheelsetBinRow)
@@ -146,6 +148,7 @@ class GeometryStore:
         as_of_ns: int | None = None,
         *,
         first: int | None = None,
+        last: int | None = None,
     ) -> Sequence[GeometryRecord]:
         """Return the newest geometry of each mileage interval, of one baseline or of all, in the order of mileage.
 
@@ -157,17 +160,39 @@ class GeometryStore:
             Its number; None is all.
         as_of_ns
             Recorded until then; None is now.
-        first
-            Number of the first interval; None is all.
+        first, last
+            Numbers of the first and the last interval; None is all.
         """
         statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(newest_of_intervals()))
         if baseline is not None:
             statement = statement.where(GEOMETRIES.c.baseline == baseline)
         if first is not None:
             statement = statement.where(GEOMETRIES.c.baseline_interval >= first)
+        if last is not None:
+            statement = statement.where(GEOMETRIES.c.baseline_interval <= last)
         statement = statement.order_by(GEOMETRIES.c.baseline, GEOMETRIES.c.baseline_interval)
         as_of = {"serial": wheelset, "as_of_ns": EVER_NS if as_of_ns is None else as_of_ns}
         return [_record(row) for row in self.connection.execute(statement, as_of)]
+
+    def conicities(self, wheelset: str, baseline: int) -> Sequence[IntervalConicities]:
+        """Return the conicities of the newest geometry of each mileage interval of a baseline, in order of mileage.
+
+        Parameters
+        ----------
+        wheelset
+            Serial.
+        baseline
+            Its number.
+        """
+        statement = select(*COLUMNS).where(GEOMETRIES.c.geometry_id.in_(newest_of_intervals()))
+        statement = statement.where(GEOMETRIES.c.baseline == baseline).order_by(GEOMETRIES.c.baseline_interval)
+        rows = self.connection.execute(statement, {"serial": wheelset, "as_of_ns": EVER_NS}).all()
+        return [self._conicities(wheelset, row) if row.conicities is None else conicities_of(row) for row in rows]
+
+    def _conicities(self, wheelset: str, row: Row[Any]) -> IntervalConicities:
+        """Return those of a geometry from before they were kept beside it."""
+        (record,) = self.intervals(wheelset, row.baseline, first=row.baseline_interval, last=row.baseline_interval)
+        return interval_conicities(record)
 
     def stale(self, limit: int, estimator: str | None = None) -> Sequence[str]:
         """Return serials whose windows, bin tables, mountings or reprofilings changed since their current geometry.
@@ -298,6 +323,7 @@ def geometry_columns(record: GeometryRecord) -> dict[str, Any]:
         "nonlinearity_std_per_mm": null_if_nan(geometry.nonlinearity.std),
         "zero_crossing_m": null_if_nan(geometry.zero_crossing.value),
         "zero_crossing_std_m": null_if_nan(geometry.zero_crossing.std),
+        "conicities": None if record.interval is None else conicities_text(geometry),
         "packed": pack_geometry(geometry),
     }
 

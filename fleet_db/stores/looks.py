@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, select
 
 from estimation.values.look import Look
-from fleet_db.models import LookRow, WheelsetChangeRow
+from fleet_db.changes import CHANGES, Changes
+from fleet_db.models import LookRow
 from fleet_db.rows import table_of, upsert
 
-LOOKS, CHANGES = table_of(LookRow), table_of(WheelsetChangeRow)
+LOOKS = table_of(LookRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +20,7 @@ class LookStore:
     """Implements ``estimation.storage.Looks``."""
 
     connection: Connection
+    changes: Changes
 
     def of(self, stage: str) -> Mapping[str, Look]:
         """Return by wheelset what the last look of a job was made from."""
@@ -40,6 +42,17 @@ class LookStore:
         """
         values = {"inputs": look.inputs, "until_ns": look.until_ns, "number": look.number}
         upsert(self.connection, LOOKS, {"stage": stage, "wheelset": wheelset, **values})
+
+    def touched_of(self, wheelset: str) -> int | None:
+        """Return how often something has happened to one wheelset, what this transaction does included.
+
+        Parameters
+        ----------
+        wheelset
+            Serial number.
+        """
+        self.changes.flush()
+        return self.connection.scalar(select(CHANGES.c.touched).where(CHANGES.c.wheelset == wheelset))
 
     def touched(self) -> Mapping[str, int]:
         """Return by wheelset how often something has happened to its windows, results, alerts or registration."""

@@ -94,7 +94,7 @@ def _newest_first(facts: WheelsetFacts, intervals: Sequence[GeometryRecord]) -> 
         trend = None
         if facts.current_trend is not None and facts.current_trend.trend.not_comparable is None:
             if shared_std is None:
-                shared_std = conicity_points(facts.intervals).spread
+                shared_std = conicity_points(facts.all_conicities).spread
             trend = _trend_up_to(facts.current_trend, record.mileage_km, shared_std, facts.trend_parameters)
         yield replace(facts, geometry=record, trend=trend, not_assessable_reason=None)
 

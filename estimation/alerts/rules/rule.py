@@ -14,6 +14,7 @@ from estimation.alerts.identity import IdentityEvent
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, Finding
 from estimation.values.geometry import GeometryRecord
+from estimation.values.interval_conicities import IntervalConicities, interval_conicities
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Forecast
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
@@ -62,7 +63,8 @@ class WheelsetFacts:
     geometry: GeometryRecord | None  # current
     trend: TrendRecord | None  # latest
     windows: Sequence[WindowRecord]  # of the mounting in service, the newest that any rule looks at
-    intervals: Sequence[GeometryRecord] = ()  # that hold, of the profile in this mounting, oldest first
+    intervals: Sequence[GeometryRecord] = ()  # that hold, of the profile in this mounting, oldest first: the newest
+    conicities: Sequence[IntervalConicities] = ()  # of all of them; empty where ``intervals`` are all
     open_alerts: Sequence[Alert] = ()
     identity: IdentityEvent | None = None  # since the last identity change
     suspension: SuspensionShown | None = None  # of its vehicle, where its alert stands at this wheelset
@@ -70,6 +72,11 @@ class WheelsetFacts:
     rejected_recordings: Mapping[str, int] = field(default_factory=dict)  # of its vehicle, by code, as the one before
     sensors_changed_ns: int | None = None  # when the sensors of its axle were last exchanged or calibrated
     not_assessable_reason: Reason | None = None  # why the data do not show how the wheelset is now
+
+    @property
+    def all_conicities(self) -> Sequence[IntervalConicities]:
+        """Those of all intervals that hold, of the profile in this mounting, oldest first."""
+        return self.conicities or [interval_conicities(record) for record in self.intervals]
 
     @property
     def last_usable_ns(self) -> int | None:

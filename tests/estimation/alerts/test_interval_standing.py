@@ -23,6 +23,7 @@ from estimation.trend.points import conicity_points
 from estimation.trend.trend import refresh
 from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
+from estimation.values.interval_conicities import interval_conicities
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord
@@ -41,7 +42,7 @@ def records_of(conicities: Sequence[float]) -> list[GeometryRecord]:
 
 
 def facts_of(records: Sequence[GeometryRecord]) -> WheelsetFacts:
-    points = conicity_points(records)
+    points = conicity_points([interval_conicities(one) for one in records])
     trend = refresh(points.points, 0.4, quantity=points.quantity, not_comparable=points.not_comparable)
     return WheelsetFacts(
         wheelset=WHEELSET,

@@ -10,6 +10,7 @@ import pytest
 
 from estimation.trend.points import conicity_points
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
+from estimation.values.interval_conicities import IntervalConicities, interval_conicities
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 
@@ -18,7 +19,7 @@ GRID = (1.0, 2.0, 3.0, 4.0)  # mm
 TO_3, TO_2, NOTHING = (1.0, 2.0, 3.0), (1.0, 2.0), ()
 
 
-def interval(number: int, covered_mm: Sequence[float], reported_mm: float = np.nan) -> GeometryRecord:
+def interval(number: int, covered_mm: Sequence[float], reported_mm: float = np.nan) -> IntervalConicities:
     """Return a geometry whose conicity at an amplitude a (mm) is 0.1 a + its number, 0.5 at the reported one."""
     nothing = BinValues(np.full(2, np.nan), np.full(2, np.nan), (BinStatus.TOO_FEW,) * 2)
     conicity = tuple(
@@ -43,12 +44,13 @@ def interval(number: int, covered_mm: Sequence[float], reported_mm: float = np.n
         parameter_key="k",
         status=Status.ESTIMATED,
     )
-    return GeometryRecord(
+    record = GeometryRecord(
         "W1", 0, number, 1000.0 * number, 10 * number, 10 * number + 8, geometry, f"d{number}", {}, {}, "v", 1
     )
+    return interval_conicities(record)
 
 
-def history(*covered: Sequence[float]) -> list[GeometryRecord]:
+def history(*covered: Sequence[float]) -> list[IntervalConicities]:
     return [interval(number, item) for number, item in enumerate(covered)]
 
 
@@ -118,11 +120,6 @@ def test_nothing_covered_is_a_reason() -> None:
     assert (none.points, none.amplitude, none.quantity) == ((), 3e-3, "equivalent_conicity")
     assert code_of(none.note) is ReasonCode.NO_CONICITY
     assert "amplitude not covered" in str(none.note)
-    record = interval(0, ())
-    bare = replace(record.geometry.equivalent_conicity, reason=None)
     reasons = [Reason(ReasonCode.OTHER, text) for text in ("d", "c", "b", "a")]
-    many = [
-        replace(record, geometry=replace(record.geometry, equivalent_conicity=bare, reason=reason))
-        for reason in (None, *reasons)
-    ]
+    many = [replace(interval(0, ()), reason=reason) for reason in (None, *reasons)]
     assert str(conicity_points(many).note).endswith(": a, b, c")

@@ -13,6 +13,7 @@ from estimation.trend.extrapolation import conicity_at_limit_amplitude, extrapol
 from estimation.trend.points import conicity_points
 from estimation.trend.trend import refresh
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
+from estimation.values.interval_conicities import KnownConicity, interval_conicities
 from estimation.values.intervals import with_interval
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
@@ -57,7 +58,7 @@ def test_intervals_cover_for_pairs_that_are_not_in_the_family(covered: int) -> N
         true = FAMILY.conicity[i]
         noise = STD * np.sqrt(0.5) * (rng.standard_normal() + rng.standard_normal(ALL))
         known = [
-            (float(a), with_interval(float(g), STD))
+            KnownConicity(float(a), float(g), STD)
             for a, g in zip(FAMILY.amplitude[:covered], (true + noise)[:covered], strict=True)
         ]
         found = extrapolated(known, others[FAMILY.pair[i]])
@@ -106,7 +107,7 @@ def test_a_wheelset_without_any_conicity_keeps_its_reason() -> None:
 
 def test_a_trend_is_extrapolated_as_a_whole_and_knows_it_not_better_than_the_shapes() -> None:
     records = [record(k, geometry(FAMILY.conicity[100], TO_2_25)) for k in range(12)]
-    chosen = conicity_points(records)
+    chosen = conicity_points([interval_conicities(one) for one in records])
     assert (chosen.quantity, chosen.amplitude, len(chosen.points)) == ("equivalent_conicity", 3e-3, 12)
     assert code_of(chosen.note) is ReasonCode.AMPLITUDE_EXTRAPOLATED
     trend = refresh(chosen.points, 0.4, note=chosen.note, shared_std=chosen.spread)
@@ -121,7 +122,7 @@ def test_a_trend_is_extrapolated_as_a_whole_and_knows_it_not_better_than_the_sha
 def test_no_limit_is_held_against_another_amplitude() -> None:
     """All points far above the limit, at 1.5 mm: neither reached nor a distance."""
     records = [record(k, geometry(FAMILY.conicity[100] + 0.5, ALL - 6)) for k in range(6)]
-    chosen = conicity_points(records)
+    chosen = conicity_points([interval_conicities(one) for one in records])
     assert chosen.quantity == "equivalent_conicity_1.5_mm"
     trend = refresh(chosen.points, 0.2, note=chosen.note, not_comparable=chosen.not_comparable)
     assert trend.status is Status.ESTIMATED

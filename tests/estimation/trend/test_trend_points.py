@@ -9,6 +9,7 @@ import pytest
 
 from estimation.trend.points import conicity_points
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
+from estimation.values.interval_conicities import IntervalConicities, interval_conicities
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 
@@ -17,7 +18,7 @@ def known(value: float) -> Estimate:
     return Estimate(value, 0.01, value - 0.02, value + 0.02, 4.0, Status.ESTIMATED)
 
 
-def interval(number: int, covered_mm: Sequence[float]) -> GeometryRecord:
+def interval(number: int, covered_mm: Sequence[float]) -> IntervalConicities:
     """Return a geometry whose conicity at an amplitude a (in mm) is 0.1 a + number."""
     nothing = BinValues(np.full(2, np.nan), np.full(2, np.nan), (BinStatus.TOO_FEW,) * 2)
     grid = (1.0, 2.0, 3.0, 4.0)
@@ -40,9 +41,10 @@ def interval(number: int, covered_mm: Sequence[float]) -> GeometryRecord:
         parameter_key="k",
         status=Status.ESTIMATED,
     )
-    return GeometryRecord(
+    record = GeometryRecord(
         "W1", 0, number, 1000.0 * number, 10 * number, 10 * number + 8, geometry, f"d{number}", {}, {}, "v", 1
     )
+    return interval_conicities(record)
 
 
 WHY = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "amplitude not covered")

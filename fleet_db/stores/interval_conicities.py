@@ -1,0 +1,57 @@
+"""The known conicities of a geometry, kept beside it as text: a trend reads hundreds of them, and no bins."""
+
+from __future__ import annotations
+
+import json
+from itertools import starmap
+from typing import Any
+
+from sqlalchemy import Row
+
+from estimation.values.geometry import WheelsetGeometry
+from estimation.values.interval_conicities import IntervalConicities, KnownConicity, known_conicities, why_no_conicity
+from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.models import GeometryRow
+from fleet_db.rows import nan_if_null, table_of
+
+NAMES = (
+    *("baseline", "baseline_interval", "mileage_km", "from_ns", "to_ns", "windows"),
+    *("input_digest", "code_version", "conicities"),
+)
+COLUMNS = tuple(table_of(GeometryRow).c[name] for name in NAMES)
+
+
+def conicities_text(geometry: WheelsetGeometry) -> str:
+    """Return the known conicities of a geometry as text, exact; where there is none, its reason.
+
+    Parameters
+    ----------
+    geometry
+        Of a mileage interval.
+    """
+    reason = why_no_conicity(geometry)
+    why = None if reason is None else [reason.code.value, reason.text]
+    return json.dumps([known_conicities(geometry), why], separators=(",", ":"), allow_nan=False)
+
+
+def conicities_of(row: Row[Any]) -> IntervalConicities:
+    """Return what a row says.
+
+    Parameters
+    ----------
+    row
+        Of ``COLUMNS``, with a text.
+    """
+    known, why = json.loads(row.conicities)
+    return IntervalConicities(
+        baseline=row.baseline,
+        interval=row.baseline_interval,
+        mileage_km=nan_if_null(row.mileage_km),
+        from_ns=row.from_ns,
+        to_ns=row.to_ns,
+        windows=row.windows,
+        input_digest=row.input_digest,
+        code_version=row.code_version,
+        known=tuple(starmap(KnownConicity, known)),
+        reason=None if why is None else Reason(ReasonCode(why[0]), why[1]),
+    )
