@@ -19,8 +19,12 @@ from estimation.errors import ContactError
 from estimation.estimators.interface import EstimatorParameters
 from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.paper_equations import PaperParameters, recursion_in_bins
+from estimation.tables.bin_table import BinParameters, init
+from estimation.tables.exact_sum import LARGEST, ExactSum, nothing
 from estimation.tables.least_squares import collect
 from estimation.values.arrays import FloatArray
+from estimation.values.exact_table import HALF
+from estimation.values.geometry import FilledCells
 from estimation.values.motion import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import BogieParameters
@@ -188,12 +192,43 @@ class Cones:
         return (self.rolling_radius_left - self.rolling_radius_right) / 1.5
 
 
+def _exact_sums() -> Iterator[FloatArray]:
+    parameters = BinParameters(vehicle=VehicleParameters())
+    start = nothing(init(parameters), parameters)
+    columns = (start.lateral, start.upper.shape[1] - 1 - start.lateral)
+    cells = FilledCells(
+        parameter_key=start.parameter_key,
+        edges=start.edges,
+        groups=start.groups,
+        cells=np.arange(2),
+        weight=np.array([1.5, 2.0]),
+        lateral=np.full((2, columns[0]), -0.3),
+        yaw=np.full((2, columns[1]), 1e-9),
+        samples=2,
+        windows=1,
+    )
+    found = ExactSum(start)
+    for _ in range(3):
+        found.add(cells, 0.7)
+    found.take(cells, 0.7)
+    yield found.result().lower.astype(float)
+    largest = 0.75 * LARGEST * 2.0 ** (start.exponent + HALF)
+    for heavy in ([largest, largest], [np.nan, 1.0]):
+        too_much = ExactSum(start)
+        try:
+            for _ in range(2):
+                too_much.add(replace(cells, weight=np.array(heavy)))
+        except OverflowError as error:
+            yield np.array([len(str(error))])
+
+
 RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _contact,
     _conicity,
     _paper,
     _stretches,
     _moments,
+    _exact_sums,
     _frames,
     _simulator,
     _running_gears,

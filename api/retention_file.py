@@ -30,8 +30,6 @@ class DaysTable(InputTable):
     idempotency_keys: Days = None
     superseded_estimates: Days = None
     track_reports: Days = None
-    window_samples: Days = None
-    window_bin_tables: Days = None
     recordings: Days = None
     audit: Days = None
     webhook_deliveries: Days = None

@@ -58,7 +58,7 @@ def run(context: JobContext) -> Mapping[str, int]:
                 with context.storage.write() as unit:
                     evaluated = _evaluate(unit, serial, context, compared.of(serial), asked.version)
                     unit.worklist.renew([serial] if serial in of_before else [])
-                    if evaluated.settled:
+                    if evaluated.at_rest:
                         seen = asked.digest(serial, unit.looks.touched_of(serial))
                         unit.looks.note(STAGE, serial, Look(seen, evaluated.until_ns))
                 counts.update(kind.value for kind in evaluated.events)
@@ -167,12 +167,12 @@ def _identities(context: JobContext, parameters: IdentityParameters) -> Mapping[
 class _Evaluated:
     """What the evaluation of a wheelset recorded and is to raise.
 
-    ``settled`` is whether the same again would change nothing, until ``until_ns`` of our time.
+    ``at_rest`` is whether the same again would change nothing, until ``until_ns`` of our time.
     """
 
     events: list[AlertEventKind] = field(default_factory=list)
     to_raise: list[Transition] = field(default_factory=list)
-    settled: bool = True
+    at_rest: bool = True
     until_ns: int | None = None
 
 
@@ -196,7 +196,7 @@ def _evaluate(unit: UnitOfWork, serial: str, context: JobContext, found: _Found,
             done.to_raise.append(change)
         else:
             done.events += _save(unit, change, now_ns, "")
-    done.settled = not ended and not done.to_raise and _settles(standing, changes, book, version, now_ns)
+    done.at_rest = not ended and not done.to_raise and _rests(standing, changes, book, version, now_ns)
     return done
 
 
@@ -219,7 +219,7 @@ def _transitions(
     return [change for change in changes if change is not None]
 
 
-def _settles(facts: WheelsetFacts, changes: Sequence[Transition], book: RuleBook, version: str, now_ns: int) -> bool:
+def _rests(facts: WheelsetFacts, changes: Sequence[Transition], book: RuleBook, version: str, now_ns: int) -> bool:
     """Whether an evaluation of what the changes have made would change nothing more."""
     if not changes:
         return True

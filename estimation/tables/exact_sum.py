@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from estimation.compiled import compiled
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.exact_table import HALF, ExactTable, UnsignedArray
@@ -115,7 +115,7 @@ def nothing(empty: BinTable, parameters: BinParameters) -> ExactTable:
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _add(upper: IntArray, lower: UnsignedArray, cells: IntArray, rows: FloatArray, scale: float) -> bool:
     """Add rows (k, c) to the cells named, each rounded towards zero; return whether all sums can be held."""
     for k in range(len(cells)):

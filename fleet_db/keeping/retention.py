@@ -12,9 +12,6 @@ DAY_NS = 86_400_000_000_000
 LEAST_DAYS_OF_RECORDINGS = 31.0
 """Recordings that are late by 30 days still meet the raw frames of those beside them."""
 
-LEAST_DAYS_OF_SAMPLES = 1.0
-"""Jobs and alignments look at new windows within a day."""
-
 
 class Kept(StrEnum):
     """Kinds of what a purge deletes; what is needed for the present state is never among it."""
@@ -24,8 +21,6 @@ class Kept(StrEnum):
     IDEMPOTENCY_KEYS = "idempotency_keys"
     SUPERSEDED_ESTIMATES = "superseded_estimates"  # geometries and trends that newer ones have replaced
     TRACK_REPORTS = "track_reports"  # that newer ones of the same section and version have replaced
-    WINDOW_SAMPLES = "window_samples"  # files of windows that are reduced to bin tables, or refused for good
-    WINDOW_BIN_TABLES = "window_bin_tables"  # of windows, once roll-ups hold their sums
     RECORDINGS = "recordings"  # raw bytes of decoded ones; the receipt stays, the windows stay as they are
     AUDIT = "audit"  # entries of the audit log
     WEBHOOK_DELIVERIES = "webhook_deliveries"  # what was sent, and does not wait to be sent again
@@ -46,10 +41,6 @@ class Retention:
         After the estimate that replaced it: so far back ``as_of`` answers.
     track_reports
         After the report that replaced it.
-    window_samples
-        After the window, and after it was stored. Windows without samples are not estimated again.
-    window_bin_tables
-        After the window.
     recordings
         After they were received; not below ``LEAST_DAYS_OF_RECORDINGS``, for those beside them may still come.
     audit
@@ -65,9 +56,7 @@ class Retention:
     idempotency_keys: float | None = 7.0
     superseded_estimates: float | None = 730.0
     track_reports: float | None = 730.0
-    window_samples: float | None = 31.0
-    window_bin_tables: float | None = 92.0
-    recordings: float | None = 31.0
+    recordings: float | None = None
     audit: float | None = 730.0
     webhook_deliveries: float | None = 30.0
     orphaned_files: float | None = 1.0
@@ -79,8 +68,6 @@ class Retention:
                 raise ParameterError("must be a number of days above 0", field=kind.value)
         if self.recordings is not None and self.recordings < LEAST_DAYS_OF_RECORDINGS:
             raise ParameterError(f"must be at least {LEAST_DAYS_OF_RECORDINGS:g} days", field="recordings")
-        if self.window_samples is not None and self.window_samples < LEAST_DAYS_OF_SAMPLES:
-            raise ParameterError(f"must be at least {LEAST_DAYS_OF_SAMPLES:g} day", field="window_samples")
 
     def before_ns(self, kind: Kept, now_ns: int) -> int | None:
         """Return the time before which this kind is deleted; None where it is kept for ever.

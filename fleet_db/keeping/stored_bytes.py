@@ -126,7 +126,7 @@ def stored_bytes(storage: SqlStorage, retention: Retention, hours_per_day: float
     one = samples.bytes / samples.files if samples.files else 0.0
     per_hour = one / running.window_hours if running.window_hours else 0.0
     kinds += [
-        _of_files("samples of windows", samples, retention.window_samples, year.kept(per_hour, Kept.WINDOW_SAMPLES)),
+        _of_files("samples of windows", samples, None, year.kept(per_hour, None)),
         _of_files("raw recordings", raw, retention.recordings, year.kept(raw_hour, Kept.RECORDINGS)),
     ]
     return StoredBytes(tuple(sorted(kinds, key=lambda kind: -kind.bytes)), running, size.free_bytes)
@@ -152,12 +152,10 @@ def _of_tables(kind: str, sizes: Mapping[str, TableSize], year: _Year) -> Stored
     found = [sizes[name] for name in names if name in sizes]
     item_bytes, index_bytes = sum(one.table_bytes for one in found), sum(one.index_bytes for one in found)
     items = sum(one.rows for one in found)
-    kept = Kept.WINDOW_BIN_TABLES if kind == "bin tables" else None
-    hours = items * year.running.window_hours if kept else year.running.wheelset_hours
+    hours = year.running.wheelset_hours
     per_hour = (item_bytes + index_bytes) / hours if hours and kind != OTHER else 0.0
-    days = getattr(year.retention, kept.value) if kept else None
     estimated = any(one.estimated for one in found)
-    return StoredKind(kind, items, item_bytes, index_bytes, estimated, days, year.kept(per_hour, kept))
+    return StoredKind(kind, items, item_bytes, index_bytes, estimated, None, year.kept(per_hour, None))
 
 
 @dataclass(frozen=True, slots=True)

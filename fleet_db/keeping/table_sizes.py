@@ -42,7 +42,7 @@ class TableSize:
 
 @dataclass(frozen=True, slots=True)
 class DatabaseSize:
-    """Every table of ours by name, and bytes that are allocated and empty."""
+    """Every table of ours, and bytes that are allocated and empty."""
 
     tables: Mapping[str, TableSize]
     free_bytes: int

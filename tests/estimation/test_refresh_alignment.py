@@ -32,7 +32,7 @@ def test_an_epoch_becomes_a_version_once_and_its_windows_are_estimated_on_it(sto
     assert (latest.version, latest.made, latest.status) == (1, True, Status.ESTIMATED)
     assert counts(storage, "estimate_windows")["estimated"] == 12
     with storage.read() as unit:
-        assert {version for _, _, version in unit.tables.index("W0", 0, None)} == {1}
+        assert {one.track_version for one in unit.tables.tabled("W0")} == {1}
     again = counts(storage, "refresh_alignment")
     assert (again["versions"], again["unchanged"]) == (0, 1)
     assert report(storage) == latest

@@ -96,11 +96,12 @@ def test_a_year_follows_from_running_and_days(fleet: SqlStorage) -> None:
     fill(fleet)
     analysed(fleet)
     per_hour = 3_600 / (make.LENGTH / make.SECOND)
-    forever, limited = kinds(fleet), kinds(fleet, replace(FOR_EVER, window_samples=31.0))
+    forever, limited = kinds(fleet), kinds(fleet, replace(FOR_EVER, recordings=31.0))
     one = forever["samples of windows"].bytes / 3
     assert forever["samples of windows"].wheelset_year_bytes == pytest.approx(one * per_hour * 16 * 365, abs=1)
-    assert limited["samples of windows"].wheelset_year_bytes == pytest.approx(one * per_hour * 16 * 31, abs=1)
-    assert limited["samples of windows"].days == 31.0
+    raw = forever["raw recordings"].wheelset_year_bytes or 0
+    assert limited["raw recordings"].wheelset_year_bytes == pytest.approx(raw * 31 / 365, abs=1)
+    assert limited["raw recordings"].days == 31.0
     assert kinds(fleet, hours=8.0)["windows"].wheelset_year_bytes == pytest.approx(
         (forever["windows"].wheelset_year_bytes or 0) / 2, abs=1
     )

@@ -58,9 +58,9 @@ def estimated(fleet: Deployment) -> tuple[set[tuple[str, int]], set[tuple[str, i
     """Return the windows that say they are estimated, and those that have a bin table."""
     with fleet.storage.read() as unit:
         windows = [window for serial in (WORN, DEAD) for window in unit.windows.list(serial)]
-        tables = [entry[0] for serial in (WORN, DEAD) for entry in unit.tables.index(serial, 0, None)]
+        tables = {(serial, one.start_ns) for serial in (WORN, DEAD) for one in unit.tables.tabled(serial)}
     said = {(w.wheelset, w.start_ns) for w in windows if w.state is WindowState.ESTIMATED}
-    return said, {(w.wheelset, w.start_ns) for w in tables}
+    return said, tables
 
 
 def test_a_killed_job_leaves_nothing_half_written_and_the_next_run_completes(

@@ -27,6 +27,7 @@ ELSEWHERE = {
     "schedule",  # these as services of docker-compose.yml: tests/compose
     "schedule &",
     "serve",
+    "worker",  # test_dask_workers.py
 }
 
 

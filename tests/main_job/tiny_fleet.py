@@ -170,6 +170,10 @@ def rows(storage: SqlStorage) -> dict[str, list[tuple[Any, ...]]]:
         }
 
 
+NOT_COMPARED = frozenset({"recorded_ns", "rolled", "roll_up"})
+"""Times, and in which roll-up a table is: several workers number them as they come."""
+
+
 def results(storage: SqlStorage) -> dict[str, Any]:
     """Return what was made of the recordings, by key and to the last bit, without the times of recording."""
     found = rows(storage)
@@ -177,7 +181,7 @@ def results(storage: SqlStorage) -> dict[str, Any]:
     kept = {}
     for name in ("windows", "window_bin_tables"):
         dicts = [dict(zip(names[name], row, strict=True)) for row in found[name]]
-        kept[name] = [{k: v for k, v in row.items() if k != "recorded_ns"} for row in dicts]
+        kept[name] = [{k: v for k, v in row.items() if k not in NOT_COMPARED} for row in dicts]
     with storage.read() as unit:
         records = {serial: unit.geometries.intervals(serial) for serial in (WORN, DEAD)}
         current = {serial: unit.geometries.current(serial) for serial in (WORN, DEAD)}

@@ -31,7 +31,7 @@ from estimation.values.roll_up import (
     with_member,
 )
 
-KEPT_WAITING = 32  # windows that are added anew each time before they are rolled: sums are written once for so many
+KEPT_WAITING = 32  # windows that are added again each time before they are rolled: sums are written once for so many
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class Rolled:
 
     @property
     def due(self) -> bool:
-        """Whether it is time to store it: else the windows wait, and are added anew the next time."""
+        """Whether it is time to store it: else the windows wait, and are added again the next time."""
         fresh = sum(len(part.added) for part in self.parts) + len(self.outside)
         return self.again or bool(self.taken) or fresh >= KEPT_WAITING
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import grimp
 
 ALLOWED = (
+    "estimation.compiled",
     "estimation.contact",
     "estimation.errors",
     "estimation.values",
