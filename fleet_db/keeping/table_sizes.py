@@ -95,7 +95,7 @@ def _of_postgresql(connection: Connection) -> DatabaseSize:
 def _by_page(connection: Connection) -> dict[str, TableSize] | None:
     """Return the sizes by counting pages; None where SQLite was built without ``dbstat``."""
     try:
-        rows = connection.execute(text("SELECT name, sum(pgsize) FROM dbstat WHERE aggregate = TRUE GROUP BY name"))
+        rows = connection.execute(text("SELECT name, sum(pgsize) FROM dbstat WHERE aggregate = TRUE GROUP BY 1"))
     except OperationalError:
         return None
     taken = {str(name): int(size) for name, size in rows}
