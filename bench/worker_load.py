@@ -16,6 +16,7 @@ from api.settings import Settings
 from fleet_db.migrate import upgrade
 from ingest.simulator.scenario_file import read_scenario
 
+LARGEST_SPEED = 22.0  # m/s
 FLEET = """\
 name = "WORKERS"
 description = "vehicles of four wheelsets on a surveyed section"
@@ -27,10 +28,10 @@ name = "Fleet K"
 code = "K-1"
 number = 1
 name = "Section K-1"
-length_m = 6000.0
+length_m = {length}
 [speed]
 lowest_m_s = 14.0
-highest_m_s = 22.0
+highest_m_s = {speed}
 [sensors]
 kind = "mems"
 [bus]
@@ -91,7 +92,7 @@ def workload(folder: Path, vehicles: int, minutes: float, server: str | None = N
     server
         URL of a PostgreSQL server; None for SQLite.
     """
-    parts = [FLEET.format(minutes=minutes)]
+    parts = [FLEET.format(minutes=minutes, speed=LARGEST_SPEED, length=LARGEST_SPEED * 60.0 * minutes + 100.0)]
     for vehicle in range(1, vehicles + 1):
         parts.append(VEHICLE.format(vehicle=vehicle))
         parts += [WHEELSET.format(vehicle=vehicle, axle=axle, worn=0.2 * axle) for axle in range(1, 5)]

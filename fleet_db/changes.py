@@ -48,6 +48,10 @@ class Changes:
         self.shown.add(wheelset)
         self.touched.add(wheelset)
 
+    def touch(self, wheelset: str) -> None:
+        """Something has happened to ``wheelset`` that jobs look at, and the worklist does not show."""
+        self.touched.add(wheelset)
+
     def take_shown(self) -> list[str]:
         """Return the serials whose row of the worklist is to be made again, in their order; they are forgotten here."""
         taken = sorted(self.shown)

@@ -69,6 +69,7 @@ class GeometryStore:
                 return False
             values["recorded_ns"] = max(record.recorded_ns, newest.recorded_ns)
         self.connection.execute(insert(GEOMETRIES).values(**values))
+        self.changes.touch(record.wheelset)
         if record.interval is None:
             self._show_bins(record.wheelset)
             self.changes.show(record.wheelset)
