@@ -57,6 +57,28 @@ def implausible_mileages(
     return found | {one.start_ns: out_of_line for one in left if one.start_ns not in believed}
 
 
+def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_speed_m_s: float) -> bool:
+    """Whether nothing speaks against any reading.
+
+    Where that holds of all readings of a mounting it also holds of any of them. So it holds of all and new ones as soon
+    as it holds of the new ones with those beside them.
+
+    Parameters
+    ----------
+    readings
+        Of windows of one mounting, in any order.
+    mounting
+        The mounting.
+    max_speed_m_s
+        Of its vehicle, on file.
+    """
+    km_per_ns = FASTER * max_speed_m_s / 1000.0 / NANOSECONDS
+    ordered = sorted(readings, key=lambda one: one.start_ns)
+    return all(_follows(*pair, km_per_ns) for pair in pairwise(ordered)) and all(
+        _alone(one, mounting, km_per_ns) is None for one in ordered
+    )
+
+
 def implausible_places(readings: Sequence[MileageReading]) -> Mapping[int, Reason]:
     """Return by start of window why the place that its vehicle reported is not believed.
 

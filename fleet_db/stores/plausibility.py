@@ -15,6 +15,7 @@ from fleet_db.rows import table_of
 from fleet_db.stores.windows import WindowStore, implausible_reason
 
 WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
+READING = (WINDOWS.c.start_ns, WINDOWS.c.mileage_km, WINDOWS.c.odometer_excess_m, WINDOWS.c.off_line_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,18 +50,56 @@ class PlausibilityStore:
 
     def readings(self, wheelset: str) -> Sequence[MileageReading]:
         """Return the mileages of all windows of a wheelset, oldest first."""
-        statement = select(WINDOWS.c.start_ns, WINDOWS.c.mileage_km, WINDOWS.c.odometer_excess_m, WINDOWS.c.off_line_m)
-        rows = self.connection.execute(statement.where(WINDOWS.c.wheelset == wheelset).order_by(WINDOWS.c.start_ns))
+        statement = select(*READING).where(WINDOWS.c.wheelset == wheelset)
+        rows = self.connection.execute(statement.order_by(WINDOWS.c.start_ns))
         return [MileageReading(*row) for row in rows]
 
-    def judge(self, wheelset: str, implausible: Mapping[int, Reason]) -> int:
+    def new_readings(self, wheelset: str) -> Sequence[MileageReading]:
+        """Return the mileages of the windows of a wheelset that were not judged as they are, oldest first."""
+        statement = select(*READING).where(WINDOWS.c.wheelset == wheelset, ~WINDOWS.c.judged)
+        return [MileageReading(*row) for row in self.connection.execute(statement.order_by(WINDOWS.c.start_ns))]
+
+    def readings_around(self, wheelset: str, from_ns: int, to_ns: int) -> Sequence[MileageReading]:
+        """Return the mileages of the windows from one start to another, with one before and one after, oldest first.
+
+        Parameters
+        ----------
+        wheelset
+            Serial number.
+        from_ns, to_ns
+            First and last start.
+        """
+        own = select(*READING).where(WINDOWS.c.wheelset == wheelset)
+        before = own.where(WINDOWS.c.start_ns < from_ns).order_by(WINDOWS.c.start_ns.desc()).limit(1)
+        rest = own.where(WINDOWS.c.start_ns >= from_ns).order_by(WINDOWS.c.start_ns)
+        within = self.connection.execute(rest.where(WINDOWS.c.start_ns <= to_ns)).all()
+        after = self.connection.execute(rest.where(WINDOWS.c.start_ns > to_ns).limit(1)).all()
+        return [MileageReading(*row) for row in (*self.connection.execute(before), *within, *after)]
+
+    def mileages_doubted(self, wheelset: str) -> bool:
+        """Return whether the mileage of a window of a wheelset is not believed."""
+        doubted = WINDOWS.c.implausible_code == ReasonCode.ODOMETER_IMPLAUSIBLE.value
+        found = select(WINDOWS.c.start_ns).where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.implausible.is_not(None))
+        return self.connection.execute(found.where(doubted).limit(1)).first() is not None
+
+    def judge(self, wheelset: str, implausible: Mapping[int, Reason], *, new_only: bool = False) -> int:
         """Store which windows of a wheelset have a mileage that is not believed, by start; return how many changed.
 
         They are refused; those that are believed again wait to be estimated.
+
+        Parameters
+        ----------
+        wheelset
+            Serial number.
+        implausible
+            Why a window is not believed, by its start.
+        new_only
+            Whether the windows judged before keep their verdict.
         """
         standing = select(WINDOWS.c.start_ns, WINDOWS.c.implausible, WINDOWS.c.implausible_code, WINDOWS.c.judged)
         changed = 0
-        for row in self.connection.execute(standing.where(WINDOWS.c.wheelset == wheelset)).all():
+        standing = standing.where(WINDOWS.c.wheelset == wheelset)
+        for row in self.connection.execute(standing.where(~WINDOWS.c.judged) if new_only else standing).all():
             reason, before = implausible.get(row.start_ns), implausible_reason(row)
             if row.judged and reason == before:
                 continue

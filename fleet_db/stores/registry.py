@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, select
+from sqlalchemy import Connection, Row, Select, select, update
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
@@ -19,6 +19,7 @@ from fleet_db.models import (
     FleetRow,
     VehicleRow,
     WheelsetRow,
+    WindowRow,
 )
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
@@ -43,6 +44,7 @@ from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class, taken_out
 
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
+WINDOWS = table_of(WindowRow)
 
 
 NOBODY = Decision()
@@ -213,6 +215,8 @@ class RegistryStore:
         if upsert(self.connection, VEHICLES, values):
             self._show_mounted([record.code])
             self._note(key, None if was is None else _vehicle_values(was), values, recorded_ns)
+        if was is not None and was.max_speed_m_s != record.max_speed_m_s:  # mileages are judged by it
+            self.connection.execute(update(WINDOWS).where(WINDOWS.c.vehicle == record.code).values(judged=False))
         if was is None or _assembled_with(was) != _assembled_with(record):
             cause = f"vehicle {record.code} {'added' if was is None else 'changed'}"
             StaleSpanStore(self.connection).add(record.code, None, None, cause)
@@ -307,6 +311,7 @@ class RegistryStore:
         record = now or was
         assert record is not None
         self.changes.note(record.wheelset)
+        self.connection.execute(update(WINDOWS).where(WINDOWS.c.wheelset == record.wheelset).values(judged=False))
         for vehicle, from_ns, to_ns in changed_spans(was, now):
             StaleSpanStore(self.connection).add(vehicle, from_ns, to_ns, f"mounting of wheelset {record.wheelset}")
             # windows that stay as they are may be of a mounting with another way round now

@@ -36,6 +36,9 @@ def quality(*, sensor_fault: bool = False, clipped: float = 0.0, invalid: float 
     return WindowQuality(1.0, 0.0, 0, clipped, invalid, 15.0, 20.0, 1.0, sensor_fault)
 
 
+GOOD = quality()
+
+
 def window_record(
     wheelset: str, number: int, *, sensor_fault: bool = False, clipped: float = 0.0, invalid: float = 0.0
 ) -> WindowRecord:
@@ -139,6 +142,31 @@ def wear(storage: Storage, wheelset: str, days: int, *, rate: float = 0.003, bas
         )
 
 
+def sample_window(
+    wheelset: str, start_ns: int, *, odometer_m: float = 0.0, quality: WindowQuality = GOOD, samples: int = 4
+) -> Window:
+    """Return a window of vehicle V1 with hardly any samples."""
+    return Window(
+        wheelset=wheelset,
+        vehicle="V1",
+        axle=1,
+        start_ns=start_ns,
+        length_ns=WINDOW_NS,
+        sample_interval_s=WINDOW_NS / 1e9 / samples,
+        lateral_acceleration=np.zeros(samples),
+        yaw_acceleration=np.zeros(samples),
+        roll_acceleration=np.zeros(samples),
+        mass_lateral_acceleration=np.zeros(samples),
+        speed=np.full(samples, 20.0),
+        distance=np.linspace(0.0, 450.0, samples),
+        valid=np.ones(samples, dtype=bool),
+        resolution=(1e-3, 1e-3, 1e-3, 1e-3),
+        track_section=None,
+        odometer_m=odometer_m,
+        quality=quality,
+    )
+
+
 def run_windows(
     storage: Storage,
     wheelset: str,
@@ -150,25 +178,11 @@ def run_windows(
 ) -> None:
     """Store windows of a day; faulty ones are refused, the others estimated."""
     start = (START_NS + round(day * DAY_NS)) // WINDOW_NS * WINDOW_NS
-    n = 4
     with storage.write() as unit:
         for number in range(count):
-            window = Window(
-                wheelset=wheelset,
-                vehicle="V1",
-                axle=1,
-                start_ns=start + number * WINDOW_NS,
-                length_ns=WINDOW_NS,
-                sample_interval_s=7.5,
-                lateral_acceleration=np.zeros(n),
-                yaw_acceleration=np.zeros(n),
-                roll_acceleration=np.zeros(n),
-                mass_lateral_acceleration=np.zeros(n),
-                speed=np.full(n, 20.0),
-                distance=np.linspace(0.0, 450.0, n),
-                valid=np.ones(n, dtype=bool),
-                resolution=(1e-3, 1e-3, 1e-3, 1e-3),
-                track_section=None,
+            window = sample_window(
+                wheelset,
+                start + number * WINDOW_NS,
                 odometer_m=1e6 * day,
                 quality=replace(quality(sensor_fault=faulty), hunting=hunting),
             )

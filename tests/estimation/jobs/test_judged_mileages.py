@@ -1,0 +1,118 @@
+"""Mileages are judged as new windows come: at the cost of the new ones, with the verdict of all together."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping
+from dataclasses import replace
+
+import pytest
+from one_database import on_sqlite
+from sqlalchemy import Engine, event, select
+from wheelset_life import DAY_NS, START_NS, WINDOW_NS, SetClock, register, sample_window
+
+from estimation.jobs.job import JobContext
+from estimation.jobs.settings import JobSettings
+from estimation.jobs.steps import plausibility
+from estimation.jobs.steps.plausibility import judge_mileages
+from estimation.motion.mileage import implausible_mileages
+from estimation.storage import Storage
+from estimation.values.reasons import Reason
+from fleet_db.models import WindowRow
+from fleet_db.rows import table_of
+from fleet_db.storage import SqlStorage
+from fleet_db.stores.windows import implausible_reason
+
+WINDOWS = table_of(WindowRow)
+
+
+def put(storage: Storage, number: int, mileage_km: float | None = None) -> None:
+    at_km = 0.6 * number if mileage_km is None else mileage_km
+    with storage.write() as unit:
+        unit.windows.put(sample_window("W1", START_NS + number * WINDOW_NS), at_km, 1)
+
+
+def judge(storage: Storage) -> int:
+    return judge_mileages(JobContext(storage, SetClock(START_NS), "test", JobSettings()))
+
+
+def verdicts(storage: SqlStorage) -> Mapping[int, Reason]:
+    with storage.read() as unit:
+        rows = unit.connection.execute(select(WINDOWS)).all()
+    assert all(row.judged for row in rows)
+    return {row.start_ns: reason for row in rows if (reason := implausible_reason(row)) is not None}
+
+
+def together(storage: SqlStorage) -> Mapping[int, Reason]:
+    """Return what all windows together say, read and judged at once."""
+    with storage.read() as unit:
+        readings, found = unit.plausibility.readings("W1"), {}
+        for mounting in unit.registry.mountings("W1"):
+            ended = mounting.to_ns or 2**63
+            own = [one for one in readings if mounting.from_ns <= one.start_ns < ended]
+            found |= implausible_mileages(own, mounting, unit.registry.vehicle("V1").max_speed_m_s)
+    return found
+
+
+@pytest.mark.parametrize("seed", range(6))
+@on_sqlite
+def test_the_verdict_is_that_of_all_windows_whatever_came_when(storage: SqlStorage, seed: int) -> None:
+    register(storage, "W1")
+    rng = random.Random(seed)  # noqa: S311 - a test
+    numbers = rng.sample(range(8000), 60)
+    seen = set()
+    for step, number in enumerate(numbers):
+        garbled = rng.random() < 0.05 * (seed % 3)
+        put(storage, number, 0.6 * number + rng.choice([-900.0, 40_000.0, 3e9, float("nan")]) if garbled else None)
+        if step == 20:
+            with storage.write() as unit:
+                unit.registry.add_vehicle(replace(unit.registry.vehicle("V1"), max_speed_m_s=16.5))
+        if step == 40:
+            with storage.write() as unit:
+                (mounting,) = unit.registry.mountings("W1")
+                unit.registry.add_mounting(replace(mounting, wheelset_mileage_km=30.0))
+        if step % 4 == 0 or step == len(numbers) - 1:
+            judge(storage)
+            assert verdicts(storage) == together(storage)
+            seen |= set(verdicts(storage))
+    assert seen or not seed % 3
+
+
+@on_sqlite
+def test_new_windows_are_judged_beside_those_next_to_them(storage: SqlStorage, monkeypatch: pytest.MonkeyPatch) -> None:
+    register(storage, "W1")
+    statements, read = [], []
+    for count in (10, 200):
+        for number in range(count):
+            put(storage, 10 * number)
+        judge(storage)
+        put(storage, 10 * count + 5)
+        put(storage, 55)
+        asked = [0]
+
+        def count_one(*_: object, asked: list[int] = asked) -> None:
+            asked[0] += 1
+
+        event.listen(Engine, "before_cursor_execute", count_one)
+        monkeypatch.setattr(plausibility, "implausible_mileages", lambda *_: read.append(1))
+        assert judge(storage) == 0
+        monkeypatch.undo()
+        event.remove(Engine, "before_cursor_execute", count_one)
+        statements.append(asked[0])
+    assert read == []
+    assert max(statements) <= 16
+
+
+@on_sqlite
+def test_windows_a_day_apart_are_read_for_themselves(storage: SqlStorage) -> None:
+    register(storage, "W1")
+    for day in range(9):
+        put(storage, day * DAY_NS // WINDOW_NS)
+    judge(storage)
+    put(storage, 1)
+    put(storage, 8 * DAY_NS // WINDOW_NS + 1)
+    with storage.read() as unit:
+        spans = plausibility._spans(unit.plausibility.new_readings("W1"))
+        around = [unit.plausibility.readings_around("W1", s[0].start_ns, s[-1].start_ns) for s in spans]
+    assert plausibility.APART_NS == DAY_NS
+    assert [len(found) for found in around] == [3, 2]
