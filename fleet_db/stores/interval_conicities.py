@@ -8,6 +8,7 @@ from typing import Any
 
 from sqlalchemy import Row
 
+from estimation.errors import DamagedError
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.interval_conicities import IntervalConicities, KnownConicity, known_conicities, why_no_conicity
 from estimation.values.reasons import Reason, ReasonCode
@@ -41,8 +42,19 @@ def conicities_of(row: Row[Any]) -> IntervalConicities:
     ----------
     row
         Of ``COLUMNS``, with a text.
+
+    Raises
+    ------
+    DamagedError
+        The text is not one of :func:`conicities_text`.
     """
-    known, why = json.loads(row.conicities)
+    try:
+        known, why = json.loads(row.conicities)
+        listed = tuple(starmap(KnownConicity, known))
+        reason = None if why is None else Reason(ReasonCode(why[0]), why[1])
+    except (ValueError, TypeError, LookupError) as error:
+        place = f"conicities of baseline {row.baseline}, interval {row.baseline_interval}"
+        raise DamagedError(f"{place}: damaged ({error})") from error
     return IntervalConicities(
         baseline=row.baseline,
         interval=row.baseline_interval,
@@ -52,6 +64,6 @@ def conicities_of(row: Row[Any]) -> IntervalConicities:
         windows=row.windows,
         input_digest=row.input_digest,
         code_version=row.code_version,
-        known=tuple(starmap(KnownConicity, known)),
-        reason=None if why is None else Reason(ReasonCode(why[0]), why[1]),
+        known=listed,
+        reason=reason,
     )

@@ -137,11 +137,16 @@ def test_a_wheelset_that_fails_is_tried_ever_more_rarely_and_at_once_with_other_
     assert gone.state is QuarantineState.RESOLVED
 
 
-def test_a_damaged_geometry_leaves_the_others_their_trends_and_alerts(fleet: SqlStorage, clock: SetClock) -> None:
+@pytest.mark.parametrize("conicities", [None, "rubbish", "[[[1.0]],null]", '[[],["no code","text"]]'])
+def test_a_damaged_geometry_leaves_the_others_their_trends_and_alerts(
+    fleet: SqlStorage, clock: SetClock, conicities: str | None
+) -> None:
     counts(fleet, clock, *ALL[:3])
     table = table_of(GeometryRow)
     with fleet.engine.begin() as connection:
-        connection.execute(update(table).where(table.c.wheelset == "W1").values(packed=b"rubbish"))
+        connection.execute(
+            update(table).where(table.c.wheelset == "W1").values(packed=b"rubbish", conicities=conicities)
+        )
     trends = counts(fleet, clock, "refresh_trends")
     assert (trends["wheelsets"], trends["quarantined"]) == (2, 1)
     alerts = counts(fleet, clock, "evaluate_alerts")
