@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from estimation.alerts.identity import IdentityEvent, IdentityParameters
-from estimation.alerts.life_cycle import close, transition
+from estimation.alerts.life_cycle import close, transition, without_stale_acknowledgement
 from estimation.alerts.next_change import next_change_ns
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.evaluation import findings, superseded
@@ -17,9 +17,9 @@ from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps import identities
-from estimation.jobs.steps.first_axles import at_first_axles
 from estimation.jobs.steps.fleet_alerts import raise_in_fleet
 from estimation.jobs.steps.identities import new_events
+from estimation.jobs.steps.roster import Roster, roster
 from estimation.jobs.steps.suspension import shown_by_wheelset
 from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.storage import UnitOfWork
@@ -41,12 +41,12 @@ def run(context: JobContext) -> Mapping[str, int]:
     """
     isolation = Isolation(context, STAGE)
     with context.storage.read() as unit:
-        fleets = [fleet.code for fleet in unit.registry.fleets()]
-        of_before = frozenset(unit.worklist.outdated())
-    compared = _compared(context, isolation)
+        of_before, on_file = frozenset(unit.worklist.outdated()), roster(unit)
+    compared = _compared(context, on_file, isolation)
     counts: Counter[str] = Counter(dict.fromkeys(("wheelsets", *(kind.value for kind in AlertEventKind)), 0))
     found: list[Transition] = []
-    asked = _asked(context, compared, of_before | {item.key for item in isolation.held(SubjectKind.WHEELSET)})
+    always = of_before | {item.key for item in isolation.held(SubjectKind.WHEELSET)}
+    asked = _asked(context, on_file, compared, always)
     counts["wheelsets"] += len(asked.inputs) - len(asked.due)
     try:
         for done, serial in enumerate(asked.due):
@@ -65,24 +65,23 @@ def run(context: JobContext) -> Mapping[str, int]:
                 found += evaluated.to_raise
                 counts["wheelsets"] += 1
     finally:
-        for fleet in fleets:
+        for fleet in _to_raise_in(context, on_file, asked.due):
             with isolation.alone(SubjectKind.FLEET, fleet):
                 of_fleet = [change for change in found if change.alert.fleet == fleet]
-                counts.update(kind.value for kind in _raised(context, fleet, of_fleet, evaluated=bool(asked.due)))
+                with context.storage.write() as unit:
+                    events = raise_in_fleet(unit, fleet, of_fleet, context.settings.rules, context.clock.now_ns())
+                counts.update(kind.value for kind in events)
     counts["quarantined"] = isolation.quarantined
     return counts
 
 
-def _raised(
-    context: JobContext, fleet: str, found: Sequence[Transition], *, evaluated: bool
-) -> Sequence[AlertEventKind]:
-    """Raise what was found in a fleet; without anything evaluated only the time can change one of its alerts."""
-    if not evaluated:
-        with context.storage.read() as unit:
-            if all(alert.wheelset is not None for alert in unit.alerts.open_in_fleet(fleet)):
-                return ()
-    with context.storage.write() as unit:
-        return raise_in_fleet(unit, fleet, found, context.settings.rules, context.clock.now_ns())
+def _to_raise_in(context: JobContext, on_file: Roster, evaluated: Sequence[str]) -> list[str]:
+    """Return the fleets in which something may be raised, or one of whose alerts is another by now."""
+    fleet_of, now_ns = {wheelset.serial: wheelset.fleet for wheelset in on_file.wheelsets}, context.clock.now_ns()
+    with context.storage.read() as unit:
+        alerts = unit.alerts.open_of_fleets()
+    run_out = {alert.fleet for alert in alerts if without_stale_acknowledgement(alert, now_ns) != alert}
+    return sorted({fleet_of[serial] for serial in evaluated} | run_out)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,17 +98,13 @@ class _Asked:
         return hashlib.sha256(repr((self.common, touched, self.inputs[serial])).encode()).hexdigest()
 
 
-def _asked(context: JobContext, compared: _Compared, always: frozenset[str]) -> _Asked:
+def _asked(context: JobContext, on_file: Roster, compared: _Compared, always: frozenset[str]) -> _Asked:
     """Return which wheelsets to evaluate: some statements for all, not some for each."""
     rules, now_ns = context.settings.rules, context.clock.now_ns()
     common = (rules.version, repr(context.settings.trend), context.code_version)
     with context.storage.read() as unit:
-        wheelsets, looks, touched = unit.registry.wheelsets(), unit.looks.of(STAGE), unit.looks.touched()
-        vehicles = {vehicle.code: vehicle for vehicle in unit.registry.vehicles()}
-    inputs = {}
-    for wheelset in wheelsets:
-        vehicle = None if wheelset.mounting is None else vehicles[wheelset.mounting.vehicle]
-        inputs[wheelset.serial] = repr((wheelset, vehicle, compared.of(wheelset.serial)))
+        looks, touched = unit.looks.of(STAGE), unit.looks.touched()
+    inputs = {one.serial: repr((one, on_file.vehicle_of(one), compared.of(one.serial))) for one in on_file.wheelsets}
     asked = _Asked((), rules.version, common, inputs)
 
     def due(serial: str) -> bool:
@@ -141,21 +136,21 @@ class _Compared:
         return _Found(self.identities.get(serial), self.suspensions.get(serial), self.rejected.get(serial, {}))
 
 
-def _compared(context: JobContext, isolation: Isolation) -> _Compared:
+def _compared(context: JobContext, on_file: Roster, isolation: Isolation) -> _Compared:
     """Compare the wheelsets of all fleets; where that fails their other alerts are evaluated without it."""
     rules, compared = context.settings.rules, _Compared()
     with isolation.alone(SubjectKind.FLEET, "comparison of identities"):
-        compared.identities = _identities(context, rules.rule(IdentityRule).parameters)
+        compared.identities = _identities(context, on_file, rules.rule(IdentityRule).parameters)
     with isolation.alone(SubjectKind.FLEET, "comparison of suspensions"), context.storage.read() as unit:
-        compared.suspensions = shown_by_wheelset(unit, rules)
+        compared.suspensions = shown_by_wheelset(unit, on_file, rules)
     with isolation.alone(SubjectKind.FLEET, "rejected recordings"), context.storage.read() as unit:
-        compared.rejected = at_first_axles(unit, unit.plausibility.rejected())
+        compared.rejected = on_file.at_first_axles(unit.plausibility.rejected())
     return compared
 
 
-def _identities(context: JobContext, parameters: IdentityParameters) -> Mapping[str, IdentityEvent]:
+def _identities(context: JobContext, on_file: Roster, parameters: IdentityParameters) -> Mapping[str, IdentityEvent]:
     with context.storage.read() as unit:
-        found = new_events(unit, unit.registry.wheelsets(), parameters, context.code_version)
+        found = new_events(unit, on_file.wheelsets, parameters, context.code_version)
     if found.calm:
         with context.storage.write() as unit:
             for serial, look in found.calm.items():
@@ -197,6 +192,8 @@ def _evaluate(unit: UnitOfWork, serial: str, context: JobContext, found: _Found,
         else:
             done.events += _save(unit, change, now_ns, "")
     done.at_rest = not ended and not done.to_raise and _rests(standing, changes, book, version, now_ns)
+    if any(change.alert.fleet_alert_id is not None for change in changes):
+        done.at_rest = False  # until the fleet alert has followed, which is another transaction
     return done
 
 

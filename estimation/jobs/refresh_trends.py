@@ -12,6 +12,7 @@ from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.identities import identity_change, suspected
+from estimation.jobs.steps.roster import roster
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.trend.points import conicity_points
@@ -57,34 +58,30 @@ class _Inputs:
     newest_geometry: int | None  # number of the one that was appended last
     limit: float | None
     change: IdentityChange | None
-    limit_amplitude: float
-    parameters: TrendParameters
-    code_version: str
+    common: str  # what is the same for all wheelsets: parameters and version of the numerics
 
     @property
     def digest(self) -> str:
         """Digest of all of it."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+        return hashlib.sha256(repr(self).encode()).hexdigest()
 
 
 def _inputs(unit: UnitOfWork, context: JobContext) -> dict[str, _Inputs]:
     """Return the inputs of all wheelsets by serial: some statements for all, not some for each."""
     geometries = unit.geometries.newest_numbers()
-    vehicles = {vehicle.code: vehicle for vehicle in unit.registry.vehicles()}
-    changed = suspected(unit)
+    on_file, changed = roster(unit), suspected(unit)
+    common = repr((LIMIT_AMPLITUDE, context.settings.trend, context.code_version))
 
     def inputs(wheelset: WheelsetRecord) -> _Inputs:
         return _Inputs(
             baseline=len(wheelset.reprofilings),
             newest_geometry=geometries.get(wheelset.serial),
-            limit=_limit(unit, wheelset, context.settings.rules, vehicles),
+            limit=_limit(unit, wheelset, context.settings.rules, on_file.vehicles),
             change=identity_change(unit, wheelset.serial) if wheelset.serial in changed else None,
-            limit_amplitude=LIMIT_AMPLITUDE,
-            parameters=context.settings.trend,
-            code_version=context.code_version,
+            common=common,
         )
 
-    return {wheelset.serial: inputs(wheelset) for wheelset in unit.registry.wheelsets()}
+    return {wheelset.serial: inputs(wheelset) for wheelset in on_file.wheelsets}
 
 
 def _refresh(context: JobContext, serial: str, inputs: _Inputs) -> str:
@@ -104,11 +101,12 @@ def _news(context: JobContext, serial: str, inputs: _Inputs, limit: float) -> Tr
         known = since_change(unit.geometries.conicities(serial, inputs.baseline), inputs.change)
         records = [record for record in known if record.windows]  # others were followed by empty ones
         latest = unit.trends.latest(serial)
-    params, digest = inputs.parameters, _digest(records, limit, inputs.parameters)
+    params = context.settings.trend
+    digest = _digest(records, limit, params)
     if latest is not None and (latest.baseline, latest.input_digest, latest.code_version) == (
         inputs.baseline,
         digest,
-        inputs.code_version,
+        context.code_version,
     ):
         return None
     return TrendRecord(
@@ -116,7 +114,7 @@ def _news(context: JobContext, serial: str, inputs: _Inputs, limit: float) -> Tr
         baseline=inputs.baseline,
         trend=trend_of(records, limit, params),
         input_digest=digest,
-        code_version=inputs.code_version,
+        code_version=context.code_version,
         recorded_ns=context.clock.now_ns(),
         parameters=asdict(params),
     )

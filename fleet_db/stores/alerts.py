@@ -51,6 +51,10 @@ class AlertStore:
         """Return the open alerts of a fleet and of its wheelsets, by number."""
         return self._alerts(_open().where(ALERTS.c.fleet == fleet).order_by(ALERTS.c.alert_id))
 
+    def open_of_fleets(self) -> Sequence[Alert]:
+        """Return the open alerts that stand for several of a fleet, by number."""
+        return self._alerts(_open().where(ALERTS.c.wheelset.is_(None)).order_by(ALERTS.c.alert_id))
+
     def members(self, fleet_alert_id: int) -> Sequence[Alert]:
         """Return the alerts that a fleet alert stands for, open and closed, by number."""
         statement = select(ALERTS).where(ALERTS.c.fleet_alert_id == fleet_alert_id)

@@ -8,7 +8,7 @@ from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.standing import latest_run, raised_at
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
 from estimation.jobs.job import JobContext
-from estimation.jobs.steps.first_axles import at_first_axles
+from estimation.jobs.steps.roster import Roster
 from estimation.storage import UnitOfWork
 from estimation.track.panel.stiffness_ratio import PRIOR_STD
 from estimation.track.update import AlignmentUpdate
@@ -74,23 +74,25 @@ def store_suspension(
     return known
 
 
-def shown_by_wheelset(unit: UnitOfWork, book: RuleBook) -> Mapping[str, SuspensionShown]:
+def shown_by_wheelset(unit: UnitOfWork, on_file: Roster, book: RuleBook) -> Mapping[str, SuspensionShown]:
     """Return what is shown of all vehicles, each at the wheelset of the vehicle's first axle that has one.
 
     Parameters
     ----------
     unit
-        Findings and the registry are read.
+        Findings are read.
+    on_file
+        Wheelsets and vehicles.
     book
         What counts as now and what friction may do, the same for all; what raises and clears, by fleet and class.
     """
     p = book.rule(SuspensionChangeRule).parameters
     histories = suspension_histories(unit.suspensions.newest(p.recent + p.most_past), p)
-    mounted = {one.mounting.vehicle for one in unit.registry.wheelsets() if one.mounting is not None}
+    mounted = {one.mounting.vehicle for one in on_file.wheelsets if one.mounting is not None}
     known = {code: (code, histories.get(code, iter(()))) for code in mounted}
     shown = {}
-    for serial, (code, history) in at_first_axles(unit, known).items():
-        vehicle = unit.registry.vehicle(code)
+    for serial, (code, history) in on_file.at_first_axles(known).items():
+        vehicle = on_file.vehicles[code]
         rule = book.of(vehicle.fleet, vehicle.vehicle_class).rule(SuspensionChangeRule)
         shown[serial] = _shown(rule, serial, history)
     return shown
