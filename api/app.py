@@ -36,6 +36,7 @@ from api.routes import (
     alert_feed,
     alerts,
     audit,
+    chunks,
     fleets,
     geometry,
     health,
@@ -61,12 +62,14 @@ from api.routes import (
     worklist,
 )
 from api.services import Services
+from api.upload_measures import UploadMeasures
 from api.visible_objects import visible
 from api.webhooks.sending import TRIALS, Sender
 from api.webhooks.targets import Targets
 from api.webhooks.worker import WebhookWorker
 
 RESOURCES = (
+    chunks,  # first: a request is compared with one path after the other, and these are the most
     fleets,
     vehicles,
     vehicle_classes,
@@ -175,6 +178,7 @@ def build_app(
     app = describe()
     registry = CollectorRegistry(auto_describe=False)
     registry.register(StoredMeasures(lambda: app.state.services))
+    registry.register(UploadMeasures(lambda: app.state.services))
     app.state.services = services
     app.state.registry = registry
     app.state.document = committed_document()
@@ -207,4 +211,5 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     services: Services | None = app.state.services
     if services is not None:
         await anyio.to_thread.run_sync(services.runner.close)
+        await anyio.to_thread.run_sync(services.uploads.close)
         services.close()

@@ -47,6 +47,7 @@ COMMANDS = (
     Command("registry", "api.commands.registry", "registry", "Load, void, restore and list records of the registry."),
     Command("reassemble", "api.commands.reassemble", "reassemble", "Make the windows of a vehicle again."),
     Command("recordings", "api.commands.recordings", "recordings", "List and correct what was received."),
+    Command("chunk", "api.commands.chunk", "chunk", "Watch a drop folder, decode what is received, scrub raw files."),
     Command("quarantine", "api.commands.quarantine", "quarantine", "List and retry what failed by itself."),
     Command("estimate", "api.commands.estimate", "estimate", "Run the scheduled jobs once, now, in order."),
     Command("serve", "api.commands.serve", "serve", "Serve the REST API."),

@@ -19,12 +19,13 @@ CSV = "text/csv"
 class OperationContract:
     """What one operation offers and takes: media types of success, best first, and names of query parameters.
 
-    Those that are lists may be repeated.
+    Those that are lists may be repeated. ``body_types`` are the media types that its body may have.
     """
 
     media_types: tuple[str, ...]
     query_parameters: frozenset[str]
     repeatable: frozenset[str]
+    body_types: tuple[str, ...] = (JSON,)
 
 
 Contracts = Mapping[tuple[str, str], OperationContract]
@@ -37,6 +38,7 @@ def contracts_of(document: Mapping[str, Any]) -> Contracts:
             _media_types(operation),
             frozenset(entry["name"] for entry in _in_query(operation)),
             frozenset(entry["name"] for entry in _in_query(operation) if _is_list(entry["schema"])),
+            tuple(operation.get("requestBody", {}).get("content", ())) or (JSON,),
         )
         for path, operations in document["paths"].items()
         for method, operation in operations.items()
@@ -79,10 +81,11 @@ def _refuse_unknown_parameters(request: Request, contract: OperationContract) ->
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "invalid-request", detail, items)
 
 
-def _refuse_other_body(request: Request) -> None:
-    given = request.headers.get("content-type", JSON).split(";", maxsplit=1)[0].strip().lower()
-    if request.method in {HTTPMethod.POST, HTTPMethod.PUT, HTTPMethod.PATCH} and given != JSON:
-        raise ProblemError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", f"send {JSON}")
+def _refuse_other_body(request: Request, taken: Sequence[str]) -> None:
+    given = request.headers.get("content-type", taken[0]).split(";", maxsplit=1)[0].strip().lower()
+    if request.method in {HTTPMethod.POST, HTTPMethod.PUT, HTTPMethod.PATCH} and given not in taken:
+        detail = f"send {' or '.join(taken)}"
+        raise ProblemError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", detail)
 
 
 async def media_type(request: Request) -> str:
@@ -91,7 +94,7 @@ async def media_type(request: Request) -> str:
     Raises
     ------
     ProblemError
-        406: it accepts none; 415: the body is no JSON; 422: an unknown or repeated query parameter.
+        406: it accepts none; 415: the body is of another type; 422: an unknown or repeated query parameter.
     LookupError
         The route has been added without its description.
     """
@@ -104,7 +107,7 @@ async def media_type(request: Request) -> str:
     if chosen is None:
         offered = ", ".join(contract.media_types)
         raise ProblemError(HTTPStatus.NOT_ACCEPTABLE, "not-acceptable", f"offered: {offered}")
-    _refuse_other_body(request)
+    _refuse_other_body(request, contract.body_types)
     _refuse_unknown_parameters(request, contract)
     request.state.media_type = chosen
     return chosen

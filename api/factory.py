@@ -34,6 +34,8 @@ from fleet_db.silent_server import ServerLimits
 from fleet_db.storage import SqlStorage
 from ingest.assemble_windows import assemble_windows
 from ingest.catalogue import default_catalogue
+from ingest.intake.backlog import BacklogLimits, BacklogWatch
+from ingest.intake.store import ChunkStorage
 from ingest.own_bus.choice import bus_choice
 from ingest.own_bus.loading import load_own_bus
 from ingest.receiver import Receiver
@@ -45,8 +47,12 @@ if TYPE_CHECKING:
     from fastapi import FastAPI
 
     from api.services import Services
+    from api.uploads.taking import Uploads
 
 
+MEGABYTE = 1_000_000
+RECEIPT_PATIENCE_S = 20.0
+"""How long receipts of uploads wait for another process that writes to the embedded database."""
 AT_ONCE_S = 1.0
 """A database server that answers within this time is there before the REST API listens."""
 WRITERS = 16
@@ -265,8 +271,26 @@ def open_services(settings: Settings) -> Services:
         close=storage.close,
         writers=WriterSlots(1 if one_reader else WRITERS, PATIENCE_S),
         cache=RepresentationCache(),
+        uploads=_uploads(settings, storage, context.clock),
         one_reader=one_reader,
     )
+
+
+def backlog_watch(settings: Settings, storage: SqlStorage) -> BacklogWatch:
+    """Return what says whether more chunks may come."""
+    limits = BacklogLimits(settings.backlog_chunks, settings.backlog_mb * MEGABYTE, settings.free_disk_mb * MEGABYTE)
+    return BacklogWatch(storage, settings.raw_dir, limits)
+
+
+def _uploads(settings: Settings, storage: SqlStorage, clock: Clock) -> Uploads:
+    from api.uploads.taking import UploadLimits, Uploads  # noqa: PLC0415 - the same
+
+    patient = replace(storage, patience_s=RECEIPT_PATIENCE_S)
+    limits = UploadLimits(
+        settings.max_chunk_mb * MEGABYTE, settings.max_uploads, settings.upload_timeout_s, settings.body_timeout_s
+    )
+    raw = raw_store(settings)
+    return Uploads(raw, ChunkStorage(patient, raw, clock), backlog_watch(settings, storage), limits)
 
 
 def create_app(settings: Settings) -> FastAPI:

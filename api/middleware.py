@@ -19,6 +19,7 @@ from api.access.guard import Access
 from api.http_limits import MAX_BODY_BYTES, MAX_HEAD_BYTES, REQUESTS, HttpLimits
 from api.metrics import RequestMeasures
 from api.problems import ProblemError, from_error, problem_response
+from api.uploads.path import is_upload
 
 ALWAYS_ANSWERED = "/healthz"
 WITHOUT_DATABASE = (ALWAYS_ANSWERED, "/metrics")
@@ -140,8 +141,7 @@ class RequestContextMiddleware:
                 _refuse_large_head(scope)
                 self._refuse_without_database(scope)
                 await self.access.gate.admit(scope)
-                with_it = await with_body(scope, receive, self.limits.body_timeout_s, self.limits.max_body_bytes)
-                await self._run(scope, with_it, answer)
+                await self._run(scope, await self._with_body(scope, receive), answer)
             except Exception as error:
                 if answer.status is not None:
                     raise
@@ -187,6 +187,12 @@ class RequestContextMiddleware:
             detail = f"no answer within {self.limits.request_timeout_s:g} s; what was asked for may still be done"
             raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "5"})
         await task
+
+    async def _with_body(self, scope: Scope, receive: Receive) -> Receive:
+        """Return ``receive`` with the whole body, or as it is where the route takes the body piece by piece."""
+        if is_upload(scope):
+            return receive
+        return await with_body(scope, receive, self.limits.body_timeout_s, self.limits.max_body_bytes)
 
     def _refuse_without_database(self, scope: Scope) -> None:
         if scope["app"].state.services is None and scope["path"] not in WITHOUT_DATABASE:

@@ -36,6 +36,7 @@ TYPES: Mapping[str, str] = {
     "history-purged": "What was known at that time has been purged",
     "not-acceptable": "None of the accepted media types is offered",
     "unsupported-media-type": "The request's media type is not supported",
+    "digest-mismatch": "The bytes have another digest",
     "content-too-large": "The request body is too large",
     "headers-too-large": "Request line and headers are too large",
     "request-timeout": "The request did not arrive in time",

@@ -12,6 +12,7 @@ from api.access.caller import CallerDep
 from api.accuracy.contact_cache import ContactCache
 from api.job_runner import JobRunner
 from api.representation_cache import RepresentationCache
+from api.uploads.taking import Uploads
 from api.writer_slots import WriterSlots
 from estimation.errors import NotFoundError
 from estimation.jobs.job import Job
@@ -36,6 +37,7 @@ class Services:
     close: Callable[[], None]
     writers: WriterSlots
     cache: RepresentationCache
+    uploads: Uploads
     one_reader: bool  # an embedded database, whose reads slow each other down in threads
     contacts: ContactCache = field(default_factory=ContactCache)
 

@@ -86,6 +86,12 @@ class Settings(BaseSettings):
     database_connect_timeout_s, database_silence_s, database_statement_timeout_s
         How long a database server may take to accept a connection, to say anything before it is asked whether it is
         there, and for one statement, in seconds.
+    max_chunk_mb, max_uploads, upload_timeout_s
+        How large a chunk may be that is sent over HTTP or through a drop folder, how many one process receives at the
+        same time, and how long one may take, in seconds.
+    backlog_chunks, backlog_mb, free_disk_mb
+        How many chunks, and megabytes of them, may wait to be decoded, and how many megabytes of the disk stay free;
+        beyond, no chunk is taken.
     shutdown_timeout_s
         How long running requests and jobs may take to finish after SIGTERM, in seconds.
     max_connections
@@ -151,6 +157,12 @@ class Settings(BaseSettings):
     database_connect_timeout_s: int = Field(default=5, ge=2, le=60)
     database_silence_s: float = Field(default=10.0, ge=1.0, le=600.0)
     database_statement_timeout_s: float = Field(default=600.0, ge=1.0, le=86_400.0)
+    max_chunk_mb: int = Field(default=64, ge=1, le=100_000)
+    max_uploads: int = Field(default=64, ge=1, le=10_000)
+    upload_timeout_s: float = Field(default=600.0, gt=0.0, le=86_400.0)
+    backlog_chunks: int = Field(default=10_000, ge=1)
+    backlog_mb: int = Field(default=20_000, ge=1)
+    free_disk_mb: int = Field(default=1_000, ge=0)
     shutdown_timeout_s: int = Field(default=10, ge=1, le=600)
     max_connections: int = Field(default=1000, ge=1, le=100_000)
     max_streams: int = Field(default=500, ge=1, le=100_000)

@@ -52,6 +52,7 @@ FINDERS: Mapping[str, Find] = {
     "/v1/jobs/{name}": SHARED,
     "/v1/keys/{prefix}": SHARED,
     "/v1/recordings/{digest}": _recording,
+    "/v1/chunks/{sha256}": SHARED,  # it need not be there yet; the route looks at its vehicle
     "/v1/webhooks/{webhook_id}": _webhook,
 }
 """How the first object in a path is found, by the template of the path up to it."""

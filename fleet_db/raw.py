@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from estimation.errors import InputError, ParameterError, PassingFaultError
 from fleet_db.atomic_files import sync_directory, write_atomically
+from fleet_db.incoming import IncomingFile
 from fleet_db.passing import passing_faults
 
 PIECE_BYTES = 1 << 20
@@ -114,34 +113,72 @@ class RawStore:
         PassingFaultError
             It cannot be stored now: no space, no permission.
         """
-        with passing_faults(self.directory):
-            self.directory.mkdir(parents=True, exist_ok=True)
-            handle, name = tempfile.mkstemp(prefix=".incoming-", dir=self.directory)
-            copy = Path(name)
-            try:
-                with os.fdopen(handle, "w+b") as target:
-                    for piece in _pieces(source):
-                        target.write(piece)
-                    target.flush()
-                    os.fsync(target.fileno())
-                    target.seek(0)
-                    digest = hashlib.file_digest(target, "sha256").hexdigest()
-                admit(digest)
-                self._move(copy, self.path(digest, source.suffix.lower()), digest)
-            finally:
-                copy.unlink(missing_ok=True)
-        return digest
+        with IncomingFile(self.directory) as incoming:
+            for piece in pieces_of(source):
+                incoming.write(piece)
+            incoming.finish()
+            admit(incoming.digest)
+            self.synchronise(self.place(incoming, source.suffix.lower()))
+            return incoming.digest
 
-    def _move(self, copy: Path, path: Path, digest: str) -> None:
-        if _whole(path, digest):
-            return
-        path.parent.mkdir(parents=True, exist_ok=True)
-        copy.replace(path)
-        sync_directory(path.parent)
-        sync_directory(self.directory)
+    def place(self, incoming: IncomingFile, suffix: str) -> set[Path]:
+        """Give a file that is on the disk its name; a whole one of that name stays, a damaged one is replaced.
+
+        Parameters
+        ----------
+        incoming
+            The file, finished.
+        suffix
+            Of its format.
+
+        Returns
+        -------
+        set[Path]
+            Directories that are to be synchronised before anybody may rely on it.
+
+        Raises
+        ------
+        PassingFaultError
+            It cannot be renamed now.
+        """
+        path = self.path(incoming.digest, suffix)
+        with passing_faults(path):
+            if not _whole(path, incoming.digest):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                incoming.path.replace(path)
+        return {path.parent, self.directory}  # also of one that was there: who placed it may not have synchronised
+
+    def synchronise(self, directories: Iterable[Path]) -> None:
+        """Put the names in these directories on the disk.
+
+        Parameters
+        ----------
+        directories
+            From :meth:`place`, of any number of files.
+
+        Raises
+        ------
+        PassingFaultError
+            The disk failed.
+        """
+        for directory in sorted(directories):
+            with passing_faults(directory):
+                sync_directory(directory)
 
 
-def _pieces(source: Path) -> Iterator[bytes]:
+def pieces_of(source: Path) -> Iterator[bytes]:
+    """Yield the bytes of a file of others.
+
+    Parameters
+    ----------
+    source
+        The file.
+
+    Raises
+    ------
+    InputError
+        It cannot be read; names it.
+    """
     try:
         with source.open("rb") as stream:
             while piece := stream.read(PIECE_BYTES):

@@ -33,6 +33,7 @@ from fleet_db.stores.looks import LookStore
 from fleet_db.stores.plausibility import PlausibilityStore
 from fleet_db.stores.quarantine import QuarantineStore
 from fleet_db.stores.raw_marks import RawMarkStore
+from fleet_db.stores.raw_scrubs import RawScrubStore
 from fleet_db.stores.recorded_times import RecordedTimeStore
 from fleet_db.stores.recording_changes import RecordingChangeStore
 from fleet_db.stores.registry import RegistryStore
@@ -72,6 +73,7 @@ class SqlUnitOfWork:
     stale_spans: StaleSpanStore = field(init=False)
     quarantine: QuarantineStore = field(init=False)
     raw_marks: RawMarkStore = field(init=False)
+    raw_scrubs: RawScrubStore = field(init=False)
     recording_changes: RecordingChangeStore = field(init=False)
     registry: RegistryStore = field(init=False)
     registry_history: RegistryHistoryStore = field(init=False)
@@ -107,6 +109,7 @@ class SqlUnitOfWork:
         self.stale_spans = StaleSpanStore(connection)
         self.quarantine = QuarantineStore(connection)
         self.raw_marks = RawMarkStore(connection)
+        self.raw_scrubs = RawScrubStore(connection)
         self.recording_changes = RecordingChangeStore(connection)
         self.registry = RegistryStore(connection, self.changes, self.shipped)
         self.tracks = TrackStore(connection)

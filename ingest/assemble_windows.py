@@ -11,6 +11,7 @@ from estimation.jobs.job import Job, JobContext
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.held import HeldRecordings
+from ingest.intake.decoding import decode_received
 from ingest.lost_recordings import missing
 from ingest.receiver import ChunkReceipt, Receiver
 
@@ -34,12 +35,14 @@ def assemble_windows(
             counts["spans"] = len(unit.stale_spans.all())
             waiting = list(unit.chunks.of_known_vehicles())
             looked_for = missing(unit)
+            received = unit.chunks.undecoded_size().count
         waiting += HeldRecordings(storage_of(context), context.clock).due()
-        if not counts["spans"] and not waiting and not looked_for:
+        if not counts["spans"] and not waiting and not looked_for and not received:
             return counts
         receiver = receiver_of(context)
         receipts = [one.record for one in receiver.decode(waiting) if isinstance(one, ChunkReceipt)]
         counts["decoded"] = sum(record.state is ChunkState.DECODED for record in receipts)
+        counts["decoded"] += decode_received(storage_of(context), receiver, NAME, context.checkpoint).decoded
         changes = receiver.reassembler.work_off(checkpoint=context.checkpoint)
         counts |= {name: getattr(changes, name) for name in ("new", "changed", "removed", "healed", "quarantined")}
         return counts

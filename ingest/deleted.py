@@ -47,6 +47,17 @@ class DeletedRecordings:
         if deleted is not None:
             raise _refusal(deleted)
 
+    def refuse(self, found: ChunkRecord) -> None:
+        """Refuse a recording whose receipt says that it was deleted, where that is not wanted again.
+
+        Raises
+        ------
+        ConflictError
+            It was, and is not.
+        """
+        if self.taken_by is None and found.state is ChunkState.DELETED:
+            raise _refusal(found)
+
     def take_again(self, unit: SqlUnitOfWork, deleted: ChunkRecord, record: ChunkRecord) -> None:
         """Put a new receipt in the place of that of a deleted recording, with its record.
 

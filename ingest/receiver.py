@@ -23,7 +23,7 @@ from fleet_db.raw import RawStore
 from fleet_db.raw_mark import check_raw_store, stored_mark
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from ingest.assembly import Assembler, extent
+from ingest.assembly import Assembler
 from ingest.catalogue import Catalogue
 from ingest.deleted import DeletedRecordings
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
@@ -34,6 +34,7 @@ from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
 from ingest.own_bus.choice import BusChoice
 from ingest.reassembly import Reassembler
+from ingest.receipts import enter_receipt, of_another_vehicle
 from ingest.received import Decoded, ReceivedFile, check_undecided, printable_name, read_or_raise
 from ingest.recordings import Recording, Recordings
 from ingest.span_commit import NO_CHANGES, commit, still_so
@@ -333,26 +334,10 @@ class Receiver:
             file_name=printable_name(path),
         )
         with self._storage.write() as unit:
-            if unit.chunks.put(record):
-                return record, False
-            found = unit.chunks.get(digest)
-            if found is not None and found.state is ChunkState.DELETED:
-                self._deleted.take_again(unit, found, record)
-                return record, False
-            if found is not None and found.purged_ns is not None:  # its bytes are there again
-                found = replace(found, purged_ns=None)
-                unit.chunks.update(found)
-                for from_ns, to_ns in extent(found):  # what changed meanwhile has not reached its windows
-                    unit.stale_spans.add(found.vehicle, from_ns, to_ns + 1, f"recording {digest[:12]}: received again")
-        assert found is not None
+            found, known = enter_receipt(unit, record, self._deleted)
         if found.vehicle != vehicle:
-            raise ConflictError(
-                f"{path}: the same recording was received from vehicle {found.vehicle};"
-                f" where that is wrong: treadwatch recordings reassign {digest[:12]} --vehicle {vehicle}",
-                kind="chunk",
-                key=digest,
-            )
-        return found, True
+            raise of_another_vehicle(found, vehicle, str(path))
+        return found, known
 
     def _reject(self, record: ChunkRecord, error: LogFileError) -> None:
         text = error.reason if error.line is None else f"line {error.line}: {error.reason}"

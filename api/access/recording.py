@@ -15,6 +15,7 @@ from api.access.caller import known_caller
 from api.access.gate import address_of
 from api.access.hosts import READING
 from api.access.rates import Rate
+from api.uploads.path import is_upload
 from fleet_db.access_records import AuditEntry
 
 REFUSALS = frozenset({HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN})
@@ -43,6 +44,8 @@ class Recorder:
     async def answered(self, scope: Scope, status: int, headers: Mapping[str, str], request_id: str) -> None:
         """Record how a request was answered, before its answer is sent: no change is answered that is not recorded.
 
+        An upload is recorded in its receipt, with its sender: an entry beside each would be more rows than all else.
+
         Parameters
         ----------
         scope
@@ -52,7 +55,7 @@ class Recorder:
         request_id
             Name of the request in the log.
         """
-        changed = scope["method"] not in READING and status < HTTPStatus.MULTIPLE_CHOICES
+        changed = scope["method"] not in READING and status < HTTPStatus.MULTIPLE_CHOICES and not is_upload(scope)
         if changed and "idempotency-replayed" not in headers:
             entry = self._entry(scope, status, headers, request_id)
             await asyncio.wrap_future(self.book.changed(entry))

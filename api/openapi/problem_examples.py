@@ -20,6 +20,7 @@ DETAILS: Mapping[str, str] = {
     "history-purged": "replaced results are kept from 2026-01-01T00:00:00Z on, see the retention",
     "not-acceptable": "offered: application/json",
     "unsupported-media-type": "send application/json",
+    "digest-mismatch": "the body has another sha256 than its path",
     "content-too-large": "at most 1048576 bytes",
     "headers-too-large": "request line and headers: at most 16384 bytes",
     "request-timeout": "the body did not arrive within 30 s",

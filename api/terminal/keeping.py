@@ -40,7 +40,7 @@ def back_up_and_report(folder: Path, *, windows: bool) -> None:
     typer.Exit
         Code 1: files that the database refers to are missing or damaged; they are listed.
     """
-    with closing(open_store(load_settings())) as storage, _progress("backing up files") as progress:
+    with closing(open_store(load_settings())) as storage, counted("backing up files") as progress:
         manifest = back_up(storage, folder, SystemClock().now_ns(), windows=windows, progress=progress)
     typer.echo(
         f"backup {manifest.name}: {sum(manifest.rows.values()):,} rows, {manifest.raw_files:,} recordings, "
@@ -71,7 +71,7 @@ def restore_and_report(folder: Path, name: str | None) -> None:
         Code 1: files are missing; they are listed.
     """
     settings = load_settings()
-    with _progress("restoring files") as progress:
+    with counted("restoring files") as progress:
         restored = restore(settings.url, settings.data_dir, folder, name, progress=progress)
     typer.echo(
         f"restored backup {restored.manifest.name}: {sum(restored.rows.values()):,} rows, {restored.files:,} files"
@@ -93,7 +93,7 @@ def check_and_report() -> None:
     typer.Exit
         Code 1: something is damaged or lost.
     """
-    with closing(open_store(load_settings())) as storage, _progress("reading files") as progress:
+    with closing(open_store(load_settings())) as storage, counted("reading files") as progress:
         found = check_deep(storage, progress)
     typer.echo(f"read {found.files:,} files and {found.rows:,} packed values: {_verdict(found)}")
     lines = [f"{finding.kind}: {finding.subject}: {finding.detail}" for finding in found.findings]
@@ -141,7 +141,14 @@ def _list(what: str, lines: tuple[str, ...]) -> None:
 
 
 @contextmanager
-def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
+def counted(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a progress bar; yield what moves it.
+
+    Parameters
+    ----------
+    what
+        Is being done.
+    """
     columns = (SpinnerColumn(), TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("", total=None)

@@ -188,6 +188,10 @@ class ReasonCode(StrEnum):
         "The vehicle's clock contradicts ours or itself. Set the wrong one; try the recording again if it was ours.",
     )
     VEHICLE_UNKNOWN = "vehicle_unknown", "The registry does not contain the vehicle. Register it; then decode again."
+    WAITS_FOR_DECODING = (
+        "waits_for_decoding",
+        "The recording is received and safe. The next run of `assemble_windows`, or a worker, decodes it.",
+    )
     WAITS_FOR_TIME = "waits_for_time", "The recording has no TIME frame and waits for the recording next to it."
     SET_ASIDE = "set_aside", "The recording was set aside by hand. Restore it to count it again."
     DELETED = "deleted", "The recording was deleted by hand. To take it in again, say so at its ingest."

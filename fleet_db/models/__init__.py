@@ -16,6 +16,7 @@ from fleet_db.models.measured_profiles import MeasuredProfilesRow
 from fleet_db.models.mountings import MountingRow
 from fleet_db.models.purges import PurgeRow
 from fleet_db.models.quarantine import QuarantineRow, RawMarkRow, RecordingChangeRow
+from fleet_db.models.raw_scrubs import RawScrubRow
 from fleet_db.models.registry_history import RegistryEventRow
 from fleet_db.models.roll_ups import RollingSumsRow, RollUpRow, RollUpStateRow, TakenTableRow
 from fleet_db.models.sensor_changes import SensorChangeRow
@@ -59,6 +60,7 @@ __all__ = [
     "PurgeRow",
     "QuarantineRow",
     "RawMarkRow",
+    "RawScrubRow",
     "RecordingChangeRow",
     "RegistryEventRow",
     "ReprofilingRow",

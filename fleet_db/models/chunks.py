@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from sqlalchemy import CheckConstraint, Index, String
+from sqlalchemy import CheckConstraint, Index, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from fleet_db.models.base import Base, Count, Json, Name, Nanoseconds, ReasonCodeColumn, one_of
 from fleet_db.receipts import ChunkState
+
+UNDECODED = text("reason_code = 'waits_for_decoding'")
+OF_UNDECODED = ("recorded_ns", "digest", "size_bytes")
+"""What is asked of recordings that wait for a worker is in the index alone, however many others there are."""
 
 
 class ChunkRow(Base):
@@ -21,6 +25,7 @@ class ChunkRow(Base):
         Index(None, "vehicle", "first_ns"),
         Index(None, "state", "recorded_ns"),
         Index(None, "received_ns", "digest"),
+        Index("ix_chunks_undecoded", *OF_UNDECODED, sqlite_where=UNDECODED, postgresql_where=UNDECODED),
     )
 
     digest: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -39,3 +44,4 @@ class ChunkRow(Base):
     purged_ns: Mapped[Nanoseconds | None]
     clock_checked_ns: Mapped[Nanoseconds | None]
     file_name: Mapped[Name | None]
+    sender: Mapped[Name | None]

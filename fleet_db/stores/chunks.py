@@ -13,6 +13,7 @@ from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import WindowState
 from fleet_db.models import ChunkRow, MountingRow, VehicleRow, WindowRow
+from fleet_db.models.chunks import UNDECODED
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.rows import insert_new, reason_columns, stored_reason, table_of
 
@@ -58,6 +59,15 @@ class ChosenChunks:
             *([] if self.measured_from_ns is None else [CHUNKS.c.last_ns >= self.measured_from_ns]),
             *([] if self.measured_to_ns is None else [CHUNKS.c.first_ns < self.measured_to_ns]),
         ]
+
+
+@dataclass(frozen=True, slots=True)
+class Undecoded:
+    """Recordings that wait for a worker: how many, of how many bytes, since when (ns of our clock; None for none)."""
+
+    count: int
+    size_bytes: int
+    since_ns: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +127,37 @@ class ChunkStore:
     def purged(self) -> frozenset[str]:
         """Return the digests of the recordings whose raw bytes were deleted."""
         return frozenset(self.connection.scalars(select(CHUNKS.c.digest).where(CHUNKS.c.purged_ns.is_not(None))))
+
+    def undecoded(self, limit: int, after: tuple[int, str] = (-1, "")) -> Sequence[ChunkRecord]:
+        """Return the receipts of recordings that wait for a worker to decode them, in the order of their receipt.
+
+        Parameters
+        ----------
+        limit
+            At most so many.
+        after
+            Recorded time and digest of the last one of the page before.
+        """
+        place = (CHUNKS.c.recorded_ns, CHUNKS.c.digest)
+        statement = select(CHUNKS).where(UNDECODED, tuple_(*place) > tuple_(*after)).order_by(*place).limit(limit)
+        return [_record(row) for row in self.connection.execute(statement)]
+
+    def undecoded_size(self) -> Undecoded:
+        """Return how many recordings wait for a worker to decode them, how large they are, and since when."""
+        sums = (func.count(), func.coalesce(func.sum(CHUNKS.c.size_bytes), 0), func.min(CHUNKS.c.recorded_ns))
+        count, size, since_ns = self.connection.execute(select(*sums).where(UNDECODED)).one()
+        return Undecoded(int(count), int(size), since_ns)
+
+    def of_digests(self, digests: Sequence[str]) -> dict[str, ChunkRecord]:
+        """Return the receipts of these recordings, each under its digest.
+
+        Parameters
+        ----------
+        digests
+            At most some hundreds.
+        """
+        found = self.connection.execute(select(CHUNKS).where(CHUNKS.c.digest.in_(digests)))
+        return {row.digest: _record(row) for row in found}
 
     def waiting_for_time(self, vehicle: str) -> Sequence[ChunkRecord]:
         """Return the receipts of a vehicle's recordings that wait for a TIME frame beside them, oldest first."""

@@ -37,6 +37,7 @@ class Named:
 PATHS: Mapping[str, Named | str] = {
     "/v1/alerts/{alert_id}": Named(FOREIGN_ALERT, "987654321", ALERT),
     "/v1/fleets/{code}": Named("alpha", "gamma", FLEET),
+    "/v1/chunks/{sha256}": Named("cd" * 32, "ef" * 32, "12" * 32),
     "/v1/recordings/{digest}": Named("cd" * 32, "ef" * 32, "12" * 32),
     "/v1/vehicles/{code}": Named("V-0", "V-9", VEHICLE),
     "/v1/webhooks/{webhook_id}": Named(FOREIGN_WEBHOOK, "987654321", WEBHOOK),
@@ -66,6 +67,8 @@ NAMING_NOTHING = frozenset(
         "as_of",
         "condition",
         "cursor",
+        "file_name",
+        "format",
         "from",
         "key_prefix",
         "kind",
@@ -99,6 +102,8 @@ NAMING_NOTHING = frozenset(
     ]
 )
 """Query parameters that name no object of a fleet."""
+QUERIES: Mapping[str, Mapping[str, str]] = {"put_chunk": {"vehicle": "V-0", "format": "blf"}}
+"""Parameters that an operation requires; they name foreign objects wherever they can."""
 BODIES: Mapping[str, Mapping[str, object]] = {
     "acknowledge_alert": {"note": "seen"},
     "add_external_ref": {"ref": "maximo:1"},

@@ -74,7 +74,7 @@ def _operations() -> list[Operation]:
             path,
             one["security"][0]["key"][0] if one["security"] else None,
             tuple(entry["name"] for entry in one.get("parameters", ()) if entry["in"] == "query"),
-            "requestBody" in one,
+            "application/json" in one.get("requestBody", {}).get("content", ()),
             any("text/event-stream" in response.get("content", {}) for response in one["responses"].values()),
         )
         for path, methods in json.loads(committed_document())["paths"].items()
@@ -118,6 +118,7 @@ class Guarded:
     ) -> httpx.Response:
         """Send a request."""
         path = operation.at(self.numbers.get(first, first))
+        query = {**examples.QUERIES.get(operation.name, {}), **query}
         asked = self.client.build_request(operation.method, path, headers=dict(headers), json=body, params=query)
         asked.extensions["timeout"]["read"] = FIRST_OF_A_STREAM_S if operation.streams else 60.0
         response, content = self.client.send(asked, stream=True), b""

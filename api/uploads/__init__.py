@@ -1,0 +1,1 @@
+"""Chunks that are sent over HTTP: streamed to the disk, never held whole, never read here."""

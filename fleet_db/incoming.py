@@ -1,0 +1,91 @@
+"""A recording on its way into the raw store: written beside the others under no name, hashed as it is written."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from fleet_db.passing import passing_faults
+
+PREFIX = ".incoming-"
+"""What a killed process leaves begins so; a purge deletes it."""
+
+
+class IncomingFile:
+    """A file that grows until it is finished; what is not placed in the raw store by then is deleted at the end.
+
+    It is made with the first piece.
+
+    Parameters
+    ----------
+    directory
+        Of the raw store; made if it is missing.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._hash = hashlib.sha256()
+        self._file: io.FileIO | None = None
+        self.path = directory
+        self.size_bytes = 0
+        self.finished = False
+
+    @property
+    def digest(self) -> str:
+        """The sha256 of what was written, in hexadecimal."""
+        return self._hash.hexdigest()
+
+    def write(self, piece: bytes | bytearray) -> None:
+        """Write the next piece.
+
+        Raises
+        ------
+        PassingFaultError
+            No space, or the disk failed.
+        """
+        with passing_faults(self._directory), memoryview(piece) as left:
+            file = self._file or self._made()
+            written = 0
+            while written < len(left):
+                written += file.write(left[written:]) or 0
+        self._hash.update(piece)
+        self.size_bytes += len(piece)
+
+    def finish(self) -> None:
+        """Put what was written on the disk, and close the file.
+
+        Raises
+        ------
+        PassingFaultError
+            The disk failed; nothing that was written counts.
+        """
+        with passing_faults(self._directory):
+            file = self._file or self._made()  # of no bytes
+            os.fsync(file.fileno())
+            file.close()
+        self.finished = True
+
+    def discard(self) -> None:
+        """Delete the file unless it was placed."""
+        if self._file is not None:
+            self._file.close()
+            self.path.unlink(missing_ok=True)
+
+    def _made(self) -> io.FileIO:
+        self._directory.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=PREFIX, dir=self._directory)
+        self.path, self._file = Path(name), io.FileIO(handle, "wb")
+        return self._file
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.discard()

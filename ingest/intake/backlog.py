@@ -1,0 +1,143 @@
+"""Whether more chunks may come: how many wait to be decoded, how large they are, and how much disk is left."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+
+from fleet_db.passing import passing_faults
+from fleet_db.storage import SqlStorage
+
+LOOK_EVERY_S = 1.0
+"""How long what the database said counts; what was taken since is added to it."""
+
+
+class Limit(StrEnum):
+    """Which limit keeps chunks out."""
+
+    CHUNKS = "chunks"
+    BYTES = "bytes"
+    DISK = "disk"
+
+
+@dataclass(frozen=True, slots=True)
+class BacklogLimits:
+    """How much may wait to be decoded, and how much of the disk stays free.
+
+    Attributes
+    ----------
+    chunks, size_bytes
+        Of all that wait.
+    free_bytes
+        That no chunk may take.
+    """
+
+    chunks: int
+    size_bytes: int
+    free_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Behind:
+    """A limit that is reached, in a sentence."""
+
+    limit: Limit
+    text: str
+
+
+@dataclass(slots=True)
+class BacklogWatch:
+    """Says whether a chunk may come; asks database and disk at most once a second.
+
+    Parameters
+    ----------
+    storage
+        The database, of all fleets.
+    folder
+        Of the raw store.
+    limits
+        Of the deployment.
+    now_s
+        A clock that never goes back, s.
+    """
+
+    storage: SqlStorage
+    folder: Path
+    limits: BacklogLimits
+    now_s: Callable[[], float] = time.monotonic
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _looked_s: float = float("-inf")
+    _chunks: int = 0
+    _size_bytes: int = 0
+    _free_bytes: int = 0
+
+    @property
+    def fresh(self) -> bool:
+        """Whether :meth:`behind` answers without asking database and disk."""
+        return self.now_s() - self._looked_s < LOOK_EVERY_S
+
+    def behind(self, size_bytes: int) -> Behind | None:
+        """Return the limit that keeps a chunk out; None where it may come, and counts from now on.
+
+        Parameters
+        ----------
+        size_bytes
+            Of the chunk, or what it may have at most.
+
+        Raises
+        ------
+        StorageError
+            The database cannot be reached.
+        PassingFaultError
+            The disk cannot be asked.
+        """
+        with self._lock:
+            if not self.fresh:
+                self._look()
+            found = self._found(size_bytes)
+            if found is None:
+                self._chunks += 1
+                self._size_bytes += size_bytes
+                self._free_bytes -= size_bytes
+            return found
+
+    def _look(self) -> None:
+        with self.storage.read() as unit:
+            waiting = unit.chunks.undecoded_size()
+        self._chunks, self._size_bytes = waiting.count, waiting.size_bytes
+        self._free_bytes = free_bytes(self.folder)
+        self._looked_s = self.now_s()
+
+    def _found(self, size_bytes: int) -> Behind | None:
+        limits = self.limits
+        if self._chunks >= limits.chunks:
+            return Behind(Limit.CHUNKS, f"{self._chunks:,} chunks wait to be decoded, {limits.chunks:,} may")
+        if self._size_bytes + size_bytes > limits.size_bytes:
+            text = f"{self._size_bytes:,} bytes wait to be decoded, {limits.size_bytes:,} may"
+            return Behind(Limit.BYTES, text)
+        if self._free_bytes - size_bytes < limits.free_bytes:
+            return Behind(Limit.DISK, f"the disk has {self._free_bytes:,} bytes left, {limits.free_bytes:,} stay free")
+        return None
+
+
+def free_bytes(folder: Path) -> int:
+    """Return how much room is left where a folder is, or will be made.
+
+    Parameters
+    ----------
+    folder
+        Need not exist.
+
+    Raises
+    ------
+    PassingFaultError
+        The disk cannot be asked.
+    """
+    there = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.is_dir())
+    with passing_faults(there):
+        return shutil.disk_usage(there).free

@@ -1,0 +1,104 @@
+"""Finished files become recordings with a receipt, many in one transaction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from estimation.errors import ConflictError
+from estimation.storage import Clock
+from fleet_db.incoming import IncomingFile
+from fleet_db.raw import RawStore
+from fleet_db.raw_mark import check_raw_store, stored_mark
+from fleet_db.receipts import ChunkRecord
+from fleet_db.storage import SqlStorage
+from ingest.deleted import DeletedRecordings
+from ingest.intake.chunk import Chunk
+from ingest.receipts import enter_receipt, of_another_vehicle
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """A chunk whose bytes are on the disk under no name yet."""
+
+    file: IncomingFile
+    chunk: Chunk
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """A committed receipt, and whether it had been there before."""
+
+    record: ChunkRecord
+    known: bool
+
+
+class ChunkStorage:
+    """Stores arrivals: names first, then their directories on the disk, then all receipts in one transaction.
+
+    Parameters
+    ----------
+    storage, raw
+        Where receipts and bytes go.
+    clock
+        Ours.
+    """
+
+    def __init__(self, storage: SqlStorage, raw: RawStore, clock: Clock) -> None:
+        self._storage = storage
+        self._raw = raw
+        self._clock = clock
+        self._deleted = DeletedRecordings(storage, None)
+        self._mark: str | None = None
+
+    def store(self, arrivals: Sequence[Arrival]) -> list[Stored | ConflictError]:
+        """Store arrivals; the answer to each is its receipt, or why it is not taken. What is not needed is deleted.
+
+        Parameters
+        ----------
+        arrivals
+            Finished files.
+
+        Raises
+        ------
+        PassingFaultError
+            The raw store cannot take them now: nothing has a receipt.
+        StorageError
+            The database cannot be reached: the same.
+        """
+        if self._mark is None or stored_mark(self._raw) != self._mark:
+            self._mark = check_raw_store(self._storage, self._raw, self._clock.now_ns())
+        answers: dict[int, Stored | ConflictError] = {}
+        self._refuse_deleted(arrivals, answers)
+        directories = set()
+        for number, arrival in enumerate(arrivals):
+            if number not in answers:
+                directories |= self._raw.place(arrival.file, arrival.chunk.suffix)
+        self._raw.synchronise(directories)
+        with self._storage.write() as unit:
+            now_ns = self._clock.now_ns()
+            for number, arrival in enumerate(arrivals):
+                if number in answers:
+                    continue
+                record = arrival.chunk.receipt(arrival.file.digest, arrival.file.size_bytes, now_ns)
+                try:
+                    found, known = enter_receipt(unit, record, self._deleted)
+                except ConflictError as error:  # deleted a moment ago: what was placed is an orphan
+                    answers[number] = error
+                    continue
+                wrong = found.vehicle != record.vehicle
+                refusal = of_another_vehicle(found, record.vehicle, record.file_name or record.digest)
+                answers[number] = refusal if wrong else Stored(found, known)
+        for arrival in arrivals:
+            arrival.file.discard()
+        return [answers[number] for number in range(len(arrivals))]
+
+    def _refuse_deleted(self, arrivals: Sequence[Arrival], answers: dict[int, Stored | ConflictError]) -> None:
+        with self._storage.read() as unit:
+            found = unit.chunks.of_digests([arrival.file.digest for arrival in arrivals])
+        for number, arrival in enumerate(arrivals):
+            if arrival.file.digest in found:
+                try:
+                    self._deleted.refuse(found[arrival.file.digest])
+                except ConflictError as error:
+                    answers[number] = error
