@@ -21,7 +21,19 @@ from bench.report import BenchRow
 from bench.results_page import markdown_table, write_page
 
 NAMES = ("contact", "estimation", "recursion", "decoding", "simulator", "trend")
-WITH_OPTIONS = ("section", "world", "vehicles", "mutants", "house", "chaos", "api", "feed", "page", "workers")
+WITH_OPTIONS = (
+    "section",
+    "world",
+    "vehicles",
+    "mutants",
+    "house",
+    "chaos",
+    "api",
+    "feed",
+    "page",
+    "workers",
+    "chunks",
+)
 LONG = ("signals", "curves", "mounting", "window_files", "compiled_code")  # of many minutes, run where they are named
 TITLES = {
     "contact": "Contact geometry against EN 15302",
