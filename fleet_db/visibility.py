@@ -123,6 +123,7 @@ RULES: Mapping[str, Rule] = {
     "sensor_changes": _of_vehicle,
     "recording_changes": _of_vehicle_before_and_after,
     "stale_spans": _of_vehicle,
+    "track_epoch_vehicles": _of_vehicle,
     "suspension_findings": _of_vehicle,
     "mountings": _of_both,
     "windows": _of_both,

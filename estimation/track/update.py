@@ -25,7 +25,12 @@ from estimation.track.survey_check import check_survey
 from estimation.track.survey_fit import fit_survey
 from estimation.track.survey_gauge import judge_gauge
 from estimation.track.survey_verdict import SurveyVerdict, place_of, survey_verdict
-from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
+from estimation.track.versions import (
+    carry_over_findings,
+    changed_vehicles,
+    gauge_shift_changed,
+    requires_reestimation,
+)
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, combined, prefixed
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
@@ -117,6 +122,11 @@ class _Epoch:
     parameters: SectionParameters
     measured: Mapping[ProfileLife, MeasuredCurve] | None
 
+    @property
+    def vehicles(self) -> dict[str, str]:
+        """Vehicle by serial of the wheelsets that passed."""
+        return {item.wheelset: item.vehicle for item in self.screened.used}
+
     def estimate(self, prior: TrackAlignment | None) -> SectionEstimate:
         """Return what the passes and a prior alignment give."""
         return estimate_section(self.section, self.screened.used, prior, self.parameters, self.measured)
@@ -181,7 +191,7 @@ def _with_survey(
     if estimate.alignment is not None and estimate.report.converged and better(estimate.alignment, survey):
         return epoch.update(UpdateOutcome.NEW_VERSION, estimate, estimate.alignment, survey=reason)
     kept = epoch.update(UpdateOutcome.SURVEY_KEPT, estimate, survey, survey=reason)
-    return _with_gauge_shifts(kept, survey, settings)
+    return _with_gauge_shifts(kept, survey, epoch.vehicles, settings)
 
 
 def _contradicted(
@@ -274,7 +284,9 @@ def _unknown(survey: TrackAlignment) -> TrackAlignment:
     )
 
 
-def _with_gauge_shifts(kept: AlignmentUpdate, survey: TrackAlignment, settings: AlignmentSettings) -> AlignmentUpdate:
+def _with_gauge_shifts(
+    kept: AlignmentUpdate, survey: TrackAlignment, vehicles: Mapping[str, str], settings: AlignmentSettings
+) -> AlignmentUpdate:
     """Return the survey with what its gauge does to wheelsets, as a version of its own where that is new."""
     found = kept.estimate.alignment
     varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= LEAST_GAUGE
@@ -287,7 +299,12 @@ def _with_gauge_shifts(kept: AlignmentUpdate, survey: TrackAlignment, settings: 
     ):
         return kept
     extended = carry_over_findings(replace(survey, findings=found.findings), survey)
-    if not (requires_reestimation(survey, extended, settings) or gauge_shift_changed(survey, extended, settings)):
+    new = (
+        requires_reestimation(survey, extended, settings)
+        or changed_vehicles(survey, extended, settings, vehicles)
+        or gauge_shift_changed(survey, extended, settings)
+    )
+    if not new:
         return kept
     return replace(kept, outcome=UpdateOutcome.SURVEY_EXTENDED, alignment=extended)
 

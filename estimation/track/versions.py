@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from estimation.track.settings import AlignmentSettings
 from estimation.values.arrays import FloatArray
-from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings
+from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings
 
 SAME_GAUGE = 0.8  # correlation of two estimates of one gauge
 SMALLEST = float(np.finfo(np.float64).tiny)  # in place of a power of zero
@@ -18,9 +19,9 @@ OFTEN = 1e-3  # m of rL - rR, both ways: further out few passes are
 def requires_reestimation(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettings) -> bool:
     """Whether what was estimated with ``old`` should be estimated again with ``new``.
 
-    It should where ``new`` differs by more than ``old`` left unknown, is much more certain, reaches further, or knows
-    more of the section; and where it holds another stiffness ratio of a vehicle, another gauge, or on a survey what
-    the gauge does to a wheelset of which that was not known.
+    It should where ``new`` differs by more than ``old`` left unknown, is much more certain, reaches further, knows
+    more of the section, or holds another gauge. What it holds of one vehicle matters for that one's windows alone:
+    ``changed_vehicles``.
 
     Parameters
     ----------
@@ -39,8 +40,6 @@ def requires_reestimation(old: TrackAlignment, new: TrackAlignment, settings: Al
     both = before & after
     if not both.any():
         return False
-    if _differs(old.findings, new.findings, settings) or _met(old, new):
-        return True
     gauge = np.sqrt(np.mean((new.gauge_deviation - old.gauge_deviation)[both] ** 2))
     std, std_now = (np.sqrt(np.mean(one.alignment_std[both] ** 2)) for one in (old, new))
     more_certain = std > settings.same_least and std_now < settings.same_std * std
@@ -61,24 +60,46 @@ def _moved(old: FloatArray, new: FloatArray, std: float, settings: AlignmentSett
     return far or stretch > settings.same_stretch
 
 
-def _differs(old: TrackFindings | None, new: TrackFindings | None, settings: AlignmentSettings) -> bool:
-    """Whether two versions differ in the stiffness ratio of a vehicle; one without a ratio is as assumed."""
-    if new is None:
-        return False
-    was = old or TrackFindings({}, 0.0, {})
-    same = max(settings.same_ratio, 2.0 * was.stiffness_ratio_std)
-    vehicles = was.stiffness_ratio.keys() | new.stiffness_ratio.keys()
-    return any(abs(new.stiffness_ratio.get(one, 1.0) - was.stiffness_ratio.get(one, 1.0)) > same for one in vehicles)
+def changed_vehicles(
+    old: TrackAlignment,
+    new: TrackAlignment,
+    settings: AlignmentSettings,
+    vehicles: Mapping[str, str],
+    since: Mapping[str, float] | None = None,
+    last: TrackAlignment | None = None,
+) -> dict[str, float]:
+    """Return the stiffness ratio of every vehicle whose windows should be estimated again with ``new``, if none else.
 
+    Its ratio is another, or was not known; or the gauge moves a wheelset of it by what was not known.
 
-def _met(old: TrackAlignment, new: TrackAlignment) -> bool:
-    """Whether a survey gains the gauge shift of a wheelset whose windows were estimated without.
-
-    Where the alignment is the fleet's own, windows wait until their wheelset has been met.
+    Parameters
+    ----------
+    old, new
+        Two versions of an alignment.
+    settings
+        Differences that matter.
+    vehicles
+        Vehicle of every wheelset that has passed, by serial.
+    since
+        Ratios of vehicles whose windows have been estimated with a later version than ``old``; by default there are
+        none.
+    last
+        The version before ``new``; by default ``old``.
     """
-    if new.source != AlignmentSource.RECORDED or new.findings is None:
-        return False
-    return bool(new.findings.gauge_shifts.keys() - (old.findings.gauge_shifts.keys() if old.findings else set()))
+    if new.findings is None:
+        return {}
+    was = old.findings or TrackFindings({}, 0.0, {})
+    before, after = {**was.stiffness_ratio, **(since or {})}, new.findings.stiffness_ratio
+    same = max(settings.same_ratio, 2.0 * was.stiffness_ratio_std)
+    found = {
+        vehicle
+        for vehicle in before.keys() | after.keys()
+        if vehicle not in before or abs(after.get(vehicle, 1.0) - before[vehicle]) > same
+    }
+    known = was if last is None or last.findings is None else last.findings
+    met = new.findings.gauge_shifts.keys() - known.gauge_shifts.keys()
+    found |= {vehicles[wheelset] for wheelset in met & vehicles.keys()}
+    return {vehicle: after.get(vehicle, 1.0) for vehicle in sorted(found)}
 
 
 def gauge_shift_changed(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettings) -> bool:

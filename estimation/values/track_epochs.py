@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from estimation.values.reasons import Reason
 from estimation.values.windows import WindowRecord
@@ -51,6 +52,8 @@ class TrackEpoch:
         It identified nothing: its windows are looked at again together with those of the next.
     after
         What is known after it.
+    estimated_on
+        Version that its own windows are estimated on, as long as the last one does not differ materially.
     report
         Number of its report.
     """
@@ -63,8 +66,25 @@ class TrackEpoch:
     windows: int
     waits: bool
     after: FoldState
+    estimated_on: int | None
     report: int
     recorded_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class FoundOfVehicles:
+    """Of which vehicles an epoch has found what matters for their windows alone.
+
+    Attributes
+    ----------
+    version
+        That holds it: windows of these vehicles are estimated on no older one.
+    stiffness_ratio
+        By vehicle, as that version has it; 1 where it has none.
+    """
+
+    version: int
+    stiffness_ratio: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

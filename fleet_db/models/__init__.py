@@ -23,7 +23,7 @@ from fleet_db.models.sensor_changes import SensorChangeRow
 from fleet_db.models.settings import StoredSettingRow
 from fleet_db.models.stale_spans import StaleSpanRow
 from fleet_db.models.suspension import SuspensionFindingRow
-from fleet_db.models.track_epochs import TrackEpochRow, TrackEpochWindowRow
+from fleet_db.models.track_epochs import TrackEpochRow, TrackEpochVehicleRow, TrackEpochWindowRow
 from fleet_db.models.tracks import (
     TrackAlignmentRow,
     TrackLayoutRow,
@@ -74,6 +74,7 @@ __all__ = [
     "TakenTableRow",
     "TrackAlignmentRow",
     "TrackEpochRow",
+    "TrackEpochVehicleRow",
     "TrackEpochWindowRow",
     "TrackLayoutRow",
     "TrackReportRow",

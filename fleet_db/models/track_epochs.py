@@ -23,6 +23,7 @@ class TrackEpochRow(Base):
     waits: Mapped[bool]
     version: Mapped[int | None]
     same_since: Mapped[int | None]
+    estimated_on: Mapped[int | None]
     survey: Mapped[Name]
     survey_code: Mapped[ReasonCodeColumn | None]
     report: Mapped[Count]
@@ -52,3 +53,18 @@ class TrackEpochWindowRow(Base):
     assumed: Mapped[Digest]
     placed: Mapped[bool]
     estimated_version: Mapped[int | None]
+
+
+class TrackEpochVehicleRow(Base):
+    """A vehicle whose windows are estimated on no older version than that of an epoch, for what that found of it."""
+
+    __tablename__ = "track_epoch_vehicles"
+    __table_args__ = (
+        ForeignKeyConstraint(["section", "epoch"], ["track_epochs.section", "track_epochs.number"], ondelete="CASCADE"),
+    )
+
+    section: Mapped[str] = mapped_column(String(64), primary_key=True)
+    vehicle: Mapped[str] = mapped_column(String(64), primary_key=True)
+    epoch: Mapped[int] = mapped_column(primary_key=True)
+    version: Mapped[int]
+    stiffness_ratio: Mapped[Real]

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Select, and_, case, delete, func, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Select, and_, case, delete, func, insert, or_, select, update
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track_epochs import EpochMember, EpochNews, FoldState, TrackEpoch
+from estimation.values.track_epochs import EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
 from estimation.values.windows import WindowRecord, WindowState
 from fleet_db.models import (
     TrackEpochRow,
+    TrackEpochVehicleRow,
     TrackEpochWindowRow,
     WindowBinTableRow,
     WindowPositionRow,
@@ -22,6 +23,7 @@ from fleet_db.rows import insert_new, replace, table_of, upsert
 from fleet_db.stores.windows import to_window_record
 
 EPOCHS, MEMBERS, WINDOWS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow), table_of(WindowRow)
+VEHICLES = table_of(TrackEpochVehicleRow)
 POSITIONS, TABLES = table_of(WindowPositionRow), table_of(WindowBinTableRow)
 OF_WINDOW = and_(MEMBERS.c.wheelset == WINDOWS.c.wheelset, MEMBERS.c.start_ns == WINDOWS.c.start_ns)
 OF_EPOCH = and_(MEMBERS.c.section == EPOCHS.c.section, MEMBERS.c.epoch == EPOCHS.c.number)
@@ -49,13 +51,24 @@ _NEWEST = (
     .subquery("newest_epochs")
 )
 _FINAL = EPOCHS.alias("final_epochs")
-_OWN, _BASE = EPOCHS.c.version, _FINAL.c.same_since
+_OF_VEHICLE = (
+    select(func.max(VEHICLES.c.version))
+    .where(VEHICLES.c.section == MEMBERS.c.section, VEHICLES.c.vehicle == MEMBERS.c.vehicle)
+    .correlate(MEMBERS)
+    .scalar_subquery()
+)
 _CHAIN = (
     MEMBERS.join(EPOCHS, OF_EPOCH)
     .join(_NEWEST, _NEWEST.c.section == MEMBERS.c.section)
     .join(_FINAL, and_(_FINAL.c.section == _NEWEST.c.section, _FINAL.c.number == _NEWEST.c.number))
 )
-_WANTED = case((_OWN.is_(None), _BASE), (_BASE.is_(None), _OWN), (_OWN > _BASE, _OWN), else_=_BASE)
+
+
+def _newer(first: ColumnElement[Any], second: ColumnElement[Any]) -> ColumnElement[Any]:
+    return case((first.is_(None), second), (second.is_(None), first), (first > second, first), else_=second)
+
+
+_WANTED = _newer(_newer(EPOCHS.c.estimated_on, _FINAL.c.same_since), _OF_VEHICLE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +148,28 @@ class EpochStore:
             self._put_member(epoch, member)
         self.note_placed(epoch.section)
 
+    def put_found(self, section: str, number: int, found: FoundOfVehicles | None) -> None:
+        """Store of which vehicles an epoch has found what matters for them alone, in the place of what was known."""
+        of_epoch = (VEHICLES.c.section == section, VEHICLES.c.epoch == number)
+        self.connection.execute(delete(VEHICLES).where(*of_epoch))
+        if found is None:
+            return
+        for vehicle, ratio in found.stiffness_ratio.items():
+            values = {"section": section, "epoch": number, "vehicle": vehicle, "version": found.version}
+            self.connection.execute(insert(VEHICLES).values(**values, stiffness_ratio=ratio))
+
+    def found(self, section: str, number: int, since: int) -> Mapping[str, float]:
+        """Return the stiffness ratios that epochs before ``number`` have found of vehicles in versions after ``since``.
+
+        Of each vehicle the newest.
+        """
+        statement = (
+            select(VEHICLES.c.vehicle, VEHICLES.c.stiffness_ratio)
+            .where(VEHICLES.c.section == section, VEHICLES.c.epoch < number, VEHICLES.c.version > since)
+            .order_by(VEHICLES.c.epoch)
+        )
+        return {row.vehicle: row.stiffness_ratio for row in self.connection.execute(statement)}
+
     def note_placed(self, section: str) -> None:
         """Record of the windows of all epochs of a section whose positions are stored that they are."""
         placed = select(POSITIONS.c.wheelset).where(PLACED).exists()
@@ -147,14 +182,16 @@ class EpochStore:
 
         What they have made stays in force until then.
         """
-        self.connection.execute(delete(MEMBERS).where(MEMBERS.c.section == section, MEMBERS.c.epoch > number))
+        for table in (MEMBERS, VEHICLES):
+            self.connection.execute(delete(table).where(table.c.section == section, table.c.epoch > number))
         behind = delete(EPOCHS).where(EPOCHS.c.section == section, EPOCHS.c.number > number)
         return int(self.connection.execute(behind).rowcount)
 
     def alignment_version(self, wheelset: str, start_ns: int, in_force: int | None) -> int | None:
         """Return the version of the alignment that a window is estimated on; ``in_force`` where no epoch holds it.
 
-        It is that of its epoch, or the oldest from which the last does not differ materially, if that is newer.
+        It is that of its epoch, or the oldest from which the last does not differ materially, if that is newer, or the
+        newest that holds what was found of its vehicle alone.
         """
         key = (MEMBERS.c.wheelset == wheelset, MEMBERS.c.start_ns == start_ns)
         row = self.connection.execute(select(_WANTED.label("wanted")).select_from(_CHAIN).where(*key)).first()
@@ -258,6 +295,7 @@ def _values(epoch: TrackEpoch) -> dict[str, Any]:
         "waits": epoch.waits,
         "version": epoch.after.version,
         "same_since": epoch.after.same_since,
+        "estimated_on": epoch.estimated_on,
         "survey": "" if survey is None else survey.text,
         "survey_code": None if survey is None else survey.code.value,
         "report": epoch.report,
@@ -276,6 +314,7 @@ def _epoch(row: Any) -> TrackEpoch:  # noqa: ANN401 - a row of EPOCHS
         windows=row.windows,
         waits=row.waits,
         after=FoldState(row.version, row.same_since, survey),
+        estimated_on=row.estimated_on,
         report=row.report,
         recorded_ns=row.recorded_ns,
     )

@@ -9,7 +9,7 @@ import pytest
 import stored_values as make
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track_epochs import OPEN_NS, EpochMember, EpochNews, FoldState, TrackEpoch
+from estimation.values.track_epochs import OPEN_NS, EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
 from estimation.values.windows import WindowPosition, WindowState
 from fleet_db.storage import SqlStorage
 
@@ -26,11 +26,16 @@ FIRST, SECOND, THIRD = (make.START + number * make.LENGTH for number in range(3)
 
 
 def put_epoch(
-    storage: SqlStorage, number: int, starts: Sequence[int], version: int | None, same_since: int | None
+    storage: SqlStorage,
+    number: int,
+    starts: Sequence[int],
+    version: int | None,
+    same_since: int | None,
+    estimated_on: int | None = None,
 ) -> None:
     epoch = TrackEpoch(
         "S-7", number, "before", "digest", OPEN_NS, len(starts), waits=False, after=FoldState(version, same_since),
-        report=1, recorded_ns=1,
+        estimated_on=estimated_on or version, report=1, recorded_ns=1,
     )  # fmt: skip
     with storage.write() as unit:
         records = [one for one in unit.windows.list("WS-1") if one.start_ns in starts]
@@ -130,3 +135,35 @@ def test_windows_that_another_alignment_may_admit_are_outdated(epochs: SqlStorag
             unit.windows.mark("WS-1", start_ns, WindowState.REFUSED, Reason(code, "so"))
             unit.epochs.note_refused("WS-1", start_ns, version)
     assert outdated(epochs) == ([("WS-1", SECOND)] if code in OF_THE_ALIGNMENT else [])
+
+
+def test_windows_of_a_vehicle_are_outdated_on_a_version_older_than_what_was_found_of_it(epochs: SqlStorage) -> None:
+    for start_ns, version in ((FIRST, 1), (SECOND, 1), (THIRD, 2)):
+        estimated(epochs, start_ns, version)
+    assert outdated(epochs) == []
+    with epochs.write() as unit:
+        unit.epochs.put_found("S-7", 2, FoundOfVehicles(2, {"V-9": 0.9}))
+    assert outdated(epochs) == []  # these are of another vehicle
+    with epochs.write() as unit:
+        unit.epochs.put_found("S-7", 2, FoundOfVehicles(2, {"V-1": 0.9, "V-2": 1.0}))
+    assert outdated(epochs) == [("WS-1", FIRST), ("WS-1", SECOND)]
+    with epochs.read() as unit:
+        assert unit.epochs.alignment_version("WS-1", FIRST, 7) == 2
+        assert unit.epochs.found("S-7", 3, 1) == {"V-1": 0.9, "V-2": 1.0}
+        assert unit.epochs.found("S-7", 2, 1) == unit.epochs.found("S-7", 3, 2) == {}
+    with epochs.write() as unit:
+        unit.epochs.put_found("S-7", 2, None)
+    assert outdated(epochs) == []
+    with epochs.write() as unit:
+        unit.epochs.put_found("S-7", 2, FoundOfVehicles(2, {"V-1": 0.9}))
+        unit.epochs.start_again("S-7", 1)
+        assert unit.epochs.found("S-7", 3, 1) == {}
+
+
+def test_a_window_is_estimated_on_the_version_that_its_epoch_names(epochs: SqlStorage) -> None:
+    put_epoch(epochs, 2, (THIRD,), 2, 1, estimated_on=1)
+    for start_ns in (FIRST, SECOND, THIRD):
+        estimated(epochs, start_ns, 1)
+    assert outdated(epochs) == []
+    put_epoch(epochs, 2, (THIRD,), 2, 2, estimated_on=2)
+    assert len(outdated(epochs)) == 3

@@ -19,11 +19,11 @@ from estimation.track.partition import Entry
 from estimation.track.screening.screen import PassStatus
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import AlignmentUpdate
-from estimation.track.versions import requires_reestimation
+from estimation.track.versions import changed_vehicles, requires_reestimation
 from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.track import Correction, TrackAlignment, TrackReport, TrackSectionRecord
-from estimation.values.track_epochs import EpochMember, FoldState, TrackEpoch
+from estimation.values.track_epochs import EpochMember, FoldState, FoundOfVehicles, TrackEpoch
 from estimation.values.windows import WindowPosition, WindowRecord, WindowState
 from estimation.vehicle.class_on_file import ClassOnFile
 
@@ -123,6 +123,7 @@ def store(unit: UnitOfWork, computed: Computed, context: JobContext) -> bool:
         windows=len(due.own),
         waits=computed.update.outcome.windows_wait,
         after=after,
+        estimated_on=_estimated_on(computed, after),
         report=found,
         recorded_ns=context.clock.now_ns(),
     )
@@ -137,7 +138,9 @@ def store(unit: UnitOfWork, computed: Computed, context: JobContext) -> bool:
             if (refusal := part.passes.refused.get((record.wheelset, record.start_ns))) is not None:
                 assemble_if_lost(unit, record, refusal)
         _place_all(unit, part, after.version, context.settings.alignment, waits=epoch.waits)
+    of_vehicles = _of_vehicles(unit, computed, after, context.settings.alignment)
     unit.epochs.put(epoch, due.own)
+    unit.epochs.put_found(section, due.number, of_vehicles)
     return True
 
 
@@ -186,6 +189,37 @@ def _after(unit: UnitOfWork, computed: Computed, context: JobContext) -> FoldSta
     _supersede(unit, due, before, context, kept=0)
     version = unit.tracks.add_alignment(update.alignment, same_since=since, recorded_ns=context.clock.now_ns())
     return FoldState(version, version if since is None else since, survey)
+
+
+def _estimated_on(computed: Computed, after: FoldState) -> int | None:
+    """Return the version that windows of an epoch are estimated on: the one before where its own is hardly another.
+
+    Then an epoch that is computed again with windows that have come does not change those that had. What the gauge does
+    to a wheelset changes on the lathe, and is always that of its own epoch.
+    """
+    before, found = computed.due.before, computed.update.alignment
+    if before.version is None or after.same_since != before.same_since:
+        return after.version
+    moved_by_gauge = found is not None and found.findings is not None and bool(found.findings.gauge_shifts)
+    return after.version if moved_by_gauge else before.version
+
+
+def _of_vehicles(
+    unit: UnitOfWork, computed: Computed, after: FoldState, settings: AlignmentSettings
+) -> FoundOfVehicles | None:
+    """Return which vehicles' windows are to be estimated on a version that is no other for the rest; None for none."""
+    due, found = computed.due, computed.update.alignment
+    before = due.before
+    if after.version is None or after.version == before.version or found is None:
+        return None
+    if before.same_since is None or after.same_since != before.same_since:
+        return None
+    base = unit.tracks.alignment(due.section.code, before.same_since)
+    assert base is not None
+    vehicles = {record.wheelset: record.vehicle for record, _ in due.entries}
+    since = unit.epochs.found(due.section.code, due.number, before.same_since)
+    changed = changed_vehicles(base, found, settings, vehicles, since, computed.before)
+    return FoundOfVehicles(after.version, changed) if changed else None
 
 
 def _supersede(unit: UnitOfWork, due: Due, after: FoldState, context: JobContext, *, kept: int) -> None:

@@ -165,7 +165,7 @@ GAUGE = np.where(np.arange(N) % 2, 1.0, -1.0)  # std 1
 def extended(found: TrackAlignment | None, **survey: object) -> AlignmentUpdate:
     old = replace(SURVEY, gauge_deviation=1e-3 * GAUGE, **survey)  # type: ignore[arg-type]
     kept = AlignmentUpdate(UpdateOutcome.SURVEY_KEPT, solved(found), old, ())
-    return _with_gauge_shifts(kept, old, SETTINGS)
+    return _with_gauge_shifts(kept, old, {"W": "V"}, SETTINGS)
 
 
 def test_a_survey_is_extended_by_what_its_gauge_does_to_a_wheelset() -> None:

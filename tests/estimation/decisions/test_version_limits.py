@@ -10,7 +10,13 @@ import pytest
 from estimation.track.settings import AlignmentSettings
 from estimation.track.survey_verdict import place_of
 from estimation.track.update import UpdateOutcome, better
-from estimation.track.versions import _apart, carry_over_findings, gauge_shift_changed, requires_reestimation
+from estimation.track.versions import (
+    _apart,
+    carry_over_findings,
+    changed_vehicles,
+    gauge_shift_changed,
+    requires_reestimation,
+)
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource, Correction, GaugeShift, TrackAlignment, TrackFindings
@@ -105,20 +111,27 @@ def test_gauge_differs_from_three_tenths_of_a_millimetre() -> None:
         assert again(old, gauge_deviation=(before + 0.31e-3) * OTHER)
 
 
+def vehicles(old: TrackAlignment, findings: TrackFindings | None) -> dict[str, float]:
+    return changed_vehicles(old, replace(old, findings=findings), SETTINGS, {"W": "V"})
+
+
 @pytest.mark.parametrize(("std", "limit"), [(0.0, 0.02), (0.009, 0.02), (0.02, 0.04)])
 def test_a_stiffness_ratio_differs_by_two_percent_or_twice_its_std(std: float, limit: float) -> None:
     old = made(findings=TrackFindings({"V": 1.1}, std, {}))
     for ratio, differs in ((1.1 + limit - 1e-4, False), (1.1 + limit + 1e-4, True), (1.1 - limit - 1e-4, True)):
-        assert again(old, findings=TrackFindings({"V": ratio}, 0.0, {})) is differs
-    assert again(old, findings=TrackFindings({}, 0.0, {})) is (limit < 0.1)
-    assert not again(old, findings=None)
+        findings = TrackFindings({"V": ratio}, 0.0, {})
+        assert vehicles(old, findings) == ({"V": ratio} if differs else {})
+        assert not again(old, findings=findings)  # for the windows of other vehicles
+    assert vehicles(old, TrackFindings({}, 0.0, {})) == ({"V": 1.0} if limit < 0.1 else {})
+    assert vehicles(old, None) == {}
 
 
-def test_a_vehicle_without_a_ratio_is_as_assumed() -> None:
+def test_a_vehicle_that_is_met_matters_for_itself() -> None:
+    for ratio in (0.9, 1.0):
+        assert vehicles(made(), TrackFindings({"V": ratio}, 0.0, {})) == {"V": ratio}
     for ratio, differs in ((1.019, False), (1.021, True), (0.979, True)):
-        assert again(made(), findings=TrackFindings({"V": ratio}, 0.0, {})) is differs
         known = made(findings=TrackFindings({"V": ratio}, 0.0, {}))
-        assert again(known, findings=TrackFindings({}, 0.0, {})) is differs
+        assert bool(vehicles(known, TrackFindings({}, 0.0, {}))) is differs  # without a ratio it is as assumed
 
 
 def shift_of(size: float) -> GaugeShift:
@@ -127,12 +140,12 @@ def shift_of(size: float) -> GaugeShift:
     return GaugeShift(np.array([-2e-3, 0.0, 2e-3]), gauge, np.tile(size * gauge, (3, 1)))
 
 
-def test_a_survey_gains_the_shift_of_a_wheelset() -> None:
+def test_the_shift_of_a_wheelset_that_is_met_matters_for_its_vehicle() -> None:
     shifts = TrackFindings({}, 0.0, {"W": shift_of(0.3)})
-    assert again(made(source=AlignmentSource.RECORDED), findings=shifts)
-    assert again(made(source=AlignmentSource.RECORDED, findings=TrackFindings({}, 0.0, {})), findings=shifts)
-    assert not again(made(source=AlignmentSource.RECORDED, findings=shifts), findings=shifts)
-    assert not again(made(), findings=shifts)
+    for known in (None, TrackFindings({}, 0.0, {})):
+        assert vehicles(made(findings=known), shifts) == {"V": 1.0}
+        assert not again(made(findings=known), findings=shifts)
+    assert vehicles(made(findings=shifts), shifts) == {}
 
 
 def test_a_shift_differs_by_fifteen_in_a_hundred_of_the_gauge() -> None:

@@ -7,7 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.track.settings import AlignmentSettings
-from estimation.track.versions import carry_over_findings, gauge_shift_changed, requires_reestimation
+from estimation.track.versions import (
+    carry_over_findings,
+    changed_vehicles,
+    gauge_shift_changed,
+    requires_reestimation,
+)
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings
 
@@ -49,19 +54,32 @@ def test_only_what_matters_is_another_alignment() -> None:
     wide = 1e-3 * rng.standard_normal(n)
     assert requires_reestimation(old, replace(old, gauge_deviation=wide), settings)
     assert not requires_reestimation(old, replace(old, gauge_deviation=0.1 * wide), settings)
-    estimated = replace(old, findings=TrackFindings({"A": 0.96}, 0.01, {}))
-    assert not requires_reestimation(estimated, replace(old, findings=TrackFindings({"A": 0.975}, 0.01, {})), settings)
-    assert requires_reestimation(estimated, replace(old, findings=TrackFindings({"A": 0.99}, 0.01, {})), settings)
-    assert requires_reestimation(estimated, replace(old, findings=TrackFindings({"B": 1.0}, 0.01, {})), settings)
-    recorded = replace(old, source=AlignmentSource.RECORDED, gauge_known=True)
+
+
+def test_what_is_found_of_one_vehicle_matters_for_that_one() -> None:
+    settings, zero = AlignmentSettings(), np.zeros(3)
+    old = TrackAlignment("S1", 1, np.arange(3.0), zero, zero, zero, zero, zero.astype(np.int64), Status.ESTIMATED)
+    of_wheelsets = {"A1": "A", "A2": "A", "B1": "B"}
+
+    def changed(before: TrackFindings | None, after: TrackFindings | None, **known: object) -> dict[str, float]:
+        was, now = (replace(old, findings=one) for one in (before, after))
+        assert not requires_reestimation(was, now, settings)
+        return changed_vehicles(was, now, settings, of_wheelsets, **known)  # type: ignore[arg-type]
+
+    one = TrackFindings({"A": 0.96}, 0.01, {})
+    assert changed(one, TrackFindings({"A": 0.975}, 0.01, {})) == {}
+    assert changed(one, TrackFindings({"A": 0.99}, 0.01, {})) == {"A": 0.99}
+    assert changed(one, TrackFindings({"A": 0.99}, 0.01, {}), since={"A": 0.98}) == {}
+    assert changed(one, TrackFindings({"A": 0.96, "B": 1.0}, 0.01, {})) == {"B": 1.0}  # of B nothing was known
+    assert changed(replace(one, stiffness_ratio_std=0.04), TrackFindings({"A": 0.99}, 0.01, {})) == {}
+    assert changed(None, None) == changed(one, None) == {}
     wheel = GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.zeros((3, 2)))
-    with_one = replace(recorded, findings=TrackFindings({}, 0.01, {"A1": wheel}))
-    with_two = replace(recorded, findings=TrackFindings({}, 0.01, {"A1": wheel, "A2": wheel}))
-    assert requires_reestimation(recorded, with_one, settings)
-    assert requires_reestimation(with_one, with_two, settings)
-    assert not requires_reestimation(with_two, with_two, settings)
-    doubtful = replace(old, findings=TrackFindings({"A": 0.96}, 0.04, {}))
-    assert not requires_reestimation(doubtful, replace(old, findings=TrackFindings({"A": 0.99}, 0.01, {})), settings)
+    first, both = TrackFindings({}, 0.01, {"A1": wheel}), TrackFindings({}, 0.01, {"A1": wheel, "B1": wheel})
+    assert changed(None, first) == {"A": 1.0}
+    assert changed(first, both) == {"B": 1.0}
+    assert changed(both, both) == {}
+    assert changed(None, both, last=replace(old, findings=first)) == {"B": 1.0}  # A has been met since
+    assert changed(first, TrackFindings({}, 0.01, {"A1": wheel, "Z1": wheel})) == {}  # Z1 has not passed
 
 
 def test_another_gauge_shift_is_one_that_noise_does_not_make() -> None:
