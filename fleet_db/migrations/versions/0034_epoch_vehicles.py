@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlalchemy as sa
 from alembic import op
 
-revision: str = "0033"
+revision: str = "0034"
 down_revision: str | None = "0032"
 branch_labels: str | None = None
 depends_on: str | None = None
