@@ -303,6 +303,7 @@ def _with_gauge_shifts(
         requires_reestimation(survey, extended, settings)
         or changed_vehicles(survey, extended, settings, vehicles)
         or gauge_shift_changed(survey, extended, settings)
+        or found.findings.gauge_shifts.keys() - (survey.findings.gauge_shifts.keys() if survey.findings else set())
     )
     if not new:
         return kept

@@ -16,9 +16,11 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import WindowState
-from fleet_db.models import TrackAlignmentRow
+from fleet_db.models import TrackAlignmentRow, WindowBinTableRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+
+TABLES = table_of(WindowBinTableRow)
 
 
 def test_an_epoch_becomes_a_version_once_and_its_windows_are_estimated_on_it(storage: SqlStorage) -> None:
@@ -78,6 +80,9 @@ def test_a_geometry_names_every_version_that_its_windows_were_estimated_with(sql
         put(storage, numbers, day=day)
         assert counts(storage, "refresh_alignment", lenient)["versions"] == 1
         counts(storage, "estimate_windows")
+    later = update(TABLES).where(TABLES.c.wheelset == "W1", TABLES.c.start_ns >= 3 * DAY_NS)
+    with storage.engine.begin() as connection:
+        connection.execute(later.values(track_version=2))
     counts(storage, "refresh_geometry")
     with storage.read() as unit:
         current = {name: unit.geometries.current(name) for name in ("W0", "W1")}

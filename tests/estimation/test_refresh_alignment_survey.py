@@ -145,7 +145,9 @@ def test_what_a_recorded_gauge_does_to_wheelsets_becomes_a_version_of_the_record
     with storage.read() as unit:
         record = unit.tracks.in_force("S1")
     assert record is not None
-    assert (record.version, record.same_since, record.source) == (3, 3, AlignmentSource.RECORDED)
+    assert (record.version, record.same_since, record.source) == (3, 1, AlignmentSource.RECORDED)
+    done = counts(storage, "estimate_windows")
+    assert (done["estimated"], done["requeued"]) == (32, 0)  # what has come, and of nobody else
 
 
 def test_nothing_is_made_of_a_recorded_gauge_that_hardly_varies(sqlite_storage: SqlStorage) -> None:

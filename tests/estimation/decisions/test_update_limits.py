@@ -189,7 +189,7 @@ def test_a_survey_is_extended_by_what_its_gauge_does_to_a_wheelset() -> None:
 def test_a_gauge_varies_from_three_tenths_of_a_millimetre(gauge: float, outcome: UpdateOutcome) -> None:
     old = replace(SURVEY, gauge_deviation=gauge * GAUGE)
     kept = AlignmentUpdate(UpdateOutcome.SURVEY_KEPT, solved(replace(FLEET, findings=SHIFT)), old, ())
-    assert _with_gauge_shifts(kept, old, SETTINGS).outcome is outcome
+    assert _with_gauge_shifts(kept, old, {"W": "V"}, SETTINGS).outcome is outcome
 
 
 def test_a_survey_is_extended_again_only_by_another_shift() -> None:
