@@ -127,7 +127,8 @@ def _made(context: JobContext, serial: str) -> _Made:
         if seen.rolled.again:
             return _Made(change, seen, [], [])
         records = seen.records()
-        parts = [_with_sums(seen, part) for part in seen.rolled.parts if seen.rolled.due and _changed(part)]
+        changed = [part for part in seen.rolled.parts if _changed(part)] if seen.rolled.due else ()
+        parts = [_with_sums(seen, part) for part in changed]
         return _Made(change, seen, parts, records)
 
 

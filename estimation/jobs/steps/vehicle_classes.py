@@ -24,16 +24,17 @@ class Assumed:
         What turns the window into motion.
     table_key
         Of the bin tables that follow.
+    digest
+        Of all that a result rests on, standard deviations included.
     """
 
     on_file: ClassOnFile
     windows: WindowParameters
     table_key: str
+    digest: str = field(init=False)
 
-    @property
-    def digest(self) -> str:
-        """Digest of all that a result rests on, standard deviations included."""
-        return f"{self.table_key} {self.on_file.digest}"
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "digest", f"{self.table_key} {self.on_file.digest}")
 
 
 @dataclass(frozen=True, slots=True)
