@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from estimation.errors import ParameterError
 from ingest.logs import SUFFIXES
+
+if TYPE_CHECKING:
+    from api.terminal.live import LiveBus
 
 
 def ingest(
@@ -26,6 +30,10 @@ def ingest(
         str | None, typer.Option(help="Listen to a live bus: virtual, udp_multicast or socketcan.")
     ] = None,
     channel: Annotated[str | None, typer.Option(help="Channel of the live bus, such as 239.74.163.2 or can0.")] = None,
+    bus: Annotated[
+        list[str] | None,
+        typer.Option(help="CHANNEL=VEHICLE of --interface, in place of --channel and --vehicle. May be repeated."),
+    ] = None,
     exchange: Annotated[
         list[Path] | None,
         typer.Option(help="Exchange of simulated or measured runs: a TOML file beside its table. May be repeated."),
@@ -51,10 +59,10 @@ def ingest(
     sources = (interface is not None) + bool(files) + bool(exchange)
     if sources > 1 or (sources == 0 and registry is None):  # a registry may come alone
         raise ParameterError(
-            "give recordings, or --exchange, or --interface with --channel and --vehicle", field="FILES"
+            "give recordings, or --exchange, or --interface with --channel and --vehicle, or --bus", field="FILES"
         )
     from api.terminal.ingest import Exchanges, ingest_and_report
-    from api.terminal.live import HealthAddress, LiveBus, receive_and_report
+    from api.terminal.live import HealthAddress, receive_and_report
 
     if exchange and vehicle is not None:
         raise ParameterError("an exchange names its vehicle itself", field="--vehicle")
@@ -62,7 +70,23 @@ def ingest(
         source = Exchanges(tuple(exchange)) if exchange else files or []
         ingest_and_report(source, vehicle, registry, catalogue or (), take_deleted=take_deleted)
         return
-    if channel is None or vehicle is None:
-        raise ParameterError("a live bus needs --channel and --vehicle", field="--interface")
+    buses = _buses(interface, channel, vehicle, bus or (), chunk_seconds)
     health = None if health_port is None else HealthAddress(health_host, health_port)
-    receive_and_report(LiveBus(interface, channel, vehicle, chunk_seconds), registry, catalogue or (), health)
+    receive_and_report(buses, registry, catalogue or (), health)
+
+
+def _buses(
+    interface: str, channel: str | None, vehicle: str | None, more: Sequence[str], chunk_seconds: float
+) -> list[LiveBus]:
+    from api.terminal.live import LiveBus
+
+    if more and (channel is not None or vehicle is not None):
+        raise ParameterError("names channel and vehicle itself: leave --channel and --vehicle out", field="--bus")
+    if not more and (channel is None or vehicle is None):
+        raise ParameterError("a live bus needs --channel and --vehicle, or --bus CHANNEL=VEHICLE", field="--interface")
+    pairs = [one.partition("=")[::2] for one in more] or [(channel or "", vehicle or "")]
+    if not all(one and of for one, of in pairs):
+        raise ParameterError("is CHANNEL=VEHICLE, such as can0=L-1", field="--bus")
+    if min(len({one for one, _ in pairs}), len({of for _, of in pairs})) < len(pairs):
+        raise ParameterError("a channel or a vehicle is there twice", field="--bus")
+    return [LiveBus(interface, one, of, chunk_seconds) for one, of in pairs]

@@ -23,8 +23,9 @@ from estimation.jobs.scheduler import stop_on_signals
 from fleet_db.revisions import check_head
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus
+from ingest.live.buses import ReceivedBus, receive_buses
 from ingest.live.listening import BusSource
-from ingest.live.receiver import LiveSettings, receive_live
+from ingest.live.receiver import LiveSettings
 from ingest.live.status import LiveStatus, Reports, Say
 from ingest.live.storing import Stores
 from ingest.receiver import ChunkReceipt, Receiver
@@ -56,14 +57,14 @@ class HealthAddress:
 
 
 def receive_and_report(
-    bus: LiveBus, registry: Path | None, catalogues: Sequence[Path], health: HealthAddress | None
+    buses: Sequence[LiveBus], registry: Path | None, catalogues: Sequence[Path], health: HealthAddress | None
 ) -> None:
-    """Receive a live bus until SIGTERM or SIGINT, and print a summary.
+    """Receive live buses until SIGTERM or SIGINT, and print a summary.
 
     Parameters
     ----------
-    bus
-        The bus.
+    buses
+        Of different vehicles.
     registry
         File of fleets, vehicles, wheelsets and sections to load first.
     catalogues
@@ -76,7 +77,7 @@ def receive_and_report(
     InputError
         The bus, the registry, a mapping file or the health port cannot be used.
     ConflictError
-        Another process receives this vehicle.
+        Another process receives one of the vehicles.
     MigrationError
         The database is at another migration.
     typer.Exit
@@ -85,7 +86,7 @@ def receive_and_report(
     settings = load_settings()
     console = Console(stderr=True)
     say = _say(settings, console)
-    status, stop = LiveStatus(), threading.Event()
+    statuses, stop = {bus.vehicle: LiveStatus() for bus in buses}, threading.Event()
     outcomes: deque[Outcome] = deque(maxlen=REMEMBERED)
 
     def received(name: str, outcome: ChunkReceipt | Exception) -> None:
@@ -96,16 +97,19 @@ def receive_and_report(
         stores = _Stores(settings, catalogues, registry, console)
         stack.callback(stores.close)
         if health is not None:
-            port = stack.enter_context(serving_health(health.host, health.port, status))
+            port = stack.enter_context(serving_health(health.host, health.port, statuses))
             say(f"health and metrics at http://{health.host}:{port}")
-        receive_live(
-            _live_settings(settings, bus),
-            BusSource(
-                f"{bus.interface} {bus.channel} for {bus.vehicle}", partial(open_bus, bus.interface, bus.channel)
-            ),
-            Stores(stores.connect, stores.check),
-            status,
-            Reports(say, received),
+        receive_buses(
+            [
+                ReceivedBus(
+                    _live_settings(settings, bus),
+                    _source(bus),
+                    Stores(stores.connect, stores.check),
+                    statuses[bus.vehicle],
+                    Reports(say if len(buses) == 1 else _of_vehicle(say, bus.vehicle), received),
+                )
+                for bus in buses
+            ],
             stop,
         )
     print_outcomes(list(outcomes), console)
@@ -120,14 +124,16 @@ class _Stores:
         self._registry = registry
         self._console = console
         self._storage: SqlStorage | None = None
+        self._opening = threading.Lock()  # each bus has a thread that asks
 
     def connect(self) -> Receiver:
-        if self._storage is None:
-            self._storage = open_store(self._settings)
-        if self._registry is not None:
-            load_and_say(self._registry, self._storage, self._console)
-            self._registry = None
-        return factory.receiver(self._settings, self._storage, SystemClock(), self._catalogues)
+        with self._opening:
+            if self._storage is None:
+                self._storage = open_store(self._settings)
+            if self._registry is not None:
+                load_and_say(self._registry, self._storage, self._console)
+                self._registry = None
+            return factory.receiver(self._settings, self._storage, SystemClock(), self._catalogues)
 
     def check(self) -> None:
         if self._storage is not None:
@@ -136,6 +142,20 @@ class _Stores:
     def close(self) -> None:
         if self._storage is not None:
             self._storage.close()
+
+
+def _source(bus: LiveBus) -> BusSource:
+    name = f"{bus.interface} {bus.channel} for {bus.vehicle}"
+    return BusSource(name, partial(open_bus, bus.interface, bus.channel))
+
+
+def _of_vehicle(say: Say, vehicle: str) -> Say:
+    """Return what says which vehicle a sentence is about."""
+
+    def say_of_vehicle(text: str, *, bad: bool = False) -> None:
+        say(f"{vehicle}: {text}", bad=bad)
+
+    return say_of_vehicle
 
 
 def _live_settings(settings: Settings, bus: LiveBus) -> LiveSettings:

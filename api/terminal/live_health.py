@@ -31,6 +31,7 @@ COUNTERS: Mapping[str, str] = MappingProxyType(
         "frames_received": "Frames taken off the bus.",
         "frames_unreadable": "Frames left out because they are none of a classic CAN bus.",
         "frames_spooled": "Frames that reached the disk.",
+        "frames_lost_by_bus": "Frames dropped before they came to this process, since its start.",
         "frames_dropped": "Frames of this vehicle that were dropped, also before this start.",
         "frames_rejected": "Frames of pieces that were rejected, so that no window is made of them.",
         "pieces_stored": "Pieces that have their receipt.",
@@ -59,25 +60,25 @@ Answer = tuple[HTTPStatus, str, bytes]
 
 
 @contextmanager
-def serving_health(host: str, port: int, status: LiveStatus) -> Iterator[int]:
+def serving_health(host: str, port: int, statuses: Mapping[str, LiveStatus]) -> Iterator[int]:
     """Serve ``/healthz``, ``/readyz`` and ``/metrics`` from threads of their own; yield the port.
 
     Parameters
     ----------
     host, port
         Where; port 0 takes a free one.
-    status
-        What is served.
+    statuses
+        What is served, by the vehicle.
 
     Raises
     ------
     ParameterError
         Nobody can listen there.
     """
-    registry = registered(status)
+    registry = registered(statuses)
     answers: dict[str, Callable[[], Answer]] = {
-        "/healthz": partial(_health, status),
-        "/readyz": partial(_readiness, status),
+        "/healthz": partial(_health, statuses),
+        "/readyz": partial(_readiness, statuses),
         "/metrics": lambda: (HTTPStatus.OK, CONTENT_TYPE_LATEST, generate_latest(registry)),
     }
     try:
@@ -93,29 +94,40 @@ def serving_health(host: str, port: int, status: LiveStatus) -> Iterator[int]:
         server.server_close()
 
 
-def registered(status: LiveStatus) -> CollectorRegistry:
+def registered(statuses: Mapping[str, LiveStatus]) -> CollectorRegistry:
     """Return the measures of a receiver.
 
     Parameters
     ----------
-    status
-        What is measured.
+    statuses
+        What is measured, by the vehicle.
     """
     registry = CollectorRegistry()
-    registry.register(_Measures(status))
+    registry.register(_Measures(statuses))
     return registry
 
 
-def _health(status: LiveStatus) -> Answer:
+def _health(statuses: Mapping[str, LiveStatus]) -> Answer:
     """Whether every thread runs."""
-    return _json(status.alive, {"threads": {thread.name: thread.is_alive() for thread in status.threads}})
+    alive = all(status.alive for status in statuses.values())
+    threads = {
+        vehicle: {thread.name: thread.is_alive() for thread in status.threads} for vehicle, status in statuses.items()
+    }
+    return _json(alive, {"threads": threads})
 
 
-def _readiness(status: LiveStatus) -> Answer:
+def _readiness(statuses: Mapping[str, LiveStatus]) -> Answer:
     """Whether frames reach their receipts and can be used; a silent bus is no fault, a vehicle may be switched off."""
-    faults, last_s = status.faults, status.silent_since_s
-    silent_s = None if last_s is None else round(max(0.0, time.time() - last_s), 1)
-    return _json(status.alive and not faults, {"faults": faults, "silent_for_s": silent_s})
+    faults = {vehicle: status.faults for vehicle, status in statuses.items()}
+    alive = all(status.alive for status in statuses.values())
+    silent_s = {vehicle: _silent_s(status) for vehicle, status in statuses.items()}
+    bad = {vehicle: found for vehicle, found in faults.items() if found}
+    return _json(alive and not bad, {"faults": bad, "silent_for_s": silent_s})
+
+
+def _silent_s(status: LiveStatus) -> float | None:
+    since_s = status.silent_since_s
+    return None if since_s is None else round(max(0.0, time.time() - since_s), 1)
 
 
 def _json(well: bool, facts: Mapping[str, object]) -> Answer:  # noqa: FBT001 - the answer's first word
@@ -125,21 +137,30 @@ def _json(well: bool, facts: Mapping[str, object]) -> Answer:  # noqa: FBT001 - 
 
 
 class _Measures(Collector):
-    def __init__(self, status: LiveStatus) -> None:
-        self._status = status
+    def __init__(self, statuses: Mapping[str, LiveStatus]) -> None:
+        self._statuses = statuses
 
     def collect(self) -> Iterable[Metric]:
-        status = self._status
+        statuses = self._statuses.items()
         for name, text in COUNTERS.items():
-            yield CounterMetricFamily(f"{PREFIX}{name}", text, value=getattr(status, name))
+            counter = CounterMetricFamily(f"{PREFIX}{name}", text, labels=["vehicle"])
+            for vehicle, status in statuses:
+                counter.add_metric([vehicle], getattr(status, name))
+            yield counter
         for name, text in GAUGES.items():
-            yield GaugeMetricFamily(f"{PREFIX}{name}", text, value=getattr(status, name))
+            gauge = GaugeMetricFamily(f"{PREFIX}{name}", text, labels=["vehicle"])
+            for vehicle, status in statuses:
+                gauge.add_metric([vehicle], getattr(status, name))
+            yield gauge
         for name, text in TIMES.items():
-            value = getattr(status, f"{name}_s") or 0.0
-            yield GaugeMetricFamily(f"{PREFIX}{name}_timestamp_seconds", text, value=value)
-        up = GaugeMetricFamily(f"{PREFIX}up", "Whether it works.", labels=["what"])
-        for what in ("bus", "spool", "raw", "database", "recordings"):
-            up.add_metric([what], 0.0 if what in status.faults else 1.0)
+            stamp = GaugeMetricFamily(f"{PREFIX}{name}_timestamp_seconds", text, labels=["vehicle"])
+            for vehicle, status in statuses:
+                stamp.add_metric([vehicle], getattr(status, f"{name}_s") or 0.0)
+            yield stamp
+        up = GaugeMetricFamily(f"{PREFIX}up", "Whether it works.", labels=["vehicle", "what"])
+        for vehicle, status in statuses:
+            for what in ("bus", "spool", "raw", "database", "recordings"):
+                up.add_metric([vehicle, what], 0.0 if what in status.faults else 1.0)
         yield up
 
 

@@ -135,7 +135,7 @@ class Listening:
                     return first_line(error)
                 self._count_unreadable(error)
                 continue
-            self._buffer.count_dropped(losses.new())
+            self._count_lost(losses.new())
             if frame is not None:
                 unreadable = 0
                 self._take(frame)
@@ -162,6 +162,10 @@ class Listening:
             self._status.silent_since_s = time.time() - silent_s
             self._reports.say(f"no frame for {SILENT_S:g} s: the bus is silent", bad=True)
         return silent_s
+
+    def _count_lost(self, frames: int) -> None:
+        self._status.frames_lost_by_bus += frames
+        self._buffer.count_dropped(frames)
 
     def _count_unreadable(self, error: Exception) -> None:
         if self._status.frames_unreadable == 0:

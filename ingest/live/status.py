@@ -23,6 +23,8 @@ class LiveStatus:
         What is wrong with the bus, the disk of the spool, the raw store and the database; None while they work.
     frames_received, frames_unreadable, frames_spooled
         Since the start; the unreadable ones are no classic CAN frames, the spooled ones are on the disk.
+    frames_lost_by_bus
+        Since the start, before they came to this process: its socket was full. They are among the dropped ones.
     frames_dropped
         Of this vehicle, also before the start.
     buffered_bytes, spool_bytes, pieces_waiting, pieces_aside
@@ -46,6 +48,7 @@ class LiveStatus:
     frames_received: int = 0
     frames_unreadable: int = 0
     frames_spooled: int = 0
+    frames_lost_by_bus: int = 0
     frames_dropped: int = 0
     buffered_bytes: int = 0
     spool_bytes: int = 0

@@ -61,7 +61,7 @@ def exposed(text: str) -> dict[str, set[str]]:
 def measures(client: httpx.Client, tmp_path: Path) -> dict[str, set[str]]:
     """Return what service and receiver expose, each under its name, with the labels."""
     client.get("/healthz")
-    live = generate_latest(registered(LiveStatus())).decode()
+    live = generate_latest(registered({"L-1": LiveStatus()})).decode()
     return exposed(client.get("/metrics").text) | exposed(live) | of_an_active_webhook(tmp_path)
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import resource
+from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
 
 import pytest
 from log_files import write_recording
+from test_log_limits import blf_bytes, blf_object
 from test_receiver import CountingClock
 from vehicle_bus import CATALOGUE, SECOND_NS, START_NS, VEHICLE, Run, register
 
@@ -146,3 +149,38 @@ def test_a_worker_that_is_to_stop_ends_between_two_chunks(storage: SqlStorage, t
     assert [done for done, _ in reported] == [1, 2]
     with storage.read() as unit:
         assert unit.chunks.undecoded_size().count == 1
+
+
+def inflated_zeros(path: Path) -> str:
+    """Write a BLF file of 1 MB that inflates to 1 GB."""
+    path.write_bytes(blf_bytes(blf_object(96, 1 << 20) * 8, 128))
+    return "inflates to more than"
+
+
+def one_line_without_end(path: Path) -> str:
+    """Write an ASC file of one line of 16 MB."""
+    path.write_bytes(b"date Sun Jun 15 00:00:00 2025\nbase hex timestamps absolute\n" + b"0" * (1 << 24))
+    return "line"
+
+
+@pytest.mark.parametrize(("suffix", "hostile"), [(".blf", inflated_zeros), (".asc", one_line_without_end)])
+def test_a_hostile_chunk_is_kept_aside_with_its_reason_and_the_next_is_decoded(
+    storage: SqlStorage, tmp_path: Path, suffix: str, hostile: Callable[[Path], str]
+) -> None:
+    with storage.write() as unit:
+        register(unit)
+    path = tmp_path / f"{VEHICLE}__bomb{suffix}"
+    reason = hostile(path)
+    bomb, good = hand_in(storage, path, runs(tmp_path, 1)[0])
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert decode(storage) == DecodedChunks(1, 1)
+    with storage.read() as unit:
+        first, second = unit.chunks.get(bomb), unit.chunks.get(good)
+    assert first is not None
+    assert second is not None
+    assert (first.state, second.state) == (ChunkState.REJECTED, ChunkState.DECODED)
+    assert code_of(first.reason) is ReasonCode.LOG_DAMAGED
+    assert first.reason is not None
+    assert reason in first.reason.text
+    assert RawStore(storage.data_dir / "raw").fault(bomb, suffix) is None
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 128 << 10  # KiB, in this process

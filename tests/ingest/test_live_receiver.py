@@ -187,9 +187,9 @@ def outage(live: Live, server: PostgresServer, transmit: Callable[[FrameBatch], 
     for part in parts[1:-1]:
         transmit(part)
     eventually(lambda: live.status.database_fault is not None and live.status.pieces_waiting > 0)
-    with serving_health("127.0.0.1", 0, live.status) as port:
+    with serving_health("127.0.0.1", 0, {VEHICLE: live.status}) as port:
         code, body = get(port, "/readyz")
-        assert (code, list(json.loads(body)["faults"])) == (503, ["database"])
+        assert (code, list(json.loads(body)["faults"][VEHICLE])) == (503, ["database"])
         assert get(port, "/healthz")[0] == 200
     server.start()
     transmit(parts[-1])
@@ -299,7 +299,7 @@ def get(port: int, path: str) -> tuple[int, str]:
 
 
 def test_health_and_metrics_have_a_port_of_their_own(live: Live) -> None:
-    with serving_health("127.0.0.1", 0, live.status) as port:
+    with serving_health("127.0.0.1", 0, {VEHICLE: live.status}) as port:
         assert get(port, "/healthz")[0] == 503
         assert get(port, "/nothing")[0] == 404
         with live.running(), transmitting(live.channel) as transmit:
@@ -307,11 +307,14 @@ def test_health_and_metrics_have_a_port_of_their_own(live: Live) -> None:
             eventually(lambda: get(port, "/readyz")[0] == 200)
             eventually(lambda: live.status.pieces_stored > 0)
             _, text = get(port, "/metrics")
-            assert f"treadwatch_live_frames_received_total {live.status.frames_received:.1f}" in text
-            assert 'treadwatch_live_up{what="database"} 1.0' in text
+            assert (
+                f'treadwatch_live_frames_received_total{{vehicle="{VEHICLE}"}} {live.status.frames_received:.1f}'
+                in text
+            )
+            assert f'treadwatch_live_up{{vehicle="{VEHICLE}",what="database"}} 1.0' in text
             live.status.spool_fault = "no space"
-            assert 'treadwatch_live_up{what="spool"} 0.0' in get(port, "/metrics")[1]
-            assert json.loads(get(port, "/readyz")[1])["faults"] == {"spool": "no space"}
+            assert f'treadwatch_live_up{{vehicle="{VEHICLE}",what="spool"}} 0.0' in get(port, "/metrics")[1]
+            assert json.loads(get(port, "/readyz")[1])["faults"] == {VEHICLE: {"spool": "no space"}}
             live.status.spool_fault = None
         described = PAGE.read_text()
         for line in text.splitlines():
@@ -394,22 +397,24 @@ def arrived(port: int) -> int:
 
 def measure(port: int, name: str) -> float:
     lines = get(port, "/metrics")[1].splitlines()
-    return next(float(line.split()[-1]) for line in lines if line.startswith(f"treadwatch_live_{name} "))
+    return next(float(line.split()[-1]) for line in lines if line.startswith(f"treadwatch_live_{name}{{"))
 
 
 def test_a_receiver_whose_recordings_are_all_rejected_is_not_ready_and_says_why(live: Live) -> None:
     other_rate = Run(seconds=2.0).frames()
     spooled(live, packed(replace(other_rate, t_ns=other_rate.t_ns[0] + 2 * (other_rate.t_ns - other_rate.t_ns[0]))))
-    with serving_health("127.0.0.1", 0, live.status) as port, live.running():
+    with serving_health("127.0.0.1", 0, {VEHICLE: live.status}) as port, live.running():
         eventually(lambda: live.status.pieces_rejected == 1)
         code, text = get(port, "/readyz")
         assert code == 503
-        assert json.loads(text)["faults"]["recordings"].startswith("every recording is rejected, the last 1: SYNC")
+        assert json.loads(text)["faults"][VEHICLE]["recordings"].startswith(
+            "every recording is rejected, the last 1: SYNC"
+        )
         measured = get(port, "/metrics")[1]
-        assert f"treadwatch_live_frames_rejected_total {float(len(other_rate))}" in measured
-        assert 'treadwatch_live_up{what="recordings"} 0.0' in measured
+        assert f'treadwatch_live_frames_rejected_total{{vehicle="{VEHICLE}"}} {float(len(other_rate))}' in measured
+        assert f'treadwatch_live_up{{vehicle="{VEHICLE}",what="recordings"}} 0.0' in measured
         live.status.silent_since_s = time.time() - 90.0
-        assert 90.0 <= json.loads(get(port, "/readyz")[1])["silent_for_s"] < 3600.0
+        assert 90.0 <= json.loads(get(port, "/readyz")[1])["silent_for_s"][VEHICLE] < 3600.0
         live.status.decoded = True  # one bad piece among good ones is no reason to restart a receiver
         assert "recordings" not in live.status.faults
         live.status.rejected_in_a_row = 3
