@@ -235,6 +235,6 @@ def _save(unit: UnitOfWork, change: Transition, now_ns: int, note: str) -> Seque
 JOB = Job(
     name=STAGE,
     description="Evaluate the alert rules and record what they raise, update, clear and close",
-    every_s=60.0,
+    every_s=300.0,
     run=run,
 )

@@ -69,7 +69,7 @@ def _set_aside(context: JobContext, serial: str, error: TreadwatchError) -> None
     isolation.keep(SubjectKind.WHEELSET, serial, inputs_of(context, serial)(), error)
 
 
-JOB = Job("refresh_geometry", "Merge bin tables into wheelset geometries", every_s=300.0, run=run)
+JOB = Job("refresh_geometry", "Merge bin tables into wheelset geometries", every_s=900.0, run=run)
 STAGE = Stage(JOB.name, _work, _set_aside)
 _MOST_TOGETHER = 16  # wheelsets that are claimed together
 

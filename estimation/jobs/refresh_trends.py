@@ -164,6 +164,6 @@ def _digest(records: Sequence[IntervalConicities], limit: float, params: TrendPa
 JOB = Job(
     name=STAGE,
     description="Refresh the wear trend of every wheelset with new geometry",
-    every_s=60.0,
+    every_s=300.0,
     run=run,
 )
