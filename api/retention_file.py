@@ -34,6 +34,7 @@ class DaysTable(InputTable):
     audit: Days = None
     webhook_deliveries: Days = None
     orphaned_files: Days = None
+    window_samples: Days = None
 
 
 class RetentionTable(InputTable):

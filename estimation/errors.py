@@ -171,6 +171,10 @@ class DamagedError(StorageError):
     """One thing that was stored is missing or damaged; names it. What is stored beside it can be used."""
 
 
+class PurgedError(DamagedError):
+    """Something has been kept long enough and was purged; names it."""
+
+
 class MigrationError(StorageError):
     """The database is at another migration head than this code; ``known`` is whether an upgrade leads from there."""
 

@@ -102,11 +102,11 @@ def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, ver
         for key, record in stored.items()
         if key not in wanted and not assembly.keeps(record.start_ns, record.length_ns)
     ]
-    unit.assembled.remove(gone)
-    for record in gone:
+    removed = unit.assembled.remove(gone)
+    for record in removed:
         _requeue_partner(unit, record.vehicle, record.axle, record.start_ns)
     changes = sum((_put(unit, each, recorded_ns, verify=verify) for each in assembly.windows), NO_CHANGES)
-    return replace(changes, removed=len(gone))
+    return replace(changes, removed=len(removed))
 
 
 def mileage_km(mounted: MountedWindow) -> float:

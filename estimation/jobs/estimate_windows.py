@@ -53,7 +53,9 @@ def run(context: JobContext) -> Mapping[str, int]:
     with context.storage.write() as unit:
         known = {section.code: unit.tracks.in_force(section.code) for section in unit.tracks.sections()}
         in_force = {code: record for code, record in known.items() if record is not None}
-        counts["requeued"] = _requeue(unit, settings, in_force)
+        counts["requeued"], passed_over = _requeue(unit, settings, in_force)
+        if passed_over:
+            counts["passed_over"] = passed_over  # no samples any more: they stay as they are
         total = unit.windows.counts().get(WindowState.PENDING, 0)
     waiting = [code for code, record in in_force.items() if _waits_for_place(record)]
     counts["quarantined"] = isolation.quarantined
@@ -161,19 +163,20 @@ def _stored(context: JobContext, found: Sequence[_Outcome]) -> list[str]:
         return [_store(unit, work, outcome, classes) for work, outcome in found]
 
 
-def _requeue(unit: UnitOfWork, settings: EstimationSettings, in_force: Mapping[str, AlignmentRecord]) -> int:
+def _requeue(
+    unit: UnitOfWork, settings: EstimationSettings, in_force: Mapping[str, AlignmentRecord]
+) -> tuple[int, int]:
     """Let windows wait again that an alignment or a class has come for, or whose table is of another or parameters.
 
     A version that differs from the one of a table by less than that left unknown is none to estimate again for, nor is
-    a recording of the gauge alone.
+    a recording of the gauge alone. Return how many wait again, and how many cannot, for their samples were purged.
     """
     known = [code for code, one in in_force.items() if one.status is Status.ESTIMATED]
     classes = ClassLookup(unit, settings)
     outdated = {*unit.epochs.outdated(), *_made_otherwise(unit, classes)}
-    for wheelset, start_ns in sorted(outdated):
-        unit.windows.mark(wheelset, start_ns, WindowState.PENDING)
+    wait = sum(unit.windows.mark(*key, WindowState.PENDING) for key in sorted(outdated))
     come = sum(unit.windows.requeue(code, NO_ALIGNMENT.code) for code in known)
-    return len(outdated) + come + _class_known(unit, classes)
+    return wait + come + _class_known(unit, classes), len(outdated) - wait
 
 
 def _made_otherwise(unit: UnitOfWork, classes: ClassLookup) -> Iterator[tuple[str, int]]:

@@ -42,6 +42,7 @@ class TabledWindow:
     rolled: bool = False  # into the sums, or found to belong to none
     roll_up: int | None = None  # number of the roll-up; None where it is in none
     running_km: float | None = None  # mileage with which it was rolled
+    samples_purged: bool = False  # it cannot be estimated again
 
 
 @dataclass(frozen=True, slots=True)

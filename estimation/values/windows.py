@@ -98,6 +98,14 @@ class WindowState(StrEnum):
     REFUSED = "refused"
 
 
+class PassedOver(StrEnum):
+    """What would have changed a window that stays as it is, for its samples or its bin table have been purged."""
+
+    SUPERSEDED = "superseded"  # another alignment or parameters, fuller samples: its table is right as it was made
+    CLASS_CHANGED = "class_changed"  # the class of its vehicle, or the radius of its wheelset
+    RECORD_CHANGED = "record_changed"  # its mounting or mileage: its table is wrong
+
+
 @dataclass(frozen=True, slots=True)
 class WindowPosition:
     """Where a window was along its section: true position = measured + offset + scale (measured - middle).

@@ -121,7 +121,7 @@ def _rows(connection: Connection) -> Iterator[Finding]:
     for row in connection.execute(other.where(WINDOWS.c.state == WindowState.REFUSED.value)):
         yield Finding("rows", f"bin table {row.wheelset}@{row.start_ns}", "is of a window that was refused")
     without = select(WINDOWS.c.wheelset, WINDOWS.c.start_ns).where(
-        WINDOWS.c.state == WindowState.ESTIMATED.value, ~exists().where(OF_TABLE)
+        WINDOWS.c.state == WindowState.ESTIMATED.value, WINDOWS.c.table_purged_ns.is_(None), ~exists().where(OF_TABLE)
     )
     for row in connection.execute(without):
         yield Finding("rows", f"window {row.wheelset}@{row.start_ns}", "counts as estimated without a bin table")

@@ -92,7 +92,8 @@ def kept_files(connection: Connection, *, windows: bool = True) -> Iterator[Kept
     if not windows:
         return
     columns = (WINDOWS.c.content_digest, WINDOWS.c.sample_bytes, WINDOWS.c.wheelset, WINDOWS.c.start_ns)
-    found = connection.execution_options(yield_per=2000).execute(select(*columns).order_by(WINDOWS.c.content_digest))
+    of_samples = select(*columns).where(WINDOWS.c.samples_purged_ns.is_(None)).order_by(WINDOWS.c.content_digest)
+    found = connection.execution_options(yield_per=2000).execute(of_samples)
     last = ""
     for row in found:
         if row.content_digest != last:

@@ -83,5 +83,7 @@ def _referred(connection: Connection) -> dict[str, frozenset[str]]:
     """Return the digests of the files that rows refer to, by directory."""
     return {
         RAW: frozenset(connection.scalars(select(CHUNKS.c.digest).where(CHUNKS.c.purged_ns.is_(None)))),
-        SAMPLES: frozenset(connection.scalars(select(WINDOWS.c.content_digest).distinct())),
+        SAMPLES: frozenset(
+            connection.scalars(select(WINDOWS.c.content_digest).where(WINDOWS.c.samples_purged_ns.is_(None)).distinct())
+        ),
     }

@@ -10,7 +10,8 @@ from sqlalchemy import Column, ColumnElement, Connection, and_, delete, exists, 
 
 from estimation.values.runs import JobOutcome
 from fleet_db.keeping.exclusive import keeping_alone
-from fleet_db.keeping.kept_files import RAW
+from fleet_db.keeping.expired_samples import expired_samples, mark_purged
+from fleet_db.keeping.kept_files import RAW, SAMPLES
 from fleet_db.keeping.orphans import LEAST_AGE_S, orphans, unlink_old
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.models import (
@@ -26,6 +27,7 @@ from fleet_db.models import (
 from fleet_db.raw import RawStore
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.telemetry import WindowFiles
 from fleet_db.webhook_records import DeliveryState
 
 RUNS, KEYS, PURGES = table_of(JobRunRow), table_of(IdempotencyRow), table_of(PurgeRow)
@@ -34,7 +36,7 @@ GEOMETRIES, TRENDS, REPORTS = table_of(GeometryRow), table_of(TrendRow), table_o
 BATCH = 1000
 """Rows a transaction: others wait for a fraction of a second."""
 
-BY_DATA = frozenset({Kept.SUPERSEDED_ESTIMATES, Kept.TRACK_REPORTS, Kept.RECORDINGS})
+BY_DATA = frozenset({Kept.SUPERSEDED_ESTIMATES, Kept.TRACK_REPORTS, Kept.RECORDINGS, Kept.WINDOW_SAMPLES})
 """Kinds whose age ends a day after the newest data: a clock of ours that is ahead makes nothing old."""
 
 Checkpoint = Callable[[], None]
@@ -89,6 +91,8 @@ def _purge_kind(storage: SqlStorage, kind: Kept, before_ns: int, now_ns: int, ch
         return _purge_orphans(storage, before_ns, now_ns)
     if kind is Kept.RECORDINGS:
         return _purge_recordings(storage, before_ns, now_ns, checkpoint)
+    if kind is Kept.WINDOW_SAMPLES:
+        return _purge_samples(storage, before_ns, now_ns, checkpoint)
     items = 0
     for expired in _expired(kind, before_ns):
         while True:
@@ -198,6 +202,28 @@ def _purge_recordings(storage: SqlStorage, before_ns: int, now_ns: int, checkpoi
         items, size = items + part.items, size + part.item_bytes
         if len(batch) < BATCH:
             return Purged(Kept.RECORDINGS, items, size)
+
+
+def _purge_samples(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint: Checkpoint) -> Purged:
+    """Delete the sample files of windows: first the rows say so, then the files go.
+
+    A file that was used again meanwhile stays; where no row refers to it, it goes as an orphan.
+    """
+    files = WindowFiles(storage.data_dir / SAMPLES)
+    items = size = 0
+    while True:
+        checkpoint()
+        with storage.write() as unit:
+            batch = expired_samples(unit.connection, before_ns, BATCH)
+            part = Purged(Kept.WINDOW_SAMPLES, len(batch), sum(one.sample_bytes for one in batch))
+            if batch:
+                mark_purged(unit.connection, batch, now_ns)
+                record_purge(unit.connection, part, before_ns, now_ns)
+        for one in batch:
+            unlink_old(files.path(one.content_digest), LEAST_AGE_S)
+        items, size = items + part.items, size + part.item_bytes
+        if len(batch) < BATCH:
+            return Purged(Kept.WINDOW_SAMPLES, items, size)
 
 
 def _purge_orphans(storage: SqlStorage, before_ns: int, now_ns: int) -> Purged:

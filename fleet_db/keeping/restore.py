@@ -169,7 +169,8 @@ def _copied(
 
 def _stale(source: Connection, manifest: Manifest, lost: list[KeptFile]) -> tuple[str, ...]:
     """Return the vehicles whose window files are not all there."""
-    statement = select(WINDOWS.c.vehicle).distinct().order_by(WINDOWS.c.vehicle)
+    kept = WINDOWS.c.samples_purged_ns.is_(None)
+    statement = select(WINDOWS.c.vehicle).where(kept).distinct().order_by(WINDOWS.c.vehicle)
     if manifest.windows_kept:
         digests = [file.digest for file in lost if file.kind == SAMPLES]
         statement = statement.where(WINDOWS.c.content_digest.in_(digests))

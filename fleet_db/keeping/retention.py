@@ -9,6 +9,9 @@ from estimation.errors import ParameterError
 
 DAY_NS = 86_400_000_000_000
 
+LEAST_DAYS_OF_SAMPLES = 1.0
+"""What is estimated now, and the other axle of the bogie, must have them."""
+
 LEAST_DAYS_OF_RECORDINGS = 31.0
 """Recordings that are late by 30 days still meet the raw frames of those beside them."""
 
@@ -21,6 +24,7 @@ class Kept(StrEnum):
     IDEMPOTENCY_KEYS = "idempotency_keys"
     SUPERSEDED_ESTIMATES = "superseded_estimates"  # geometries and trends that newer ones have replaced
     TRACK_REPORTS = "track_reports"  # that newer ones of the same section and version have replaced
+    WINDOW_SAMPLES = "window_samples"  # of windows that are estimated, or refused for good; their bin tables stay
     RECORDINGS = "recordings"  # raw bytes of decoded ones; the receipt stays, the windows stay as they are
     AUDIT = "audit"  # entries of the audit log
     WEBHOOK_DELIVERIES = "webhook_deliveries"  # what was sent, and does not wait to be sent again
@@ -49,6 +53,8 @@ class Retention:
         After they were sent last.
     orphaned_files
         After their last change.
+    window_samples
+        After the start of the window; not below ``LEAST_DAYS_OF_SAMPLES``.
     """
 
     job_runs: float | None = 14.0
@@ -60,6 +66,7 @@ class Retention:
     audit: float | None = 730.0
     webhook_deliveries: float | None = 30.0
     orphaned_files: float | None = 1.0
+    window_samples: float | None = 31.0
 
     def __post_init__(self) -> None:
         for kind in Kept:
@@ -68,6 +75,8 @@ class Retention:
                 raise ParameterError("must be a number of days above 0", field=kind.value)
         if self.recordings is not None and self.recordings < LEAST_DAYS_OF_RECORDINGS:
             raise ParameterError(f"must be at least {LEAST_DAYS_OF_RECORDINGS:g} days", field="recordings")
+        if self.window_samples is not None and self.window_samples < LEAST_DAYS_OF_SAMPLES:
+            raise ParameterError(f"must be at least {LEAST_DAYS_OF_SAMPLES:g} days", field="window_samples")
 
     def before_ns(self, kind: Kept, now_ns: int) -> int | None:
         """Return the time before which this kind is deleted; None where it is kept for ever.

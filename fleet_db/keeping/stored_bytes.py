@@ -126,7 +126,7 @@ def stored_bytes(storage: SqlStorage, retention: Retention, hours_per_day: float
     one = samples.bytes / samples.files if samples.files else 0.0
     per_hour = one / running.window_hours if running.window_hours else 0.0
     kinds += [
-        _of_files("samples of windows", samples, None, year.kept(per_hour, None)),
+        _of_files("samples of windows", samples, retention.window_samples, year.kept(per_hour, Kept.WINDOW_SAMPLES)),
         _of_files("raw recordings", raw, retention.recordings, year.kept(raw_hour, Kept.RECORDINGS)),
     ]
     return StoredBytes(tuple(sorted(kinds, key=lambda kind: -kind.bytes)), running, size.free_bytes)

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, and_, delete, func, select
 
 from estimation.errors import DamagedError
-from estimation.values.windows import WindowRecord
+from estimation.values.windows import PassedOver, WindowRecord
 from fleet_db.changes import Changes
 from fleet_db.models import ChunkRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
 from fleet_db.stores.taken_tables import take_back
-from fleet_db.stores.windows import to_window_record
+from fleet_db.stores.windows import pass_over, to_window_record
 from fleet_db.telemetry import WindowFiles
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)
@@ -55,17 +55,29 @@ class AssembledWindowStore:
         )
         return [(row.first_ns, row.last_ns, row.frames) for row in self.connection.execute(statement)]
 
-    def remove(self, records: Sequence[WindowRecord]) -> None:
-        """Remove windows with their bin tables and positions; their files are no concern of a transaction."""
-        for record in records:
+    def remove(self, records: Sequence[WindowRecord]) -> Sequence[WindowRecord]:
+        """Remove windows with their bin tables and positions; return those. Files are no concern of a transaction.
+
+        One whose bin table has been purged stays, for it cannot be taken from its roll-up.
+        """
+        removed = [record for record in records if not self._stays(record)]
+        for record in removed:
             take_back(self.connection, record.wheelset, record.start_ns)
             for table in (TABLES, POSITIONS, WINDOWS):
                 same = (table.c.wheelset == record.wheelset, table.c.start_ns == record.start_ns)
                 self.connection.execute(delete(table).where(*same))
             self.changes.note(record.wheelset)
+        return removed
+
+    def _stays(self, record: WindowRecord) -> bool:
+        key = and_(WINDOWS.c.wheelset == record.wheelset, WINDOWS.c.start_ns == record.start_ns)
+        purged = self.connection.scalar(select(WINDOWS.c.table_purged_ns).where(key)) is not None
+        if purged and pass_over(self.connection, key, PassedOver.RECORD_CHANGED):
+            self.changes.note(record.wheelset)
+        return purged
 
     def intact(self, record: WindowRecord, *, verify: bool) -> bool:
-        """Return whether the file of a window is there; one that is damaged is removed, so that it is written again.
+        """Return whether the file of a window is there, or purged; one that is damaged is removed, to be written again.
 
         Parameters
         ----------
@@ -75,8 +87,10 @@ class AssembledWindowStore:
             Whether the file is read and checked; else only its size is.
         """
         key = and_(WINDOWS.c.wheelset == record.wheelset, WINDOWS.c.start_ns == record.start_ns)
-        size = self.connection.scalar(select(WINDOWS.c.sample_bytes).where(key)) or 0
-        if not self.files.has(record.content_digest, size):
+        row = self.connection.execute(select(WINDOWS.c.sample_bytes, WINDOWS.c.samples_purged_ns).where(key)).first()
+        if row is not None and row.samples_purged_ns is not None:
+            return True
+        if not self.files.has(record.content_digest, 0 if row is None else row.sample_bytes):
             return False
         if verify:
             try:

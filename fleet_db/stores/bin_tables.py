@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, and_, select
+from sqlalchemy import Connection, Select, and_, or_, select
 
 from estimation.errors import ConflictError
 from estimation.values.geometry import BinTable, FilledCells, TableKey
@@ -23,6 +23,7 @@ from fleet_db.stores.windows import content_digest, to_window_record
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 SAME_WINDOW = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
+NOT_PASSED_OVER = or_(WINDOWS.c.samples_purged_ns.is_(None), WINDOWS.c.passed_over.is_(None))
 BATCH = 500  # rows fetched at once
 
 
@@ -80,12 +81,15 @@ class BinTableStore:
         return [TableKey(*row) for row in self.connection.execute(statement)]
 
     def made_with(self, key: TableKey) -> Sequence[tuple[str, int]]:
-        """Return (wheelset, start) of the tables of one wheelset on one vehicle with certain parameters."""
+        """Return (wheelset, start) of the tables of one wheelset on one vehicle with certain parameters.
+
+        Those that have been passed over, for they have no samples any more, are left out.
+        """
         statement = (
             select(TABLES.c.start_ns)
             .join_from(WINDOWS, TABLES, SAME_WINDOW)
             .where(TABLES.c.wheelset == key.wheelset, TABLES.c.parameter_key == key.parameter_key)
-            .where(WINDOWS.c.vehicle == key.vehicle)
+            .where(WINDOWS.c.vehicle == key.vehicle, NOT_PASSED_OVER)
             .order_by(TABLES.c.start_ns)
         )
         return [(key.wheelset, start_ns) for start_ns in self.connection.scalars(statement)]
@@ -162,6 +166,7 @@ class BinTableStore:
                 rolled=row.rolled,
                 roll_up=row.roll_up,
                 running_km=row.running_km,
+                samples_purged=row.samples_purged_ns is not None,
             )
             for row in self.connection.execute(statement)
         ]

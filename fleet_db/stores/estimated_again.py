@@ -11,7 +11,7 @@ from sqlalchemy import ColumnElement, Connection, and_, delete, exists, func, se
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment
-from estimation.values.windows import WindowState
+from estimation.values.windows import PassedOver, WindowState
 from estimation.vehicle.class_on_file import ClassOnFile, same_motion
 from fleet_db.changes import Changes
 from fleet_db.models import TrackAlignmentRow, TrackVersionRow, WindowPositionRow, WindowRow
@@ -19,6 +19,7 @@ from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.rows import reason_columns, table_of
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
+from fleet_db.stores.windows import pass_over
 
 WINDOWS, POSITIONS = table_of(WindowRow), table_of(WindowPositionRow)
 ALIGNMENTS, VERSIONS = table_of(TrackAlignmentRow), table_of(TrackVersionRow)
@@ -82,14 +83,15 @@ class Again:
             Of the mounting.
         """
         within = and_(WINDOWS.c.wheelset == serial, WINDOWS.c.start_ns + WINDOWS.c.length_ns > from_ns)
-        self._wait(within if to_ns is None else and_(within, WINDOWS.c.start_ns < to_ns))
+        ended = within if to_ns is None else and_(within, WINDOWS.c.start_ns < to_ns)
+        self._wait(ended, PassedOver.RECORD_CHANGED)
 
     def _windows(self, names: tuple[str, ...], chosen: ColumnElement[bool]) -> EstimatedAgain:
         windows, from_ns = self.connection.execute(
             select(func.count(), func.min(WINDOWS.c.start_ns)).where(chosen)
         ).one()
         sections = self._aligned_by(chosen)
-        self._wait(chosen)
+        self._wait(chosen, PassedOver.CLASS_CHANGED)
         for section in sections:
             self._restart(section)
         return EstimatedAgain(names, int(windows), from_ns, tuple(sections))
@@ -124,7 +126,7 @@ class Again:
         if recorded_ns is not None:  # a registered one is in force as it is
             tracks.add_alignment(self._registered(section) or _unknown(now), recorded_ns=recorded_ns)
         EpochStore(self.connection).start_again(section)
-        self._wait(WINDOWS.c.track_section == section)
+        self._wait(WINDOWS.c.track_section == section, PassedOver.SUPERSEDED)
 
     def _registered(self, section: str) -> TrackAlignment | None:
         same = and_(VERSIONS.c.section == ALIGNMENTS.c.section, VERSIONS.c.version == ALIGNMENTS.c.version)
@@ -133,14 +135,16 @@ class Again:
         )
         return None if version is None else TrackStore(self.connection).alignment(section, version)
 
-    def _wait(self, chosen: ColumnElement[bool]) -> None:
-        """Let windows wait again, and forget where they were."""
+    def _wait(self, chosen: ColumnElement[bool], what: PassedOver) -> None:
+        """Let windows wait again, and forget where they were; those without samples stay as they are."""
         self._note(chosen)
-        self.connection.execute(delete(POSITIONS).where(exists().where(OF_WINDOW, chosen)))
+        with_samples = WINDOWS.c.samples_purged_ns.is_(None)
+        self.connection.execute(delete(POSITIONS).where(exists().where(OF_WINDOW, chosen, with_samples)))
         pending = {"state": WindowState.PENDING.value, **reason_columns(None)}
         self.connection.execute(
-            update(WINDOWS).where(chosen, WINDOWS.c.state != WindowState.PENDING.value).values(**pending)
+            update(WINDOWS).where(chosen, with_samples, WINDOWS.c.state != WindowState.PENDING.value).values(**pending)
         )
+        pass_over(self.connection, and_(chosen, ~with_samples), what)
 
     def _note(self, chosen: ColumnElement[bool]) -> None:
         for wheelset in self.connection.scalars(select(WINDOWS.c.wheelset).where(chosen).distinct()):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, func, select, update
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.windows import MileageReading, WindowState
+from estimation.values.windows import MileageReading, PassedOver, WindowState
 from fleet_db.models import ChunkRow, WindowRow
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
@@ -85,7 +85,7 @@ class PlausibilityStore:
     def judge(self, wheelset: str, implausible: Mapping[int, Reason], *, new_only: bool = False) -> int:
         """Store which windows of a wheelset have a mileage that is not believed, by start; return how many changed.
 
-        They are refused; those that are believed again wait to be estimated.
+        They are refused; those that are believed again wait to be estimated. What has no samples any more stays.
 
         Parameters
         ----------
@@ -96,23 +96,28 @@ class PlausibilityStore:
         new_only
             Whether the windows judged before keep their verdict.
         """
-        standing = select(WINDOWS.c.start_ns, WINDOWS.c.implausible, WINDOWS.c.implausible_code, WINDOWS.c.judged)
+        names = ("start_ns", "implausible", "implausible_code", "judged", "samples_purged_ns")
+        standing = select(*(WINDOWS.c[name] for name in names))
         changed = 0
         standing = standing.where(WINDOWS.c.wheelset == wheelset)
         for row in self.connection.execute(standing.where(~WINDOWS.c.judged) if new_only else standing).all():
             reason, before = implausible.get(row.start_ns), implausible_reason(row)
             if row.judged and reason == before:
                 continue
+            if row.samples_purged_ns is not None and reason != before:
+                self.windows.pass_over(wheelset, row.start_ns, PassedOver.SUPERSEDED)
+                reason = before
             of_window = update(WINDOWS).where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == row.start_ns)
             text, code = (None, None) if reason is None else (reason.text, reason.code.value)
             self.connection.execute(of_window.values(implausible=text, implausible_code=code, judged=True))
+            if reason == before:
+                continue
             if reason is not None:
                 self.windows.mark(wheelset, row.start_ns, WindowState.REFUSED, reason)
-            elif before is not None:
+            else:
                 self.windows.mark(wheelset, row.start_ns, WindowState.PENDING)
-            if reason != before:
-                changed += 1
-                self.windows.changes.show(wheelset)  # its mileage is another now
+            changed += 1
+            self.windows.changes.show(wheelset)  # its mileage is another now
         return changed
 
     def left_out(self, wheelset: str, from_ns: int) -> Mapping[ReasonCode, int]:

@@ -33,6 +33,7 @@ PLACED = and_(
     POSITIONS.c.content_digest == MEMBERS.c.content_digest,
 )
 OF_TABLE = and_(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns)
+WITH_SAMPLES = WINDOWS.c.samples_purged_ns.is_(None)
 SAME_CONTENT = WINDOWS.c.content_digest == MEMBERS.c.content_digest
 BY_ALIGNMENT = (
     ReasonCode.ALIGNMENT_UNKNOWN,
@@ -87,11 +88,14 @@ class EpochStore:
         return EpochNews(self._changed_from(section), frozenset({*self._unplaced(section), *self._torn(section)}))
 
     def remaining(self, section: str, number: int, limit: int) -> Sequence[WindowRecord]:
-        """Return the first windows of a section that no epoch before ``number`` holds, by start and wheelset."""
+        """Return the first windows of a section that no epoch before ``number`` holds, by start and wheelset.
+
+        Those whose samples have been purged are left out.
+        """
         statement = (
             select(WINDOWS)
             .select_from(WINDOWS.outerjoin(MEMBERS, OF_WINDOW))
-            .where(WINDOWS.c.track_section == section)
+            .where(WINDOWS.c.track_section == section, WITH_SAMPLES)
             .where(or_(MEMBERS.c.epoch.is_(None), MEMBERS.c.section != section, MEMBERS.c.epoch >= number))
             .order_by(WINDOWS.c.start_ns, WINDOWS.c.wheelset)
             .limit(limit)
@@ -213,7 +217,7 @@ class EpochStore:
         statement = (
             select(WINDOWS.c.wheelset, WINDOWS.c.start_ns)
             .select_from(_CHAIN.join(WINDOWS, and_(OF_WINDOW, SAME_CONTENT)).outerjoin(TABLES, OF_TABLE))
-            .where(or_(table, refused))
+            .where(or_(table, refused), or_(WITH_SAMPLES, WINDOWS.c.passed_over.is_(None)))
             .order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns)
         )
         return [(row.wheelset, row.start_ns) for row in self.connection.execute(statement)]
@@ -236,7 +240,11 @@ class EpochStore:
             replace(self.connection, MEMBERS, values)
 
     def _changed_from(self, section: str) -> int | None:
-        """Return the start of the first window that is new, changed or gone."""
+        """Return the start of the first window that is new, changed or gone.
+
+        What comes so late that samples of later windows have been purged joins the next epoch, and none is computed
+        again for it.
+        """
         changed = or_(
             MEMBERS.c.wheelset.is_(None),
             MEMBERS.c.section != section,
@@ -247,14 +255,21 @@ class EpochStore:
         come = (
             select(func.min(WINDOWS.c.start_ns))
             .select_from(WINDOWS.outerjoin(MEMBERS, OF_WINDOW))
-            .where(WINDOWS.c.track_section == section, changed)
+            .where(WINDOWS.c.track_section == section, changed, WITH_SAMPLES)
         )
+
         gone = (
             select(func.min(MEMBERS.c.start_ns))
             .select_from(MEMBERS.outerjoin(WINDOWS, OF_WINDOW))
             .where(MEMBERS.c.section == section, WINDOWS.c.track_section.is_distinct_from(section))
         )
         found = [self.connection.scalar(statement) for statement in (come, gone)]
+        if found[0] is not None:
+            purged = select(func.max(WINDOWS.c.start_ns)).where(WINDOWS.c.track_section == section, ~WITH_SAMPLES)
+            horizon_ns = self.connection.scalar(purged)
+            if horizon_ns is not None and found[0] <= horizon_ns:
+                held = or_(WINDOWS.c.start_ns > horizon_ns, MEMBERS.c.wheelset.is_not(None))
+                found[0] = self.connection.scalar(come.where(held))
         return min((start_ns for start_ns in found if start_ns is not None), default=None)
 
     def _unplaced(self, section: str) -> set[int]:

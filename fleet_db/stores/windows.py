@@ -7,11 +7,34 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, and_, bindparam, delete, exists, func, or_, select, tuple_
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    Select,
+    and_,
+    bindparam,
+    delete,
+    exists,
+    func,
+    or_,
+    select,
+    tuple_,
+    update,
+)
 
-from estimation.errors import NotFoundError
+from estimation.errors import NotFoundError, PurgedError
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.windows import NOT_HUNTING, Hunting, Window, WindowKey, WindowQuality, WindowRecord, WindowState
+from estimation.values.windows import (
+    NOT_HUNTING,
+    Hunting,
+    PassedOver,
+    Window,
+    WindowKey,
+    WindowQuality,
+    WindowRecord,
+    WindowState,
+)
 from fleet_db.changes import Changes
 from fleet_db.models import WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.rows import (
@@ -35,14 +58,17 @@ PLACED = exists().where(
     POSITIONS.c.start_ns == WINDOWS.c.start_ns,
     POSITIONS.c.content_digest == WINDOWS.c.content_digest,
 )
+PURGED = ("samples_purged_ns", "table_purged_ns")
 SAME = and_(WINDOWS.c.wheelset == WHEELSETS.c.serial, WINDOWS.c.start_ns == bindparam("start_ns"))
 STORED = (
-    select(WINDOWS.c.content_digest, WINDOWS.c.sample_bytes, WINDOWS.c.mileage_km)
+    select(*(WINDOWS.c[name] for name in ("content_digest", "sample_bytes", "mileage_km", *PURGED)))
     .select_from(WHEELSETS.outerjoin(WINDOWS, SAME))
     .where(WHEELSETS.c.serial == bindparam("wheelset"))
 )
-STANDING = select(WINDOWS.c.state, WINDOWS.c.reason, WINDOWS.c.reason_code).where(key_given(WINDOWS))
-DIGEST = select(WINDOWS.c.content_digest).where(key_given(WINDOWS))
+STANDING = select(WINDOWS.c.state, WINDOWS.c.reason, WINDOWS.c.reason_code, WINDOWS.c.samples_purged_ns).where(
+    key_given(WINDOWS)
+)
+DIGEST = select(WINDOWS.c.content_digest, WINDOWS.c.samples_purged_ns).where(key_given(WINDOWS))
 REALS = (
     "coverage",
     "longest_gap_s",
@@ -67,7 +93,8 @@ class WindowStore:
 
         The same content again changes nothing, except that a lost sample file is made again, and a window that was
         refused without it waits again. Other content replaces the window,
-        which is pending again, and removes its bin table. Another mileage alone keeps state and bin table.
+        which is pending again, and removes its bin table. Another mileage alone keeps state and bin table. A window
+        whose bin table has been purged stays as it is.
 
         Raises
         ------
@@ -77,15 +104,20 @@ class WindowStore:
         digest = window_digest(window)
         found = self._stored(window.wheelset, window.start_ns)
         if found.content_digest == digest:
-            if not self.files.has(digest, found.sample_bytes):
+            if found.samples_purged_ns is None and not self.files.has(digest, found.sample_bytes):
                 self.files.save(window, digest)
                 self.wait_again(window.wheelset, window.start_ns)
-            return self._set_mileage(window, found.mileage_km, mileage_km)
+            return self._set_mileage(window, found, mileage_km)
+        if found.table_purged_ns is not None:
+            self.pass_over(window.wheelset, window.start_ns, PassedOver.SUPERSEDED)
+            return False
         values = _values(window, mileage_km) | {
             "content_digest": digest,
             "sample_bytes": self.files.save(window, digest),
             "recorded_ns": recorded_ns,
             "judged": False,
+            "samples_purged_ns": None,
+            "passed_over": None,
         }
         self.changes.show(window.wheelset)
         if found.content_digest is None:
@@ -134,9 +166,7 @@ class WindowStore:
         """Let the windows of a section that were refused for a reason of this code wait again; return how many."""
         refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code == code.value)
         found = self._records(select(WINDOWS).where(WINDOWS.c.track_section == track_section, *refused))
-        for record in found:
-            self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
-        return len(found)
+        return sum(self.mark(record.wheelset, record.start_ns, WindowState.PENDING) for record in found)
 
     def refused_vehicles(self, code: ReasonCode) -> Sequence[str]:
         """Return the vehicles of windows that were refused for a reason of this code, by code."""
@@ -151,19 +181,12 @@ class WindowStore:
         """
         refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code == code.value)
         found = self._records(select(WINDOWS).where(WINDOWS.c.vehicle == vehicle, *refused))
-        for record in found:
-            self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
-            self._forget_position(record.wheelset, record.start_ns)
-        return len(found)
+        return sum(self._wait_from_begin(record) for record in found)
 
     def requeue_axle(self, vehicle: str, axle: int, start_ns: int) -> int:
-        """Let the window of an axle that starts at a time wait again, its position too; return how many there are."""
+        """Let the window of an axle that starts at a time wait again, its position too; return how many do."""
         same = (WINDOWS.c.vehicle == vehicle, WINDOWS.c.axle == axle, WINDOWS.c.start_ns == start_ns)
-        found = self._records(select(WINDOWS).where(*same))
-        for record in found:
-            self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
-            self._forget_position(record.wheelset, record.start_ns)
-        return len(found)
+        return sum(self._wait_from_begin(record) for record in self._records(select(WINDOWS).where(*same)))
 
     def wait_again(self, wheelset: str, start_ns: int) -> None:
         """Let a window whose file had been lost or damaged wait again, unless it is estimated already.
@@ -186,9 +209,7 @@ class WindowStore:
         """Set every window of a section to pending; return how many were not."""
         not_pending = (WINDOWS.c.track_section == track_section, WINDOWS.c.state != WindowState.PENDING.value)
         found = self._records(select(WINDOWS).where(*not_pending))
-        for record in found:
-            self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
-        return len(found)
+        return sum(self.mark(record.wheelset, record.start_ns, WindowState.PENDING) for record in found)
 
     def load(self, wheelset: str, start_ns: int) -> Window:
         """Return a window with its samples.
@@ -197,13 +218,20 @@ class WindowStore:
         ------
         NotFoundError
             There is no such window.
+        PurgedError
+            Its samples have been purged.
         DamagedError
             Its file is missing or damaged; names the file.
         """
-        return self.files.load(content_digest(self.connection, wheelset, start_ns))
+        row = _digest(self.connection, wheelset, start_ns)
+        if row.samples_purged_ns is not None:
+            raise PurgedError(f"the samples of window {wheelset}@{start_ns} have been purged")
+        return self.files.load(row.content_digest)
 
-    def mark(self, wheelset: str, start_ns: int, state: WindowState, reason: Reason | None = None) -> None:
-        """Set the state of a window; one that is refused loses its bin table.
+    def mark(self, wheelset: str, start_ns: int, state: WindowState, reason: Reason | None = None) -> bool:
+        """Set the state of a window; one that is refused loses its bin table. Return whether it has that state now.
+
+        A window whose samples have been purged stays as it is, and is noted as passed over.
 
         Raises
         ------
@@ -215,14 +243,31 @@ class WindowStore:
         if before is None:
             raise NotFoundError("window", f"{wheelset}@{start_ns}")
         after = {"state": state.value, **reason_columns(reason)}
-        if before._asdict() == after:
-            return
+        if all(getattr(before, name) == value for name, value in after.items()):
+            return True
+        if before.samples_purged_ns is not None:
+            self.pass_over(wheelset, start_ns, PassedOver.SUPERSEDED)
+            return False
         replace(self.connection, WINDOWS, {**key, **after})
         if before.state != state.value:
             refused = WindowState.REFUSED.value in {before.state, state.value}  # else the newest usable one stays
             self.changes.note(wheelset, shown=refused)
         if state is WindowState.REFUSED:
             self._remove_table(wheelset, start_ns)
+        return True
+
+    def pass_over(self, wheelset: str, start_ns: int, what: PassedOver) -> None:
+        """Note what would have changed a window that stays as it is; that its table is wrong stands before the rest."""
+        if pass_over(self.connection, and_(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns), what):
+            self.changes.note(wheelset)
+
+    def passed_over(self, wheelset: str) -> Sequence[tuple[int, PassedOver]]:
+        """Return start and cause of the windows of a wheelset that stay as they are, oldest first."""
+        statement = select(WINDOWS.c.start_ns, WINDOWS.c.passed_over).where(
+            WINDOWS.c.wheelset == wheelset, WINDOWS.c.passed_over.is_not(None)
+        )
+        rows = self.connection.execute(statement.order_by(WINDOWS.c.start_ns))
+        return [(row.start_ns, PassedOver(row.passed_over)) for row in rows]
 
     def list(self, wheelset: str, from_ns: int | None = None, to_ns: int | None = None) -> Sequence[WindowRecord]:
         """Return windows of a wheelset that start in ``[from_ns, to_ns)``, oldest first."""
@@ -273,8 +318,18 @@ class WindowStore:
         same = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
         self.connection.execute(delete(POSITIONS).where(*same))
 
-    def _set_mileage(self, window: Window, before_km: float, mileage_km: float) -> bool:
-        if before_km == mileage_km:
+    def _wait_from_begin(self, record: WindowRecord) -> bool:
+        """Let a window wait again, its position too; return whether it does."""
+        waits = self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
+        if waits:
+            self._forget_position(record.wheelset, record.start_ns)
+        return waits
+
+    def _set_mileage(self, window: Window, found: Row[Any, Any, Any], mileage_km: float) -> bool:
+        if found.mileage_km == mileage_km:
+            return False
+        if found.table_purged_ns is not None:
+            self.pass_over(window.wheelset, window.start_ns, PassedOver.RECORD_CHANGED)
             return False
         values = {"wheelset": window.wheelset, "start_ns": window.start_ns, "mileage_km": mileage_km, "judged": False}
         replace(self.connection, WINDOWS, values)
@@ -311,10 +366,34 @@ def content_digest(connection: Connection, wheelset: str, start_ns: int) -> str:
     NotFoundError
         There is no such window.
     """
-    digest: str | None = connection.scalar(DIGEST, {"key_wheelset": wheelset, "key_start_ns": start_ns})
-    if digest is None:
+    return str(_digest(connection, wheelset, start_ns).content_digest)
+
+
+def pass_over(connection: Connection, chosen: ColumnElement[bool], what: PassedOver) -> int:
+    """Note what would have changed windows that stay as they are; return of how many it was not known.
+
+    That a table is wrong stands before the rest.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    chosen
+        Which windows.
+    what
+        Would have changed them.
+    """
+    weaker = [one.value for one in PassedOver][: list(PassedOver).index(what)]
+    open_ = or_(WINDOWS.c.passed_over.is_(None), WINDOWS.c.passed_over.in_(weaker))
+    noted = update(WINDOWS).where(chosen, open_).values(passed_over=what.value)
+    return connection.execute(noted.execution_options(preserve_rowcount=True)).rowcount
+
+
+def _digest(connection: Connection, wheelset: str, start_ns: int) -> Row[Any, Any]:
+    row: Row[Any, Any] | None = connection.execute(DIGEST, {"key_wheelset": wheelset, "key_start_ns": start_ns}).first()
+    if row is None:
         raise NotFoundError("window", f"{wheelset}@{start_ns}")
-    return digest
+    return row
 
 
 def to_window_record(row: Row[Any]) -> WindowRecord:

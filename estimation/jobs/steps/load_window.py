@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.errors import NotFoundError
+from estimation.errors import NotFoundError, PurgedError
 from estimation.motion.axle_distance import check_axle_distance
 from estimation.motion.bogie_frame import with_frame_yaw
 from estimation.storage import UnitOfWork
@@ -32,6 +32,8 @@ def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleCl
 
     Raises
     ------
+    PurgedError
+        The samples of the window have been purged.
     DamagedError
         The samples of the window, or of the one on the other axle, are damaged; names the file.
     """
@@ -94,6 +96,8 @@ def _partner(unit: UnitOfWork, record: WindowRecord, axle: int) -> Window | Reas
         partner = unit.windows.load(mounting.wheelset, record.start_ns)
     except NotFoundError:
         return _unknown(axle, "has no window of this time")
+    except PurgedError:
+        return _unknown(axle, "has no samples of this time any more")
     if (partner.vehicle, partner.axle) != (record.vehicle, axle):
         return _unknown(axle, f"has no window of this time of wheelset {mounting.wheelset}")
     return partner

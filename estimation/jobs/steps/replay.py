@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+from estimation.errors import PurgedError
 from estimation.jobs.steps.load_window import load_window
 from estimation.motion.parameters import WindowParameters
 from estimation.motion.window_motion import window_motion
@@ -30,7 +31,7 @@ def replayed(
     """Yield each window with its motion, as ``estimate_windows`` tabulated it.
 
     A window whose position or content has changed since, so that it is refused today, is left out: the next run of
-    ``estimate_windows`` marks it, and this wheelset is refreshed again.
+    ``estimate_windows`` marks it, and this wheelset is refreshed again. So is one whose samples have been purged.
 
     Parameters
     ----------
@@ -59,7 +60,10 @@ def replayed(
         record, section = item.record, item.record.track_section
         position = _position(unit, record)
         mounting = unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
-        window = load_window(unit, record, parameters.vehicle_class)
+        try:
+            window = load_window(unit, record, parameters.vehicle_class)
+        except PurgedError:
+            continue
         if isinstance(window, Reason):
             continue
         moved = window_motion(
