@@ -35,6 +35,7 @@ class DaysTable(InputTable):
     webhook_deliveries: Days = None
     orphaned_files: Days = None
     window_samples: Days = None
+    window_bin_tables: Days = None
 
 
 class RetentionTable(InputTable):

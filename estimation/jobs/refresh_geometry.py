@@ -157,7 +157,7 @@ def _in(unit: UnitOfWork, rules: Membership) -> Membership:
 
 
 def _changed(part: Part) -> bool:
-    return bool(part.added or part.taken or part.afresh)
+    return bool(part.added or part.taken or part.afresh or part.moved)
 
 
 def _with_sums(seen: RolledGeometries, part: Part) -> RolledPart:
@@ -171,6 +171,7 @@ def _store(unit: UnitOfWork, serial: str, found: _Made) -> None:
         unit.roll_ups.put(serial, found.parts, seen.rolled.outside)
         unit.roll_ups.drop(serial, seen.rolled.dropped, seen.rolled.taken)
         unit.roll_ups.put_state(serial, seen.rolled.state)
+        unit.roll_ups.forget(serial, seen.forgotten())
     if seen.earlier is not None:
         unit.roll_ups.put_earlier(serial, *seen.earlier)
     for one in seen.radius.fresh.values():

@@ -112,6 +112,9 @@ class BinStatus(StrEnum):
 LEFT_OUT = "windows_left_out"
 """Key among the parameters of a current geometry: windows since the last reprofiling not believed, by reason."""
 
+PASSED_OVER = "windows_passed_over"
+"""Key among the parameters of a geometry: windows that would be others today, and cannot be made again, by cause."""
+
 COMBINATIONS = (
     "rolling_radius_sum",
     "rolling_radius_difference",

@@ -134,6 +134,10 @@ class ReasonCode(StrEnum):
         "rolling_radius_differs",
         "The wheelset rolls as on wheels of another radius. Check the nominal radius on file.",
     )
+    SAMPLES_PURGED = (
+        "samples_purged",
+        "What it rests on was corrected after its samples had been purged, so that it cannot be estimated again.",
+    )
     AMPLITUDE_NOT_COVERED = "amplitude_not_covered", "The wheelset has not moved as far as this amplitude."
     OFFSET_NOT_OBSERVABLE = "offset_not_observable", "Band-limited signals carry no constant offset."
     NO_ZERO_CROSSING = "no_zero_crossing", "rL - rR has no zero in the range covered."

@@ -11,6 +11,7 @@ from sqlalchemy import Column, ColumnElement, Connection, and_, delete, exists, 
 from estimation.values.runs import JobOutcome
 from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.expired_samples import expired_samples, mark_purged
+from fleet_db.keeping.expired_tables import expired_tables, seal
 from fleet_db.keeping.kept_files import RAW, SAMPLES
 from fleet_db.keeping.orphans import LEAST_AGE_S, orphans, unlink_old
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
@@ -36,7 +37,15 @@ GEOMETRIES, TRENDS, REPORTS = table_of(GeometryRow), table_of(TrendRow), table_o
 BATCH = 1000
 """Rows a transaction: others wait for a fraction of a second."""
 
-BY_DATA = frozenset({Kept.SUPERSEDED_ESTIMATES, Kept.TRACK_REPORTS, Kept.RECORDINGS, Kept.WINDOW_SAMPLES})
+BY_DATA = frozenset(
+    {
+        Kept.SUPERSEDED_ESTIMATES,
+        Kept.TRACK_REPORTS,
+        Kept.RECORDINGS,
+        Kept.WINDOW_SAMPLES,
+        Kept.WINDOW_BIN_TABLES,
+    }
+)
 """Kinds whose age ends a day after the newest data: a clock of ours that is ahead makes nothing old."""
 
 Checkpoint = Callable[[], None]
@@ -93,6 +102,8 @@ def _purge_kind(storage: SqlStorage, kind: Kept, before_ns: int, now_ns: int, ch
         return _purge_recordings(storage, before_ns, now_ns, checkpoint)
     if kind is Kept.WINDOW_SAMPLES:
         return _purge_samples(storage, before_ns, now_ns, checkpoint)
+    if kind is Kept.WINDOW_BIN_TABLES:
+        return _purge_tables(storage, before_ns, now_ns, checkpoint)
     items = 0
     for expired in _expired(kind, before_ns):
         while True:
@@ -224,6 +235,22 @@ def _purge_samples(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint:
         items, size = items + part.items, size + part.item_bytes
         if len(batch) < BATCH:
             return Purged(Kept.WINDOW_SAMPLES, items, size)
+
+
+def _purge_tables(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint: Checkpoint) -> Purged:
+    """Delete the bin tables of roll-ups that are whole and old, one roll-up a transaction."""
+    items = 0
+    with storage.read() as unit:
+        found = expired_tables(unit.connection, before_ns)
+    for number in found:
+        checkpoint()
+        with storage.write() as unit:
+            if not expired_tables(unit.connection, before_ns, number):  # something has been added to it meanwhile
+                continue
+            count = seal(unit.connection, number, now_ns)
+            record_purge(unit.connection, Purged(Kept.WINDOW_BIN_TABLES, count), before_ns, now_ns)
+        items += count
+    return Purged(Kept.WINDOW_BIN_TABLES, items)
 
 
 def _purge_orphans(storage: SqlStorage, before_ns: int, now_ns: int) -> Purged:

@@ -25,6 +25,7 @@ class Kept(StrEnum):
     SUPERSEDED_ESTIMATES = "superseded_estimates"  # geometries and trends that newer ones have replaced
     TRACK_REPORTS = "track_reports"  # that newer ones of the same section and version have replaced
     WINDOW_SAMPLES = "window_samples"  # of windows that are estimated, or refused for good; their bin tables stay
+    WINDOW_BIN_TABLES = "window_bin_tables"  # of roll-ups whose windows are all older; their sums stay
     RECORDINGS = "recordings"  # raw bytes of decoded ones; the receipt stays, the windows stay as they are
     AUDIT = "audit"  # entries of the audit log
     WEBHOOK_DELIVERIES = "webhook_deliveries"  # what was sent, and does not wait to be sent again
@@ -55,6 +56,8 @@ class Retention:
         After their last change.
     window_samples
         After the start of the window; not below ``LEAST_DAYS_OF_SAMPLES``.
+    window_bin_tables
+        After the start of the newest window of their roll-up; those of windows that have samples stay.
     """
 
     job_runs: float | None = 14.0
@@ -67,6 +70,7 @@ class Retention:
     webhook_deliveries: float | None = 30.0
     orphaned_files: float | None = 1.0
     window_samples: float | None = 31.0
+    window_bin_tables: float | None = 92.0
 
     def __post_init__(self) -> None:
         for kind in Kept:

@@ -72,7 +72,7 @@ class Again:
         """
         return self._windows((f"wheelset {serial}",), WINDOWS.c.wheelset == serial)
 
-    def mounting(self, serial: str, from_ns: int, to_ns: int | None) -> None:
+    def mounting(self, serial: str, from_ns: int, to_ns: int | None, *, there: bool) -> None:
         """Let the windows of a wheelset that overlap some time wait again.
 
         Parameters
@@ -81,10 +81,12 @@ class Again:
             Of the wheelset.
         from_ns, to_ns
             Of the mounting.
+        there
+            Whether the wheelset is where it was then, the same way round.
         """
         within = and_(WINDOWS.c.wheelset == serial, WINDOWS.c.start_ns + WINDOWS.c.length_ns > from_ns)
         ended = within if to_ns is None else and_(within, WINDOWS.c.start_ns < to_ns)
-        self._wait(ended, PassedOver.RECORD_CHANGED)
+        self._wait(ended, PassedOver.SUPERSEDED if there else PassedOver.RECORD_CHANGED)
 
     def _windows(self, names: tuple[str, ...], chosen: ColumnElement[bool]) -> EstimatedAgain:
         windows, from_ns = self.connection.execute(

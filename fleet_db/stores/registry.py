@@ -315,7 +315,8 @@ class RegistryStore:
         for vehicle, from_ns, to_ns in changed_spans(was, now):
             StaleSpanStore(self.connection).add(vehicle, from_ns, to_ns, f"mounting of wheelset {record.wheelset}")
             # windows that stay as they are may be of a mounting with another way round now
-            Again(self.connection, self.changes, recorded_ns).mounting(record.wheelset, from_ns, to_ns)
+            there = _still_there(was, now, from_ns, to_ns)
+            Again(self.connection, self.changes, recorded_ns).mounting(record.wheelset, from_ns, to_ns, there=there)
         if now is not None:
             key = RecordKey(RecordKind.MOUNTING, now.wheelset, now.from_ns)
             self._note(key, None if was is None else asdict(was), asdict(now), recorded_ns)
@@ -411,3 +412,10 @@ def _in_fleet(statement: Select[Any], column: Any, fleet: str | None) -> Select[
 
 def _wheelset(row: Row[Any], mounting: Mounting | None, reprofilings: tuple[Reprofiling, ...]) -> WheelsetRecord:
     return WheelsetRecord(row.serial, row.fleet, row.wheel_profile, row.nominal_radius_m, mounting, reprofilings)
+
+
+def _still_there(was: Mounting | None, now: Mounting | None, from_ns: int, to_ns: int | None) -> bool:
+    """Whether a wheelset is where it was in a span, the same way round: only its mileage is another."""
+    if was is None or now is None or (was.vehicle, was.axle, was.reversed) != (now.vehicle, now.axle, now.reversed):
+        return False
+    return now.from_ns <= from_ns and (now.to_ns is None or (to_ns is not None and to_ns <= now.to_ns))

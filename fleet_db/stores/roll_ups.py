@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
+import numpy as np
 from sqlalchemy import Connection, Row, Update, bindparam, delete, insert, or_, select, update
 
 from estimation.errors import ConflictError
@@ -29,6 +30,7 @@ from fleet_db.rows import table_of, upsert
 
 ROLL_UPS, TAKEN, STATES = table_of(RollUpRow), table_of(TakenTableRow), table_of(RollUpStateRow)
 TABLES, ROLLING = table_of(WindowBinTableRow), table_of(RollingSumsRow)
+BATCH = 500  # numbers in a statement
 KEY = ("baseline", "baseline_interval", "side", "table_key", "vehicle_class")
 KNOWN = ("number", *KEY, "windows", "content", "sealed", "summary")
 
@@ -56,6 +58,8 @@ class RollUpStore:
     def sums(self, number: int) -> tuple[ExactTable, ExactTable] | None:
         """Return the sums of a roll-up, plain and with forgetting; None where they are not kept any more.
 
+        What has been forgotten is nothing.
+
         Raises
         ------
         DamagedError
@@ -63,10 +67,14 @@ class RollUpStore:
         """
         columns = (ROLL_UPS.c.plain, ROLL_UPS.c.forgetting)
         row = self.connection.execute(select(*columns).where(ROLL_UPS.c.number == number)).one()
-        if row.plain is None or row.forgetting is None:
+        if row.plain is None:
             return None
         where = f"roll-up {number}"
-        return unpack_exact_table(row.plain, where=where), unpack_exact_table(row.forgetting, where=where)
+        plain = unpack_exact_table(row.plain, where=where)
+        if row.forgetting is None:
+            upper, lower = np.zeros_like(plain.upper), np.zeros_like(plain.lower)
+            return plain, replace(plain, upper=upper, lower=lower, samples=0, windows=0)
+        return plain, unpack_exact_table(row.forgetting, where=where)
 
     def taken(self, wheelset: str) -> Sequence[TakenTable]:
         """Return the tables that are to be taken from the roll-ups of a wheelset, in the order they were replaced."""
@@ -152,6 +160,21 @@ class RollUpStore:
             if numbers:
                 self.connection.execute(delete(table).where(table.c.wheelset == wheelset, table.c.number.in_(numbers)))
 
+    def forget(self, wheelset: str, roll_ups: Sequence[int]) -> None:
+        """Delete the sums with forgetting of those of some roll-ups that are sealed.
+
+        Parameters
+        ----------
+        wheelset
+            Serial.
+        roll_ups
+            Their numbers; what is added to them has no weight any more.
+        """
+        for first in range(0, len(roll_ups), BATCH):
+            some = ROLL_UPS.c.number.in_(roll_ups[first : first + BATCH])
+            kept = (ROLL_UPS.c.wheelset == wheelset, ROLL_UPS.c.sealed, ROLL_UPS.c.forgetting.is_not(None))
+            self.connection.execute(update(ROLL_UPS).where(some, *kept).values(forgetting=None))
+
     def rolling(self, wheelset: str, windows: Mapping[int, str], assumed: str) -> Mapping[int, tuple[RollingSums, ...]]:
         """Return by start what windows say of their rolling radius, where that is kept.
 
@@ -209,7 +232,11 @@ class RollUpStore:
             return int(
                 self.connection.execute(insert(ROLL_UPS).values(**values).returning(ROLL_UPS.c.number)).scalar_one()
             )
-        same = (ROLL_UPS.c.number == roll_up.number, ROLL_UPS.c.content == part.before)
+        same = (
+            ROLL_UPS.c.number == roll_up.number,
+            ROLL_UPS.c.content == part.before,
+            ROLL_UPS.c.sealed.is_(roll_up.sealed),
+        )
         if not self.connection.execute(update(ROLL_UPS).where(*same).values(**values)).rowcount:
             raise ConflictError(f"roll-up {roll_up.number} changed", kind="roll-up", key=str(roll_up.number))
         return roll_up.number

@@ -208,7 +208,11 @@ class EpochStore:
 
     def outdated(self) -> Sequence[tuple[str, int]]:
         """Return (wheelset, start) of windows that were estimated on another version than they are to be."""
-        table = and_(WINDOWS.c.state == WindowState.ESTIMATED.value, TABLES.c.track_version.is_distinct_from(_WANTED))
+        table = and_(
+            WINDOWS.c.state == WindowState.ESTIMATED.value,
+            WINDOWS.c.table_purged_ns.is_(None),
+            TABLES.c.track_version.is_distinct_from(_WANTED),
+        )
         refused = and_(
             WINDOWS.c.state == WindowState.REFUSED.value,
             WINDOWS.c.reason_code.in_([code.value for code in BY_ALIGNMENT]),

@@ -262,9 +262,11 @@ class WindowStore:
             self.changes.note(wheelset)
 
     def passed_over(self, wheelset: str) -> Sequence[tuple[int, PassedOver]]:
-        """Return start and cause of the windows of a wheelset that stay as they are, oldest first."""
+        """Return start and cause of the estimated windows of a wheelset that stay as they are, oldest first."""
         statement = select(WINDOWS.c.start_ns, WINDOWS.c.passed_over).where(
-            WINDOWS.c.wheelset == wheelset, WINDOWS.c.passed_over.is_not(None)
+            WINDOWS.c.wheelset == wheelset,
+            WINDOWS.c.passed_over.is_not(None),
+            WINDOWS.c.state == WindowState.ESTIMATED.value,
         )
         rows = self.connection.execute(statement.order_by(WINDOWS.c.start_ns))
         return [(row.start_ns, PassedOver(row.passed_over)) for row in rows]

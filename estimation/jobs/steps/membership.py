@@ -128,6 +128,33 @@ class Membership:
         """
         return float(0.5 ** ((self.end_km(key) - mileage_km) / self.half_life_km))
 
+    def of_its_baseline(self, roll_up: RollUp) -> bool:
+        """Whether the time of a roll-up is of the baseline, and on the side of an identity change, of its key.
+
+        Parameters
+        ----------
+        roll_up
+            With windows.
+        """
+        times = (roll_up.first_ns, roll_up.last_ns)
+        return all(
+            self.baseline_of(at_ns).number == roll_up.key.baseline and self._side(at_ns) is roll_up.key.side
+            for at_ns in times
+        )
+
+    def belongs(self, roll_up: RollUp) -> bool:
+        """Whether windows of the mileage of a roll-up have its key by the present rules.
+
+        Parameters
+        ----------
+        roll_up
+            With windows.
+        """
+        if not self.of_its_baseline(roll_up):
+            return False
+        since_km = roll_up.mean_km - self.baselines[roll_up.key.baseline].mileage_km
+        return int(since_km // self.interval_km) == roll_up.key.interval
+
     def end_km(self, key: RollUpKey) -> float:
         """Return the mileage at which an interval ends.
 
@@ -136,7 +163,8 @@ class Membership:
         key
             Of a roll-up.
         """
-        return self.baselines[key.baseline].mileage_km + (key.interval + 1) * self.interval_km
+        baseline = self.baselines[min(key.baseline, len(self.baselines) - 1)]
+        return baseline.mileage_km + (key.interval + 1) * self.interval_km
 
     def _side(self, start_ns: int) -> Side | None:
         if self.change is None:

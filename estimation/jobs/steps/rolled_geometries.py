@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,6 +13,7 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, contradiction
 from estimation.jobs.steps.estimated_geometry import EstimatedWith, estimated_geometry, no_geometry
 from estimation.jobs.steps.membership import Membership
+from estimation.jobs.steps.passed_over import CONTRADICTED, PassedOverWindows
 from estimation.jobs.steps.replay import TabulatedWindow, replayed
 from estimation.jobs.steps.rolling import Part, Rolled, members, sums
 from estimation.jobs.steps.rolling_radius import RadiusOnFile
@@ -19,7 +21,7 @@ from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.storage import UnitOfWork
 from estimation.tables.weighted_tables import weighted_sum
 from estimation.values.exact_table import ExactTable
-from estimation.values.geometry import LEFT_OUT, BinTable, GeometryRecord
+from estimation.values.geometry import LEFT_OUT, PASSED_OVER, BinTable, GeometryRecord
 from estimation.values.json_value import JsonValue
 from estimation.values.motion import Motion
 from estimation.values.quantities import Status
@@ -58,11 +60,13 @@ class RolledGeometries:
     context: JobContext
     radius: RadiusOnFile = field(init=False)
     earlier: tuple[str, BinTable] | None = None
+    _passed_over: PassedOverWindows = field(init=False)
     _refused: Sequence[WindowRecord] | None = None
     _sums: dict[RollUpKey, tuple[ExactTable, ExactTable]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.radius = RadiusOnFile(self.unit, self.rules.wheelset)
+        self._passed_over = PassedOverWindows(self.unit, self.rules)
 
     def sums(self, part: Part) -> tuple[ExactTable, ExactTable]:
         """Return the sums of a roll-up; of those that have changed some are kept in memory.
@@ -87,12 +91,15 @@ class RolledGeometries:
         The current geometry is that of the newest baseline with windows. What was measured before and after an
         identity change of the wheelset is never merged. Nor is what was measured on vehicles of different classes: the
         current geometry is of the class that the wheelset ran in last, an interval of the one with most of its windows.
-        What cannot be made again, because its class is another by now and its windows are gone, stays as it is.
+        What cannot be made again, because its class is another by now and its windows are gone, stays as it is; where
+        what it rests on was corrected it holds no number any more.
         """
         filled = [part for part in self.rolled.parts if part.roll_up.windows]
         usable = [part for part in filled if self.rules.assumed(part.roll_up) is not None]
-        left = {_place(part) for part in filled} - {_place(part) for part in usable}
-        found = self._intervals(usable, left)
+        places = {_place(part) for part in usable}
+        others = [part for part in filled if _place(part) not in places]
+        left = {_place(part) for part in others if self.rules.of_its_baseline(part.roll_up)}
+        found = [*self._intervals(usable, {_place(part) for part in others}), *self._contradicted(others)]
         newest = max((part.roll_up.key.baseline for part in usable), default=None)
         if left and (newest is None or newest < max(left)[0]):
             return found
@@ -115,6 +122,35 @@ class RolledGeometries:
         gone = [p for p in stored if p not in parts and p not in left and stored[p].windows]
         return records + self._emptied_intervals(gone)
 
+    def forgotten(self) -> list[int]:
+        """Return the numbers of the roll-ups without tables that have no weight in the current geometry any more."""
+        last_km = max((part.roll_up.last_km for part in self.rolled.parts), default=0.0)
+        return [
+            part.roll_up.number
+            for part in self.rolled.parts
+            if part.roll_up.number is not None
+            and part.roll_up.sealed
+            and self.rules.of_its_baseline(part.roll_up)
+            and last_km - self.rules.end_km(part.roll_up.key) > REMEMBERED_HALF_LIVES * self.rules.half_life_km
+        ]
+
+    def _contradicted(self, parts: Sequence[Part]) -> list[GeometryRecord]:
+        """Return geometries without numbers in place of those that cannot be made again and are wrong by now."""
+        wrong = {_place(part): part for part in parts if self._passed_over.contradicted(part.roll_up)}
+        if not wrong:
+            return []
+        found = []
+        for stored in self.unit.geometries.intervals(self.rules.wheelset):
+            part = None if stored.interval is None else wrong.get((stored.baseline, stored.interval))
+            if part is not None and stored.geometry.reason != CONTRADICTED:
+                record = replace(stored, geometry=stored.geometry.mismatched(CONTRADICTED))
+                found.append(self._now(record, self._digest([part.roll_up], None, CONTRADICTED)))
+        return found
+
+    def _now(self, record: GeometryRecord, digest: str) -> GeometryRecord:
+        clock, version = self.context.clock, self.context.code_version
+        return replace(record, input_digest=digest, code_version=version, recorded_ns=clock.now_ns())
+
     def _emptied_intervals(self, gone: Sequence[Place]) -> list[GeometryRecord]:
         if not gone:
             return []
@@ -131,7 +167,9 @@ class RolledGeometries:
         return [self._emptied(one) for one in gone]
 
     def _current(self, baseline: int, usable: Sequence[Part]) -> GeometryRecord:
-        used = self._remembered([part for part in usable if part.roll_up.key.baseline == baseline])
+        of_baseline = [part for part in usable if part.roll_up.key.baseline == baseline]
+        right = [part for part in of_baseline if not self._passed_over.contradicted(part.roll_up)]
+        used = self._remembered(right or of_baseline)
         assumed, roll_ups = self._assumed(used[-1]), [part.roll_up for part in used]
         against = self._against(roll_ups)
         record = self._record(used, (baseline, None), assumed, against, self._digest(roll_ups, assumed, against))
@@ -176,6 +214,8 @@ class RolledGeometries:
     def _digest(self, roll_ups: Sequence[RollUp], assumed: Assumed | None, against: Reason | None) -> str:
         of_class = "" if assumed is None else f" {assumed.digest}"
         of_class += "" if against is None else f" {against.code}"
+        counts = self._passed_over.counts(roll_ups)
+        of_class += f" {json.dumps(counts)}" if counts else ""
         estimator = self.context.settings.estimation.estimator
         text = hashlib.sha256(f"{self.context.code_version} {estimator}{of_class}\n".encode())
         for one in roll_ups:
@@ -202,6 +242,8 @@ class RolledGeometries:
         geometry = estimated_geometry(table, used, lambda: self._motions(parts, assumed, forgotten_from))
         if geometry.status is not Status.MODEL_MISMATCH:
             contradicted = against or self.radius.contradicted(_chosen(roll_ups), assumed, self._stored_reason(place))
+            if any(self._passed_over.contradicted(one) for one in roll_ups):
+                contradicted = CONTRADICTED
             geometry = geometry if contradicted is None else geometry.mismatched(contradicted)
         return GeometryRecord(
             wheelset=self.rules.wheelset,
@@ -213,10 +255,15 @@ class RolledGeometries:
             geometry=geometry,
             input_digest=digest,
             track_versions=versions,
-            parameters=used.as_json(),
+            parameters={**used.as_json(), **self._stated(roll_ups)},
             code_version=self.context.code_version,
             recorded_ns=self.context.clock.now_ns(),
         )
+
+    def _stated(self, roll_ups: Sequence[RollUp]) -> Mapping[str, JsonValue]:
+        """Return what is stated of windows that would be others today."""
+        counts: dict[str, JsonValue] = dict(self._passed_over.counts(roll_ups))
+        return {PASSED_OVER: counts} if counts else {}
 
     def _stored_reason(self, place: tuple[int, int | None]) -> Reason | None:
         """Return why the geometry that is stored holds no numbers; None where it does or there is none."""

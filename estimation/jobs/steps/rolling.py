@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 from estimation.jobs.steps.membership import Membership
 from estimation.jobs.steps.running_mileage import known_mileage, plausible_step, running
@@ -31,6 +31,7 @@ from estimation.values.roll_up import (
     with_member,
 )
 
+APART = " of "  # behind the key of its tables, the number of a roll-up that belongs to no key by the present rules
 KEPT_WAITING = 32  # windows that are added again each time before they are rolled: sums are written once for so many
 
 
@@ -42,6 +43,7 @@ class Part:
     added: tuple[Member, ...] = ()
     taken: tuple[TakenTable, ...] = ()
     afresh: bool = False  # the stored sums do not count
+    moved: bool = False  # its key is another
     before: str = ""  # digest of the content that is stored
 
 
@@ -120,19 +122,26 @@ def _classes(rules: Membership, vehicles: Iterator[str], before: Mapping[str, st
 
 
 def _made_again(unit: UnitOfWork, rules: Membership, stored: Sequence[RollUp]) -> Rolled:
-    """Return the roll-ups from all tables that are there, beside those that are sealed."""
-    sealed = {one.number: one for one in stored if one.sealed}
-    at = _Open(rules, {one.key: Part(one, before=one.content_digest) for one in sealed.values()})
+    """Return the roll-ups from all tables that are there, beside those that stay as they are.
+
+    These are sealed, or of a former class or parameters and with windows that cannot be estimated again.
+    """
     windows = unit.tables.tabled(rules.wheelset)
+    fixed = {one.roll_up for one in windows if one.rolled and one.samples_purged}
+    stay = {one.number: one for one in stored if one.sealed or (one.number in fixed and rules.assumed(one) is None)}
+    at = _Open(rules, {part.roll_up.key: part for part in (_kept_apart(one, rules) for one in stay.values())})
     odometers: dict[int, Odometer] = {}
     for number, group in _by_baseline(windows, rules).items():
-        before = _after_sealed([one for one in sealed.values() if one.key.baseline == number], group[0])
-        chain = running([one.record for one in group], before)
-        odometers[number] = chain[-1][1]
-        for window, (mileage_km, _) in zip(group, chain, strict=True):
-            if not (window.rolled and window.roll_up in sealed):
+        before = [one for one in stay.values() if rules.baseline_of(one.last_ns).number == number]
+        for window, mileage_km, odometer in _chained(group, before):
+            odometers[number] = odometer
+            if not (window.rolled and window.roll_up in stay):
                 at.add(window, mileage_km)
-    taken = [one for one in unit.roll_ups.taken(rules.wheelset) if one.roll_up in sealed]
+    for one in sorted(stay.values(), key=lambda one: one.last_ns):
+        number = rules.baseline_of(one.last_ns).number
+        if number not in odometers or odometers[number].seen_ns < one.last_ns:
+            odometers[number] = _after(one)
+    taken = [one for one in unit.roll_ups.taken(rules.wheelset) if one.roll_up in stay]
     by_key = {one.key: one for one in stored}
     parts = [_in_place_of(by_key.get(part.roll_up.key), part) for part in _taken_away(unit, rules, at.closed(), taken)]
     kept = {part.roll_up.number for part in parts}
@@ -148,17 +157,38 @@ def _made_again(unit: UnitOfWork, rules: Membership, stored: Sequence[RollUp]) -
 
 def _in_place_of(stored: RollUp | None, part: Part) -> Part:
     """Return a roll-up that was made again under the number of the one that is stored."""
-    if stored is None or stored.sealed:
+    if stored is None or part.roll_up.number is not None:
         return part
     return replace(part, roll_up=replace(part.roll_up, number=stored.number), before=stored.content_digest)
 
 
-def _after_sealed(sealed: Sequence[RollUp], first: TabledWindow) -> Odometer | None:
-    """Return where the chain stands after sealed windows before ``first``; None where there are none."""
-    before = [one for one in sealed if one.last_ns < first.record.start_ns]
-    if not before:
-        return None
-    last = max(before, key=lambda one: one.last_ns)
+def _kept_apart(roll_up: RollUp, rules: Membership) -> Part:
+    """Return a roll-up that stays as it is, with a key that no window has where it does not belong there any more."""
+    table_key = roll_up.key.table_key.partition(APART)[0]
+    if not rules.belongs(roll_up):
+        table_key = f"{table_key}{APART}{roll_up.number}"
+    key = replace(roll_up.key, table_key=table_key)
+    return Part(replace(roll_up, key=key), before=roll_up.content_digest, moved=key != roll_up.key)
+
+
+def _chained(windows: Sequence[TabledWindow], stay: Sequence[RollUp]) -> Iterator[tuple[TabledWindow, float, Odometer]]:
+    """Yield windows of a baseline with mileage and odometer; the chain goes on from roll-ups whose tables are gone."""
+    odometer: Odometer | None = None
+
+    def last_before(window: TabledWindow) -> RollUp | None:
+        before = [one for one in stay if one.sealed and one.last_ns < window.record.start_ns]
+        return max(before, key=lambda one: one.last_ns, default=None)
+
+    for last, group in groupby(windows, key=last_before):
+        found = list(group)
+        odometer = odometer if last is None else _after(last)
+        for window, (mileage_km, at) in zip(found, running([one.record for one in found], odometer), strict=True):
+            odometer = at
+            yield window, mileage_km, at
+
+
+def _after(last: RollUp) -> Odometer:
+    """Return where the chain stands after the last window of a roll-up."""
     return Odometer(last.last_km - last.last_stored_km, last.last_stored_km, last.last_km, last.last_ns, last.last_ns)
 
 
@@ -188,8 +218,9 @@ def _continued(unit: UnitOfWork, rules: Membership, state: RollUpState, stored: 
             odometers.pop(number)
             if before is not None:
                 odometers[number] = before
+        sealed = [part.roll_up for part in at.parts.values() if part.roll_up.sealed]
         for window in late:
-            at.add(window, window.record.mileage_km)
+            at.add(window, window.record.mileage_km + _shift(sealed, window))
         chain = running([one.record for one in group[len(late) :]], before)
         for window, (mileage_km, odometer) in zip(group[len(late) :], chain, strict=True):
             at.add(window, mileage_km)
@@ -202,6 +233,12 @@ def _continued(unit: UnitOfWork, rules: Membership, state: RollUpState, stored: 
         tuple(one.number for one in taken),
         tuple(p.roll_up.number for p in parts if p.roll_up.number is not None and not p.roll_up.windows),
     )
+
+
+def _shift(sealed: Sequence[RollUp], window: TabledWindow) -> float:
+    """Return by how many km the odometer was behind in the roll-up without tables that a late window falls into."""
+    around = [one for one in sealed if one.first_ns <= window.record.start_ns <= one.last_ns]
+    return around[0].last_km - around[0].last_stored_km if around else 0.0
 
 
 def _fits(unit: UnitOfWork, rules: Membership, start_ns: int) -> bool:

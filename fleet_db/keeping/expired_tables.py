@@ -1,0 +1,66 @@
+"""Bin tables that are not needed any more: of a roll-up whose windows are all old, and which holds their sums."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sqlalchemy import Connection, and_, delete, exists, func, or_, select, update
+
+from fleet_db.models import RollUpRow, RollUpStateRow, TakenTableRow, WindowBinTableRow, WindowRow
+from fleet_db.rows import table_of
+
+WINDOWS, TABLES, ROLL_UPS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(RollUpRow)
+STATES, TAKEN = table_of(RollUpStateRow), table_of(TakenTableRow)
+OF_ROLL_UP = TABLES.c.roll_up == ROLL_UPS.c.number
+OF_TABLE = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
+
+
+def expired_tables(connection: Connection, before_ns: int, number: int | None = None) -> Sequence[int]:
+    """Return the numbers of roll-ups whose tables may go, in their order.
+
+    All windows of such a roll-up are older, and none has samples from which it could be estimated again; its sums are
+    whole: no table of its wheelset from before waits to be added, none is to be taken away, and it has as many windows
+    as there are tables.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    before_ns
+        Their windows start before it, ns UTC.
+    number
+        Of the one that is looked at; None: all are.
+    """
+    same = TABLES.c.wheelset == ROLL_UPS.c.wheelset
+    older = exists().where(same, OF_ROLL_UP, TABLES.c.start_ns < before_ns)
+    younger = exists().where(same, OF_ROLL_UP, TABLES.c.start_ns >= before_ns)
+    with_samples = exists().where(same, OF_ROLL_UP, OF_TABLE, WINDOWS.c.samples_purged_ns.is_(None))
+    waiting = exists().where(same, ~TABLES.c.rolled, TABLES.c.start_ns < before_ns)
+    taken = exists().where(TAKEN.c.wheelset == ROLL_UPS.c.wheelset)
+    made = exists().where(STATES.c.wheelset == ROLL_UPS.c.wheelset, STATES.c.rules != "")
+    tables = select(func.count()).select_from(TABLES).where(same, OF_ROLL_UP).scalar_subquery()
+    whole = or_(ROLL_UPS.c.sealed, tables == ROLL_UPS.c.windows)
+    statement = select(ROLL_UPS.c.number).where(ROLL_UPS.c.plain.is_not(None), made, older, ~younger)
+    statement = statement.where(~waiting, ~taken, ~with_samples, whole)
+    if number is not None:
+        statement = statement.where(ROLL_UPS.c.number == number)
+    return list(connection.scalars(statement.order_by(ROLL_UPS.c.number)))
+
+
+def seal(connection: Connection, roll_up: int, now_ns: int) -> int:
+    """Delete the tables of a roll-up, which holds their sums from now on alone; return how many.
+
+    Parameters
+    ----------
+    connection
+        Of the transaction that found it.
+    roll_up
+        Its number.
+    now_ns
+        Our time, ns UTC.
+    """
+    of_it = exists().where(OF_TABLE, TABLES.c.roll_up == roll_up)
+    connection.execute(update(ROLL_UPS).where(ROLL_UPS.c.number == roll_up).values(sealed=True))
+    wheelset = select(ROLL_UPS.c.wheelset).where(ROLL_UPS.c.number == roll_up).scalar_subquery()
+    connection.execute(update(WINDOWS).where(WINDOWS.c.wheelset == wheelset, of_it).values(table_purged_ns=now_ns))
+    return int(connection.execute(delete(TABLES).where(TABLES.c.roll_up == roll_up)).rowcount)
