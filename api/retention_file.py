@@ -29,6 +29,7 @@ class DaysTable(InputTable):
     failed_job_runs: Days = None
     idempotency_keys: Days = None
     superseded_estimates: Days = None
+    every_estimate: Days = None
     track_reports: Days = None
     recordings: Days = None
     audit: Days = None

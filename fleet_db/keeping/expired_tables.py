@@ -4,12 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sqlalchemy import Connection, and_, delete, exists, func, or_, select, update
+from sqlalchemy import Connection, ScalarSelect, and_, delete, exists, func, or_, select, update
 
-from fleet_db.models import RollUpRow, RollUpStateRow, TakenTableRow, WindowBinTableRow, WindowRow
+from estimation.values.windows import WindowState
+from fleet_db.models import (
+    RollUpRow,
+    RollUpStateRow,
+    TakenTableRow,
+    TrackEpochRow,
+    TrackEpochWindowRow,
+    WindowBinTableRow,
+    WindowPositionRow,
+    WindowRow,
+)
 from fleet_db.rows import table_of
 
 WINDOWS, TABLES, ROLL_UPS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(RollUpRow)
+EPOCHS, MEMBERS, POSITIONS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow), table_of(WindowPositionRow)
 STATES, TAKEN = table_of(RollUpStateRow), table_of(TakenTableRow)
 OF_ROLL_UP = TABLES.c.roll_up == ROLL_UPS.c.number
 OF_TABLE = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
@@ -50,6 +61,8 @@ def expired_tables(connection: Connection, before_ns: int, number: int | None = 
 def seal(connection: Connection, roll_up: int, now_ns: int) -> int:
     """Delete the tables of a roll-up, which holds their sums from now on alone; return how many.
 
+    Where its windows were, and of which epochs, goes with them: no alignment is computed from them again.
+
     Parameters
     ----------
     connection
@@ -59,8 +72,30 @@ def seal(connection: Connection, roll_up: int, now_ns: int) -> int:
     now_ns
         Our time, ns UTC.
     """
+    span = select(func.min(TABLES.c.start_ns), func.max(TABLES.c.start_ns)).where(TABLES.c.roll_up == roll_up)
+    first_ns, last_ns = connection.execute(span).one()
     of_it = exists().where(OF_TABLE, TABLES.c.roll_up == roll_up)
     connection.execute(update(ROLL_UPS).where(ROLL_UPS.c.number == roll_up).values(sealed=True))
     wheelset = select(ROLL_UPS.c.wheelset).where(ROLL_UPS.c.number == roll_up).scalar_subquery()
     connection.execute(update(WINDOWS).where(WINDOWS.c.wheelset == wheelset, of_it).values(table_purged_ns=now_ns))
-    return int(connection.execute(delete(TABLES).where(TABLES.c.roll_up == roll_up)).rowcount)
+    count = int(connection.execute(delete(TABLES).where(TABLES.c.roll_up == roll_up)).rowcount)
+    if count:
+        _forget_places(connection, wheelset, first_ns, last_ns)
+    return count
+
+
+def _forget_places(connection: Connection, wheelset: ScalarSelect[str], first_ns: int, last_ns: int) -> None:
+    """Delete where windows were that cannot be estimated again, and of which epochs; an epoch counts the others."""
+    ended = or_(WINDOWS.c.table_purged_ns.is_not(None), WINDOWS.c.state == WindowState.REFUSED.value)
+    purged = (WINDOWS.c.samples_purged_ns.is_not(None), ended)
+    for table in (MEMBERS, POSITIONS):
+        of_window = (WINDOWS.c.wheelset == table.c.wheelset, WINDOWS.c.start_ns == table.c.start_ns)
+        within = (table.c.wheelset == wheelset, table.c.start_ns.between(first_ns, last_ns))
+        gone = and_(*within, exists().where(*of_window, *purged))
+        if table is MEMBERS:
+            epoch = (MEMBERS.c.section, MEMBERS.c.epoch)
+            held = connection.execute(select(*epoch, func.count()).where(gone).group_by(*epoch)).all()
+            for section, number, count in held:
+                same = (EPOCHS.c.section == section, EPOCHS.c.number == number)
+                connection.execute(update(EPOCHS).where(*same).values(windows=EPOCHS.c.windows - count))
+        connection.execute(delete(table).where(gone))

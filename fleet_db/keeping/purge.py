@@ -15,6 +15,8 @@ from fleet_db.keeping.expired_tables import expired_tables, seal
 from fleet_db.keeping.kept_files import RAW, SAMPLES
 from fleet_db.keeping.orphans import LEAST_AGE_S, orphans, unlink_old
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
+from fleet_db.keeping.thinned_estimates import KEYS as ESTIMATES
+from fleet_db.keeping.thinned_estimates import forget_estimates, replaced_within_a_day
 from fleet_db.models import (
     AuditRow,
     GeometryRow,
@@ -40,6 +42,7 @@ BATCH = 1000
 BY_DATA = frozenset(
     {
         Kept.SUPERSEDED_ESTIMATES,
+        Kept.EVERY_ESTIMATE,
         Kept.TRACK_REPORTS,
         Kept.RECORDINGS,
         Kept.WINDOW_SAMPLES,
@@ -102,6 +105,8 @@ def _purge_kind(storage: SqlStorage, kind: Kept, before_ns: int, now_ns: int, ch
         return _purge_recordings(storage, before_ns, now_ns, checkpoint)
     if kind is Kept.WINDOW_SAMPLES:
         return _purge_samples(storage, before_ns, now_ns, checkpoint)
+    if kind is Kept.EVERY_ESTIMATE:
+        return _thin_estimates(storage, before_ns, now_ns, checkpoint)
     if kind is Kept.WINDOW_BIN_TABLES:
         return _purge_tables(storage, before_ns, now_ns, checkpoint)
     items = 0
@@ -251,6 +256,24 @@ def _purge_tables(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint: 
             record_purge(unit.connection, Purged(Kept.WINDOW_BIN_TABLES, count), before_ns, now_ns)
         items += count
     return Purged(Kept.WINDOW_BIN_TABLES, items)
+
+
+def _thin_estimates(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint: Checkpoint) -> Purged:
+    """Delete estimates of whole days, but the last of each day; days that were thinned before are not looked at."""
+    before_ns -= before_ns % DAY_NS
+    items = 0
+    with storage.read() as unit:
+        thinned_ns = purged_before(unit.connection, Kept.EVERY_ESTIMATE) or 0
+        found = {table: replaced_within_a_day(unit.connection, table, thinned_ns, before_ns) for table in ESTIMATES}
+    batches = [(table, some[n : n + BATCH]) for table, some in found.items() for n in range(0, len(some), BATCH)]
+    for place, (table, numbers) in enumerate(batches, start=1):
+        checkpoint()
+        with storage.write() as unit:
+            count = forget_estimates(unit.connection, table, numbers)
+            done_ns = before_ns if place == len(batches) else thinned_ns
+            record_purge(unit.connection, Purged(Kept.EVERY_ESTIMATE, count), done_ns, now_ns)
+        items += count
+    return Purged(Kept.EVERY_ESTIMATE, items)
 
 
 def _purge_orphans(storage: SqlStorage, before_ns: int, now_ns: int) -> Purged:

@@ -23,6 +23,7 @@ class Kept(StrEnum):
     FAILED_JOB_RUNS = "failed_job_runs"  # the newest of each job and outcome stays
     IDEMPOTENCY_KEYS = "idempotency_keys"
     SUPERSEDED_ESTIMATES = "superseded_estimates"  # geometries and trends that newer ones have replaced
+    EVERY_ESTIMATE = "every_estimate"  # geometries and trends that newer ones replaced on the same day
     TRACK_REPORTS = "track_reports"  # that newer ones of the same section and version have replaced
     WINDOW_SAMPLES = "window_samples"  # of windows that are estimated, or refused for good; their bin tables stay
     WINDOW_BIN_TABLES = "window_bin_tables"  # of roll-ups whose windows are all older; their sums stay
@@ -44,6 +45,8 @@ class Retention:
         After the answer.
     superseded_estimates
         After the estimate that replaced it: so far back ``as_of`` answers.
+    every_estimate
+        After it was recorded; then the last of each day, UTC, is kept: ``as_of`` answers to the day.
     track_reports
         After the report that replaced it.
     recordings
@@ -64,6 +67,7 @@ class Retention:
     failed_job_runs: float | None = 180.0
     idempotency_keys: float | None = 7.0
     superseded_estimates: float | None = 730.0
+    every_estimate: float | None = 31.0
     track_reports: float | None = 730.0
     recordings: float | None = None
     audit: float | None = 730.0

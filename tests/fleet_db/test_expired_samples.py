@@ -91,7 +91,7 @@ def test_a_table_that_is_not_rolled_up_keeps_the_samples(fleet: SqlStorage) -> N
 
 @pytest.mark.parametrize(("horizon_ns", "waits", "items"), [(0, False, 1), (DAY_NS + 1, False, 0), (0, True, 0)])
 def test_an_epoch_that_may_be_computed_again_keeps_them(
-    fleet: SqlStorage, horizon_ns: int, waits: bool, items: int
+    fleet: SqlStorage, horizon_ns: int, *, waits: bool, items: int
 ) -> None:
     record = put(fleet, 0)
     epoch = TrackEpoch(
@@ -116,7 +116,18 @@ def test_a_window_without_samples_is_no_window_of_an_epoch_that_is_computed_agai
         assert unit.epochs.news(SECTION).from_ns == later
     with fleet.write() as unit:
         (record,) = unit.windows.list("WS-1", later)
-        epoch = TrackEpoch(SECTION, 1, "", "d", later, 1, False, FoldState(None, None, None), 0, make.START)
+        epoch = TrackEpoch(
+            SECTION,
+            1,
+            "",
+            "d",
+            later,
+            1,
+            waits=False,
+            after=FoldState(None, None, None),
+            report=0,
+            recorded_ns=make.START,
+        )
         unit.epochs.put(epoch, [EpochMember(record, "context", "assumed")])
     assert purged(fleet).items == 1
     put(fleet, 3)  # so late that later ones have no samples

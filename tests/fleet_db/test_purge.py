@@ -98,6 +98,35 @@ def test_trends_that_were_replaced_go(fleet: SqlStorage) -> None:
         assert unit.trends.latest("WS-1", NOW - 100 * DAY_NS) is not None
 
 
+def test_of_each_old_day_the_last_estimate_stays(fleet: SqlStorage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(purge_module, "BATCH", 4)
+    hour = DAY_NS // 24
+    with fleet.write() as unit:
+        for seed, at in enumerate(day * DAY_NS + n * hour for day in (1900, 1901, 1969, 1999) for n in (1, 9, 23)):
+            unit.geometries.put(make.geometry_record(seed, at))
+            unit.geometries.put(make.geometry_record(seed + 50, at, interval=3))
+            unit.trends.put(make.trend_record(seed, at))
+    ends = [day * DAY_NS - 1 for day in (1901, 1902, 1930, 1970, 2000)]
+
+    def seen() -> tuple[object, ...]:
+        with fleet.read() as unit:
+            return tuple(
+                (unit.geometries.current("WS-1", at), *unit.geometries.intervals("WS-1", 0, at), trend)
+                for at in ends
+                for trend in [unit.trends.latest("WS-1", at)]
+            )
+
+    before = seen()
+    assert purged(fleet, every_estimate=30.5) == {"every_estimate": 3 * 2 * 2}  # of two whole days; 1969 is not over
+    assert make.same(seen(), before)
+    assert purged(fleet, every_estimate=30.5) == {"every_estimate": 0}
+    with fleet.read() as unit:
+        assert purged_before(unit.connection, Kept.EVERY_ESTIMATE) == 1969 * DAY_NS
+    assert purged(fleet, every_estimate=29.0) == {"every_estimate": 3 * 2}
+    assert make.same(seen(), before)
+    assert Retention().every_estimate == 31.0
+
+
 def test_a_purge_works_in_batches_with_a_record_of_each(fleet: SqlStorage, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(purge_module, "BATCH", 3)
     with fleet.write() as unit:
@@ -215,7 +244,7 @@ def test_days_above_zero(days: float) -> None:
 
 def test_what_is_kept_by_default() -> None:
     """These decide what can still be looked at: a change of one is a decision."""
-    assert Retention() == Retention(14.0, 180.0, 7.0, 730.0, 730.0, None, 730.0, 30.0, 1.0)
+    assert Retention() == Retention(14.0, 180.0, 7.0, 730.0, 31.0, 730.0, None, 730.0, 30.0, 1.0, 31.0, 92.0)
     assert replace(Retention(), job_runs=None).before_ns(Kept.JOB_RUNS, NOW) is None
 
 
