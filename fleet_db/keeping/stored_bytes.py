@@ -20,6 +20,7 @@ from fleet_db.storage import SqlStorage
 WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
 WHEELSETS, VEHICLES = table_of(WheelsetRow), table_of(VehicleRow)
 YEAR_DAYS = 365.0
+KEPT_TABLES: Mapping[str, Kept] = {"bin tables": Kept.WINDOW_BIN_TABLES}
 HOUR_NS = 3_600_000_000_000
 LOOKED_AT_FILES = 20_000
 """Files whose size is read; of more, whole subdirectories are left out. Names are digests, so that any are like all."""
@@ -154,8 +155,12 @@ def _of_tables(kind: str, sizes: Mapping[str, TableSize], year: _Year) -> Stored
     items = sum(one.rows for one in found)
     hours = year.running.wheelset_hours
     per_hour = (item_bytes + index_bytes) / hours if hours and kind != OTHER else 0.0
+    kept = KEPT_TABLES.get(kind)
+    if kept is not None and hours:  # of what is there, for windows outlive their tables
+        per_hour = (item_bytes + index_bytes) / items / year.running.window_hours if items else 0.0
+    days = None if kept is None else getattr(year.retention, kept.value)
     estimated = any(one.estimated for one in found)
-    return StoredKind(kind, items, item_bytes, index_bytes, estimated, None, year.kept(per_hour, None))
+    return StoredKind(kind, items, item_bytes, index_bytes, estimated, days, year.kept(per_hour, kept))
 
 
 @dataclass(frozen=True, slots=True)

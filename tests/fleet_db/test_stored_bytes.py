@@ -102,6 +102,11 @@ def test_a_year_follows_from_running_and_days(fleet: SqlStorage) -> None:
     raw = forever["raw recordings"].wheelset_year_bytes or 0
     assert limited["raw recordings"].wheelset_year_bytes == pytest.approx(raw * 31 / 365, abs=1)
     assert limited["raw recordings"].days == 31.0
+    purged = kinds(fleet, replace(FOR_EVER, window_samples=31.0, window_bin_tables=92.0))
+    for kind, days in (("samples of windows", 31.0), ("bin tables", 92.0)):
+        assert purged[kind].days == days
+        year = forever[kind].wheelset_year_bytes or 0
+        assert purged[kind].wheelset_year_bytes == pytest.approx(year * days / 365, abs=1)
     assert kinds(fleet, hours=8.0)["windows"].wheelset_year_bytes == pytest.approx(
         (forever["windows"].wheelset_year_bytes or 0) / 2, abs=1
     )

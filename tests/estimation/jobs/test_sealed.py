@@ -16,10 +16,11 @@ from estimation.jobs.steps import rolling
 from estimation.values.exact_table import ExactTable, RolledPart
 from estimation.values.geometry import PASSED_OVER, BinTable, GeometryRecord
 from estimation.values.quantities import Status
-from estimation.values.reasons import ReasonCode
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
 from estimation.values.roll_up import RollUp
-from estimation.values.windows import PassedOver, WindowState
+from estimation.values.track_epochs import EpochMember, EpochNews, FoldState, TrackEpoch
+from estimation.values.windows import PassedOver, WindowPosition, WindowState
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
@@ -285,3 +286,27 @@ def test_sums_with_forgetting_go_when_they_have_no_weight(sqlite_storage: SqlSto
     assert kept() == {2, 3, 4, 5, 6, 7, 32}
     made_again(sqlite_storage)
     assert refresh(sqlite_storage) == 0
+
+
+def test_where_sealed_windows_were_is_forgotten(sqlite_storage: SqlStorage, tables: list[BinTable]) -> None:
+    """Also of refused windows between them; the epochs are neither torn nor computed again."""
+    life = begun(sqlite_storage, tables)
+    with sqlite_storage.write() as unit:
+        unit.windows.mark("W1", 5 * MINUTE, WindowState.REFUSED, Reason(ReasonCode.IN_CURVES, "why"))
+        records = unit.windows.list("W1")
+        for record in records:
+            unit.tracks.put_position(WindowPosition("W1", record.start_ns, record.content_digest, 1))
+        for number, first in enumerate(range(0, 130, 50), start=1):
+            own = [EpochMember(record, "context", "assumed") for record in records[first : first + 50]]
+            last_ns = own[-1].record.start_ns
+            epoch = TrackEpoch("S1", number, "", "d", last_ns, len(own), waits=False, after=FoldState(None, None, None),
+                               report=0, recorded_ns=1)  # fmt: skip
+            unit.epochs.put(epoch, own)
+    refresh(sqlite_storage)
+    assert purged(sqlite_storage) == {"window_samples": 50, "window_bin_tables": 49}  # of the epoch that is over
+    with sqlite_storage.read() as unit:
+        assert [one.windows for one in unit.epochs.list("S1")] == [0, 50, 30]
+        assert unit.epochs.news("S1") == EpochNews(None, frozenset())
+        there = [step for step in range(130) if unit.tracks.position("W1", step * MINUTE) is not None]
+    assert there == list(range(50, 130))
+    assert len(life.there) == 130
