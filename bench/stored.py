@@ -93,7 +93,10 @@ def _report(before: Bytes, after: Bytes, young: Bytes, *, same: bool) -> Iterato
         yield BenchRow(f"a wheelset and year: {kind}", shown, "", met=True)
     whole, left = sum(after.values()), sum(after.values()) - sum(young.values())
     yield BenchRow(
-        "a year leaves behind when its days of retention are over", f"{left / MB:,.1f} MB", "200 MB", left < REACH_MB * MB
+        "a year leaves behind when its days of retention are over",
+        f"{left / MB:,.1f} MB",
+        "200 MB",
+        left < REACH_MB * MB,
     )
     yield BenchRow(
         f"all that a wheelset keeps after a year, of {sum(before.values()) / MB:,.0f} MB",
