@@ -34,7 +34,7 @@ WITH_OPTIONS = (
     "workers",
     "chunks",
 )
-LONG = ("signals", "curves", "mounting", "window_files", "compiled_code")  # of many minutes, run where they are named
+LONG = ("signals", "curves", "mounting", "window_files", "compiled_code", "stored", "partitions")  # of many minutes, run where they are named
 TITLES = {
     "contact": "Contact geometry against EN 15302",
     "estimation": "Accuracy on known track",
@@ -47,6 +47,8 @@ TITLES = {
     "mounting": "Sensors that are turned",
     "window_files": "Formats of window files",
     "compiled_code": "First start",
+    "stored": "Bytes of a wheelset and year",
+    "partitions": "Bin tables as partitions by month",
 }
 COLUMNS = ("what", "measured", "reach", "met")
 
