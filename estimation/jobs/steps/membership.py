@@ -136,24 +136,29 @@ class Membership:
         roll_up
             With windows.
         """
-        times = (roll_up.first_ns, roll_up.last_ns)
-        return all(
-            self.baseline_of(at_ns).number == roll_up.key.baseline and self._side(at_ns) is roll_up.key.side
-            for at_ns in times
-        )
+        found = self._span(roll_up)
+        return found is not None and (found[0].number, found[1]) == (roll_up.key.baseline, roll_up.key.side)
 
-    def belongs(self, roll_up: RollUp) -> bool:
-        """Whether windows of the mileage of a roll-up have its key by the present rules.
+    def place_of(self, roll_up: RollUp) -> tuple[int, int, Side] | None:
+        """Return baseline, interval and side of a roll-up as they are now; None where its time is of several.
 
         Parameters
         ----------
         roll_up
             With windows.
         """
-        if not self.of_its_baseline(roll_up):
-            return False
-        since_km = roll_up.mean_km - self.baselines[roll_up.key.baseline].mileage_km
-        return int(since_km // self.interval_km) == roll_up.key.interval
+        found = self._span(roll_up)
+        if found is None:
+            return None
+        baseline, side = found
+        return baseline.number, int((roll_up.mean_km - baseline.mileage_km) // self.interval_km), side
+
+    def _span(self, roll_up: RollUp) -> tuple[Baseline, Side] | None:
+        first, last = roll_up.first_ns, roll_up.last_ns
+        baseline, side = self.baseline_of(first), self._side(first)
+        if side is None or (self.baseline_of(last), self._side(last)) != (baseline, side):
+            return None
+        return baseline, side
 
     def end_km(self, key: RollUpKey) -> float:
         """Return the mileage at which an interval ends.

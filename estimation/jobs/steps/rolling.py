@@ -129,7 +129,7 @@ def _made_again(unit: UnitOfWork, rules: Membership, stored: Sequence[RollUp]) -
     windows = unit.tables.tabled(rules.wheelset)
     fixed = {one.roll_up for one in windows if one.rolled and one.samples_purged}
     stay = {one.number: one for one in stored if one.sealed or (one.number in fixed and rules.assumed(one) is None)}
-    at = _Open(rules, {part.roll_up.key: part for part in (_kept_apart(one, rules) for one in stay.values())})
+    at = _Open(rules, _kept(list(stay.values()), rules))
     odometers: dict[int, Odometer] = {}
     for number, group in _by_baseline(windows, rules).items():
         before = [one for one in stay.values() if rules.baseline_of(one.last_ns).number == number]
@@ -162,13 +162,16 @@ def _in_place_of(stored: RollUp | None, part: Part) -> Part:
     return replace(part, roll_up=replace(part.roll_up, number=stored.number), before=stored.content_digest)
 
 
-def _kept_apart(roll_up: RollUp, rules: Membership) -> Part:
-    """Return a roll-up that stays as it is, with a key that no window has where it does not belong there any more."""
-    table_key = roll_up.key.table_key.partition(APART)[0]
-    if not rules.belongs(roll_up):
-        table_key = f"{table_key}{APART}{roll_up.number}"
-    key = replace(roll_up.key, table_key=table_key)
-    return Part(replace(roll_up, key=key), before=roll_up.content_digest, moved=key != roll_up.key)
+def _kept(stay: Sequence[RollUp], rules: Membership) -> dict[RollUpKey, Part]:
+    """Return roll-ups that stay as they are by the key of their place now; where that is taken, by one of their own."""
+    found: dict[RollUpKey, Part] = {}
+    for one in stay:
+        table_key, place = one.key.table_key.partition(APART)[0], rules.place_of(one)
+        key = None if place is None else RollUpKey(*place, table_key, one.key.vehicle_class)
+        if key is None or key in found:
+            key = replace(one.key, table_key=f"{table_key}{APART}{one.number}")
+        found[key] = Part(replace(one, key=key), before=one.content_digest, moved=key != one.key)
+    return found
 
 
 def _chained(windows: Sequence[TabledWindow], stay: Sequence[RollUp]) -> Iterator[tuple[TabledWindow, float, Odometer]]:

@@ -25,7 +25,9 @@ from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.packed_values import pack_geometry
+from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.registry_history import RecordKey
 
 __all__ = ["tables"]  # a fixture
 OLD = 95  # steps: older ones are purged
@@ -53,7 +55,8 @@ def geometries(storage: SqlStorage) -> dict[int | None, GeometryRecord]:
     with storage.read() as unit:
         current = unit.geometries.current("W1")
         assert current is not None
-        return {one.interval: one for one in [*unit.geometries.intervals("W1"), current]}
+        oldest = [one for one in unit.geometries.intervals("W1") if one.baseline == 0]
+        return {one.interval: one for one in [*oldest, current]}
 
 
 def begun(storage: SqlStorage, tables: list[BinTable], steps: Sequence[int] = range(130)) -> Life:
@@ -211,6 +214,51 @@ def test_a_correction_that_comes_too_late_leaves_no_wrong_number(
     with sqlite_storage.write() as unit:
         life.put(unit, 130)
     refresh(sqlite_storage)
+
+
+def test_an_early_correction_moves_sums_to_their_place(sqlite_storage: SqlStorage, tables: list[BinTable]) -> None:
+    """A lathe visit before all windows is another baseline for all of them; no number is lost, and none is twice."""
+    begun(sqlite_storage, tables)
+    purged(sqlite_storage)
+    before = geometries(sqlite_storage)
+    with sqlite_storage.write() as unit:
+        unit.registry.add_reprofiling(Reprofiling("W1", -MINUTE, -5.0, "early"), 2)
+    refresh(sqlite_storage)
+    with sqlite_storage.read() as unit:
+        found = {one.interval: one for one in unit.geometries.intervals("W1", 1)}
+        gone = unit.geometries.intervals("W1", 0)
+        assert sum(one.windows for one in unit.roll_ups.of("W1")) == 130
+    assert [one.geometry.windows for one in gone] == [0] * 8
+    assert sum(one.geometry.windows for one in found.values()) == 130
+    for number in range(5):
+        assert pack_geometry(found[number].geometry) == pack_geometry(before[number].geometry)
+    with sqlite_storage.write() as unit:
+        unit.corrections.void(
+            RecordKey(RecordKind.REPROFILING, "W1", -MINUTE), Decision(reason="a mistake", recorded_ns=3)
+        )
+    refresh(sqlite_storage)
+    again = geometries(sqlite_storage)
+    assert [pack_geometry(again[n].geometry) for n in range(7)] == [pack_geometry(before[n].geometry) for n in range(7)]
+
+
+def test_other_lengths_of_intervals_keep_sums_that_are_there(
+    sqlite_storage: SqlStorage, tables: list[BinTable]
+) -> None:
+    life = begun(sqlite_storage, tables)
+    purged(sqlite_storage)
+    for length_km in (40.0, 10.0, 20.0):
+        other = replace(SETTINGS, estimation=replace(SETTINGS.estimation, interval_km=length_km))
+        with sqlite_storage.write() as unit:
+            unit.changes.note("W1")
+        counts(sqlite_storage, "refresh_geometry", other)
+        with sqlite_storage.read() as unit:
+            assert sum(one.windows for one in unit.roll_ups.of("W1")) == 130
+            assert not [one for one in unit.geometries.intervals("W1") if contradicted(one)]
+    assert len(life.there) == 130
+
+
+def contradicted(record: GeometryRecord) -> bool:
+    return record.geometry.reason is not None and record.geometry.reason.code is ReasonCode.SAMPLES_PURGED
 
 
 def test_other_parameters_leave_what_cannot_be_made_again(sqlite_storage: SqlStorage, tables: list[BinTable]) -> None:
