@@ -34,7 +34,15 @@ WITH_OPTIONS = (
     "workers",
     "chunks",
 )
-LONG = ("signals", "curves", "mounting", "window_files", "compiled_code", "stored", "partitions")  # of many minutes, run where they are named
+LONG = (
+    "signals",
+    "curves",
+    "mounting",
+    "window_files",
+    "compiled_code",
+    "stored",
+    "partitions",
+)  # of many minutes, run where they are named
 TITLES = {
     "contact": "Contact geometry against EN 15302",
     "estimation": "Accuracy on known track",

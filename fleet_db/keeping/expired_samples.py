@@ -40,15 +40,13 @@ def expired_samples(connection: Connection, before_ns: int, limit: int) -> Seque
     estimated = and_(WINDOWS.c.state == WindowState.ESTIMATED.value, rolled)
     waits = WINDOWS.c.reason_code.in_([code.value for code in WAITING])
     refused = and_(WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code.is_not(None), ~waits)
-    settled = exists().where(
+    over = exists().where(
         EPOCHS.c.section == MEMBERS.c.section,
         EPOCHS.c.number >= MEMBERS.c.epoch,
         ~EPOCHS.c.waits,
         EPOCHS.c.horizon_ns < before_ns,
     )
-    needed = exists().where(
-        MEMBERS.c.wheelset == WINDOWS.c.wheelset, MEMBERS.c.start_ns == WINDOWS.c.start_ns, ~settled
-    )
+    needed = exists().where(MEMBERS.c.wheelset == WINDOWS.c.wheelset, MEMBERS.c.start_ns == WINDOWS.c.start_ns, ~over)
     columns = (WINDOWS.c.wheelset, WINDOWS.c.start_ns, WINDOWS.c.content_digest, WINDOWS.c.sample_bytes)
     return connection.execute(
         select(*columns)

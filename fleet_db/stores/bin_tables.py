@@ -83,7 +83,7 @@ class BinTableStore:
     def made_with(self, key: TableKey) -> Sequence[tuple[str, int]]:
         """Return (wheelset, start) of the tables of one wheelset on one vehicle with certain parameters.
 
-        Those that have been passed over, for they have no samples any more, are left out.
+        Those that have no samples any more, and are known to be of other parameters, are left out.
         """
         statement = (
             select(TABLES.c.start_ns)

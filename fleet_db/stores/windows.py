@@ -231,7 +231,7 @@ class WindowStore:
     def mark(self, wheelset: str, start_ns: int, state: WindowState, reason: Reason | None = None) -> bool:
         """Set the state of a window; one that is refused loses its bin table. Return whether it has that state now.
 
-        A window whose samples have been purged stays as it is, and is noted as passed over.
+        A window whose samples have been purged stays as it is; that it was to change is noted.
 
         Raises
         ------
