@@ -180,7 +180,7 @@ class _Year:
             version = self.originals[0].version
             epoch = TrackEpoch(
                 section, len(unit.epochs.list(section)) + 1, "b" * 64, "d" * 64, last_ns, len(members), waits=False,
-                after=FoldState(version, version), report=0, recorded_ns=last_ns,
+                after=FoldState(version, version), estimated_on=version, report=0, recorded_ns=last_ns,
             )  # fmt: skip
             unit.epochs.put(epoch, members)
         return last_ns

@@ -95,7 +95,7 @@ def test_an_epoch_that_may_be_computed_again_keeps_them(
 ) -> None:
     record = put(fleet, 0)
     epoch = TrackEpoch(
-        SECTION, 1, "", "d", make.START + horizon_ns, 1, waits, FoldState(None, None, None), 0, make.START
+        SECTION, 1, "", "d", make.START + horizon_ns, 1, waits, FoldState(None, None, None), None, 0, make.START
     )
     with fleet.write() as unit:
         unit.epochs.put(epoch, [EpochMember(record, "context", "assumed")])
@@ -125,6 +125,7 @@ def test_a_window_without_samples_is_no_window_of_an_epoch_that_is_computed_agai
             1,
             waits=False,
             after=FoldState(None, None, None),
+            estimated_on=None,
             report=0,
             recorded_ns=make.START,
         )

@@ -348,7 +348,7 @@ def test_where_sealed_windows_were_is_forgotten(sqlite_storage: SqlStorage, tabl
             own = [EpochMember(record, "context", "assumed") for record in records[first : first + 50]]
             last_ns = own[-1].record.start_ns
             epoch = TrackEpoch("S1", number, "", "d", last_ns, len(own), waits=False, after=FoldState(None, None, None),
-                               report=0, recorded_ns=1)  # fmt: skip
+                               estimated_on=None, report=0, recorded_ns=1)  # fmt: skip
             unit.epochs.put(epoch, own)
     refresh(sqlite_storage)
     assert purged(sqlite_storage) == {"window_samples": 50, "window_bin_tables": 49}  # of the epoch that is over
