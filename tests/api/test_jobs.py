@@ -6,6 +6,7 @@ import threading
 import time
 import uuid
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
@@ -13,18 +14,14 @@ import pytest
 from running_service import running
 
 from api.app import build_app
-from api.factory import SystemClock, open_store
+from api.factory import SystemClock, open_services, open_store
 from api.job_runner import JobRunner
-from api.representation_cache import RepresentationCache
-from api.services import Services
 from api.settings import Settings
-from api.writer_slots import WriterSlots
 from estimation.errors import ConflictError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import JobSettings
 from estimation.values.runs import JobOutcome, JobTrigger
-from fleet_db.raw import RawStore
 from fleet_db.storage import SqlStorage
 
 
@@ -137,21 +134,10 @@ def test_readiness_is_a_problem_where_the_database_is_at_another_migration(sqlit
     def check() -> None:
         raise MigrationError("0000", "0001")
 
-    runner = JobRunner(JobContext(sqlite_storage, SystemClock(), "test", JobSettings()), sqlite_storage, "test")
-    writers = WriterSlots(1, 1.0)
-    services = Services(
-        storage=sqlite_storage,
-        raw=RawStore(sqlite_storage.data_dir / "raw"),
-        clock=SystemClock(),
-        jobs={},
-        runner=runner,
-        check=check,
-        close=lambda: None,
-        writers=writers,
-        cache=RepresentationCache(),
-        one_reader=True,
-    )
+    url = sqlite_storage.engine.url.set(drivername="sqlite").render_as_string()
+    settings = Settings(data_dir=sqlite_storage.data_dir, database_url=url, _env_file=None)
+    services = replace(open_services(settings), check=check)
     assert build_app(services).state.services is services
     with pytest.raises(MigrationError, match="treadwatch db upgrade"):
         health.get_readiness(services)
-    runner.close()
+    services.close()
