@@ -21,8 +21,9 @@ def written(folder: Path, text: str) -> Path:
 def test_what_is_not_written_keeps_its_default(tmp_path: Path) -> None:
     found = load_retention(written(tmp_path, '[days]\njob_runs = 3\nsuperseded_estimates = "for ever"\n'))
     assert found == Retention(job_runs=3.0, superseded_estimates=None)
-    everything = "\n".join(f"{kind.value} = {number + 40}" for number, kind in enumerate(Kept))
-    assert load_retention(written(tmp_path, f"[days]\n{everything}\n")) == Retention(*range(40, 40 + len(Kept)))
+    days = {kind.value: 40.0 + number for number, kind in enumerate(Kept)}
+    everything = "\n".join(f"{kind} = {number}" for kind, number in days.items())
+    assert load_retention(written(tmp_path, f"[days]\n{everything}\n")) == Retention(**days)
 
 
 @pytest.mark.parametrize(
