@@ -33,6 +33,7 @@ WITH_OPTIONS = (
     "page",
     "workers",
     "chunks",
+    "fleet",
 )
 LONG = (
     "signals",
@@ -42,6 +43,7 @@ LONG = (
     "compiled_code",
     "stored",
     "partitions",
+    "new_window",
 )  # of many minutes, run where they are named
 TITLES = {
     "contact": "Contact geometry against EN 15302",
@@ -57,6 +59,7 @@ TITLES = {
     "compiled_code": "First start",
     "stored": "Bytes of a wheelset and year",
     "partitions": "Bin tables as partitions by month",
+    "new_window": "One new window after a year",
 }
 COLUMNS = ("what", "measured", "reach", "met")
 

@@ -1,0 +1,115 @@
+"""What one new window of a wheelset with a year of history costs: geometry, trend, alerts; in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from statistics import median
+
+from sqlalchemy import Engine, event
+
+from api.factory import job_context, open_store
+from api.settings import Settings
+from bench.report import BenchRow
+from bench.wheelset_year import SERIAL, At, Original, WheelsetYear, recorded
+from estimation.jobs.catalogue import job_named
+from estimation.jobs.job import JobContext, run_job
+from estimation.values.runs import JobTrigger
+from fleet_db.migrate import upgrade
+from fleet_db.storage import SqlStorage
+
+DAYS, WINDOWS = 365, 11
+JOBS = ("refresh_geometry", "refresh_trends", "evaluate_alerts")
+REACH_S, REACH_MB = 0.1, 300.0
+MB_OF_KIB = 1024.0
+
+
+def rows() -> Iterator[BenchRow]:
+    """Yield CPU time, statements and peak memory of the jobs that follow a new window."""
+    with tempfile.TemporaryDirectory() as folder:
+        settings = Settings(data_dir=Path(folder), database_url=None, _env_file=None)
+        upgrade(settings.url)
+        with closing(open_store(settings)) as storage:
+            context = job_context(settings, storage)
+            year = WheelsetYear(context, storage, recorded(context, storage, settings))
+            year.put(1, DAYS)
+        command = [sys.executable, "-m", "bench.new_window", folder]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603 - this program
+    found = json.loads(done.stdout)
+    yield BenchRow("intervals of the wheelset", str(found["intervals"]), "", met=True)
+    for name in JOBS:
+        spent = median(found["cpu_s"][name])
+        shown = f"{spent:.3f} CPU s ({min(found['cpu_s'][name]):.3f} to {max(found['cpu_s'][name]):.3f})"
+        shown += f", {median(found['statements'][name]):.0f} statements"
+        reach = REACH_S if name == JOBS[0] else None
+        yield BenchRow(
+            f"{name} after one new window, median of {WINDOWS}",
+            shown,
+            "" if reach is None else f"< {reach} CPU s",
+            met=reach is None or spent < reach,
+        )
+    peak = found["peak_mb"]
+    yield BenchRow("peak memory of the process", f"{peak:.0f} MB", f"< {REACH_MB:.0f} MB", met=peak < REACH_MB)
+
+
+def measured(settings: Settings) -> dict[str, object]:
+    """Return what each job cost after each of some windows that were put one at a time.
+
+    Parameters
+    ----------
+    settings
+        Of a deployment with a year of one wheelset.
+    """
+    with closing(open_store(settings)) as storage:
+        context = job_context(settings, storage)
+        cpu_s: dict[str, list[float]] = {name: [] for name in JOBS}
+        statements: dict[str, list[int]] = {name: [] for name in JOBS}
+        with storage.read() as unit:
+            windows = unit.windows.list(SERIAL)
+            originals = [_original(storage, start_ns) for start_ns in [one.start_ns for one in windows][-WINDOWS - 1 :]]
+            intervals = len(unit.geometries.intervals(SERIAL))
+        year = WheelsetYear(context, storage, originals)
+        for number in range(WINDOWS + 1):
+            with storage.write() as unit:
+                at_ns = year.put_window(unit, 1, number).record.start_ns
+            at = JobContext(storage, At(at_ns), context.code_version, context.settings)
+            for name in JOBS:
+                spent, asked = _cost(at, name)
+                if number:  # the first compiles and imports
+                    cpu_s[name].append(spent)
+                    statements[name].append(asked)
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MB_OF_KIB
+    return {"cpu_s": cpu_s, "statements": statements, "intervals": intervals, "peak_mb": peak_mb}
+
+
+def _original(storage: SqlStorage, start_ns: int) -> Original:
+    with storage.read() as unit:
+        record, table, version = next(iter(unit.tables.stream(SERIAL, start_ns, start_ns + 1)))
+        return Original(unit.windows.load(SERIAL, record.start_ns), table, version)
+
+
+def _cost(context: JobContext, name: str) -> tuple[float, int]:
+    """Return CPU seconds and statements of a run of a job."""
+    asked = [0]
+
+    def count(*_: object) -> None:
+        asked[0] += 1
+
+    event.listen(Engine, "before_cursor_execute", count)
+    began = time.process_time()
+    run = run_job(job_named(name), context, JobTrigger.CLI)
+    spent = time.process_time() - began
+    event.remove(Engine, "before_cursor_execute", count)
+    assert run.outcome == "succeeded", run.error
+    return spent, asked[0]
+
+
+if __name__ == "__main__":
+    print(json.dumps(measured(Settings(data_dir=Path(sys.argv[1]), database_url=None, _env_file=None))))
