@@ -18,7 +18,8 @@ def schedule(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -
     from api.starting import once_the_database_answers
     from api.tracing import start_tracing
     from api.workers.choice import executor_of
-    from estimation.jobs.scheduler import serve_jobs, stop_on_signals
+    from estimation.jobs.scheduler import serve_jobs
+    from estimation.jobs.stop_signals import stop_on_signals
 
     settings = load_settings(workers=workers, dask_scheduler=dask_scheduler)
     logs.configure(settings)

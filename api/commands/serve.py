@@ -18,18 +18,17 @@ def serve(
     ] = None,
 ) -> None:
     """Serve the REST API; its documentation is on /docs."""
-    import signal
     import threading
 
     from api import factory, logs
     from api.settings import load_settings
     from api.tracing import start_tracing
+    from estimation.jobs.stop_signals import stop_on_signals
 
     settings = load_settings(host=host, port=port)
     logs.configure(settings)
     start_tracing()
     stopping = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):  # the server hands its signal on when it has stopped
-        signal.signal(number, lambda _number, _frame: stopping.set())
+    stop_on_signals(stopping)  # the server hands its signal on when it has stopped
     with logs.in_background():
         factory.serve(settings, stopping)

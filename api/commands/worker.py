@@ -16,7 +16,7 @@ def worker(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -> 
     from api.starting import once_the_database_answers
     from api.workers.dask_worker import serve_dask
     from estimation.errors import ParameterError
-    from estimation.jobs.scheduler import stop_on_signals
+    from estimation.jobs.stop_signals import stop_on_signals
 
     settings = load_settings(workers=workers, dask_scheduler=dask_scheduler)
     if settings.dask_scheduler is None:

@@ -16,7 +16,7 @@ from api.starting import once_the_database_answers
 from api.terminal.keeping import counted
 from api.tracing import start_tracing
 from estimation.errors import StoppedError, StorageError
-from estimation.jobs.scheduler import stop_on_signals
+from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.keeping.scrub import ScrubFault, ScrubPlan, scrub
 from fleet_db.stores.raw_scrubs import RawScrub
 from ingest.intake.decoding import DecodedChunks, decode_received

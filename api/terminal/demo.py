@@ -22,7 +22,7 @@ from api.settings import Settings, load_settings
 from api.terminal.keys import make_stored_key
 from api.terminal.simulate import simulate_with_progress
 from estimation.errors import StorageError
-from estimation.jobs.scheduler import stop_on_signals
+from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.migrate import upgrade
 from ingest.simulator.scenario_file import load_scenario
 

@@ -14,7 +14,7 @@ from api.settings import Settings, load_settings
 from api.starting import once_the_database_answers
 from api.terminal.ingest import vehicle_in_name
 from estimation.errors import InputError, MigrationError, PassingFaultError, StorageError
-from estimation.jobs.scheduler import stop_on_signals
+from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.storage import SqlStorage
 from ingest.intake.drop_folder import DropFolder, DropSettings, Look, held_folder
 from ingest.intake.store import ChunkStorage

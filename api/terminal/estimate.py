@@ -18,7 +18,7 @@ from api.tracing import start_tracing
 from api.workers.choice import executor_of
 from estimation.errors import ParameterError
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.jobs.scheduler import stop_on_signals
+from estimation.jobs.stop_signals import stop_on_signals
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 
 

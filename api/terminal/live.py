@@ -19,7 +19,7 @@ from api.settings import Settings, load_settings
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes
 from api.terminal.live_health import serving_health
 from api.tracing import start_tracing
-from estimation.jobs.scheduler import stop_on_signals
+from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.revisions import check_head
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus

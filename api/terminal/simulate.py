@@ -10,7 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 
 from estimation.errors import ParameterError
-from estimation.jobs.scheduler import stop_on_signals
+from estimation.jobs.stop_signals import stop_on_signals
 from ingest.bus import open_bus
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.fleet import FleetReport, Recording, prepare, run_fleet

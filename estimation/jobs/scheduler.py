@@ -8,12 +8,10 @@ and none is ever dropped for being late.
 from __future__ import annotations
 
 import logging
-import signal
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from threading import Event
-from types import FrameType
 
 from apscheduler.events import (
     EVENT_JOB_ERROR,
@@ -59,7 +57,7 @@ def serve_jobs(
     jobs
         What to run, in the order in which one hands its results to the next.
     stop_event
-        Set by whoever ends the service, see :func:`stop_on_signals`.
+        Set by whoever ends the service, see :func:`estimation.jobs.stop_signals.stop_on_signals`.
     holder
         Name that the refusal of a second scheduler contains, such as host and process number.
     every_s
@@ -173,16 +171,6 @@ def build_scheduler(context: JobContext, jobs: Sequence[Job], every_s: Callable[
             next_run_time=first + timedelta(milliseconds=place),  # due together, they go in order
         )
     return scheduler
-
-
-def stop_on_signals(stop_event: Event) -> None:
-    """Set ``stop_event`` on SIGTERM and SIGINT; for the main thread of a service."""
-
-    def stop(_signal: int, _frame: FrameType | None) -> None:
-        stop_event.set()
-
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
 
 
 def _default_interval(job: Job) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from threading import Event
 
@@ -76,6 +76,19 @@ def scheduling(storage: Storage, jobs: Sequence[Job], holder: str) -> Iterator[F
             yield service
         finally:
             stop.set()
+
+
+@contextmanager
+def taken_over(storage: SqlStorage, before: str, after: str) -> Iterator[None]:
+    """End the session of one scheduler and take its place, before it is back."""
+    with ExitStack() as stack:
+        for _ in range(100):
+            with storage.engine.begin() as connection:
+                connection.execute(sqlalchemy.text(END_SESSION), {"holder": before})
+            with suppress(AlreadyRunningError):  # its session is still ending, or it was faster
+                stack.enter_context(storage.owned(JobTrigger.SCHEDULE, after, 2))
+                break
+        yield
 
 
 def runs_of(storage: Storage, job: str) -> Sequence[JobRun]:
@@ -151,9 +164,7 @@ def test_a_scheduler_that_finds_another_one_after_an_outage_ends_and_names_it(st
     rounds = Rounds()
     with scheduling(storage, [rounds.job], "first") as service:
         wait_for(rounds.wrote)
-        with storage.engine.begin() as connection:
-            connection.execute(sqlalchemy.text(END_SESSION), {"holder": "first"})
-        with storage.owned(JobTrigger.SCHEDULE, "second", 2):
+        with taken_over(storage, "first", "second"):
             rounds.next.set()
             with pytest.raises(AlreadyRunningError, match="second"):
                 service.result(PATIENCE_S)
