@@ -8,7 +8,7 @@ import re
 
 import httpx
 import page_fleet
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Locator, Page, Route, expect
 from service_process import ServiceProcess
 
 from estimation.values.quantities import Status
@@ -131,6 +131,24 @@ def test_keys_move_through_the_rows_and_open_one(page: Page, page_service: Servi
     focused = page.locator(f"{ROWS}:focus")
     expect(focused).to_have_count(1)
     assert int(focused.get_attribute("data-index") or 0) > MOST_DRAWN
+
+
+def test_a_view_that_was_left_while_its_files_were_read_does_not_cover_the_next(
+    page: Page, page_service: ServiceProcess
+) -> None:
+    held: list[Route] = []
+
+    def hold(request: Route) -> None:
+        held.append(request)
+
+    page.route("**/wheelset.js", hold)
+    rows = opened(page, page_service)
+    page.evaluate("serial => { location.hash = `#/wheelsets/${serial}`; history.back(); }", serials(page)[0])
+    page.wait_for_timeout(1000.0)  # longer than a view may take before it is shown as loading
+    expect(rows.first).to_be_visible()
+    assert held
+    for request in held:
+        request.continue_()
 
 
 def test_many_rows_are_read_as_they_are_scrolled_and_few_are_drawn(

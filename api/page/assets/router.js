@@ -56,6 +56,7 @@ export async function show() {
   }
   place.dataset.view = here.name;
   const waiting = setTimeout(() => replace(place, loading()), 150);
+  signal.addEventListener("abort", () => clearTimeout(waiting)); // the files of a view that is left may still be read
   try {
     const element = await here.view({ params: here.params, query: here.query, signal, title });
     if (!signal.aborted) replace(place, element);
