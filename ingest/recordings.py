@@ -191,7 +191,8 @@ def decoded_beside(unit: SqlUnitOfWork, vehicle: str, digest: str, recorder_ns: 
     recorder_ns
         Its first and last stamp.
     """
-    decoded = unit.chunks.overlapping(vehicle, *ALWAYS)
+    first, last = recorder_ns
+    decoded = unit.chunks.overlapping_by_recorder(vehicle, first - TIME_REACH_NS, last + TIME_REACH_NS + 1)
     return [r for r in decoded if r.purged_ns is None and _beside(r, digest, recorder_ns)]
 
 

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, exists, func, select, tuple_, update
+from sqlalchemy import ColumnElement, Connection, Row, exists, func, select, tuple_, union_all, update
 
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import WindowState
 from fleet_db.models import ChunkRow, MountingRow, VehicleRow, WindowRow
-from fleet_db.models.chunks import UNDECODED
+from fleet_db.models.chunks import CLOCKS, LENGTHS, UNDECODED, of_length
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.rows import insert_new, reason_columns, stored_reason, table_of
 
@@ -100,14 +100,26 @@ class ChunkStore:
             raise NotFoundError("chunk", record.digest)
 
     def overlapping(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[ChunkRecord]:
-        """Return decoded recordings with frames in ``[from_ns, to_ns)``, by their first frame."""
-        statement = (
+        """Return decoded recordings with frames in ``[from_ns, to_ns)``, by their first frame.
+
+        What is read does not grow with the recordings of the vehicle: those of each length have an index.
+        """
+        return self._overlapping(vehicle, from_ns, to_ns, CLOCKS[0])
+
+    def overlapping_by_recorder(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[ChunkRecord]:
+        """Return decoded recordings whose recorder stamped frames in ``[from_ns, to_ns)``, by their first frame."""
+        return self._overlapping(vehicle, from_ns, to_ns, CLOCKS[1])
+
+    def _overlapping(self, vehicle: str, from_ns: int, to_ns: int, clock: tuple[str, str]) -> Sequence[ChunkRecord]:
+        first, last = (CHUNKS.c[name] for name in clock)
+        each = [
             select(CHUNKS)
-            .where(CHUNKS.c.vehicle == vehicle, CHUNKS.c.first_ns < to_ns, CHUNKS.c.last_ns >= from_ns)
-            .where(CHUNKS.c.state == ChunkState.DECODED.value)
-            .order_by(CHUNKS.c.first_ns, CHUNKS.c.digest)
-        )
-        return [_record(row) for row in self.connection.execute(statement)]
+            .where(CHUNKS.c.vehicle == vehicle, first < to_ns, last >= from_ns, of_length(condition, clock))
+            .where(*([] if longest is None else [first >= from_ns - longest]))
+            for _, condition, longest in LENGTHS
+        ]
+        found = [_record(row) for row in self.connection.execute(union_all(*each))]
+        return sorted(found, key=lambda record: (record.first_ns or 0, record.digest))
 
     def purge(self, before_ns: int, now_ns: int, limit: int) -> Sequence[ChunkRecord]:
         """Note of decoded recordings that came before a time that their raw bytes are deleted; return these."""
@@ -244,10 +256,12 @@ class ChunkStore:
 
 def _values(record: ChunkRecord) -> dict[str, object]:
     plain = {"counts": dict(record.counts), "state": record.state.value}
-    return asdict(record) | plain | reason_columns(record.reason)
+    stamps = {name: record.counts.get(name) for name in CLOCKS[1]}
+    return asdict(record) | plain | stamps | reason_columns(record.reason)
 
 
 def _record(row: Row[Any]) -> ChunkRecord:
     fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
-    del fields["reason_code"]
+    for name in ("reason_code", *CLOCKS[1]):
+        del fields[name]
     return ChunkRecord(**{**fields, "state": ChunkState(row.state), "reason": stored_reason(row)})
