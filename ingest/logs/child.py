@@ -19,8 +19,6 @@ from estimation.values.reasons import ReasonCode
 from ingest.limited_process import end_with, limit_memory
 from ingest.logs.formats import format_of
 from ingest.logs.frame_sink import COLUMNS, FrameSink, SinkSummary
-from ingest.logs.library import read_messages
-from ingest.logs.log_format import LogFormat
 from ingest.logs.read_limits import MEBIBYTE, ReadLimits
 
 PASSING = {
@@ -97,13 +95,6 @@ def _limit(limits: ReadLimits) -> None:
 
 def _read(path: Path, limits: ReadLimits, files: Sequence[BinaryIO]) -> dict[str, Any]:
     sink = FrameSink(files, limits)
-    _read_with(format_of(path), path, limits, sink)
+    format_of(path).read(path, limits, sink)
     summary: SinkSummary = sink.finish()
     return {"channel": summary.channel, "frames": summary.frames, "counts": summary.counts}
-
-
-def _read_with(form: LogFormat, path: Path, limits: ReadLimits, sink: FrameSink) -> None:
-    if form.read is not None:
-        form.read(path, limits, sink)
-    elif form.messages is not None:
-        read_messages(path, form.messages, sink)

@@ -1,46 +1,64 @@
-"""MF4 logs (ASAM MDF), through python-can and the extra ``mf4``."""
+"""MF4 logs (ASAM MDF): records as arrays, through asammdf of the extra ``mf4``."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from contextlib import closing
 from pathlib import Path
-from typing import Any
 
-from estimation.errors import PassingFaultError
+import numpy as np
+
+from estimation.errors import LogFileError, PassingFaultError
 from estimation.values.reasons import ReasonCode
-from ingest.logs.log_format import LogFormat
-from ingest.logs.read_limits import MEBIBYTE
+from ingest.logs.frame_sink import FramePart, FrameSink
+from ingest.logs.log_format import LogFormat, library_channel_name
+from ingest.logs.mf4_groups import bus_groups, frames_of_group, merged
+from ingest.logs.read_limits import MEBIBYTE, ReadLimits
+
+BYTES_PER_S = 128 << 10
+"""What is read at least of a file whose frames are compressed to few bytes, on a slow machine."""
 
 
-def messages(path: Path) -> Iterable[Any]:
-    """Return the frames of an MF4 file as messages of python-can.
+def read_mf4(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
+    """Read an MF4 file of bus events.
 
     Parameters
     ----------
     path
         The file.
+    limits
+        Held by the process that reads it, and by the sink.
+    sink
+        Takes the frames.
 
     Raises
     ------
+    LogFileError
+        The file holds CAN FD frames, several buses, or more than the limits allow.
     PassingFaultError
         The extra is not installed.
     """
-    import can  # noqa: PLC0415 - in the process that reads one file
-
+    del limits
     try:
-        import asammdf  # noqa: F401, PLC0415 - an extra
+        from asammdf import MDF  # noqa: PLC0415 - an extra
     except ImportError as error:
         reason = "MF4 files need the extra 'mf4': pip install 'treadwatch[mf4]'"
         raise PassingFaultError(reason, file=path, code=ReasonCode.WAITS_FOR_EXTRA) from error
-    reader: Iterable[Any] = can.MF4Reader(path)
-    return reader
+    buses: set[str] = set()
+    with closing(MDF(path)) as mdf:
+        for frames in merged([frames_of_group(mdf, *group) for group in bus_groups(mdf)]):
+            buses |= {library_channel_name(number) for number in np.unique(frames.channel).tolist() if number >= 0}
+            if len(buses) > 1:
+                raise LogFileError(f"holds several buses ({', '.join(sorted(buses))}): one file, one bus", file=path)
+            bus = next(iter(buses), library_channel_name(None))
+            sink.add(FramePart(bus, frames.t_ns, frames.identifier, frames.dlc, frames.data))
 
 
 FORMAT = LogFormat(
     suffix=".mf4",
     name="MF4",
     is_held=lambda head: head.startswith(b"MDF     "),
-    messages=messages,
+    read=read_mf4,
     modules=("asammdf",),
     memory_bytes=64 * MEBIBYTE,
+    bytes_per_s=BYTES_PER_S,
 )

@@ -164,7 +164,7 @@ def read_in_process(
     PassingFaultError
         There is no process or no space to read it with, or it was ended from outside.
     """
-    modules = form.modules if form.messages is None else ("can", *form.modules)
+    modules = form.modules
     request = json.dumps({"path": str(path.absolute()), "limits": asdict(limits), "modules": modules}).encode()
     try:
         with ExitStack() as stack:

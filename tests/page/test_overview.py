@@ -89,6 +89,8 @@ def test_a_vehicle_that_is_none_is_an_error_in_the_words_of_the_api(page: Page, 
 
 def test_choices_are_those_of_the_api(page: Page, page_service: ServiceProcess) -> None:
     opened(page, page_service)
+    for name in ("urgency", "status", "alert_kind"):  # they are read beside the rows, which do not wait for them
+        expect(page.locator(f'select[name="{name}"] option').nth(1)).to_be_attached()
 
     def choices(name: str) -> set[str]:
         values = page.locator(f'select[name="{name}"] option').evaluate_all("options => options.map(o => o.value)")
