@@ -33,6 +33,7 @@ WITH_OPTIONS = (
     "page",
     "workers",
     "chunks",
+    "pipeline",
     "fleet",
 )
 LONG = (

@@ -1,0 +1,184 @@
+"""The command ``python -m bench pipeline``: what chunks of a fleet cost until their bin tables, trends and alerts.
+
+The track is not on file: it is estimated from the same recordings. Processor time of this process and of those that it
+starts is counted, stage by stage, after a first journey has been received and compiled everything. The rival is what
+one would make of python-can, cantools, scipy, padasip and the ORM; it is given less to do: known track, no positions,
+no refusals, no geometry. It is timed on a share of the same frames.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import tempfile
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rich.console import Console
+
+from api.comparison.trial import Recorded, opened, receive
+from bench.pipeline_rival import rival_s_per_frame
+from bench.report import BenchRow
+from bench.results_page import markdown_table, write_page
+from bench.worker_kinds import cpu_of
+from bench.worker_load import Workload, workload
+from bench.workers import counted
+from estimation.errors import TreadwatchError
+from estimation.jobs.catalogue import ALL_JOBS
+from estimation.jobs.job import run_job
+from estimation.values.runs import JobTrigger
+from ingest.frames import take
+from ingest.logs import read_log, write_blf
+
+COLUMNS = ("what", "measured", "reach", "met")
+CORES, HOUR_S, AXLES = 2, 3600.0, 4
+REACH_FRAMES, REACH_RATIO, REACH_HOUR_S, REACH_GIB = 1e6, 20.0, 1.5, 4.0
+GIB = 2**30
+
+
+@dataclass(slots=True)
+class Stages:
+    """What each stage took: CPU s and statements."""
+
+    cpu_s: dict[str, float] = field(default_factory=dict)
+    statements: dict[str, int] = field(default_factory=dict)
+
+
+def rows(folder: Path, vehicles: int, minutes: float, chunk_s: float) -> Iterator[BenchRow]:
+    """Yield what each stage costs per wheelset-hour, frames per second, and the ratio to the rival.
+
+    Parameters
+    ----------
+    folder
+        Empty.
+    vehicles, minutes
+        Of the load: vehicles of four wheelsets, a journey of so many minutes.
+    chunk_s
+        Length of the chunks that are received, s.
+    """
+    load = workload(folder / "load", vehicles, minutes)
+    chunks = list(_chunks(load, folder / "chunks", chunk_s))
+    frames = sum(count for _, _, count in chunks)
+    hours = len(load.recordings) * AXLES * minutes / 60.0
+    stages, peak = _measured(load, folder / "measured", [(vehicle, path) for vehicle, path, _ in chunks])
+    what = f"{vehicles * AXLES} wheelsets, {minutes:g} min in chunks of {chunk_s:g} s"
+    for name, spent in stages.cpu_s.items():
+        shown = f"{spent / hours:.3f} CPU s per wheelset-hour, {stages.statements[name]} statements"
+        yield BenchRow(f"{what}: {name}", shown, "", met=True)
+    total = sum(stages.cpu_s.values())
+    shown, reach = f"{total / hours:.2f} CPU s per wheelset-hour", f"<= {REACH_HOUR_S}"
+    yield BenchRow(f"{what}: all of it", shown, reach, total / hours <= REACH_HOUR_S)
+    estimating = total - stages.cpu_s["refresh_trends"] - stages.cpu_s["evaluate_alerts"]
+    rate = CORES * frames / estimating
+    yield BenchRow(
+        f"{frames:,} frames to persisted bin tables, {CORES} cores",
+        f"{rate / 1e6:.2f} M frames/s of CPU time",
+        ">= 1 M",
+        rate >= REACH_FRAMES,
+    )
+    theirs = rival_s_per_frame(load.recordings[0][1])
+    ratio = theirs * frames / estimating
+    yield BenchRow(
+        "the same by python-can, cantools, scipy, padasip and the ORM",
+        f"{theirs * frames / hours:.1f} CPU s per wheelset-hour: {ratio:.1f} times ours",
+        f">= {REACH_RATIO:.0f} times",
+        ratio >= REACH_RATIO,
+    )
+    yield BenchRow("memory of the processes at most", f"{peak / GIB:.2f} GiB", "< 4 GiB", peak < REACH_GIB * GIB)
+
+
+def _chunks(load: Workload, folder: Path, chunk_s: float) -> Iterator[tuple[str, Path, int]]:
+    """Yield vehicle, file and frames of the recordings after the first, cut into chunks."""
+    folder.mkdir()
+    for number, (vehicle, path) in enumerate(load.recordings):
+        batch = read_log(path)
+        part = (batch.t_ns - batch.t_ns[0]) // round(chunk_s * 1e9)
+        starts = [0, *(1 + i for i in range(len(part) - 1) if part[i] != part[i + 1]), len(part)]
+        for first, last in zip(starts, starts[1:], strict=False):
+            file = folder / f"{number:04}_{first:09}.blf"
+            write_blf(file, take(batch, slice(first, last)))
+            yield vehicle, file, last - first
+
+
+def _measured(load: Workload, folder: Path, chunks: Sequence[tuple[str, Path]]) -> tuple[Stages, int]:
+    """Return what the stages took, and the largest memory of this process and those that it started, bytes."""
+    folder.mkdir()
+    settings, found = load.copy(folder), Stages()
+    with opened(settings) as (storage, context), ExitStack() as stack:
+        for job in ALL_JOBS:
+            run_job(job, context, JobTrigger.CLI)
+        peak = stack.enter_context(_peak_memory())
+        asked = stack.enter_context(counted(storage))
+        begin_s = _cpu_s()
+        receive(Recorded(tuple(chunks), load.received.data_dir), settings)
+        found.cpu_s["ingest"], found.statements["ingest"] = _cpu_s() - begin_s, asked.statements
+        for job in ALL_JOBS:
+            begin_s, before = _cpu_s(), asked.statements
+            run = run_job(job, context, JobTrigger.CLI)
+            if run.error is not None:
+                raise TreadwatchError(f"{run.job}: {run.error}")
+            found.cpu_s[job.name], found.statements[job.name] = _cpu_s() - begin_s, asked.statements - before
+    return found, peak[0]
+
+
+def _cpu_s() -> float:
+    """Return processor time of this process, and of those that it started and that have ended or still run, s."""
+    own, ended = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return own.ru_utime + own.ru_stime + ended.ru_utime + ended.ru_stime + sum(map(cpu_of, _children()))
+
+
+def _children() -> list[int]:
+    """Return the processes that this one started and that run."""
+    tasks = Path("/proc/self/task").glob("*/children")
+    return [int(pid) for task in tasks for pid in task.read_text(encoding="ascii").split()]
+
+
+@contextmanager
+def _peak_memory() -> Iterator[list[int]]:
+    """Yield the largest sum of the resident memory of the processes so far, looked at every 50 ms, bytes."""
+    largest, ended = [0], threading.Event()
+
+    def watch() -> None:
+        while not ended.wait(0.05):
+            largest[0] = max(largest[0], sum(map(_resident, ["self", *map(str, _children())])))
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        yield largest
+    finally:
+        ended.set()
+        watcher.join()
+
+
+def _resident(pid: str) -> int:
+    try:
+        pages = Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]
+    except OSError:
+        return 0
+    return int(pages) * resource.getpagesize()
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure and print; return 1 where a row falls short."""
+    parser = argparse.ArgumentParser(prog="python -m bench pipeline", description=__doc__)
+    parser.add_argument("--vehicles", type=int, default=3, help="of four wheelsets (3)")
+    parser.add_argument("--minutes", type=float, default=15.0, help="of a journey (15)")
+    parser.add_argument("--chunk", type=float, nargs="+", default=[900.0, 60.0], help="length of a chunk, s (900 60)")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/results/pipeline.md")
+    options = parser.parse_args(arguments)
+    console, table = Console(), []
+    for chunk_s in options.chunk:
+        with tempfile.TemporaryDirectory() as folder:
+            (Path(folder) / "load").mkdir()
+            for row in rows(Path(folder), options.vehicles, options.minutes, chunk_s):
+                cells = (row.what, row.measured, row.reach, "yes" if row.met else "NO")
+                console.print("  ".join(cells), highlight=False, soft_wrap=True)
+                table.append(cells)
+    if options.write_docs:
+        text = markdown_table(COLUMNS, table)
+        write_page("pipeline", "From chunks to alerts", "python -m bench pipeline --write-docs", [text])
+    return 1 if any(cells[-1] == "NO" for cells in table) else 0
