@@ -15,6 +15,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 from rich.console import Console
@@ -97,7 +98,7 @@ def _chunks(load: Workload, folder: Path, chunk_s: float) -> Iterator[tuple[str,
         batch = read_log(path)
         part = (batch.t_ns - batch.t_ns[0]) // round(chunk_s * 1e9)
         starts = [0, *(1 + i for i in range(len(part) - 1) if part[i] != part[i + 1]), len(part)]
-        for first, last in zip(starts, starts[1:], strict=False):
+        for first, last in pairwise(starts):
             file = folder / f"{number:04}_{first:09}.blf"
             write_blf(file, take(batch, slice(first, last)))
             yield vehicle, file, last - first
