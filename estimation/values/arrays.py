@@ -34,6 +34,19 @@ def runs(mask: BoolArray) -> IntArray:
     return np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))).reshape(-1, 2)
 
 
+def as_slice(index: IntArray) -> IntArray | slice:
+    """Return increasing indices as a slice where none is left out: many times quicker to take and to add to.
+
+    Parameters
+    ----------
+    index
+        (n,) increasing.
+    """
+    if len(index) == 0 or index[-1] - index[0] + 1 != len(index):
+        return index
+    return slice(int(index[0]), int(index[-1]) + 1)
+
+
 def frozen_array(
     value: npt.ArrayLike, shape: tuple[int | None, ...], dtype: npt.DTypeLike = np.float64, *, name: str
 ) -> npt.NDArray[Any]:

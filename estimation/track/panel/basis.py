@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from estimation.errors import ParameterError
 from estimation.filters.local_cubic import high_pass
@@ -114,37 +113,6 @@ def _knots(reach: float, count: int) -> FloatArray:
     return np.asarray(reach * np.sinh(np.linspace(-1.5, 1.5, count)) / np.sinh(1.5))
 
 
-@dataclass(frozen=True, slots=True)
-class PassRows:
-    """The rows of a regression that one pass makes, high-passed, at the grid points that can be used."""
-
-    points: IntArray  # (m,)
-    design: npt.NDArray[np.float32]  # (k, m)
-    displacement: FloatArray  # (m,) y, m
-    difference: FloatArray  # (m,) R, m
-
-
-def pass_rows(item: GriddedPass, panel: Panel) -> PassRows:
-    """Return the high-passed design matrix, y and R of a pass that is not empty.
-
-    Design matrix and R change their sign where the wheelset's left wheel runs on the section's right rail.
-
-    Parameters
-    ----------
-    item
-        The pass.
-    panel
-        Its basis functions, and what is known beforehand.
-    """
-    kernel = panel.grid.kernel
-    # single precision: half the time, and the basis functions have no drift that would use it up
-    basis = design_matrix(item, panel).astype(np.float32)
-    design = high_pass(basis, kernel.astype(np.float32))[:, item.inside]
-    displacement = item.displacement - known_shift(item, panel)
-    y, R = high_pass(np.stack([displacement, item.difference]), kernel)[:, item.inside]
-    return PassRows(item.used_points, item.side * design, y, item.side * R)
-
-
 def unfiltered_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
     """Return y - h(R) (m,) of a pass at all its grid points, m, before any filter.
 
@@ -192,28 +160,8 @@ def known_shift(item: GriddedPass, panel: Panel) -> FloatArray:
     return item.side * shift.at(item.difference, gauge_at(item.points, panel))
 
 
-def design_matrix(item: GriddedPass, panel: Panel) -> FloatArray:
-    """Return the functions (k, m) of a pass that its displacement is a sum of, before the filter.
-
-    Parameters
-    ----------
-    item
-        The pass.
-    panel
-        Its basis functions and gauge.
-    """
-    p = panel.parameters
-    R = np.clip(item.difference, -p.reach, p.reach)
-    rows = [basis_functions(R, p.knots)]
-    if panel.gauge is not None:
-        coarse = basis_functions(R, p.gauge_knots)
-        e = gauge_at(item.points, panel) / p.gauge_unit
-        rows += [coarse * e, coarse * e**2]
-    return np.concatenate([*rows, item.stiffness_term[None, :]])
-
-
 def curve_displacement(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
-    """Return ``curve`` (k,) times the design matrix of a pass (m,), m, without making that.
+    """Return ``curve`` (k,) times the functions that a pass's displacement is a sum of (m,), m, before the filter.
 
     Parameters
     ----------
@@ -265,10 +213,23 @@ def gauge_at(points: IntArray, panel: Panel) -> FloatArray:
 
 def basis_functions(R: FloatArray, knots: FloatArray) -> FloatArray:
     """Return the piecewise linear functions (k, n) of R (n,), m; beyond the knots (k,), m, they go on straight."""
-    cell = np.clip(np.searchsorted(knots, R) - 1, 0, len(knots) - 2)
-    share = (R - knots[cell]) / (knots[cell + 1] - knots[cell])
+    cell, share = knot_shares(R, knots)
     values = np.zeros((len(knots), len(R)))
     at = np.arange(len(R))
     values[cell, at] = 1.0 - share
     values[cell + 1, at] = share
     return values
+
+
+def knot_shares(R: FloatArray, knots: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the number of the knot below R (n,), and the share of the next knot in it (n,).
+
+    Parameters
+    ----------
+    R
+        (n,) m; beyond the knots shares are below 0 or above 1.
+    knots
+        (k,) m, increasing.
+    """
+    cell = np.clip(np.searchsorted(knots, R) - 1, 0, len(knots) - 2)
+    return cell, (R - knots[cell]) / (knots[cell + 1] - knots[cell])

@@ -16,14 +16,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from estimation.track.gridded_pass import GriddedPass
-from estimation.track.panel.basis import Panel, PassRows, pass_rows
+from estimation.track.panel.basis import Panel
+from estimation.track.panel.pass_rows import PassRows, pass_rows
 from estimation.track.profile_life import ProfileLife
-from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.arrays import FloatArray, IntArray, as_slice
+
+Precision = TypeVar("Precision", bound=np.floating[Any])
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,10 +83,10 @@ def update(state: PanelState, passes: Sequence[GriddedPass]) -> PanelState:
     sums = replace(
         state,
         lives=lives,
-        gram=np.pad(state.gram, ((0, 0), (0, new), (0, 0), (0, 0))),
-        cross=np.pad(state.cross, ((0, 0), (0, new), (0, 0))),
+        gram=_extended(state.gram, 1, new),
+        cross=_extended(state.cross, 1, new),
         square=state.square.copy(),
-        basis_sums=np.pad(state.basis_sums, ((0, new), (0, 0), (0, 0))),
+        basis_sums=_extended(state.basis_sums, 0, new),
         displacement=state.displacement.copy(),
         passes=state.passes.copy(),
         difference=state.difference.copy(),
@@ -94,14 +98,23 @@ def update(state: PanelState, passes: Sequence[GriddedPass]) -> PanelState:
     return sums
 
 
+def _extended(sums: npt.NDArray[Precision], axis: int, new: int) -> npt.NDArray[Precision]:
+    """Return a copy of sums with so many zeros more along an axis."""
+    shape = list(sums.shape)
+    shape[axis] += new
+    found = np.zeros(shape, dtype=sums.dtype)
+    found[(slice(None),) * axis + (slice(0, sums.shape[axis]),)] = sums
+    return found
+
+
 def _add(sums: PanelState, w: int, rows: PassRows, weight: float) -> None:
     """Add the rows of one pass of wheelset ``w`` in place, to sums that have no other owner."""
     at, y, R = rows.points, rows.displacement, rows.difference
-    for group, B_there, y_there in _by_group(rows, sums.panel):
+    for group, B_there, y_there in _by_block(rows, sums.panel):
         sums.gram[group, w] += weight * (B_there @ B_there.T)
         sums.cross[group, w] += weight * (B_there @ y_there)
         sums.square[group] += weight * (y_there @ y_there)
-    sums.basis_sums[w][:, _as_slice(at)] += np.float32(weight) * rows.design
+    sums.basis_sums[w][:, as_slice(at)] += np.float32(weight) * rows.design
     sums.displacement[at] += weight * y
     sums.passes[at] += weight
     sums.count[at] += 1
@@ -109,20 +122,13 @@ def _add(sums: PanelState, w: int, rows: PassRows, weight: float) -> None:
     sums.difference[1, at] += weight * R * R
 
 
-def _by_group(rows: PassRows, panel: Panel) -> Iterator[tuple[int, npt.NDArray[np.float32], FloatArray]]:
-    """Yield each group with its part of the design matrix (k, m) and of the displacement (m,)."""
-    group = groups_of(rows.points, panel)
-    order = np.argsort(group, kind="stable")
-    B, y = rows.design[:, order], rows.displacement[order]
-    ends = np.cumsum(np.bincount(group, minlength=panel.parameters.groups))
-    for number, (start, end) in enumerate(pairwise((0, *ends))):
-        if end > start:
-            yield number, B[:, start:end], y[start:end]
-
-
-def _as_slice(at: IntArray) -> IntArray | slice:
-    """Return increasing grid points as a slice where none is left out: many times quicker to add to."""
-    return slice(int(at[0]), int(at[-1]) + 1) if at[-1] - at[0] + 1 == len(at) else at
+def _by_block(rows: PassRows, panel: Panel) -> Iterator[tuple[int, npt.NDArray[np.float32], FloatArray]]:
+    """Yield the group of each block with its part of the design matrix (k, m) and of the displacement (m,)."""
+    block = _block_of(rows.points, panel)
+    ends = np.flatnonzero(np.diff(block)) + 1
+    for start, end in pairwise((0, *ends.tolist(), len(block))):
+        group = int(block[start]) % panel.parameters.groups
+        yield group, rows.design[:, start:end], rows.displacement[start:end]
 
 
 def groups_of(at: IntArray, panel: Panel) -> IntArray:
@@ -135,5 +141,9 @@ def groups_of(at: IntArray, panel: Panel) -> IntArray:
     panel
         Length of a block, and number of groups.
     """
-    block = panel.parameters.block
-    return np.asarray((at * panel.grid.step // block).astype(np.int64) % panel.parameters.groups)
+    return np.asarray(_block_of(at, panel) % panel.parameters.groups)
+
+
+def _block_of(at: IntArray, panel: Panel) -> IntArray:
+    """Return the number (m,) of the block along the section that each grid point is in."""
+    return np.asarray((at * panel.grid.step // panel.parameters.block).astype(np.int64))

@@ -11,7 +11,7 @@ from estimation.track.panel.basis import Panel
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, groups_of
 from estimation.track.profile_life import ProfileLife
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, IntArray, as_slice
 from estimation.values.intervals import jackknife_std
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -71,21 +71,11 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
         Whether to compute standard deviations.
     """
     p = state.panel.parameters
-    w, k, n = len(state.lives), state.panel.unknowns, state.panel.grid.points
+    n = state.panel.grid.points
     enough = state.passes >= p.least_passes
-    group = groups_of(np.arange(n), state.panel)
-    normal = np.empty((p.groups, w * k, w * k))
-    right = np.empty((p.groups, w * k))
-    stacked = state.basis_sums.reshape(w * k, n)
+    normal, right = _normal_equations(state, by_group=std)
     share = np.zeros(n)
     share[enough] = 1.0 / state.passes[enough]
-    for g in range(p.groups):
-        in_group = np.flatnonzero((group == g) & (state.passes > 0))
-        G = stacked[:, in_group]
-        per_pass = 1.0 / state.passes[in_group]
-        root = G * np.sqrt(per_pass).astype(np.float32)
-        normal[g] = linalg.block_diag(*state.gram[g]) - root @ root.T
-        right[g] = state.cross[g].ravel() - G @ (per_pass * state.displacement[in_group]).astype(np.float32)
     reason = _too_little(state)
     curves_fixed = reason is not None and not state.has_alignment and bool(enough.any()) and bool(_measured(state))
     curves = _curves(normal, right, state, curves_fixed=curves_fixed, std=std)
@@ -107,6 +97,33 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
         common_std=np.where(enough, common, np.nan),
         passes=state.passes,
     )
+
+
+def _normal_equations(state: PanelState, *, by_group: bool) -> tuple[FloatArray, FloatArray]:
+    """Return normal matrices (g, w k, w k) and right sides (g, w k) of the curves, the alignment eliminated.
+
+    One for each group of blocks along the section, or one of all.
+    """
+    group = groups_of(np.arange(state.panel.grid.points), state.panel)
+    met = state.passes > 0
+    if by_group:
+        parts = [
+            _reduced(state, gram, cross, np.flatnonzero(met & (group == g)))
+            for g, (gram, cross) in enumerate(zip(state.gram, state.cross, strict=True))
+        ]
+    else:
+        parts = [_reduced(state, state.gram.sum(axis=0), state.cross.sum(axis=0), np.flatnonzero(met))]
+    return np.stack([normal for normal, _ in parts]), np.stack([right for _, right in parts])
+
+
+def _reduced(state: PanelState, gram: FloatArray, cross: FloatArray, at: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return normal matrix (w k, w k) and right side (w k,) of the curves from what is at some grid points."""
+    where = as_slice(at)
+    G = state.basis_sums.reshape(-1, state.panel.grid.points)[:, where]
+    per_pass = 1.0 / state.passes[where]
+    root = G * np.sqrt(per_pass).astype(np.float32)
+    normal = linalg.block_diag(*gram) - root @ root.T
+    return normal, cross.ravel() - G @ (per_pass * state.displacement[where]).astype(np.float32)
 
 
 def curves_of_sum(state: PanelState, curves: FloatArray) -> FloatArray:

@@ -9,7 +9,8 @@ import pytest
 from test_section_limits import P, a_pass
 
 from estimation.track.gridded_pass import GriddedPass, grid_pass
-from estimation.track.panel.basis import Panel, pass_rows
+from estimation.track.panel.basis import Panel
+from estimation.track.panel.pass_rows import pass_rows
 from estimation.track.panel.errors_in_variables import (
     EXCESS_SHARE,
     EXCESS_STD,
