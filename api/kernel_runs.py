@@ -19,9 +19,13 @@ from estimation.errors import ContactError
 from estimation.estimators.interface import EstimatorParameters
 from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.paper_equations import PaperParameters, recursion_in_bins
+from estimation.filters.local_cubic import local_cubic_kernel
+from estimation.motion.smooth_sampling import sample_smoothed
 from estimation.tables.bin_table import BinParameters, init
 from estimation.tables.exact_sum import LARGEST, ExactSum, nothing
 from estimation.tables.least_squares import collect
+from estimation.track.panel.pass_rows import add_filtered_hats
+from estimation.track.screening.correlations import cross_products, own_products
 from estimation.values.arrays import FloatArray
 from estimation.values.exact_table import HALF
 from estimation.values.geometry import FilledCells
@@ -222,6 +226,18 @@ def _exact_sums() -> Iterator[FloatArray]:
             yield np.array([len(str(error))])
 
 
+def _passes() -> Iterator[FloatArray]:
+    rng = np.random.default_rng(7)
+    signals, at = rng.standard_normal((3, 40)), np.cumsum(rng.uniform(0.05, 0.2, 40))
+    weights = local_cubic_kernel(1.0, 0.0625)
+    yield sample_smoothed(signals, at, -8, 30, 4, 0.0625, weights)
+    yield cross_products(signals[:2], signals[1:], 5).ravel()
+    yield own_products(signals, 5)
+    rows, share = np.zeros((4, 40), np.float32), rng.uniform(size=40).astype(np.float32)
+    add_filtered_hats(rows, np.arange(40) % 3, share, share, weights.astype(np.float32))
+    yield rows.astype(np.float64)
+
+
 RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _contact,
     _conicity,
@@ -232,4 +248,5 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _frames,
     _simulator,
     _running_gears,
+    _passes,
 )

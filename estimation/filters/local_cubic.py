@@ -53,8 +53,14 @@ def high_pass(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) 
     """
     n, reach = signals.shape[-1], len(weights) // 2
     size = fft.next_fast_len(n + 2 * reach, real=True)
-    fit = fft.irfft(fft.rfft(signals, size) * fft.rfft(weights, size), size)
+    fit = fft.irfft(fft.rfft(signals, size) * _spectrum(weights.tobytes(), weights.dtype.str, size), size)
     return np.asarray(signals - fit[..., reach : reach + n])
+
+
+@lru_cache(maxsize=64)
+def _spectrum(weights: bytes, kind: str, size: int) -> npt.NDArray[Any]:
+    """Return the transform of weights of a type that numpy knows by ``kind``, padded to ``size``."""
+    return np.asarray(fft.rfft(np.frombuffer(weights, dtype=kind), size))
 
 
 def valid_support(valid: BoolArray, weights: FloatArray) -> BoolArray:

@@ -22,6 +22,7 @@ from estimation.motion.bogie_long_waves import BogieYaws, long_waves_in_bogie
 from estimation.motion.cross_level import at_rail_level
 from estimation.motion.fusion_parameters import FusionParameters
 from estimation.motion.integration import IntegratedSegment
+from estimation.motion.smooth_sampling import sample_smoothed
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
@@ -65,22 +66,22 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionP
     step = parameters.step
     run = np.arange(np.ceil(signals.run[0] / step), np.floor(signals.run[-1] / step) + 1) * step
     shortest = _shortest(signals, run, parameters)
-    V, y, R, stiffness_term, rolling_yaw, creep_yaw = (
-        _sampled(values, signals.run, run, shortest, parameters)
-        for values in (
-            signals.speed,
-            signals.displacement,
-            signals.difference,
-            signals.stiffness_term,
-            signals.rolling_yaw,
-            signals.creep_yaw,
-        )
+    sampled = [
+        signals.speed,
+        signals.displacement,
+        signals.difference,
+        signals.stiffness_term,
+        signals.rolling_yaw,
+        signals.creep_yaw,
+        *(() if signals.frame_yaw is None else (signals.frame_yaw,)),
+    ]
+    V, y, R, stiffness_term, rolling_yaw, creep_yaw, *of_frame = _sampled(
+        np.stack(sampled), signals.run, run, shortest, parameters
     )
     if signals.frame_yaw is None:
         slow = _long_waves(R, np.asarray(rolling_yaw + creep_yaw), V, vehicle, parameters)
     else:
-        frame_yaw = _sampled(signals.frame_yaw, signals.run, run, shortest, parameters)
-        slow = long_waves_in_bogie(R, BogieYaws(rolling_yaw, creep_yaw, frame_yaw), V, vehicle, parameters)
+        slow = long_waves_in_bogie(R, BogieYaws(rolling_yaw, creep_yaw, of_frame[0]), V, vehicle, parameters)
     weights = local_cubic_kernel(parameters.crossover, step)
     return FusedSignals(
         run=np.asarray(run, dtype=np.float64),
@@ -97,7 +98,7 @@ def _shortest(signals: MotionSignals, run: FloatArray, parameters: FusionParamet
     it does not vibrate the short waves of R are those of contact jumps, which the curves need.
     """
     quiet, vibrating = parameters.shortest
-    smooth = _sampled(signals.rolling_yaw, signals.run, run, vibrating, parameters)
+    (smooth,) = _sampled(signals.rolling_yaw[None], signals.run, run, vibrating, parameters)
     rest = np.interp(run, signals.run, signals.rolling_yaw) - smooth
     return vibrating if float(np.std(rest)) > parameters.vibrating else quiet
 
@@ -105,14 +106,12 @@ def _shortest(signals: MotionSignals, run: FloatArray, parameters: FusionParamet
 def _sampled(
     values: FloatArray, at: FloatArray, run: FloatArray, shortest: float, parameters: FusionParameters
 ) -> FloatArray:
-    """Return values (n,) at distances (n,) on the grid (m,), waves shorter than ``shortest`` (m) taken out."""
+    """Return values (s, n) at distances (n,) on the grid (s, m), waves shorter than ``shortest`` (m) taken out."""
     finer = parameters.oversampling
-    weights = local_cubic_kernel(shortest, parameters.step / finer)
-    reach, first = len(weights) // 2, finer * round(run[0] / parameters.step)
-    count = finer * (len(run) - 1) + 1
-    fine = np.arange(first - reach, first + count + reach) * (parameters.step / finer)
-    smooth = np.convolve(np.interp(fine, at, values), weights, mode="valid")
-    return np.asarray(smooth[::finer])
+    step = parameters.step / finer
+    weights = local_cubic_kernel(shortest, step)
+    first = finer * round(run[0] / parameters.step)
+    return sample_smoothed(values, np.asarray(at, dtype=np.float64), first, len(run), finer, step, weights)
 
 
 def _long_waves(

@@ -176,7 +176,7 @@ def _curves(normal: FloatArray, right: FloatArray, state: PanelState, *, curves_
         stiffness = np.arange(c - 1, len(total), c)
         prior[stiffness, stiffness] += FIXED_CURVE_WEIGHT * total[stiffness, stiffness]
     curves = [
-        linalg.solve(total - left_out + prior, total_right - left_right, assume_a="sym").reshape(w, c)
+        _solved(total - left_out + prior, total_right - left_right).reshape(w, c)
         for left_out, left_right in zip(
             [np.zeros_like(total), *(normal if std else ())],
             [np.zeros_like(total_right), *(right if std else ())],
@@ -186,6 +186,15 @@ def _curves(normal: FloatArray, right: FloatArray, state: PanelState, *, curves_
     for curve in curves:
         curve[:, : p.basis_count] -= curve[:, [p.basis_count // 2]]
     return np.stack(curves)
+
+
+def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the solution of normal equations: by Cholesky, and where rounding has left them indefinite by LDL."""
+    try:
+        factor = linalg.cho_factor(normal, lower=True, check_finite=False)
+    except linalg.LinAlgError:
+        return np.asarray(linalg.solve(normal, right, assume_a="sym"))
+    return np.asarray(linalg.cho_solve(factor, right, check_finite=False))
 
 
 def _prior(scale: float, panel: Panel) -> FloatArray:

@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import fft
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.passes import Pass, gridded
+from estimation.track.screening.correlations import cross_products, own_products
 from estimation.values.arrays import FloatArray, runs
 from estimation.values.chance import log10_chance
 from estimation.values.track import TrackAlignment
@@ -164,13 +164,10 @@ def _of_piece(X: FloatArray, Z: FloatArray, reach: int, step: float) -> Agreemen
 def _canonical(X: FloatArray, Z: FloatArray, reach: int) -> FloatArray:
     """Return the largest squared canonical correlation (2 reach + 1,) of X(i) with Z(i + lag)."""
     n = X.shape[1]
-    size = fft.next_fast_len(n + reach, real=True)
-    fX, fZ = fft.rfft(X, size, axis=1), fft.rfft(Z, size, axis=1)
-    products = fft.irfft(np.conj(fX)[:, None] * fZ[None], size, axis=2)
     lags = np.arange(-reach, reach + 1)
-    cross = np.moveaxis(products[:, :, lags], 2, 0) / (n - np.abs(lags))[:, None, None]
+    cross = cross_products(X, Z, reach) / (n - np.abs(lags))[:, None, None]
     inner, outer = _inverse(X @ X.T / n), _inverse(Z @ Z.T / n)
-    M = np.einsum("ab,lbc,cd,led->lae", inner, cross, outer, cross)
+    M = (inner @ cross) @ (outer @ cross.transpose(0, 2, 1))
     trace = M[:, 0, 0] + M[:, 1, 1]
     determinant = M[:, 0, 0] * M[:, 1, 1] - M[:, 0, 1] * M[:, 1, 0]
     return np.asarray(0.5 * trace + np.sqrt(np.maximum(0.25 * trace**2 - determinant, 0.0)))
@@ -208,10 +205,8 @@ def _independent(X: FloatArray, Z: FloatArray, step: float) -> tuple[float, floa
     """Return how many independent samples a correlation of X with Z has, and over how many m one of them reaches."""
     n = X.shape[1]
     far = min(int(CORRELATION_LENGTH / step), n - 1)
-    size = fft.next_fast_len(n + far, real=True)
-    spectra = [np.abs(fft.rfft(signal, size)) ** 2 for signal in (*X, *Z)]
-    own = [fft.irfft(power, size)[: far + 1] for power in spectra]
-    own = [values / max(float(values[0]), SMALLEST) for values in own]
+    products = own_products(np.concatenate([X, Z]), far)
+    own = [values / max(float(values[0]), SMALLEST) for values in products]
     widths = [1.0 + 2.0 * float((a[1:] * b[1:]).sum()) for a in own[: len(X)] for b in own[len(X) :]]
     width = max([*widths, 1.0])
     return n / width, width * step

@@ -10,7 +10,6 @@ from test_section_limits import P, a_pass
 
 from estimation.track.gridded_pass import GriddedPass, grid_pass
 from estimation.track.panel.basis import Panel
-from estimation.track.panel.pass_rows import pass_rows
 from estimation.track.panel.errors_in_variables import (
     EXCESS_SHARE,
     EXCESS_STD,
@@ -20,6 +19,7 @@ from estimation.track.panel.errors_in_variables import (
     slope_correction,
 )
 from estimation.track.panel.normal_equations import PanelState, init, update
+from estimation.track.panel.pass_rows import pass_rows
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.values.arrays import FloatArray
 
