@@ -34,6 +34,7 @@ WITH_OPTIONS = (
     "workers",
     "chunks",
     "pipeline",
+    "section_runs",
     "fleet",
 )
 LONG = (

@@ -19,7 +19,7 @@ from ingest.simulator.scenario_file import read_scenario
 LARGEST_SPEED = 22.0  # m/s
 FLEET = """\
 name = "WORKERS"
-description = "vehicles of four wheelsets on a surveyed section"
+description = "vehicles of four wheelsets on one section"
 seed = 3
 [fleet]
 code = "K"
@@ -29,6 +29,7 @@ code = "K-1"
 number = 1
 name = "Section K-1"
 length_m = {length}
+surveyed = {surveyed}
 [speed]
 lowest_m_s = 14.0
 highest_m_s = {speed}
@@ -38,7 +39,7 @@ kind = "mems"
 recorder_clock_offset_s = 1.5
 [sessions]
 start = 2024-01-08T05:30:00Z
-campaigns = 2
+campaigns = {campaigns}
 minutes_each = {minutes}
 first_odometer_km = 1000.0
 km_between = 300.0
@@ -80,7 +81,27 @@ class Workload:
         return settings.model_copy(update={"database_url": _database(self.server, name)})
 
 
-def workload(folder: Path, vehicles: int, minutes: float, server: str | None = None) -> Workload:
+def fleet(vehicles: int, minutes: float, *, campaigns: int = 2, surveyed: bool = True) -> str:
+    """Return the scenario of vehicles of four wheelsets on one section.
+
+    Parameters
+    ----------
+    vehicles, minutes, campaigns
+        How many, how long a journey takes, and how many journeys each makes.
+    surveyed
+        Whether the section is.
+    """
+    length, known = LARGEST_SPEED * 60.0 * minutes + 100.0, str(surveyed).lower()
+    parts = [FLEET.format(minutes=minutes, speed=LARGEST_SPEED, length=length, campaigns=campaigns, surveyed=known)]
+    for vehicle in range(1, vehicles + 1):
+        parts.append(VEHICLE.format(vehicle=vehicle))
+        parts += [WHEELSET.format(vehicle=vehicle, axle=axle, worn=0.2 * axle) for axle in range(1, 5)]
+    return "".join(parts)
+
+
+def workload(
+    folder: Path, vehicles: int, minutes: float, server: str | None = None, *, surveyed: bool = True
+) -> Workload:
     """Return two journeys of each of some vehicles of four wheelsets, of which the first is received already.
 
     Parameters
@@ -91,13 +112,11 @@ def workload(folder: Path, vehicles: int, minutes: float, server: str | None = N
         How many, and how long a journey takes.
     server
         URL of a PostgreSQL server; None for SQLite.
+    surveyed
+        Whether the section is.
     """
-    parts = [FLEET.format(minutes=minutes, speed=LARGEST_SPEED, length=LARGEST_SPEED * 60.0 * minutes + 100.0)]
-    for vehicle in range(1, vehicles + 1):
-        parts.append(VEHICLE.format(vehicle=vehicle))
-        parts += [WHEELSET.format(vehicle=vehicle, axle=axle, worn=0.2 * axle) for axle in range(1, 5)]
     file = folder / "scenario.toml"
-    file.write_text("".join(parts), encoding="utf-8")
+    file.write_text(fleet(vehicles, minutes, surveyed=surveyed), encoding="utf-8")
     scenario = read_scenario(file)
     recorded = record(scenario, folder / "recordings", workers=2)
     settings = deploy(scenario, folder / "deployed")

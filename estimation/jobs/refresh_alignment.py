@@ -20,14 +20,25 @@ from estimation.jobs.job import Job, JobContext, Stage
 from estimation.jobs.steps.epoch_inputs import FileLookup, entries, given, input_digest
 from estimation.jobs.steps.epoch_passes import epoch_passes
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
-from estimation.jobs.steps.store_alignment import Computed, Due, Solved, classes_of, cut, store, survey_checked
+from estimation.jobs.steps.store_alignment import (
+    Computed,
+    Due,
+    classes_of,
+    cut,
+    is_hardly_another,
+    store,
+    survey_checked,
+)
 from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.steps.window_positions import Solved
 from estimation.storage import UnitOfWork
-from estimation.track.partition import Entry, first_epoch, newest_within
+from estimation.track.journeys import NANOSECONDS, Journey
+from estimation.track.partition import Entry, Group, first_epoch, newest_within
+from estimation.track.placing import place_alone
 from estimation.track.update import UpdateOutcome, update_alignment
 from estimation.values.quarantine import SubjectKind
-from estimation.values.track import TrackAlignment, TrackSectionRecord
-from estimation.values.track_epochs import TrackEpoch
+from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
+from estimation.values.track_epochs import OPEN_NS, TrackEpoch
 
 _COUNTED = {
     UpdateOutcome.UNESTIMATED: "unestimated",
@@ -48,6 +59,9 @@ _COUNTS = (
     "unchanged",
     "changed_meanwhile",
 )
+GROWN = 4.0
+"""Times as many windows as it was computed with: from there on an open epoch is computed although more still come."""
+
 _READ = 4  # times the windows of an epoch that are read to find it
 
 
@@ -200,8 +214,21 @@ def _due(
         input_digest([*(lookup.member(record) for record in waiting), *own]),
         group.horizon_ns,
     )
+    if known and number == len(stored) and _leaves_for_later(context, known[0], due, group):
+        return None
     same = known and number not in news.unplaced | again and _rests_on(known[0], due)
     return replace(due, same=replace(known[0], horizon_ns=group.horizon_ns, windows=len(own))) if same else due
+
+
+def _leaves_for_later(context: JobContext, epoch: TrackEpoch, due: Due, group: Group) -> bool:
+    """Return whether the last epoch stays as it is for now: windows still come, and it has hardly grown since.
+
+    It is computed by the first run that finds no new window, so what is stored at rest is the same.
+    """
+    ages_ns = [context.clock.now_ns() - record.recorded_ns for record, _ in group.entries]
+    coming = any(0 <= age_ns < context.settle_s * NANOSECONDS for age_ns in ages_ns)
+    grows = epoch.windows < len(group.entries) < GROWN * epoch.windows
+    return coming and grows and group.horizon_ns == OPEN_NS and epoch.before == due.before.key(due.basis)
 
 
 def _rests_on(epoch: TrackEpoch, due: Due) -> bool:
@@ -225,15 +252,20 @@ def _compute(context: JobContext, due: Due, counts: Counter[str]) -> bool:
     with context.storage.read() as unit:
         version = due.before.version
         alignment = None if version is None else unit.tracks.alignment(due.section.code, version)
+        since = due.before.same_since
+        base = alignment if since == version or since is None else unit.tracks.alignment(due.section.code, since)
         classes = classes_of(ClassLookup(unit, context.settings.estimation), [record for record, _ in due.entries])
-    solved, notes = _solve(context, due, chosen, alignment, checked=survey_checked(due.before.survey))
-    parts = [solved]
+    solved, known = _solve(context, due, chosen, alignment, checked=survey_checked(due.before.survey))
+    parts, alone = [solved], dict[Journey, Correction]()
+    if alignment is not None and is_hardly_another(base, solved.update, settings):
+        grouped = solved.update.estimate.grouped
+        alone = place_alone(due.section, grouped, alignment, settings.section, known.curves)
     if not solved.update.outcome.windows_wait:
         while rest:
             chosen, rest = newest_within(rest, settings.most_windows, settings.most_wheelsets)
             parts.append(_solve(context, due, chosen, solved.update.alignment, checked=True)[0])
     with context.storage.write() as unit:
-        stored = store(unit, Computed(due, alignment, parts, classes, notes), context)
+        stored = store(unit, Computed(due, alignment, parts, classes, known.notes, alone), context)
     if stored:
         counts[_COUNTED[solved.update.outcome]] += 1
         counts["epochs"] += 1
@@ -244,8 +276,8 @@ def _compute(context: JobContext, due: Due, counts: Counter[str]) -> bool:
 
 def _solve(
     context: JobContext, due: Due, chosen: Sequence[Entry], alignment: TrackAlignment | None, *, checked: bool
-) -> tuple[Solved, tuple[str, ...]]:
-    """Return what some windows make of an alignment, and notes on evidence that could not be used."""
+) -> tuple[Solved, Measured]:
+    """Return what some windows make of an alignment, and what has been measured of their wheelsets."""
     settings = context.settings.alignment
     records, lives = [record for record, _ in chosen], [life for _, life in chosen]
     with context.storage.read() as unit:
@@ -254,7 +286,7 @@ def _solve(
     update = update_alignment(
         due.section, made.found, alignment, settings, survey_checked=checked, measured=known.curves
     )
-    return Solved(records, made, update), known.notes
+    return Solved(records, made, update), known
 
 
 def _cut(context: JobContext, due: Due) -> None:

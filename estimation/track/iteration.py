@@ -118,7 +118,7 @@ class IterationResult:
 
 
 @dataclass(frozen=True, slots=True)
-class _Setting:
+class Setting:
     """What stays the same over the rounds."""
 
     grouped: Grouped
@@ -151,10 +151,10 @@ def iterate(
         When the rounds end.
     """
     anchored = prior is not None and prior.has_alignment
-    setting = _Setting(grouped, prior, anchored, parameters)
+    setting = Setting(grouped, prior, anchored, parameters)
     reference = prior.alignment if prior is not None and anchored else None
     corrections = correlate_positions(grouped, panel.grid, positions, reference)
-    first = _first_rounds(setting, panel, corrections)
+    first = first_rounds(setting, panel, corrections)
     setting = replace(setting, placed_on_survey=first.placed_on_survey)
     if prior is not None and prior.gauge_known and not prior.gauge.any():
         return first
@@ -174,7 +174,7 @@ def iterate(
     return replace(_finished(setting, found), first_noise=first.noise)
 
 
-def _first_rounds(setting: _Setting, panel: Panel, corrections: Mapping[Journey, Correction]) -> IterationResult:
+def first_rounds(setting: Setting, panel: Panel, corrections: Mapping[Journey, Correction]) -> IterationResult:
     """Return where the rounds without a gauge end; on a survey at positions by the regression of R.
 
     That search begins where the panel ends, which is within a metre or two. A gauge that varies is noise in that
@@ -218,7 +218,7 @@ def with_slope(found: IterationResult, prior: PriorAlignment | None, most_weight
 
 
 def _rounds(
-    setting: _Setting, panel: Panel, corrections: Mapping[Journey, Correction], ratios: dict[str, Ratio]
+    setting: Setting, panel: Panel, corrections: Mapping[Journey, Correction], ratios: dict[str, Ratio]
 ) -> IterationResult:
     """Refine positions and stiffness ratios until neither moves."""
     p, noise = setting.parameters, setting.parameters.pass_std
@@ -243,16 +243,16 @@ def _rounds(
         moved = _largest_move(setting.grouped, before, corrections)
 
 
-def _explained(setting: _Setting, state: PanelState, solution: PanelSolution, noise: float) -> float:
+def _explained(setting: Setting, state: PanelState, solution: PanelSolution, noise: float) -> float:
     return slope_correction(_state_with_prior(state, setting, noise), solution).explained
 
 
-def _state_with_prior(state: PanelState, setting: _Setting, noise: float) -> PanelState:
+def _state_with_prior(state: PanelState, setting: Setting, noise: float) -> PanelState:
     return state if setting.prior is None else add_prior(state, setting.prior, noise, setting.parameters.most_weight)
 
 
 def _refined_corrections(
-    setting: _Setting, placed: Placed, ratios: Mapping[str, Ratio], state: PanelState, solution: PanelSolution
+    setting: Setting, placed: Placed, ratios: Mapping[str, Ratio], state: PanelState, solution: PanelSolution
 ) -> dict[Journey, Correction]:
     if setting.placed_on_survey:
         return {journey: one.correction for journey, one in placed.items()}
@@ -267,7 +267,7 @@ def _refined_corrections(
     return {journey: replace(one, offset=one.offset - mean + step) for journey, one in better.items()}
 
 
-def _with_unknown_gauge(setting: _Setting, first: IterationResult, searches: int) -> IterationResult:
+def _with_unknown_gauge(setting: Setting, first: IterationResult, searches: int) -> IterationResult:
     """Return the solution with a gauge deviation of the place, where that is found for certain; else as it was.
 
     Without a gauge, its effect is in the intervals.
@@ -276,7 +276,7 @@ def _with_unknown_gauge(setting: _Setting, first: IterationResult, searches: int
     return found if all(one.converged for one in found.gauge_convergence if one.of is Iterated.GAUGE) else first
 
 
-def _with_searched_gauge(setting: _Setting, first: IterationResult, searches: int) -> IterationResult:
+def _with_searched_gauge(setting: Setting, first: IterationResult, searches: int) -> IterationResult:
     """Return the solution with a gauge deviation of the place, where that explains the residuals; else as it was."""
     p = setting.parameters
     effect = initial_gauge_effect(first.passes, first.solution, first.panel, p.gauge)
@@ -307,7 +307,7 @@ def _with_searched_gauge(setting: _Setting, first: IterationResult, searches: in
     return replace(found, slope=_slope_without_gauge(setting, first, found), first_noise=first.noise)
 
 
-def _slope_without_gauge(setting: _Setting, first: IterationResult, found: IterationResult) -> SlopeCorrection:
+def _slope_without_gauge(setting: Setting, first: IterationResult, found: IterationResult) -> SlopeCorrection:
     """Return the factor with which curves are as steep as without the gauge: a gauge that is searched fits noise."""
     slope = slope_correction(_state_with_prior(first.state, setting, first.noise), first.solution)
     share = common_slope(found.solution, first.solution)
@@ -323,7 +323,7 @@ def _with_wheels(found: IterationResult, *, sized: bool = False) -> Panel:
     return found.panel.with_gauge(factor * found.panel.gauge, remove_common_shift(shifts))
 
 
-def _solved(setting: _Setting, found: IterationResult, panel: Panel, *, std: bool = False) -> IterationResult:
+def _solved(setting: Setting, found: IterationResult, panel: Panel, *, std: bool = False) -> IterationResult:
     """Return ``found`` with curves and alignment for ``panel``."""
     state = update(init(panel), found.passes)
     solution = result(_state_with_prior(state, setting, found.noise), std=std)
@@ -331,7 +331,7 @@ def _solved(setting: _Setting, found: IterationResult, panel: Panel, *, std: boo
     return replace(found, panel=panel, state=state, solution=solution, noise=noise, rounds=found.rounds + 1)
 
 
-def _repositioned(setting: _Setting, found: IterationResult) -> IterationResult:
+def _repositioned(setting: Setting, found: IterationResult) -> IterationResult:
     """Return ``found`` with better positions and stiffness ratios, and the passes moved by them."""
     explained = _explained(setting, found.state, found.solution, found.noise)
     ratios = refine_ratios(found.ratios, found.passes, found.solution, found.panel, explained)
@@ -346,7 +346,7 @@ def _repositioned(setting: _Setting, found: IterationResult) -> IterationResult:
     )
 
 
-def _finished(setting: _Setting, found: IterationResult) -> IterationResult:
+def _finished(setting: Setting, found: IterationResult) -> IterationResult:
     """Return ``found`` with standard deviations."""
     whole = _solved(setting, found, found.panel, std=True)
     explained = _explained(setting, whole.state, whole.solution, whole.noise)
@@ -355,7 +355,7 @@ def _finished(setting: _Setting, found: IterationResult) -> IterationResult:
 
 
 def _register_by_gauge(
-    setting: _Setting, first: IterationResult, gauge: FloatArray, positions: PositionParameters
+    setting: Setting, first: IterationResult, gauge: FloatArray, positions: PositionParameters
 ) -> tuple[dict[Journey, Correction], dict[str, Ratio]]:
     """Return corrections and ratios of the fleet moved to a surveyed gauge, by the gauge that the passes show."""
     trial = _with_searched_gauge(setting, first, 1)

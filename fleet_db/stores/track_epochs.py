@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Select, and_, case, delete, func, insert, or_, select, update
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track_epochs import EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
+from estimation.values.track_epochs import OPEN_NS, EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
 from estimation.values.windows import WindowRecord, WindowState
 from fleet_db.models import (
     TrackEpochRow,
@@ -46,8 +46,9 @@ BY_ALIGNMENT = (
 """Why a window may be refused on one version of an alignment and not on another."""
 
 _LAST = EPOCHS.alias("last_epochs")
+_CLOSED = or_(_LAST.c.horizon_ns < OPEN_NS, _LAST.c.survey_code.is_not(None))
 _NEWEST = (
-    select(_LAST.c.section, func.max(_LAST.c.number).label("number"))
+    select(_LAST.c.section, func.max(case((_CLOSED, _LAST.c.number), else_=0)).label("number"))
     .group_by(_LAST.c.section)
     .subquery("newest_epochs")
 )
@@ -61,7 +62,7 @@ _OF_VEHICLE = (
 _CHAIN = (
     MEMBERS.join(EPOCHS, OF_EPOCH)
     .join(_NEWEST, _NEWEST.c.section == MEMBERS.c.section)
-    .join(_FINAL, and_(_FINAL.c.section == _NEWEST.c.section, _FINAL.c.number == _NEWEST.c.number))
+    .outerjoin(_FINAL, and_(_FINAL.c.section == _NEWEST.c.section, _FINAL.c.number == _NEWEST.c.number))
 )
 
 
@@ -195,7 +196,8 @@ class EpochStore:
         """Return the version of the alignment that a window is estimated on; ``in_force`` where no epoch holds it.
 
         It is that of its epoch, or the oldest from which the last does not differ materially, if that is newer, or the
-        newest that holds what was found of its vehicle alone.
+        newest that holds what was found of its vehicle alone. The last is that of the last epoch that holds all its
+        windows: one that windows still come for is computed again and again. What it finds of a survey counts at once.
         """
         key = (MEMBERS.c.wheelset == wheelset, MEMBERS.c.start_ns == start_ns)
         row = self.connection.execute(select(_WANTED.label("wanted")).select_from(_CHAIN).where(*key)).first()

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass, field
 
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.epoch_inputs import given
-from estimation.jobs.steps.epoch_passes import EpochPasses, WindowKey
 from estimation.jobs.steps.lost_windows import assemble_if_lost
 from estimation.jobs.steps.suspension import store_suspension
 from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.steps.window_positions import Placing, Solved, place_windows
 from estimation.storage import UnitOfWork
 from estimation.track.journeys import Journey
 from estimation.track.partition import Entry
-from estimation.track.screening.screen import PassStatus
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import AlignmentUpdate
 from estimation.track.versions import changed_vehicles, requires_reestimation
@@ -24,7 +21,7 @@ from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.track import Correction, TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.track_epochs import EpochMember, FoldState, FoundOfVehicles, TrackEpoch
-from estimation.values.windows import WindowPosition, WindowRecord, WindowState
+from estimation.values.windows import WindowRecord
 from estimation.vehicle.class_on_file import ClassOnFile
 
 _UNDECIDED = {None, ReasonCode.SURVEY_NOT_ASSESSABLE, ReasonCode.MODEL_CONTRADICTED}  # a survey is judged again
@@ -55,15 +52,6 @@ class Due:
 
 
 @dataclass(frozen=True, slots=True)
-class Solved:
-    """Windows, their passes, and what follows from them."""
-
-    records: Sequence[WindowRecord]
-    passes: EpochPasses
-    update: AlignmentUpdate
-
-
-@dataclass(frozen=True, slots=True)
 class Computed:
     """An epoch with what was found; the first part makes the version, the others are placed on it."""
 
@@ -72,6 +60,9 @@ class Computed:
     parts: Sequence[Solved]
     classes: Mapping[str, ClassOnFile]  # by vehicle; those on file when it was read
     notes: tuple[str, ...]  # on evidence that could not be used
+    alone: Mapping[Journey, Correction] = field(
+        default_factory=dict
+    )  # journeys on the alignment before, each by itself
 
     @property
     def update(self) -> AlignmentUpdate:
@@ -137,7 +128,8 @@ def store(unit: UnitOfWork, computed: Computed, context: JobContext) -> bool:
         for record in part.records:
             if (refusal := part.passes.refused.get((record.wheelset, record.start_ns))) is not None:
                 assemble_if_lost(unit, record, refusal)
-        _place_all(unit, part, after.version, context.settings.alignment, waits=epoch.waits)
+        alone = computed.alone if epoch.estimated_on == due.before.version else {}
+        place_windows(unit, Placing(part, after.version, alone, epoch.waits), context.settings.alignment)
     of_vehicles = _of_vehicles(unit, computed, after, context.settings.alignment)
     unit.epochs.put(epoch, due.own)
     unit.epochs.put_found(section, due.number, of_vehicles)
@@ -179,7 +171,7 @@ def _after(unit: UnitOfWork, computed: Computed, context: JobContext) -> FoldSta
     if not update.outcome.makes_version or update.alignment is None:
         return FoldState(before.version, before.same_since, survey)
     base = None if before.same_since is None else unit.tracks.alignment(section, before.same_since)
-    same = base is not None and not requires_reestimation(base, update.alignment, context.settings.alignment)
+    same = is_hardly_another(base, update, context.settings.alignment)
     since = before.same_since if same else None
     old = due.old.after.version if due.old is not None else None
     if old is not None and old > (before.version or 0):
@@ -189,6 +181,25 @@ def _after(unit: UnitOfWork, computed: Computed, context: JobContext) -> FoldSta
     _supersede(unit, due, before, context, kept=0)
     version = unit.tracks.add_alignment(update.alignment, same_since=since, recorded_ns=context.clock.now_ns())
     return FoldState(version, version if since is None else since, survey)
+
+
+def is_hardly_another(base: TrackAlignment | None, update: AlignmentUpdate, settings: AlignmentSettings) -> bool:
+    """Return whether what an epoch makes of the alignment is, for its windows, the one that was in force before.
+
+    Parameters
+    ----------
+    base
+        The oldest version from which the one in force does not differ materially; None where there is none.
+    update
+        What the epoch makes of it.
+    settings
+        Differences that matter.
+    """
+    if base is None:
+        return False
+    if not update.outcome.makes_version or update.alignment is None:
+        return True
+    return not requires_reestimation(base, update.alignment, settings)
 
 
 def _estimated_on(computed: Computed, after: FoldState) -> int | None:
@@ -281,98 +292,3 @@ def _provenance(classes: Mapping[str, ClassOnFile]) -> JsonValue:
 def _counted(reasons: Sequence[str]) -> JsonValue:
     """Return how often each reason occurs."""
     return {reason: reasons.count(reason) for reason in sorted(set(reasons))}
-
-
-def _place_all(
-    unit: UnitOfWork, part: Solved, version: int | None, settings: AlignmentSettings, *, waits: bool
-) -> None:
-    """Store where windows were; what was known of the others is forgotten."""
-    found = _positions(part, version, settings, waits=waits)
-    for position in found:
-        _place(unit, position)
-    placed = {(position.wheelset, position.start_ns) for position in found}
-    for record in part.records:
-        if (record.wheelset, record.start_ns) not in placed:
-            unit.tracks.forget_position(record.wheelset, record.start_ns)
-
-
-def _positions(
-    part: Solved, version: int | None, settings: AlignmentSettings, *, waits: bool
-) -> Sequence[WindowPosition]:
-    """Return where the windows were, as far as it has been found."""
-    epoch, update = part, part.update
-    journey_of = _journeys_of_windows(part)
-    unused = {
-        key: outcome
-        for item, outcome in zip(epoch.passes.found, update.pass_outcomes, strict=True)
-        for key in epoch.passes.windows(item)
-        if outcome.reason and key not in journey_of
-    }
-    contradicted = {key for key, outcome in unused.items() if outcome.status is PassStatus.REFUSED}
-    refusals = {**epoch.passes.refused, **{key: outcome.reason for key, outcome in unused.items() if outcome.reason}}
-    outliers = {(one.vehicle, one.from_ns): one.reason for one in update.estimate.report.journeys if not one.used}
-    found = []
-    for record in epoch.records:
-        key = (record.wheelset, record.start_ns)
-        uncorrected = WindowPosition(record.wheelset, record.start_ns, record.content_digest, version)
-        if key in refusals and (key in epoch.passes.refused or not waits):
-            # on a survey a window needs no pass, unless its pass contradicts the survey
-            accepted = update.outcome.positions_valid and key not in contradicted
-            found.append(uncorrected if accepted else replace(uncorrected, reason=refusals[key]))
-        elif not waits and key in journey_of:
-            found.append(_corrected(uncorrected, journey_of[key], update, outliers, settings))
-    return found
-
-
-def _journeys_of_windows(part: Solved) -> dict[WindowKey, Journey]:
-    """Return the journey of every window whose pass was used."""
-    return {
-        key: journey
-        for journey, members in part.update.estimate.grouped.items()
-        for item in members
-        for key in part.passes.windows(item)
-    }
-
-
-def _corrected(
-    uncorrected: WindowPosition,
-    journey: Journey,
-    update: AlignmentUpdate,
-    outliers: Mapping[Journey, Reason | None],
-    settings: AlignmentSettings,
-) -> WindowPosition:
-    correction = update.estimate.corrections.get(journey)
-    if update.outcome.positions_valid:
-        far = correction is not None and _largest(correction) > settings.trusted_offset
-        return uncorrected if correction is None or not far else _moved(uncorrected, correction)
-    if journey in outliers:
-        return replace(uncorrected, reason=_uncertain(f": {outliers[journey]}"))
-    if correction is None:
-        return replace(uncorrected, reason=_uncertain())
-    return _moved(uncorrected, correction)
-
-
-def _uncertain(why: str = "") -> Reason:
-    return Reason(ReasonCode.POSITION_UNCERTAIN, f"its position along the section is not certain{why}")
-
-
-def _moved(uncorrected: WindowPosition, correction: Correction) -> WindowPosition:
-    return replace(uncorrected, offset_m=correction.offset, scale=correction.scale, middle_m=correction.middle)
-
-
-def _largest(correction: Correction) -> float:
-    """Return the largest shift between the begin and twice the middle of the section, m."""
-    ends = np.array([0.0, 2.0 * correction.middle])
-    return float(np.abs(correction.at(ends) - ends).max())
-
-
-def _place(unit: UnitOfWork, position: WindowPosition) -> None:
-    """Store where a window was; one that had been estimated elsewhere waits again."""
-    before = unit.tracks.position(position.wheelset, position.start_ns)
-    if not unit.tracks.put_position(position):
-        return
-    now = (position.offset_m, position.scale, position.reason)
-    was = (before.offset_m, before.scale, before.reason) if before is not None else (0.0, 0.0, None)
-    window = unit.windows.get(position.wheelset, position.start_ns)
-    if now != was and window is not None and window.state is not WindowState.PENDING:
-        unit.windows.mark(position.wheelset, position.start_ns, WindowState.PENDING)

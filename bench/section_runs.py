@@ -1,0 +1,160 @@
+"""The command ``python -m bench section_runs``: a section that vehicles keep coming back to, run by run.
+
+Nobody has surveyed the section. After each journey all jobs run, as on the schedule of a deployment whose vehicles
+come one after the other, and once more when none comes any more. Counted are the estimations of each window over its
+life, and the processor time of a window from the first runs to the last; the exponent is the slope of the logarithm of
+that time against the logarithm of the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from api.comparison.trial import Recorded, deploy, opened, receive, record
+from api.factory import open_store
+from api.settings import Settings
+from bench.report import BenchRow
+from bench.results_page import markdown_table, write_page
+from bench.worker_load import fleet
+from estimation.errors import TreadwatchError
+from estimation.jobs.catalogue import ALL_JOBS
+from estimation.jobs.job import run_job
+from estimation.values.runs import JobTrigger
+from ingest.simulator.scenario_file import read_scenario
+
+COLUMNS = ("what", "measured", "reach", "met")
+TITLE = "A section over many runs"
+REACH_ESTIMATIONS, REACH_EXPONENT = 1.3, 1.05
+SETTLE_S = 600.0  # interval of the job of the alignment
+FIRST_RUNS = 5  # left out of the exponent: they compile, and there is no alignment yet
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One journey: its windows, what was estimated, and processor time by job, s."""
+
+    windows: int
+    estimated: int
+    cpu_s: dict[str, float]
+
+
+def runs(folder: Path, vehicles: int, campaigns: int, minutes: float) -> Iterator[Run]:
+    """Yield what each journey costs when all jobs follow it.
+
+    Parameters
+    ----------
+    folder
+        Empty.
+    vehicles, campaigns, minutes
+        Vehicles of four wheelsets, journeys of each, and how long one takes.
+    """
+    file = folder / "scenario.toml"
+    file.write_text(fleet(vehicles, minutes, campaigns=campaigns, surveyed=False), encoding="utf-8")
+    scenario = read_scenario(file)
+    recorded = record(scenario, folder / "recordings", workers=2)
+    settings = deploy(scenario, folder / "deployed")
+    known = 0
+    for recording in recorded.recordings:
+        cpu_s: dict[str, float] = {}
+        begin_s = time.process_time()
+        receive(Recorded((recording,), recorded.truth), settings)
+        cpu_s["ingest"] = time.process_time() - begin_s
+        last = recording is recorded.recordings[-1]
+        estimated = sum(_run_jobs(settings, cpu_s, settle_s) for settle_s in ((SETTLE_S, 0.0) if last else (SETTLE_S,)))
+        with closing(open_store(settings)) as storage, storage.read() as unit:
+            total = sum(unit.windows.counts().values())
+        yield Run(total - known, estimated, cpu_s)
+        known = total
+
+
+def _run_jobs(settings: Settings, cpu_s: dict[str, float], settle_s: float) -> int:
+    """Run all jobs once, add what they took, and return how many windows were estimated."""
+    estimated = 0
+    with opened(settings) as (_, plain):
+        context = replace(plain, settle_s=settle_s)
+        for job in ALL_JOBS:
+            begin_s = time.process_time()
+            found = run_job(job, context, JobTrigger.CLI)
+            if found.error is not None:
+                raise TreadwatchError(f"{found.job}: {found.error}")
+            cpu_s[job.name] = cpu_s.get(job.name, 0.0) + time.process_time() - begin_s
+            estimated += found.counts.get("estimated", 0)
+    return estimated
+
+
+def rows(folder: Path, vehicles: int, campaigns: int, minutes: float) -> Iterator[BenchRow]:
+    """Yield estimations per window, and how the cost of a window grows with the runs.
+
+    Parameters
+    ----------
+    folder
+        Empty.
+    vehicles, campaigns, minutes
+        As in :func:`runs`.
+    """
+    found = []
+    console = Console(stderr=True)
+    for one in runs(folder, vehicles, campaigns, minutes):
+        found.append(one)
+        spent = sum(one.cpu_s.values())
+        console.print(f"run {len(found)}: {one.windows} windows, {one.estimated} estimated, {spent:.1f} CPU s")
+    windows = sum(one.windows for one in found)
+    each = sum(one.estimated for one in found) / windows
+    what = f"{vehicles * 4} wheelsets, {len(found)} runs, {windows} windows"
+    reach = f"<= {REACH_ESTIMATIONS}"
+    yield BenchRow(f"{what}: estimations a window", f"{each:.2f}", reach, each <= REACH_ESTIMATIONS)
+    for name in [*found[0].cpu_s, "all of it"]:
+        yield _growth(what, name, [_per_window(one, name) for one in found])
+
+
+def _per_window(run: Run, name: str) -> float:
+    spent = sum(run.cpu_s.values()) if name == "all of it" else run.cpu_s[name]
+    return 1e3 * spent / max(run.windows, 1)
+
+
+def _growth(what: str, name: str, per_window: Sequence[float]) -> BenchRow:
+    """Return the cost of a window, ms, in the first and last tenth of the runs, and its growth."""
+    kept = np.array(per_window[FIRST_RUNS:])
+    number = np.arange(FIRST_RUNS, len(per_window)) + 1.0
+    slope = float(np.polyfit(np.log(number), np.log(np.maximum(kept, 1e-3)), 1)[0])
+    tenth = max(len(kept) // 10, 1)
+    first, last = float(np.median(kept[:tenth])), float(np.median(kept[-tenth:]))
+    shown = f"{first:.1f} ms a window in the first tenth, {last:.1f} in the last, exponent {1.0 + slope:.2f}"
+    whole = name == "all of it"
+    reach = f"exponent <= {REACH_EXPONENT}" if whole else ""
+    return BenchRow(f"{what}: {name}", shown, reach, met=not whole or 1.0 + slope <= REACH_EXPONENT)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure and print; return 1 where a row falls short.
+
+    Parameters
+    ----------
+    arguments
+        Of the command line.
+    """
+    parser = argparse.ArgumentParser(prog="python -m bench section_runs", description=TITLE)
+    parser.add_argument("--vehicles", type=int, default=10, help="of four wheelsets (10)")
+    parser.add_argument("--campaigns", type=int, default=5, help="journeys of each vehicle (5)")
+    parser.add_argument("--minutes", type=float, default=5.0, help="of a journey (5)")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/results/section_runs.md")
+    options = parser.parse_args(arguments)
+    console, table = Console(), []
+    with tempfile.TemporaryDirectory(prefix="treadwatch-section-runs-") as folder:
+        for row in rows(Path(folder), options.vehicles, options.campaigns, options.minutes):
+            cells = (row.what, row.measured, row.reach, "yes" if row.met else "NO")
+            console.print("  ".join(cells), highlight=False, soft_wrap=True)
+            table.append(cells)
+    if options.write_docs:
+        command = " ".join(["python -m bench section_runs", *arguments])
+        write_page("section_runs", TITLE, command, [markdown_table(COLUMNS, table)])
+    return 1 if any(cells[-1] == "NO" for cells in table) else 0

@@ -1,0 +1,137 @@
+"""Where the windows of an epoch were along their section, into the store."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.jobs.steps.epoch_passes import EpochPasses, WindowKey
+from estimation.storage import UnitOfWork
+from estimation.track.journeys import Journey
+from estimation.track.screening.screen import PassStatus
+from estimation.track.settings import AlignmentSettings
+from estimation.track.update import AlignmentUpdate
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.track import Correction
+from estimation.values.windows import WindowPosition, WindowRecord, WindowState
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """Windows, their passes, and what follows from them."""
+
+    records: Sequence[WindowRecord]
+    passes: EpochPasses
+    update: AlignmentUpdate
+
+
+@dataclass(frozen=True, slots=True)
+class Placing:
+    """Windows that are placed on a version; journeys ``alone`` on the one before it."""
+
+    part: Solved
+    version: int | None
+    alone: Mapping[Journey, Correction]
+    waits: bool
+
+
+def place_windows(unit: UnitOfWork, placing: Placing, settings: AlignmentSettings) -> None:
+    """Store where windows were; what was known of the others is forgotten.
+
+    Parameters
+    ----------
+    unit
+        A transaction to write in.
+    placing
+        The windows, and what was found of them.
+    settings
+        From which error on a position on a survey is corrected.
+    """
+    found = _positions(placing, settings)
+    for position in found:
+        _place(unit, position)
+    placed = {(position.wheelset, position.start_ns) for position in found}
+    for record in placing.part.records:
+        if (record.wheelset, record.start_ns) not in placed:
+            unit.tracks.forget_position(record.wheelset, record.start_ns)
+
+
+def _positions(placing: Placing, settings: AlignmentSettings) -> Sequence[WindowPosition]:
+    """Return where the windows were, as far as it has been found."""
+    epoch, update, waits = placing.part, placing.part.update, placing.waits
+    journey_of = _journeys_of_windows(epoch)
+    unused = {
+        key: outcome
+        for item, outcome in zip(epoch.passes.found, update.pass_outcomes, strict=True)
+        for key in epoch.passes.windows(item)
+        if outcome.reason and key not in journey_of
+    }
+    contradicted = {key for key, outcome in unused.items() if outcome.status is PassStatus.REFUSED}
+    refusals = {**epoch.passes.refused, **{key: outcome.reason for key, outcome in unused.items() if outcome.reason}}
+    outliers = {(one.vehicle, one.from_ns): one.reason for one in update.estimate.report.journeys if not one.used}
+    corrections = {**update.estimate.corrections, **placing.alone}
+    found = []
+    for record in epoch.records:
+        key = (record.wheelset, record.start_ns)
+        uncorrected = WindowPosition(record.wheelset, record.start_ns, record.content_digest, placing.version)
+        if key in refusals and (key in epoch.passes.refused or not waits):
+            # on a survey a window needs no pass, unless its pass contradicts the survey
+            accepted = update.outcome.positions_valid and key not in contradicted
+            found.append(uncorrected if accepted else replace(uncorrected, reason=refusals[key]))
+        elif not waits and key in journey_of:
+            journey = journey_of[key]
+            if journey in outliers and not update.outcome.positions_valid:
+                found.append(replace(uncorrected, reason=_uncertain(f": {outliers[journey]}")))
+            else:
+                found.append(_corrected(uncorrected, corrections.get(journey), update, settings))
+    return found
+
+
+def _journeys_of_windows(part: Solved) -> dict[WindowKey, Journey]:
+    """Return the journey of every window whose pass was used."""
+    return {
+        key: journey
+        for journey, members in part.update.estimate.grouped.items()
+        for item in members
+        for key in part.passes.windows(item)
+    }
+
+
+def _corrected(
+    uncorrected: WindowPosition,
+    correction: Correction | None,
+    update: AlignmentUpdate,
+    settings: AlignmentSettings,
+) -> WindowPosition:
+    if update.outcome.positions_valid:
+        far = correction is not None and _largest(correction) > settings.trusted_offset
+        return uncorrected if correction is None or not far else _moved(uncorrected, correction)
+    return replace(uncorrected, reason=_uncertain()) if correction is None else _moved(uncorrected, correction)
+
+
+def _uncertain(why: str = "") -> Reason:
+    return Reason(ReasonCode.POSITION_UNCERTAIN, f"its position along the section is not certain{why}")
+
+
+def _moved(uncorrected: WindowPosition, correction: Correction) -> WindowPosition:
+    return replace(uncorrected, offset_m=correction.offset, scale=correction.scale, middle_m=correction.middle)
+
+
+def _largest(correction: Correction) -> float:
+    """Return the largest shift between the begin and twice the middle of the section, m."""
+    ends = np.array([0.0, 2.0 * correction.middle])
+    return float(np.abs(correction.at(ends) - ends).max())
+
+
+def _place(unit: UnitOfWork, position: WindowPosition) -> None:
+    """Store where a window was; one that had been estimated elsewhere waits again."""
+    before = unit.tracks.position(position.wheelset, position.start_ns)
+    if not unit.tracks.put_position(position):
+        return
+    now = (position.offset_m, position.scale, position.reason)
+    was = (before.offset_m, before.scale, before.reason) if before is not None else (0.0, 0.0, None)
+    window = unit.windows.get(position.wheelset, position.start_ns)
+    if now != was and window is not None and window.state is not WindowState.PENDING:
+        unit.windows.mark(position.wheelset, position.start_ns, WindowState.PENDING)
