@@ -24,7 +24,7 @@ class AlignmentSettings:
     same_share: float = 1.0  # of its std by which an alignment may differ and still be the same
     same_least: float = 0.05e-3  # m, of a difference or a std that matters: the geometry does not change
     same_stretch: float = 0.005  # by which an alignment may be a stretched one: that does not average out
-    same_std: float = 0.7  # times the std before: more certain than that is another alignment
+    same_std: float = 0.5  # times the std before: more certain than that is another alignment
     same_scale: float = 0.01  # of a scale that is left open and that matters
     same_coverage: float = 0.02  # of the section that is known now and was not
     same_ratio: float = 0.02  # of a vehicle's stiffness ratio, or twice its std where that is more

@@ -44,7 +44,7 @@ def test_only_what_matters_is_another_alignment() -> None:
     assert requires_reestimation(old, replace(old, alignment=d + 0.12e-3), settings)
     assert not requires_reestimation(old, replace(old, alignment=1.004 * d), settings)
     assert requires_reestimation(old, replace(old, alignment=1.006 * d), settings)  # does not average out
-    assert requires_reestimation(old, replace(old, alignment_std=0.6 * std), settings)
+    assert requires_reestimation(old, replace(old, alignment_std=0.4 * std), settings)
     assert requires_reestimation(replace(old, alignment=hole), old, settings)
     assert requires_reestimation(old, replace(old, cutoff_wavelength=np.inf), settings)
     assert requires_reestimation(replace(old, scale_std=0.03), replace(old, scale_std=0.01), settings)
