@@ -13,6 +13,7 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
 
+from api.raw_stores import open_raw_store
 from api.retention_file import load_retention
 from api.rules_file import load_rules
 from api.settings import PREFIX, Settings
@@ -116,8 +117,16 @@ def open_store(settings: Settings) -> SqlStorage:
 
 
 def raw_store(settings: Settings) -> RawStore:
-    """Return where raw recordings are kept."""
-    return RawStore(settings.raw_dir)
+    """Return where raw recordings are kept.
+
+    Raises
+    ------
+    ParameterError
+        Settings contradict each other, or credentials are missing; names the variable.
+    PassingFaultError
+        What buckets need is not installed.
+    """
+    return open_raw_store(settings)
 
 
 def job_context(
@@ -193,7 +202,7 @@ def upkeep_jobs(settings: Settings) -> tuple[Job, ...]:
     InputError
         The retention file is wrong; names the file and the field.
     """
-    return (traced(purge_job(retention_of(settings), _sql_storage)),)
+    return (traced(purge_job(retention_of(settings), raw_store(settings), _sql_storage)),)
 
 
 def receiver(
@@ -276,10 +285,10 @@ def open_services(settings: Settings) -> Services:
     )
 
 
-def backlog_watch(settings: Settings, storage: SqlStorage) -> BacklogWatch:
-    """Return what says whether more chunks may come."""
+def backlog_watch(settings: Settings, storage: SqlStorage, raw: RawStore) -> BacklogWatch:
+    """Return what says whether more chunks may come, which are received where ``raw`` wants them."""
     limits = BacklogLimits(settings.backlog_chunks, settings.backlog_mb * MEGABYTE, settings.free_disk_mb * MEGABYTE)
-    return BacklogWatch(storage, settings.raw_dir, limits)
+    return BacklogWatch(storage, raw.receiving, limits)
 
 
 def _uploads(settings: Settings, storage: SqlStorage, clock: Clock) -> Uploads:
@@ -290,7 +299,7 @@ def _uploads(settings: Settings, storage: SqlStorage, clock: Clock) -> Uploads:
         settings.max_chunk_mb * MEGABYTE, settings.max_uploads, settings.upload_timeout_s, settings.body_timeout_s
     )
     raw = raw_store(settings)
-    return Uploads(raw, ChunkStorage(patient, raw, clock), backlog_watch(settings, storage), limits)
+    return Uploads(raw, ChunkStorage(patient, raw, clock), backlog_watch(settings, storage, raw), limits)
 
 
 def create_app(settings: Settings) -> FastAPI:

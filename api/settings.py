@@ -25,6 +25,15 @@ class Settings(BaseSettings):
     data_dir
         Directory of everything that is kept beside the database: raw recordings, samples of windows. The embedded
         database is here too.
+    raw_store
+        Where raw recordings are kept: ``file:///absolute/path`` or ``s3://bucket/prefix``; left out, ``raw`` in
+        ``data_dir``.
+    s3_endpoint, s3_region
+        Of the S3-compatible store; left out, those of AWS.
+    s3_allow_http
+        Whether an endpoint beyond this machine may be ``http://``.
+    s3_timeout_s
+        How long one request to the store may take, in seconds.
     database_url
         ``sqlite:///...`` or ``postgresql://...``; left out, the server at ``database_host``, or without one a SQLite
         file in ``data_dir``.
@@ -111,6 +120,11 @@ class Settings(BaseSettings):
     )
 
     data_dir: Path = Path("treadwatch-data")
+    raw_store: str | None = None
+    s3_endpoint: str | None = None
+    s3_region: str | None = None
+    s3_allow_http: bool = False
+    s3_timeout_s: float = Field(default=30.0, ge=0.1, le=600.0)
     database_url: str | None = Field(default=None, repr=False)  # it may carry a password
     database_host: str | None = None
     database_port: int = Field(default=5432, ge=1, le=65535)
@@ -186,6 +200,28 @@ class Settings(BaseSettings):
             raise ValueError(msg)
         return value
 
+    @field_validator("raw_store")
+    @classmethod
+    def _known_store(cls, value: str | None) -> str | None:
+        if value is None:
+            return None
+        parts = urlsplit(value)
+        more = parts.query or parts.fragment or "@" in parts.netloc
+        of_files = parts.scheme == "file" and not parts.netloc and len(parts.path) > 1
+        if more or not (of_files or (parts.scheme == "s3" and parts.netloc)):
+            raise ValueError("must be file:///absolute/path or s3://bucket/prefix")
+        return value
+
+    @field_validator("s3_endpoint")
+    @classmethod
+    def _address_of_store(cls, value: str | None) -> str | None:
+        if value is None:
+            return None
+        parts = urlsplit(value)
+        if parts.scheme not in {"http", "https"} or not parts.hostname or "@" in parts.netloc or parts.path.strip("/"):
+            raise ValueError("must be https://host or https://host:port")
+        return value
+
     @field_validator("workers")
     @classmethod
     def _some_workers(cls, value: int | str) -> int | str:
@@ -239,9 +275,9 @@ class Settings(BaseSettings):
         return tuple(Path(name) for name in (self.catalogues or "").split(os.pathsep) if name)
 
     @property
-    def raw_dir(self) -> Path:
-        """Where raw recordings are kept under their digests."""
-        return self.data_dir / "raw"
+    def receiving_dir(self) -> Path:
+        """Where recordings are while they are sent to a bucket, and copies of it while they are read."""
+        return self.data_dir / "receiving"
 
     @property
     def spool_dir(self) -> Path:

@@ -69,7 +69,7 @@ def _waiting(services: Services) -> list[Metric]:
         "treadwatch_chunks_waiting_bytes": ("Their size.", found.size_bytes),
         "treadwatch_chunks_waiting_limit": ("How many may.", watch.limits.chunks),
         "treadwatch_chunks_waiting_limit_bytes": ("How large they may be.", watch.limits.size_bytes),
-        "treadwatch_raw_free_bytes": ("Room on the disk of the raw recordings.", free_bytes(watch.folder)),
+        "treadwatch_raw_free_bytes": ("Room on the disk on which chunks are received.", free_bytes(watch.folder)),
         "treadwatch_raw_free_limit_bytes": ("How much of it stays free.", watch.limits.free_bytes),
     }
     return [GaugeMetricFamily(name, text, value=value) for name, (text, value) in values.items()]

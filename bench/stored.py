@@ -25,6 +25,7 @@ from fleet_db.keeping.retention import Retention
 from fleet_db.keeping.table_sizes import database_size
 from fleet_db.migrate import upgrade
 from fleet_db.packed_values import pack_geometry
+from fleet_db.raw_files import FileRawStore
 from fleet_db.storage import SqlStorage
 
 DAYS, ALL_A_DAY = 365, 960
@@ -66,7 +67,7 @@ def _purge(storage: SqlStorage, now_ns: int) -> float:
     for path in storage.data_dir.rglob("*.window"):
         os.utime(path, (1e9, 1e9))
     clock = time.process_time()
-    purge(storage, Retention(), now_ns, lambda: None)
+    purge(storage, FileRawStore(storage.data_dir / "raw"), Retention(), now_ns, lambda: None)
     return time.process_time() - clock
 
 

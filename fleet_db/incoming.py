@@ -24,11 +24,17 @@ class IncomingFile:
     Parameters
     ----------
     directory
-        Of the raw store; made if it is missing.
+        In which it is made; made itself if it is missing.
+    suffix
+        Of its format; its name ends so.
+    durable
+        Whether it is on the disk once it is finished; not where it only waits to be sent elsewhere.
     """
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, suffix: str, *, durable: bool = True) -> None:
         self._directory = directory
+        self._durable = durable
+        self.suffix = suffix
         self._hash = hashlib.sha256()
         self._file: io.FileIO | None = None
         self.path = directory
@@ -57,7 +63,7 @@ class IncomingFile:
         self.size_bytes += len(piece)
 
     def finish(self) -> None:
-        """Put what was written on the disk, and close the file.
+        """Put what was written on the disk, where it is to be durable, and close the file.
 
         Raises
         ------
@@ -66,7 +72,8 @@ class IncomingFile:
         """
         with passing_faults(self._directory):
             file = self._file or self._made()  # of no bytes
-            os.fsync(file.fileno())
+            if self._durable:
+                os.fsync(file.fileno())
             file.close()
         self.finished = True
 
@@ -78,7 +85,7 @@ class IncomingFile:
 
     def _made(self) -> io.FileIO:
         self._directory.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=PREFIX, dir=self._directory)
+        handle, name = tempfile.mkstemp(prefix=PREFIX, suffix=self.suffix, dir=self._directory)
         self.path, self._file = Path(name), io.FileIO(handle, "wb")
         return self._file
 

@@ -1,169 +1,284 @@
-"""Raw recordings, addressed by their content: on the disk before they are reported as stored."""
+"""Raw recordings, addressed by their content: what every store of them promises, wherever the bytes are."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from estimation.errors import InputError, ParameterError, PassingFaultError
-from fleet_db.atomic_files import sync_directory, write_atomically
 from fleet_db.incoming import IncomingFile
-from fleet_db.passing import passing_faults
 
 PIECE_BYTES = 1 << 20
+MARK_NAME = "treadwatch-raw-store"
+"""What a store holds beside recordings: the mark by which a database knows it."""
+
+
+class LostRecordingError(PassingFaultError):
+    """A recording is missing or damaged: a copy of it can be put there, or it can be received again."""
 
 
 @dataclass(frozen=True, slots=True)
-class RawStore:
-    """Recordings under one directory."""
+class RawItem:
+    """What a store lists: a recording, or what a killed process left.
 
-    directory: Path
+    Attributes
+    ----------
+    place
+        Path or URL.
+    digest
+        That its name says; empty for what a killed process left.
+    size_bytes
+        Of it.
+    changed_s
+        When it was written last, s since the Unix epoch by the clock of the store.
+    """
 
-    def path(self, digest: str, suffix: str) -> Path:
-        """Return where the recording of this digest is.
+    place: str
+    digest: str
+    size_bytes: int
+    changed_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class RawTotal:
+    """How many recordings a store holds, and their bytes; estimated where not all were looked at."""
+
+    items: int
+    size_bytes: int
+    estimated: bool
+
+
+class RawStore(ABC):
+    """Where raw recordings are.
+
+    What was put is durable, whole and readable when :meth:`put` returns. Nobody ever sees a part of a recording. The
+    same bytes again change nothing, but replace a damaged recording.
+
+    Parameters
+    ----------
+    receiving
+        Folder of this machine in which recordings are received before they are put.
+    """
+
+    def __init__(self, receiving: Path) -> None:
+        self.receiving = receiving
+
+    @property
+    @abstractmethod
+    def url(self) -> str:
+        """Where it is, without any secret."""
+
+    @property
+    @abstractmethod
+    def saved_by_backup(self) -> bool:
+        """Whether a backup copies the recordings, because nothing else does."""
+
+    @abstractmethod
+    def place(self, digest: str, suffix: str) -> str:
+        """Return the path or URL of a recording, for messages.
 
         Raises
         ------
         ParameterError
             ``digest`` is no sha256 in hexadecimal, or ``suffix`` no plain ending.
         """
-        if len(digest) != hashlib.sha256().digest_size * 2 or set(digest) - set("0123456789abcdef"):
-            raise ParameterError(f"{digest!r} is no sha256", field="digest")
-        if not (suffix.startswith(".") and suffix[1:].isalnum()):
-            raise ParameterError(f"{suffix!r} is no plain file ending", field="suffix")
-        return self.directory / digest[:2] / f"{digest}{suffix}"
 
+    @abstractmethod
+    def incoming(self, suffix: str) -> IncomingFile:
+        """Return a file to receive a recording of this format in; nothing of it is on the disk yet."""
+
+    @abstractmethod
+    def put(self, files: Sequence[IncomingFile]) -> None:
+        """Put finished files under their digests.
+
+        Parameters
+        ----------
+        files
+            They may be moved.
+
+        Raises
+        ------
+        PassingFaultError
+            They cannot be put now; some of them may be there all the same.
+        """
+
+    @abstractmethod
+    def file_of(self, placed: IncomingFile) -> Path:
+        """Return the file of this machine with the bytes of what was just put, as long as ``placed`` is open."""
+
+    @abstractmethod
+    def holds(self, digest: str, suffix: str) -> bool:
+        """Whether something is under the name of a recording; raises PassingFaultError where that cannot be said."""
+
+    @abstractmethod
     def size(self, digest: str, suffix: str) -> int:
-        """Return the size of a recording, bytes.
+        """Return the size of a recording, bytes; raises PassingFaultError where it is not there, or cannot be asked."""
+
+    @abstractmethod
+    def check(self, digest: str, suffix: str, size_bytes: int | None = None) -> None:
+        """Read a recording and compare it with its digest, and with its size where that is known.
+
+        Raises
+        ------
+        LostRecordingError
+            It is missing, or holds something else.
+        PassingFaultError
+            The store cannot be read now: nothing is known of the recording.
+        """
+
+    @abstractmethod
+    def whole(self, digest: str, suffix: str, size_bytes: int) -> AbstractContextManager[Path]:
+        """Open a block with a file of this machine that holds a recording, compared with its digest.
+
+        Raises
+        ------
+        LostRecordingError, PassingFaultError
+            As :meth:`check`.
+        """
+
+    @abstractmethod
+    def remove(self, digest: str, suffix: str) -> None:
+        """Remove a recording; one that is not there is removed already. Raises PassingFaultError."""
+
+    @abstractmethod
+    def listed(self) -> Iterator[RawItem]:
+        """Yield every recording, and what killed processes left; not the mark. Raises PassingFaultError."""
+
+    @abstractmethod
+    def remove_old(self, item: RawItem, least_age_s: float) -> int | None:
+        """Remove something that was listed unless it has been written again since.
+
+        Parameters
+        ----------
+        item
+            What.
+        least_age_s
+            Age that it must have now, s.
+
+        Returns
+        -------
+        int | None
+            Its size; None if it stays, or is gone.
 
         Raises
         ------
         PassingFaultError
-            Its file cannot be reached.
+            It cannot be removed now.
         """
-        path = self.path(digest, suffix)
-        with passing_faults(path):
-            return path.stat().st_size
 
-    def check(self, digest: str, suffix: str) -> None:
-        """Read a recording and compare it with its digest.
+    @abstractmethod
+    def total(self, enough: int) -> RawTotal:
+        """Return what is there; where there are more than ``enough``, by a part of them. Raises PassingFaultError."""
 
-        Raises
-        ------
-        PassingFaultError
-            Its file cannot be reached, or holds something else: a copy of it can be put there, or received again.
-        """
-        path = self.path(digest, suffix)
-        with passing_faults(path):
-            whole = _digest_of(path) == digest
-        if not whole:
-            raise PassingFaultError("is damaged: its content has another digest", file=path)
+    @abstractmethod
+    def read_mark(self) -> str | None:
+        """Return the mark; None where there is none. Raises PassingFaultError."""
 
-    def fault(self, digest: str, suffix: str) -> PassingFaultError | None:
-        """Return what is wrong with the file of a recording; None where it is whole."""
+    @abstractmethod
+    def write_mark(self, mark: str) -> None:
+        """Write the mark, durably. Raises PassingFaultError."""
+
+    def fault(self, digest: str, suffix: str, size_bytes: int | None = None) -> LostRecordingError | None:
+        """Return what is wrong with a recording, None where it is whole; raises PassingFaultError as :meth:`check`."""
         try:
-            self.check(digest, suffix)
-        except PassingFaultError as fault:
+            self.check(digest, suffix, size_bytes)
+        except LostRecordingError as fault:
             return fault
         return None
 
+    def lost(self, digest: str, suffix: str) -> bool:
+        """Whether a recording is missing or damaged; not where the store cannot be read now."""
+        try:
+            return self.fault(digest, suffix) is not None
+        except PassingFaultError:
+            return False
+
     def put_bytes(self, data: bytes, suffix: str) -> str:
-        """Store ``data`` durably; return its digest. The same bytes again change nothing, but heal a damaged file.
-
-        Raises
-        ------
-        PassingFaultError
-            They cannot be stored now: no space, no permission.
-        """
-        digest = hashlib.sha256(data).hexdigest()
-        path = self.path(digest, suffix)
-        with passing_faults(path):
-            if not _whole(path, digest):
-                write_atomically(path, data, durable=True)
-        return digest
-
-    def remove(self, digest: str, suffix: str) -> None:
-        """Remove a recording; one that is not there is removed already.
-
-        Raises
-        ------
-        PassingFaultError
-            Its file cannot be removed now.
-        """
-        path = self.path(digest, suffix)
-        with passing_faults(path):
-            path.unlink(missing_ok=True)
+        """Put ``data``; return its digest. Raises PassingFaultError where that cannot be done now."""
+        with self.incoming(suffix) as incoming:
+            incoming.write(data)
+            incoming.finish()
+            self.put([incoming])
+            return incoming.digest
 
     def put_file(self, source: Path, admit: Callable[[str], None] = lambda _digest: None) -> str:
-        """Store the file ``source`` durably without holding it in memory; return its digest.
+        """Put the file ``source``; return its digest. Raises as :meth:`taken_in`."""
+        with self.taken_in(source, admit) as (digest, _):
+            return digest
+
+    @contextmanager
+    def taken_in(self, source: Path, admit: Callable[[str], None] = lambda _digest: None) -> Iterator[tuple[str, Path]]:
+        """Put the file ``source``; open a block with its digest and a file of this machine with these bytes.
 
         Parameters
         ----------
         source
-            The file.
+            The file of somebody else, who may change it.
         admit
-            Called with the digest before the recording is stored; what it raises leaves nothing behind.
+            Called with the digest before the recording is put; what it raises leaves nothing behind.
 
         Raises
         ------
         InputError
             The file cannot be read; names it.
         PassingFaultError
-            It cannot be stored now: no space, no permission.
+            It cannot be put now: no space, no permission, no connection.
         """
-        with IncomingFile(self.directory) as incoming:
+        with self.incoming(source.suffix.lower()) as incoming:
             for piece in pieces_of(source):
                 incoming.write(piece)
             incoming.finish()
             admit(incoming.digest)
-            self.synchronise(self.place(incoming, source.suffix.lower()))
-            return incoming.digest
+            self.put([incoming])
+            yield incoming.digest, self.file_of(incoming)
 
-    def place(self, incoming: IncomingFile, suffix: str) -> set[Path]:
-        """Give a file that is on the disk its name; a whole one of that name stays, a damaged one is replaced.
 
-        Parameters
-        ----------
-        incoming
-            The file, finished.
-        suffix
-            Of its format.
+def recording_name(digest: str, suffix: str) -> str:
+    """Return the name of a recording in its store, with its folder.
 
-        Returns
-        -------
-        set[Path]
-            Directories that are to be synchronised before anybody may rely on it.
+    Parameters
+    ----------
+    digest, suffix
+        Of its bytes and its format.
 
-        Raises
-        ------
-        PassingFaultError
-            It cannot be renamed now.
-        """
-        path = self.path(incoming.digest, suffix)
-        with passing_faults(path):
-            if not _whole(path, incoming.digest):
-                path.parent.mkdir(parents=True, exist_ok=True)
-                incoming.path.replace(path)
-        return {path.parent, self.directory}  # also of one that was there: who placed it may not have synchronised
+    Raises
+    ------
+    ParameterError
+        ``digest`` is no sha256 in hexadecimal, or ``suffix`` no plain ending.
+    """
+    if len(digest) != hashlib.sha256().digest_size * 2 or set(digest) - set("0123456789abcdef"):
+        raise ParameterError(f"{digest!r} is no sha256", field="digest")
+    if not (suffix.startswith(".") and suffix[1:].isalnum()):
+        raise ParameterError(f"{suffix!r} is no plain file ending", field="suffix")
+    return f"{digest[:2]}/{digest}{suffix}"
 
-    def synchronise(self, directories: Iterable[Path]) -> None:
-        """Put the names in these directories on the disk.
 
-        Parameters
-        ----------
-        directories
-            From :meth:`place`, of any number of files.
+def missing(place: Path | str) -> LostRecordingError:
+    """Return that nothing is at a place."""
+    return LostRecordingError("is missing", file=place)
 
-        Raises
-        ------
-        PassingFaultError
-            The disk failed.
-        """
-        for directory in sorted(directories):
-            with passing_faults(directory):
-                sync_directory(directory)
+
+def damaged(place: Path | str) -> LostRecordingError:
+    """Return that something else is at a place."""
+    return LostRecordingError("is damaged: its content has another digest", file=place)
+
+
+def check_size(found: int, size_bytes: int | None, place: Path | str) -> None:
+    """Raise LostRecordingError where a recording has another size than it must have.
+
+    Parameters
+    ----------
+    found, size_bytes
+        As it is; as it must be, None where that is not known.
+    place
+        Where it is.
+    """
+    if size_bytes is not None and found != size_bytes:
+        raise LostRecordingError(f"has {found} bytes, not {size_bytes}", file=place)
 
 
 def pieces_of(source: Path) -> Iterator[bytes]:
@@ -185,13 +300,3 @@ def pieces_of(source: Path) -> Iterator[bytes]:
                 yield piece
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=source) from error
-
-
-def _whole(path: Path, digest: str) -> bool:
-    """Whether a file is there with the content of this digest; one that is damaged is written again."""
-    return path.is_file() and _digest_of(path) == digest
-
-
-def _digest_of(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

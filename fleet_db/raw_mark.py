@@ -1,44 +1,39 @@
-"""Whether the folder of raw recordings is that of this database, or the bare place where it should be mounted.
+"""Whether the store of raw recordings is that of this database, or a bare place where a folder should be mounted.
 
-A file in the folder holds a mark that the database knows. A folder without it is marked where it cannot be a bare
-mount point: the database has no receipt yet, or recordings of its receipts are in the folder (after a restore, or of an
-earlier version).
+A mark in the store is known to the database. A store without it is marked where it cannot be another one: the database
+has no receipt yet, or recordings of its receipts are in the store (after a restore, or of an earlier version).
 """
 
 from __future__ import annotations
 
 import uuid
-from pathlib import Path
 
 from estimation.errors import PassingFaultError
-from fleet_db.atomic_files import write_atomically
-from fleet_db.passing import passing_faults
 from fleet_db.raw import RawStore
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
-MARK_FILE = "treadwatch-raw-store"
 LOOKED_FOR = 10
-"""So many of the oldest and of the newest receipts are looked for in a folder without the mark."""
+"""So many of the oldest and of the newest receipts are looked for in a store without the mark."""
 
 
 def check_raw_store(storage: SqlStorage, raw: RawStore, now_ns: int) -> str:
-    """Return the mark of the folder of raw recordings; mark it at its first use.
+    """Return the mark of the store of raw recordings; mark it at its first use.
 
     Parameters
     ----------
     storage
         The database.
     raw
-        The folder.
+        The store.
     now_ns
         Our time.
 
     Raises
     ------
     PassingFaultError
-        The folder is not that of this database: not mounted, or another one; or it cannot be read or written.
+        The store is not that of this database: not mounted, or another one; or it cannot be read or written.
     """
-    found = stored_mark(raw)
+    found = raw.read_mark()
     with storage.read() as unit:
         known = unit.raw_marks.get()
         if found is not None and found == known:
@@ -50,39 +45,19 @@ def check_raw_store(storage: SqlStorage, raw: RawStore, now_ns: int) -> str:
         if unit.raw_marks.get() != mark:
             unit.raw_marks.set(mark, now_ns)
     if found is None:
-        with passing_faults(raw.directory):
-            write_atomically(_file(raw), f"{mark}\n".encode(), durable=True)
+        raw.write_mark(mark)
     return mark
 
 
-def stored_mark(raw: RawStore) -> str | None:
-    """Return the mark that is in the folder; None where there is none.
-
-    Raises
-    ------
-    PassingFaultError
-        The folder cannot be read.
-    """
-    with passing_faults(raw.directory):
-        try:
-            return _file(raw).read_text(encoding="ascii", errors="replace").strip() or None
-        except FileNotFoundError:
-            return None
-
-
 def not_mounted(raw: RawStore) -> PassingFaultError:
-    """Return the refusal of a folder that is not that of the database."""
+    """Return the refusal of a store that is not that of the database."""
     reason = (
-        "holds no recording of this database and not its mark: is it mounted?"
-        " Nothing is written there until it is the folder of the recordings again"
+        "holds no recording of this database and not its mark: is it mounted? Is it the right one?"
+        " Nothing is written there until it is the store of the recordings again"
     )
-    return PassingFaultError(reason, file=raw.directory)
+    return PassingFaultError(reason, file=raw.url)
 
 
 def _belongs(unit: SqlUnitOfWork, raw: RawStore) -> bool:
     some = unit.chunks.ends(LOOKED_FOR)
-    return not some or any(raw.path(record.digest, record.suffix).is_file() for record in some)
-
-
-def _file(raw: RawStore) -> Path:
-    return raw.directory / MARK_FILE
+    return not some or any(raw.holds(record.digest, record.suffix) for record in some)

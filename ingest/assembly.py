@@ -232,12 +232,12 @@ class Assembler:
             try:
                 recording = self.recordings.load_neighbour(source)
             except StorageError as error:
-                if not keep_unreadable or not self.recordings.raw.directory.is_dir():
+                if not keep_unreadable:
                     raise
                 if isinstance(error.__cause__, LogFileError):
                     again.append(source)
-                elif self.recordings.raw.fault(source.digest, source.suffix) is None:
-                    raise  # memory, processes or an extra are missing: it can be read later
+                elif not self.recordings.raw.lost(source.digest, source.suffix):
+                    raise  # memory, processes, an extra or the store as a whole are missing: it can be read later
                 else:
                     unreadable.append(source)
             else:

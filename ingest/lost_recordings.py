@@ -33,8 +33,12 @@ class LostRecordings:
     def note(self, unit: SqlUnitOfWork, lost: Iterable[ChunkRecord]) -> None:
         """Keep that recordings were missing, in the transaction that stores what could be made without them."""
         for record in lost:
+            fault: PassingFaultError
             came = PassingFaultError("could not be read when windows were made again")
-            fault = self.raw.fault(record.digest, record.suffix) or came
+            try:
+                fault = self.raw.fault(record.digest, record.suffix) or came
+            except PassingFaultError as away:  # of the store: the recording was missing all the same
+                fault = away
             _hold(unit, record, fault, self.clock.now_ns())
 
     def waits(self, record: ChunkRecord) -> bool:
@@ -58,7 +62,10 @@ class LostRecordings:
             if record is None or record.state is not ChunkState.DECODED or record.purged_ns is not None:
                 self._resolve(item)  # it counts for no window, or will be decoded as a whole
             elif record.vehicle == vehicle or (vehicle is None and not item.waits(record.vehicle, now_ns)):
-                fault = self.raw.fault(record.digest, record.suffix)
+                try:
+                    fault = self.raw.fault(record.digest, record.suffix)
+                except PassingFaultError:
+                    return  # of the store: nothing is known of what is in it
                 if fault is None:
                     self._resolve(item, record)
                 else:

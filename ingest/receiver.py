@@ -20,7 +20,7 @@ from estimation.errors import ConflictError, LogFileError, NotFoundError, Treadw
 from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.raw import RawStore
-from fleet_db.raw_mark import check_raw_store, stored_mark
+from fleet_db.raw_mark import check_raw_store
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import Assembler
@@ -274,8 +274,8 @@ class Receiver:
         return ChunkReceipt(record, known=known, windows_changed=changed)
 
     def _check_raw(self) -> None:
-        """Refuse a folder of raw recordings that is not that of the database; raises PassingFaultError."""
-        if self._mark is None or stored_mark(self._raw) != self._mark:
+        """Refuse a store of raw recordings that is not that of the database; raises PassingFaultError."""
+        if self._mark is None or self._raw.read_mark() != self._mark:
             self._mark = check_raw_store(self._storage, self._raw, self._clock.now_ns())
 
     def _healed(self, record: ChunkRecord) -> int:
@@ -304,14 +304,14 @@ class Receiver:
             return None
 
     def _store_and_read(self, path: Path, vehicle: str) -> ReceivedFile:
-        suffix = _suffix_of(path)
+        _suffix_of(path)  # of no log: nothing of it is stored
         self._check_raw()
-        digest = self._raw.put_file(path, self._deleted.admit)
         recording: Recording | Exception
-        try:
-            recording = self._recordings.read(self._raw.path(digest, suffix), digest, vehicle)
-        except Exception as error:  # noqa: BLE001 - the bytes are stored: what it is about is decided with the receipt
-            recording = error
+        with self._raw.taken_in(path, self._deleted.admit) as (digest, file):
+            try:
+                recording = self._recordings.read(file, digest, vehicle)
+            except Exception as error:  # noqa: BLE001 - the bytes are stored: what it is about shows with the receipt
+                recording = error
         return ReceivedFile(path, vehicle, digest, recording)
 
     def _receipt(self, path: Path, vehicle: str, digest: str) -> tuple[ChunkRecord, bool]:

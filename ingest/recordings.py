@@ -110,8 +110,8 @@ class Recordings:
         """
         kept = self._kept.get(record.digest)
         if kept is None or not (kept.rows or kept.catalogue is self.catalogue_of(record.vehicle)):
-            self.raw.check(record.digest, record.suffix)
-            self.keep(self.read(self.raw.path(record.digest, record.suffix), record.digest, record.vehicle))
+            with self.raw.whole(record.digest, record.suffix, record.size_bytes) as path:
+                self.keep(self.read(path, record.digest, record.vehicle))
         self._kept.move_to_end(record.digest)
         return self._kept[record.digest]
 

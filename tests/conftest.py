@@ -20,6 +20,8 @@ import sqlalchemy
 from in_process_command import Run, command_line
 from postgres_server import running_server
 from psycopg import sql
+from raw_stores import Behind, in_bucket, in_files
+from s3_server import S3Server, running_s3_server
 
 from fleet_db.migrate import upgrade
 from fleet_db.models import Base
@@ -80,6 +82,21 @@ def postgres_url(migrated_postgres_url: str) -> Iterator[str]:
         connection.execute(END_SESSIONS)
         connection.execute(EMPTY)
         connection.execute(sql.SQL("UPDATE alembic_version SET version_num = {}").format(head()))
+
+
+@pytest.fixture(scope="session")
+def s3_server() -> Iterator[S3Server]:
+    """Yield an S3 server for all tests of this process; each writes below a prefix of its own."""
+    with running_s3_server() as server:
+        yield server
+
+
+@pytest.fixture(params=["files", "s3"])
+def raw_behind(request: pytest.FixtureRequest, tmp_path: Path) -> Behind:
+    """Return an empty store of raw recordings, once of each kind."""
+    if request.param == "files":
+        return in_files(tmp_path)
+    return in_bucket(request.getfixturevalue("s3_server"), uuid.uuid4().hex, tmp_path)
 
 
 @pytest.fixture(scope="session")

@@ -16,11 +16,15 @@ def backup(
     windows: Annotated[
         bool, typer.Option(help="Back up the samples of windows, too; they can be made again from the recordings.")
     ] = True,
+    recordings: Annotated[
+        bool | None,
+        typer.Option(help="Back up the raw recordings, too; by default those of a folder, not those of a bucket."),
+    ] = None,
 ) -> None:
     """Back up the database and all files, while services run, and verify what was written."""
     from api.terminal.keeping import back_up_and_report
 
-    back_up_and_report(folder, windows=windows)
+    back_up_and_report(folder, windows=windows, recordings=recordings)
 
 
 def restore(

@@ -95,7 +95,7 @@ def deploy(scenario: Scenario, folder: Path) -> Settings:
         Made where missing.
     """
     settings = Settings(  # type: ignore[call-arg] # of pydantic-settings
-        data_dir=folder / "data", database_url=None, _env_file=None
+        data_dir=folder / "data", database_url=None, raw_store=None, _env_file=None
     )
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     upgrade(settings.url)

@@ -54,7 +54,13 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
     _recreate(folder)
     recordings, data = folder / "recordings", folder / "data"
     settings = load_settings(data_dir=data)
-    embedded = {"database_url": None, "database_host": None, "host": "127.0.0.1", "log_level": "warning"}
+    embedded = {
+        "database_url": None,
+        "database_host": None,
+        "raw_store": None,
+        "host": "127.0.0.1",
+        "log_level": "warning",
+    }
     settings = settings.model_copy(update=embedded)
     settings = with_rules(settings, plan.name, folder)
     settings = settings.model_copy(update={"docs": "open"})  # on this machine alone, and a browser sends no key there

@@ -105,4 +105,4 @@ def _drop_folder(
     patient = SqlStorage(storage.engine, storage.data_dir, storage.shipped, RECEIPT_PATIENCE_S)
     raw = raw_store(settings)
     wanted = DropSettings(folder, quiet_s, settings.max_chunk_mb * MEGABYTE, vehicle_of)
-    return DropFolder(wanted, raw, ChunkStorage(patient, raw, SystemClock()), backlog_watch(settings, storage))
+    return DropFolder(wanted, raw, ChunkStorage(patient, raw, SystemClock()), backlog_watch(settings, storage, raw))

@@ -10,26 +10,26 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from api.factory import SystemClock, open_store, retention_of
+from api.factory import SystemClock, open_store, raw_store, retention_of
 from api.settings import load_settings
-from fleet_db.keeping.backup import back_up
+from fleet_db.keeping.backup import BackupPlan, back_up
 from fleet_db.keeping.deep_check import DeepCheck, check_deep
 from fleet_db.keeping.purge import purge
-from fleet_db.keeping.restore import restore
+from fleet_db.keeping.restore import Installation, restore
 
 LISTED = 50
 """Findings that are printed; the rest is counted."""
 
 
-def back_up_and_report(folder: Path, *, windows: bool) -> None:
+def back_up_and_report(folder: Path, *, windows: bool, recordings: bool | None) -> None:
     """Write a backup and print what it holds.
 
     Parameters
     ----------
     folder
         Of the backups.
-    windows
-        Whether with the samples of windows.
+    windows, recordings
+        Whether with the samples of windows, and with recordings; None: with those of a folder.
 
     Raises
     ------
@@ -40,13 +40,17 @@ def back_up_and_report(folder: Path, *, windows: bool) -> None:
     typer.Exit
         Code 1: files that the database refers to are missing or damaged; they are listed.
     """
-    with closing(open_store(load_settings())) as storage, counted("backing up files") as progress:
-        manifest = back_up(storage, folder, SystemClock().now_ns(), windows=windows, progress=progress)
+    settings, plan = load_settings(), BackupPlan(windows, recordings)
+    raw = raw_store(settings)
+    with closing(open_store(settings)) as storage, counted("backing up files") as progress:
+        manifest = back_up(storage, raw, folder, SystemClock().now_ns(), plan=plan, progress=progress)
     typer.echo(
         f"backup {manifest.name}: {sum(manifest.rows.values()):,} rows, {manifest.raw_files:,} recordings, "
         f"{manifest.window_files:,} windows, {manifest.file_bytes:,} bytes of files"
     )
-    _list("not in the backup", manifest.missing)
+    if not manifest.recordings_kept:
+        typer.echo(f"the recordings stay in {raw.url}: the backup holds their digests")
+    _list("not in the backup" if manifest.recordings_kept else "missing", manifest.missing)
 
 
 def restore_and_report(folder: Path, name: str | None) -> None:
@@ -72,7 +76,8 @@ def restore_and_report(folder: Path, name: str | None) -> None:
     """
     settings = load_settings()
     with counted("restoring files") as progress:
-        restored = restore(settings.url, settings.data_dir, folder, name, progress=progress)
+        into = Installation(settings.url, settings.data_dir, raw_store(settings))
+        restored = restore(into, folder, name, progress=progress)
     typer.echo(
         f"restored backup {restored.manifest.name}: {sum(restored.rows.values()):,} rows, {restored.files:,} files"
     )
@@ -93,8 +98,10 @@ def check_and_report() -> None:
     typer.Exit
         Code 1: something is damaged or lost.
     """
-    with closing(open_store(load_settings())) as storage, counted("reading files") as progress:
-        found = check_deep(storage, progress)
+    settings = load_settings()
+    raw = raw_store(settings)
+    with closing(open_store(settings)) as storage, counted("reading files") as progress:
+        found = check_deep(storage, raw, progress)
     typer.echo(f"read {found.files:,} files and {found.rows:,} packed values: {_verdict(found)}")
     lines = [f"{finding.kind}: {finding.subject}: {finding.detail}" for finding in found.findings]
     for line in lines[:LISTED]:
@@ -119,7 +126,7 @@ def purge_and_report() -> None:
     """
     settings = load_settings()
     with closing(open_store(settings)) as storage:
-        done = purge(storage, retention_of(settings), SystemClock().now_ns(), lambda: None)
+        done = purge(storage, raw_store(settings), retention_of(settings), SystemClock().now_ns(), lambda: None)
     for one in done:
         size = f", {one.item_bytes:,} bytes" if one.item_bytes else ""
         typer.echo(f"{one.kind.value.replace('_', ' ')}: {one.items:,} deleted{size}")

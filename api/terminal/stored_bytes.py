@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 import typer
 
-from api.factory import open_store, retention_of
+from api.factory import open_store, raw_store, retention_of
 from api.settings import load_settings
 from fleet_db.keeping.stored_bytes import StoredBytes, StoredKind, stored_bytes
 
@@ -34,18 +34,19 @@ def print_stored_bytes(*, as_json: bool, hours_per_day: float | None) -> None:
     """
     settings = load_settings()
     with closing(open_store(settings)) as storage:
-        found = stored_bytes(storage, retention_of(settings), hours_per_day)
-    typer.echo(json.dumps(_document(found), indent=2) if as_json else _table(found))
+        raw = raw_store(settings)
+        found = stored_bytes(storage, raw, retention_of(settings), hours_per_day)
+    typer.echo(json.dumps(_document(found, raw.url), indent=2) if as_json else _table(found, raw.url))
 
 
-def _document(found: StoredBytes) -> dict[str, object]:
+def _document(found: StoredBytes, raw_url: str) -> dict[str, object]:
     kinds = [{**asdict(kind), "bytes": kind.bytes} for kind in found.kinds]
     year = sum(kind.wheelset_year_bytes or 0 for kind in found.kinds)
     totals = {"total_bytes": found.total, "free_bytes": found.free_bytes, "wheelset_year_bytes": year}
-    return {**totals, "running": asdict(found.running), "kinds": kinds}
+    return {**totals, "raw_store": raw_url, "running": asdict(found.running), "kinds": kinds}
 
 
-def _table(found: StoredBytes) -> str:
+def _table(found: StoredBytes, raw_url: str) -> str:
     running = found.running
     head = (
         f"{running.wheelsets:,} wheelsets of {running.vehicles:,} vehicles have data: {running.wheelset_hours:,.0f} "
@@ -61,6 +62,7 @@ def _table(found: StoredBytes) -> str:
     notes = [
         "a year: what one wheelset keeps of a year at this running and these days",
         "~ sampled, or as the database estimates it",
+        f"raw recordings are in {raw_url}",
     ]
     if found.free_bytes:
         notes.append(f"{size(found.free_bytes)} of the database file are free: SQLite uses them again")

@@ -1,8 +1,9 @@
-"""Taking an upload: refused while too much waits; else to the disk piece by piece, hashed, committed, answered."""
+"""Taking an upload: refused while too much waits; else received piece by piece, hashed, stored, committed, answered."""
 
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -24,6 +25,7 @@ from ingest.intake.chunk import Chunk
 from ingest.intake.group import ReceiptGroup
 from ingest.intake.store import Arrival, ChunkStorage, Stored
 
+_log = logging.getLogger(__name__)
 ResultT = TypeVar("ResultT")
 THREADS = 8
 """That write and force chunks to the disk."""
@@ -76,6 +78,7 @@ class Uploads:
         self.ended: Counter[Taken] = Counter()
         self.refused: Counter[str] = Counter()
         self.bytes_stored = 0
+        self._said = ""
 
     def close(self) -> None:
         """Commit what waits, and end."""
@@ -97,7 +100,7 @@ class Uploads:
         Raises
         ------
         ProblemError
-            413, 408, 422 (another digest), 503 (too much waits, or the disk takes nothing now).
+            413, 408, 422 (another digest), 503 (too much waits, or the raw store takes nothing now).
         ConflictError
             The same chunk was received from another vehicle, or deleted.
         StorageError
@@ -111,12 +114,14 @@ class Uploads:
             self.ended[_outcome(error)] += 1
             await body.drain()
             if isinstance(error, PassingFaultError):
-                raise self._behind(NO_STORAGE, "the disk takes nothing now", TRY_AGAIN_S[Limit.DISK]) from error
+                self._say(error)
+                raise self._behind(NO_STORAGE, "the raw store takes nothing now", TRY_AGAIN_S[Limit.DISK]) from error
             raise
         finally:
             self.running -= 1
         self.ended[Taken.KNOWN if stored.known else Taken.STORED] += 1
         self.bytes_stored += 0 if stored.known else stored.record.size_bytes
+        self._said = ""
         return stored
 
     async def _take(self, body: UploadBody, digest: str, chunk: Chunk) -> Stored:
@@ -127,7 +132,7 @@ class Uploads:
         behind = ask(size) if self.backlog.fresh else await self._in_thread(ask, size)
         if behind is not None:
             raise self._behind(behind.limit.value, behind.text, TRY_AGAIN_S[behind.limit])
-        incoming = IncomingFile(self._raw.directory)  # nothing of it is on the disk yet
+        incoming = self._raw.incoming(chunk.suffix)  # nothing of it is on the disk yet
         try:
             async for piece in body.pieces():
                 await self._in_thread(_write, incoming, piece, digest if body.whole else None)
@@ -138,6 +143,12 @@ class Uploads:
         except BaseException:
             await asyncio.shield(self._in_thread(incoming.discard))
             raise
+
+    def _say(self, fault: PassingFaultError) -> None:
+        """Log why chunks cannot be stored, once until one is."""
+        if fault.reason != self._said:
+            _log.warning("chunks cannot be stored: %s", fault)
+        self._said = fault.reason
 
     def _behind(self, limit: str, detail: str, after_s: int) -> ProblemError:
         self.refused[limit] += 1

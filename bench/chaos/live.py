@@ -23,7 +23,7 @@ from api.settings import Settings
 from bench.chaos.part import ChaosSettings
 from bench.chaos.small_deployment import PASSWORD, Databases, databases, faults, until
 from bench.report import BenchRow
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from ingest.bus import open_bus, send
 from ingest.dropped_frames import OVERFLOW_ID, count_dropped
@@ -204,7 +204,7 @@ def _row(what: str, both: Databases, one: _Round, *, timed: bool = True) -> Benc
         wrong = faults(one.settings, storage)
         with storage.read() as unit:
             records = [record for state in ChunkState for record in unit.chunks.with_state(state, limit=100_000)]
-        raw = RawStore(one.settings.raw_dir)
+        raw = FileRawStore(one.settings.data_dir / "raw")
         stored = concatenate([read_log(raw.path(record.digest, record.suffix)) for record in records])
     dropped = count_dropped(stored)
     ours = stored.arbitration_id != OVERFLOW_ID

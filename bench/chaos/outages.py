@@ -127,15 +127,16 @@ def _not_mounted(both: Databases, kind: str) -> BenchRow:
     """Receive recordings while the folder of raw recordings is another, empty one."""
     paths = recordings(both.folder / f"recordings-{kind}-mount", [0.3, 0.6], SECONDS)
     broken, alone = both.new(kind), both.new(kind)
+    folder = broken.data_dir / "raw"
     ingest(broken, paths[:1])
-    away = broken.raw_dir.rename(broken.data_dir / "away")
-    broken.raw_dir.mkdir()
+    away = folder.rename(broken.data_dir / "away")
+    folder.mkdir()
     outcomes: list[object] = []
     with suppress(Exception):
         outcomes = ingest(broken, paths[1:])
-    left = len(list(broken.raw_dir.iterdir()))
-    broken.raw_dir.rmdir()
-    away.rename(broken.raw_dir)
+    left = len(list(folder.iterdir()))
+    folder.rmdir()
+    away.rename(folder)
     wrong = _compared(broken, alone, paths)
     both.drop(broken)
     both.drop(alone)

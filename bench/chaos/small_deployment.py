@@ -17,11 +17,11 @@ import psycopg
 import sqlalchemy
 from psycopg import sql
 
-from api.factory import SystemClock, open_store, receiver
+from api.factory import SystemClock, open_store, raw_store, receiver
 from api.settings import Settings
 from estimation.values.runs import JobOutcome
 from fleet_db.keeping.deep_check import check_deep
-from fleet_db.keeping.orphans import orphans
+from fleet_db.keeping.orphans import orphaned_recordings
 from fleet_db.migrate import upgrade
 from fleet_db.models import Base
 from fleet_db.packed_values import pack_geometry
@@ -182,11 +182,13 @@ def _digest(content: bytes) -> str:
 
 def faults(settings: Settings, storage: SqlStorage) -> list[str]:
     """Return what is wrong with a deployment in itself: torn files, rows without theirs, raw orphans, open runs."""
+    raw = raw_store(settings)
     wrong = [
-        str(finding) for finding in check_deep(storage, lambda _done, _total: None).findings if not finding.harmless
+        str(finding)
+        for finding in check_deep(storage, raw, lambda _done, _total: None).findings
+        if not finding.harmless
     ]
-    left = [path for path in orphans(storage, 0.0) if not path.name.startswith(".incoming-")]  # the purge takes those
-    wrong += [f"orphaned: {path}" for path in left if path.parts[0] == settings.raw_dir.name]
+    wrong += [f"orphaned: {one.place}" for one in orphaned_recordings(storage, raw, 0.0) if one.digest]
     with storage.read() as unit:
         windows = [(w.wheelset, w.start_ns) for axle in (1, 2) for w in unit.windows.list(f"WS-{axle}")]
         runs = unit.jobs.page(None, None, 1000)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 
 from sqlalchemy import Engine
@@ -12,9 +13,19 @@ from sqlalchemy import Engine
 from estimation.errors import StorageError
 from fleet_db.keeping.copied_rows import copy_rows, row_counts
 from fleet_db.keeping.exclusive import keeping_alone
-from fleet_db.keeping.kept_files import RAW, KeptFile, copy_kept, kept_files
-from fleet_db.keeping.manifest import Manifest, backup_name, sha256_of, write_manifest
+from fleet_db.keeping.kept_files import KeptFile, copy_kept, kept_files
+from fleet_db.keeping.kept_recordings import (
+    RAW,
+    KeptRecording,
+    copy_recording,
+    kept_recordings,
+    not_listed,
+    write_digests,
+)
+from fleet_db.keeping.manifest import Manifest, backup_name, digests_file, sha256_of, write_manifest
 from fleet_db.migrate import upgrade
+from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.revisions import check_head, head
 from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, translate_errors
 from fleet_db.storage import SqlStorage
@@ -22,7 +33,28 @@ from fleet_db.storage import SqlStorage
 Progress = Callable[[int, int], None]
 
 
-def back_up(storage: SqlStorage, folder: Path, now_ns: int, *, windows: bool = True, progress: Progress) -> Manifest:
+@dataclass(frozen=True, slots=True)
+class BackupPlan:
+    """What a backup holds beside the database.
+
+    Attributes
+    ----------
+    windows
+        Whether window files; without them a restore makes them again from the recordings.
+    recordings
+        Whether recordings; None: where the store has no copies of its own. Of others their digests are kept.
+    """
+
+    windows: bool = True
+    recordings: bool | None = None
+
+
+EVERYTHING = BackupPlan()
+
+
+def back_up(
+    storage: SqlStorage, raw: RawStore, folder: Path, now_ns: int, *, plan: BackupPlan = EVERYTHING, progress: Progress
+) -> Manifest:
     """Write a backup into a folder and return its manifest, which is written last.
 
     The database comes first, as one snapshot, then the files that it refers to: files are added before the rows that
@@ -31,14 +63,14 @@ def back_up(storage: SqlStorage, folder: Path, now_ns: int, *, windows: bool = T
 
     Parameters
     ----------
-    storage
+    storage, raw
         What is backed up.
     folder
         Of the backups; made if it is not there.
     now_ns
         Our time, ns UTC.
-    windows
-        Whether window files are backed up, too; without them a restore makes them again from the recordings.
+    plan
+        What it holds.
     progress
         Called with (done, total) files.
 
@@ -48,8 +80,8 @@ def back_up(storage: SqlStorage, folder: Path, now_ns: int, *, windows: bool = T
         Another backup, restore or purge is running.
     MigrationError
         The database is not at the migration of this version.
-    StorageError
-        The database or a file cannot be read or written; the folder holds no manifest then.
+    StorageError, PassingFaultError
+        The database, a file or a recording cannot be read or written; the folder holds no manifest then.
     """
     check_head(storage.engine)
     name = backup_name(now_ns)
@@ -66,20 +98,26 @@ def back_up(storage: SqlStorage, folder: Path, now_ns: int, *, windows: bool = T
         finally:
             for leftover in folder.glob(f"{part.name}*"):
                 leftover.unlink()
-        rows, files = _contents(database, windows=windows)
-        missing = _copy_files(files, storage.data_dir, folder, progress)
-        raw = sum(file.kind == RAW for file in files)
+        rows, recordings, files = _contents(database, windows=plan.windows)
+        copied = raw.saved_by_backup if plan.recordings is None else plan.recordings
+        missing = _recordings(recordings, raw, folder, name, progress) if not copied else []
+        to_copy: list[KeptRecording | KeptFile] = [*(recordings if copied else ()), *files]
+        for done, one in enumerate(to_copy, start=1):
+            missing += _copied_or_not(one, storage.data_dir, raw, folder)
+            progress(done, len(to_copy))
         manifest = Manifest(
             name=name,
             migration=head(),
             database_sha256=sha256_of(database),
             database_bytes=database.stat().st_size,
             rows=rows,
-            raw_files=raw,
-            window_files=len(files) - raw,
-            file_bytes=sum(file.size for file in files),
-            windows_kept=windows,
+            raw_files=len(recordings),
+            window_files=len(files),
+            file_bytes=sum(one.size for one in to_copy),
+            windows_kept=plan.windows,
             missing=tuple(missing),
+            recordings_kept=copied,
+            raw_store=raw.url,
         )
         write_manifest(folder, manifest)
     return manifest
@@ -115,22 +153,31 @@ def _copied(engine: Engine, target: Path) -> None:
         new.dispose()
 
 
-def _contents(database: Path, *, windows: bool) -> tuple[dict[str, int], list[KeptFile]]:
-    """Return the rows by table and the files that a database file refers to."""
+def _contents(database: Path, *, windows: bool) -> tuple[dict[str, int], list[KeptRecording], list[KeptFile]]:
+    """Return the rows by table, and the recordings and files that a database file refers to."""
     engine = read_only_engine(database)
     try:
         with translate_errors(), engine.connect() as connection:
-            return row_counts(connection), list(kept_files(connection, windows=windows))
+            files = list(kept_files(connection)) if windows else []
+            return row_counts(connection), list(kept_recordings(connection)), files
     finally:
         engine.dispose()
 
 
-def _copy_files(files: list[KeptFile], source: Path, target: Path, progress: Progress) -> list[str]:
-    """Copy files; return those that are not there, or damaged, each with what is wrong."""
-    missing = []
-    for done, file in enumerate(files, start=1):
-        fault = copy_kept(file, source, target)
-        if fault is not None:
-            missing.append(f"{file.path} {fault} ({file.owner})")
-        progress(done, len(files))
-    return missing
+def _copied_or_not(one: KeptRecording | KeptFile, data_dir: Path, raw: RawStore, folder: Path) -> list[str]:
+    """Copy a recording or file; return a line for one that is not there, or damaged."""
+    if isinstance(one, KeptFile):
+        place, fault = str(one.path), copy_kept(one, data_dir, folder)
+    else:
+        place, fault = raw.place(one.digest, one.suffix), copy_recording(one, raw, FileRawStore(folder / RAW))
+    return [] if fault is None else [f"{place} {fault} ({one.owner})"]
+
+
+def _recordings(
+    recordings: Sequence[KeptRecording], raw: RawStore, folder: Path, name: str, progress: Progress
+) -> list[str]:
+    """Write down the digests of recordings that are not copied; return a line for each that their store lacks."""
+    progress(0, len(recordings))
+    wrong = not_listed(recordings, raw)
+    write_digests(digests_file(folder, name), recordings)
+    return [f"{raw.place(kept.digest, kept.suffix)} {fault} ({kept.owner})" for kept, fault in wrong]

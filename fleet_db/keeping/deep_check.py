@@ -10,8 +10,9 @@ from sqlalchemy import Connection, and_, exists, func, select
 
 from estimation.errors import DamagedError
 from estimation.values.windows import WindowState
-from fleet_db.keeping.kept_files import kept_files
-from fleet_db.keeping.orphans import orphans
+from fleet_db.keeping.kept_files import KeptFile, kept_files
+from fleet_db.keeping.kept_recordings import KeptRecording, kept_recordings
+from fleet_db.keeping.orphans import orphaned_recordings, orphaned_samples
 from fleet_db.models import (
     AlertEventRow,
     AlertRow,
@@ -20,6 +21,7 @@ from fleet_db.models import (
     WindowPositionRow,
     WindowRow,
 )
+from fleet_db.raw import RawStore
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
@@ -64,42 +66,48 @@ class DeepCheck:
         return any(not finding.harmless for finding in self.findings)
 
 
-def check_deep(storage: SqlStorage, progress: Callable[[int, int], None]) -> DeepCheck:
+def check_deep(storage: SqlStorage, raw: RawStore, progress: Callable[[int, int], None]) -> DeepCheck:
     """Read everything that is stored and compare it; changes nothing, and services may run.
 
     Parameters
     ----------
-    storage
+    storage, raw
         What is checked.
     progress
         Called with (done, total) files.
 
     Raises
     ------
-    StorageError
-        The database or a file cannot be read now.
+    StorageError, PassingFaultError
+        The database, a file or the store of raw recordings cannot be read now.
     """
     with storage.read() as unit:
         findings = [*_database(unit.connection), *_rows(unit.connection), *_bins(unit)]
         packed, rows = _packed(unit)
-        files = list(kept_files(unit.connection))
+        recordings, files = list(kept_recordings(unit.connection)), list(kept_files(unit.connection))
     findings += packed
-    gone = []
-    for done, file in enumerate(files, start=1):
+    gone: list[tuple[KeptRecording | KeptFile, Finding]] = []
+    total = len(recordings) + len(files)
+    for done, kept in enumerate(recordings, start=1):
+        fault = kept.fault(raw)
+        if fault is not None:
+            gone.append((kept, Finding("recording", kept.owner, f"{raw.place(kept.digest, kept.suffix)} {fault}")))
+        progress(done, total)
+    for done, file in enumerate(files, start=len(recordings) + 1):
         fault = file.fault(storage.data_dir)
         if fault is not None:
-            gone.append((file, fault))
-        progress(done, len(files))
-    if gone:  # a window that was replaced meanwhile has another file now
+            gone.append((file, Finding("window file", file.owner, f"{file.path} {fault}")))
+        progress(done, total)
+    if gone:  # a window that was replaced meanwhile has another file now, and a recording may be purged
         with storage.read() as unit:
-            still = set(kept_files(unit.connection))
-        findings += [
-            Finding("recording" if file.kind == "raw" else "window file", file.owner, f"{file.path} {fault}")
-            for file, fault in gone
-            if file in still
-        ]
-    findings += [Finding("orphan", str(path), "no row refers to it", harmless=True) for path in orphans(storage)]
-    return DeepCheck(len(files), rows, tuple(findings))
+            still = {*kept_recordings(unit.connection), *kept_files(unit.connection)}
+        findings += [finding for one, finding in gone if one in still]
+    left = [
+        *(str(path) for path in orphaned_samples(storage)),
+        *(one.place for one in orphaned_recordings(storage, raw)),
+    ]
+    findings += [Finding("orphan", place, "no row refers to it", harmless=True) for place in left]
+    return DeepCheck(total, rows, tuple(findings))
 
 
 def _database(connection: Connection) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""The files that the rows of a database refer to: raw recordings and samples of windows."""
+"""The samples of windows that the rows of a database refer to, as files."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from sqlalchemy import Connection, select
 
 from estimation.errors import DamagedError, StorageError
 from fleet_db.atomic_files import sync_directory
-from fleet_db.keeping.manifest import sha256_of
-from fleet_db.models import ChunkRow, WindowRow
-from fleet_db.raw import RawStore
+from fleet_db.models import WindowRow
 from fleet_db.rows import table_of
 from fleet_db.telemetry import WindowFiles, unpack_window, window_digest
 
-CHUNKS, WINDOWS = table_of(ChunkRow), table_of(WindowRow)
-RAW, SAMPLES = "raw", "windows"
+WINDOWS = table_of(WindowRow)
+SAMPLES = "windows"
+"""Folder of them in a data folder or backup."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,10 +28,8 @@ class KeptFile:
 
     Attributes
     ----------
-    kind
-        ``raw`` or ``windows``: its directory in the data folder.
     digest
-        That its content must have: of its bytes, or of the window in it.
+        That the window in it must have.
     size
         In bytes.
     path
@@ -41,7 +38,6 @@ class KeptFile:
         Whose it is, for messages.
     """
 
-    kind: str
     digest: str
     size: int
     path: Path
@@ -60,37 +56,25 @@ class KeptFile:
             found = place.stat().st_size
             if found != self.size:
                 return f"has {found} bytes, not {self.size}"
-            return None if self._digest(place) == self.digest else "holds other content than its name says"
+            whole = window_digest(unpack_window(place.read_bytes(), where=str(place))) == self.digest
         except FileNotFoundError:
             return "is missing"
         except DamagedError:
             return "is damaged"
         except OSError as error:
             raise StorageError(f"{place}: cannot be read: {error.strerror}") from error
-
-    def _digest(self, place: Path) -> str:
-        if self.kind == RAW:
-            return sha256_of(place)
-        return window_digest(unpack_window(place.read_bytes(), where=str(place)))
+        return None if whole else "holds other content than its name says"
 
 
-def kept_files(connection: Connection, *, windows: bool = True) -> Iterator[KeptFile]:
+def kept_files(connection: Connection) -> Iterator[KeptFile]:
     """Yield every file that the rows refer to, each once.
 
     Parameters
     ----------
     connection
         Of a transaction that sees one snapshot.
-    windows
-        Whether those of windows, too.
     """
-    raw, samples = RawStore(Path(RAW)), WindowFiles(Path(SAMPLES))
-    chunks = select(CHUNKS.c.digest, CHUNKS.c.suffix, CHUNKS.c.size_bytes, CHUNKS.c.vehicle)
-    for row in connection.execute(chunks.where(CHUNKS.c.purged_ns.is_(None)).order_by(CHUNKS.c.digest)):
-        path = raw.path(row.digest, row.suffix)
-        yield KeptFile(RAW, row.digest, row.size_bytes, path, f"recording {row.digest[:12]} of vehicle {row.vehicle}")
-    if not windows:
-        return
+    samples = WindowFiles(Path(SAMPLES))
     columns = (WINDOWS.c.content_digest, WINDOWS.c.sample_bytes, WINDOWS.c.wheelset, WINDOWS.c.start_ns)
     of_samples = select(*columns).where(WINDOWS.c.samples_purged_ns.is_(None)).order_by(WINDOWS.c.content_digest)
     found = connection.execution_options(yield_per=2000).execute(of_samples)
@@ -98,7 +82,7 @@ def kept_files(connection: Connection, *, windows: bool = True) -> Iterator[Kept
     for row in found:
         if row.content_digest != last:
             owner = f"window {row.wheelset}@{row.start_ns}"
-            yield KeptFile(SAMPLES, row.content_digest, row.sample_bytes, samples.path(row.content_digest), owner)
+            yield KeptFile(row.content_digest, row.sample_bytes, samples.path(row.content_digest), owner)
         last = row.content_digest
 
 
@@ -125,7 +109,7 @@ def copy_kept(file: KeptFile, source: Path, target: Path) -> str | None:
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".copying-", dir=place.parent) as folder:
-            copy = KeptFile(file.kind, file.digest, file.size, Path(place.name), file.owner)
+            copy = KeptFile(file.digest, file.size, Path(place.name), file.owner)
             part = Path(folder) / place.name
             shutil.copyfile(source / file.path, part)
             fault = copy.fault(Path(folder))

@@ -31,11 +31,16 @@ class Manifest:
     rows
         By table.
     raw_files, window_files, file_bytes
-        That the rows refer to and that the backup holds.
+        That the rows refer to; the bytes are those of what the backup is to hold.
     missing
-        Files that the rows refer to and that were not there, or damaged, relative to the data folder.
+        Files that the rows refer to and that were not there, or damaged.
     windows_kept
         Whether window files are in the backup; if not, they are made again from the recordings.
+    recordings_kept
+        Whether recordings are in the backup; if not, their digests are in a file beside it, and their bytes are in
+        the store.
+    raw_store
+        Where the recordings were.
     """
 
     name: str
@@ -48,10 +53,25 @@ class Manifest:
     file_bytes: int
     windows_kept: bool
     missing: tuple[str, ...] = field(default_factory=tuple)
+    recordings_kept: bool = True
+    raw_store: str = ""
 
     def database_file(self, folder: Path) -> Path:
         """Return where the database of this backup is."""
         return folder / f"database-{self.name}.sqlite3"
+
+
+def digests_file(folder: Path, name: str) -> Path:
+    """Return where the digests of the recordings are that a backup does not hold.
+
+    Parameters
+    ----------
+    folder
+        Of the backups.
+    name
+        Of this one.
+    """
+    return folder / f"recordings-{name}.sha256"
 
 
 def backup_name(now_ns: int) -> str:

@@ -1,4 +1,4 @@
-"""Files of the data folder that no row refers to: of replaced windows, and what a killed process left."""
+"""Stored things that no row refers to: files of replaced windows, recordings, and what a killed process left."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from sqlalchemy import Connection, select
+from sqlalchemy import select
 
 from estimation.errors import StorageError
-from fleet_db.keeping.kept_files import RAW, SAMPLES
+from fleet_db.keeping.kept_files import SAMPLES
 from fleet_db.models import ChunkRow, WindowRow
+from fleet_db.raw import RawItem, RawStore
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 
@@ -19,8 +20,8 @@ LEAST_AGE_S = 3600.0
 """A file may be older than its row by the length of the transaction that stores it."""
 
 
-def orphans(storage: SqlStorage, least_age_s: float = LEAST_AGE_S) -> list[Path]:
-    """Return the files below ``raw`` and ``windows`` that no row refers to, relative to the data folder.
+def orphaned_samples(storage: SqlStorage, least_age_s: float = LEAST_AGE_S) -> list[Path]:
+    """Return the files of windows that no row refers to, relative to the data folder.
 
     Parameters
     ----------
@@ -32,58 +33,46 @@ def orphans(storage: SqlStorage, least_age_s: float = LEAST_AGE_S) -> list[Path]
     Raises
     ------
     StorageError
-        A directory cannot be read.
+        The folder cannot be read.
     """
     files = sorted(_old_files(storage.data_dir, least_age_s))  # before the rows: these only grow more
+    kept = select(WINDOWS.c.content_digest).where(WINDOWS.c.samples_purged_ns.is_(None)).distinct()
     with storage.read() as unit:
-        known = _referred(unit.connection)
-    return [path for path in files if path.name.partition(".")[0] not in known[path.parts[0]]]
+        known = frozenset(unit.connection.scalars(kept))
+    return [path for path in files if path.name.partition(".")[0] not in known]
 
 
-def unlink_old(path: Path, least_age_s: float) -> int | None:
-    """Delete a file unless it has been written or used again since it was found; return its size, None if it stays.
+def orphaned_recordings(storage: SqlStorage, raw: RawStore, least_age_s: float = LEAST_AGE_S) -> list[RawItem]:
+    """Return what is in the store of raw recordings and no row refers to.
 
     Parameters
     ----------
-    path
-        The file.
+    storage, raw
+        Database and store.
     least_age_s
-        Age that it must have now.
+        As for :func:`orphaned_samples`.
+
+    Raises
+    ------
+    PassingFaultError
+        The store cannot be listed now.
     """
-    try:
-        found = path.stat()
-        if found.st_mtime > time.time() - least_age_s:
-            return None
-        path.unlink()
-    except FileNotFoundError:
-        return None
-    return found.st_size
+    before_s = time.time() - least_age_s
+    items = sorted((one for one in raw.listed() if one.changed_s <= before_s), key=lambda one: one.place)
+    with storage.read() as unit:
+        known = frozenset(unit.connection.scalars(select(CHUNKS.c.digest).where(CHUNKS.c.purged_ns.is_(None))))
+    return [one for one in items if one.digest not in known]
 
 
 def _old_files(data_dir: Path, least_age_s: float) -> Iterator[Path]:
     """Yield the files that have not been changed for a while; by the clock of the file system and this machine."""
-    before = time.time() - least_age_s
-    for kind in (RAW, SAMPLES):
-        try:
-            for path in (data_dir / kind).rglob("*"):
-                if path.is_file() and path.stat().st_mtime <= before and not _marker(path):
+    before, folder = time.time() - least_age_s, data_dir / SAMPLES
+    try:
+        for path in folder.rglob("*"):
+            try:
+                if path.parent != folder and path.is_file() and path.stat().st_mtime <= before:
                     yield path.relative_to(data_dir)
-        except FileNotFoundError:
-            continue  # replaced or removed meanwhile
-        except OSError as error:
-            raise StorageError(f"{data_dir / kind}: cannot be read: {error.strerror}") from error
-
-
-def _marker(path: Path) -> bool:
-    """Whether a file marks the directory itself."""
-    return path.parent.name in (RAW, SAMPLES) and not path.name.startswith(".incoming-")
-
-
-def _referred(connection: Connection) -> dict[str, frozenset[str]]:
-    """Return the digests of the files that rows refer to, by directory."""
-    return {
-        RAW: frozenset(connection.scalars(select(CHUNKS.c.digest).where(CHUNKS.c.purged_ns.is_(None)))),
-        SAMPLES: frozenset(
-            connection.scalars(select(WINDOWS.c.content_digest).where(WINDOWS.c.samples_purged_ns.is_(None)).distinct())
-        ),
-    }
+            except FileNotFoundError:
+                continue  # replaced or removed meanwhile
+    except OSError as error:
+        raise StorageError(f"{folder}: cannot be read: {error.strerror}") from error

@@ -12,8 +12,8 @@ from estimation.values.runs import JobOutcome
 from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.expired_samples import expired_samples, mark_purged
 from fleet_db.keeping.expired_tables import expired_tables, seal
-from fleet_db.keeping.kept_files import RAW, SAMPLES
-from fleet_db.keeping.orphans import LEAST_AGE_S, orphans, unlink_old
+from fleet_db.keeping.kept_files import SAMPLES
+from fleet_db.keeping.orphans import LEAST_AGE_S, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.keeping.thinned_estimates import KEYS as ESTIMATES
 from fleet_db.keeping.thinned_estimates import forget_estimates, replaced_within_a_day
@@ -28,6 +28,7 @@ from fleet_db.models import (
     WebhookDeliveryRow,
 )
 from fleet_db.raw import RawStore
+from fleet_db.raw_files import unlink_old
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.telemetry import WindowFiles
@@ -63,15 +64,17 @@ class Purged:
     item_bytes: int = 0
 
 
-def purge(storage: SqlStorage, retention: Retention, now_ns: int, checkpoint: Checkpoint) -> list[Purged]:
+def purge(
+    storage: SqlStorage, raw: RawStore, retention: Retention, now_ns: int, checkpoint: Checkpoint
+) -> list[Purged]:
     """Delete what has been kept long enough; return how much of each kind.
 
     Every batch is a transaction of its own with its record, so that a purge which ends early has done a part.
 
     Parameters
     ----------
-    storage
-        Database and data folder.
+    storage, raw
+        Database and data folder, and where recordings are.
     retention
         Days by kind.
     now_ns
@@ -83,8 +86,8 @@ def purge(storage: SqlStorage, retention: Retention, now_ns: int, checkpoint: Ch
     ------
     ConflictError
         A backup, restore or other purge is running.
-    StorageError
-        The database or a directory cannot be used.
+    StorageError, PassingFaultError
+        The database, a directory or the store of raw recordings cannot be used.
     """
     with keeping_alone(storage.engine):
         with storage.read() as unit:
@@ -94,15 +97,17 @@ def purge(storage: SqlStorage, retention: Retention, now_ns: int, checkpoint: Ch
             counted_ns = now_ns if newest_ns is None or kind not in BY_DATA else min(now_ns, newest_ns + DAY_NS)
             before_ns = retention.before_ns(kind, counted_ns)
             if before_ns is not None:
-                found.append(_purge_kind(storage, kind, before_ns, now_ns, checkpoint))
+                found.append(_purge_kind(storage, raw, kind, before_ns, now_ns, checkpoint))
         return found
 
 
-def _purge_kind(storage: SqlStorage, kind: Kept, before_ns: int, now_ns: int, checkpoint: Checkpoint) -> Purged:
+def _purge_kind(
+    storage: SqlStorage, raw: RawStore, kind: Kept, before_ns: int, now_ns: int, checkpoint: Checkpoint
+) -> Purged:
     if kind is Kept.ORPHANED_FILES:
-        return _purge_orphans(storage, before_ns, now_ns)
+        return _purge_orphans(storage, raw, before_ns, now_ns)
     if kind is Kept.RECORDINGS:
-        return _purge_recordings(storage, before_ns, now_ns, checkpoint)
+        return _purge_recordings(storage, raw, before_ns, now_ns, checkpoint)
     if kind is Kept.WINDOW_SAMPLES:
         return _purge_samples(storage, before_ns, now_ns, checkpoint)
     if kind is Kept.EVERY_ESTIMATE:
@@ -202,9 +207,10 @@ def _replaced(number: Column[Any], key: Sequence[str], before_ns: int) -> _Expir
     return _Expired(number, exists().where(*same, later.c[number.name] > number, later.c.recorded_ns < before_ns))
 
 
-def _purge_recordings(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint: Checkpoint) -> Purged:
-    """Delete the raw files of decoded recordings: first the rows say so, then the files go."""
-    raw = RawStore(storage.data_dir / RAW)
+def _purge_recordings(
+    storage: SqlStorage, raw: RawStore, before_ns: int, now_ns: int, checkpoint: Checkpoint
+) -> Purged:
+    """Delete the raw bytes of decoded recordings: first the rows say so, then the bytes go."""
     items = size = 0
     while True:
         checkpoint()
@@ -214,7 +220,7 @@ def _purge_recordings(storage: SqlStorage, before_ns: int, now_ns: int, checkpoi
             if batch:
                 record_purge(unit.connection, part, before_ns, now_ns)
         for record in batch:
-            raw.path(record.digest, record.suffix).unlink(missing_ok=True)
+            raw.remove(record.digest, record.suffix)
         items, size = items + part.items, size + part.item_bytes
         if len(batch) < BATCH:
             return Purged(Kept.RECORDINGS, items, size)
@@ -276,22 +282,20 @@ def _thin_estimates(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint
     return Purged(Kept.EVERY_ESTIMATE, items)
 
 
-def _purge_orphans(storage: SqlStorage, before_ns: int, now_ns: int) -> Purged:
-    """Delete files of ``windows`` that no row refers to, and of ``raw`` those of recordings that were purged.
+def _purge_orphans(storage: SqlStorage, raw: RawStore, before_ns: int, now_ns: int) -> Purged:
+    """Delete files of windows that no row refers to, what killed processes left, and recordings that were purged.
 
-    Others of ``raw`` may be recordings of a newer database.
+    Other recordings may be those of a newer database.
     """
     age_s = max((now_ns - before_ns) / DAY_NS * 86_400.0, LEAST_AGE_S)
-    items = size = 0
     with storage.read() as unit:
         gone = unit.chunks.purged()
-    for path in orphans(storage, age_s):
-        if path.parts[0] == RAW and not path.name.startswith(".") and path.stem not in gone:
-            continue
-        found = unlink_old(storage.data_dir / path, age_s)
-        size, items = size + (found or 0), items + (found is not None)
-    purged = Purged(Kept.ORPHANED_FILES, items, size)
-    if items:
+    recordings = [one for one in orphaned_recordings(storage, raw, age_s) if not one.digest or one.digest in gone]
+    sizes = [unlink_old(storage.data_dir / path, age_s) for path in orphaned_samples(storage, age_s)]
+    sizes += [raw.remove_old(one, age_s) for one in recordings]
+    deleted = [size for size in sizes if size is not None]
+    purged = Purged(Kept.ORPHANED_FILES, len(deleted), sum(deleted))
+    if deleted:
         with storage.write() as unit:
             record_purge(unit.connection, purged, before_ns, now_ns)
     return purged

@@ -18,10 +18,13 @@ from estimation.errors import ConflictError, InputError, StorageError
 from fleet_db.atomic_files import sync_directory
 from fleet_db.keeping.copied_rows import copy_rows, row_counts
 from fleet_db.keeping.exclusive import keeping_alone
-from fleet_db.keeping.kept_files import SAMPLES, KeptFile, copy_kept, kept_files
+from fleet_db.keeping.kept_files import KeptFile, copy_kept, kept_files
+from fleet_db.keeping.kept_recordings import RAW, KeptRecording, copy_recording, kept_recordings, not_listed
 from fleet_db.keeping.manifest import Manifest, read_manifest, sha256_of
 from fleet_db.migrate import upgrade
 from fleet_db.models import Base, WindowRow
+from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.revisions import known_revisions
 from fleet_db.rows import table_of
 from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, sqlite_file, translate_errors
@@ -29,6 +32,7 @@ from fleet_db.stores.feed_branches import FeedBranchStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 
 WINDOWS = table_of(WindowRow)
+Progress = Callable[[int, int], None]
 CONTENT = ("fleets", "vehicles", "wheelsets", "track_sections", "chunks")
 CAUSE = "restored without the files of its windows"
 
@@ -58,17 +62,23 @@ class Restored:
     stale_vehicles: tuple[str, ...]
 
 
-def restore(
-    url: str, data_dir: Path, folder: Path, name: str | None = None, *, progress: Callable[[int, int], None]
-) -> Restored:
+@dataclass(frozen=True, slots=True)
+class Installation:
+    """What is to be filled: URL of the database, data folder, store of raw recordings."""
+
+    url: str
+    data_dir: Path
+    raw: RawStore
+
+
+def restore(into: Installation, folder: Path, name: str | None = None, *, progress: Progress) -> Restored:
     """Restore a backup; files first, then all rows in one step, so that an interrupted restore can be repeated.
 
     Parameters
     ----------
-    url
-        Of the database: one without content, SQLite or PostgreSQL whatever the backup was made of.
-    data_dir
-        Data folder; files in it stay.
+    into
+        The database must be without content, SQLite or PostgreSQL whatever the backup was made of. Files in the data
+        folder and recordings in the store stay.
     folder
         Of the backups.
     name
@@ -82,16 +92,16 @@ def restore(
         There is no such backup, its database is damaged, or it is of a newer version.
     ConflictError
         The database has content, or another backup, restore or purge is running.
-    StorageError
-        The database or a file cannot be read or written.
+    StorageError, PassingFaultError
+        The database, a file or a recording cannot be read or written.
     """
     manifest = read_manifest(folder, name)
     _check(manifest, folder)
-    engine = database_engine(url)
+    engine = database_engine(into.url)
     try:
         with keeping_alone(engine):
             _check_without_content(engine)
-            return _restored(engine, url, data_dir, folder, manifest, progress)
+            return _restored(engine, into, folder, manifest, progress)
     finally:
         engine.dispose()
 
@@ -122,24 +132,21 @@ def _check_without_content(engine: Engine) -> None:
         raise ConflictError(reason, kind="database", key=full[0])
 
 
-def _restored(
-    engine: Engine, url: str, data_dir: Path, folder: Path, manifest: Manifest, progress: Callable[[int, int], None]
-) -> Restored:
-    data_dir.mkdir(parents=True, exist_ok=True)
-    with _at_this_version(manifest, folder, data_dir) as database:
+def _restored(engine: Engine, into: Installation, folder: Path, manifest: Manifest, progress: Progress) -> Restored:
+    into.data_dir.mkdir(parents=True, exist_ok=True)
+    with _at_this_version(manifest, folder, into.data_dir) as database:
         reading = read_only_engine(database)
         try:
             with translate_errors(), reading.connect() as source:
-                files = list(kept_files(source, windows=manifest.windows_kept))
-                lost = [
-                    (file, fault) for file, fault in _copied(files, folder, data_dir, progress) if fault is not None
-                ]
-                stale = _stale(source, manifest, [file for file, _ in lost])
-                rows = _store_rows(engine, url, source, database, stale)
+                recordings = list(kept_recordings(source))
+                files = list(kept_files(source)) if manifest.windows_kept else []
+                lost = _copied(recordings, files, into, folder, manifest, progress)
+                stale = _stale(source, manifest, [one for one, _ in lost if isinstance(one, KeptFile)])
+                rows = _store_rows(engine, into.url, source, database, stale)
         finally:
             reading.dispose()
-    missing = tuple(f"{file.path} {fault} ({file.owner})" for file, fault in lost)
-    return Restored(manifest, rows, len(files) - len(lost), missing, stale)
+    missing = tuple(f"{_place(one, into.raw)} {fault} ({one.owner})" for one, fault in lost)
+    return Restored(manifest, rows, len(recordings) + len(files) - len(lost), missing, stale)
 
 
 @contextmanager
@@ -160,11 +167,31 @@ def _without_log(database: Path) -> Path:
 
 
 def _copied(
-    files: list[KeptFile], folder: Path, data_dir: Path, progress: Callable[[int, int], None]
-) -> Iterator[tuple[KeptFile, str | None]]:
-    for done, file in enumerate(files, start=1):
-        yield file, copy_kept(file, folder, data_dir)
-        progress(done, len(files))
+    recordings: list[KeptRecording],
+    files: list[KeptFile],
+    into: Installation,
+    folder: Path,
+    manifest: Manifest,
+    progress: Progress,
+) -> list[tuple[KeptRecording | KeptFile, str]]:
+    """Copy what the backup holds; return what is not there after that, each with what is wrong."""
+    saved, total = FileRawStore(folder / RAW), len(recordings) + len(files)
+    lost: list[tuple[KeptRecording | KeptFile, str]] = []
+    if not manifest.recordings_kept:
+        lost += not_listed(recordings, into.raw)
+    for done, kept in enumerate(recordings if manifest.recordings_kept else (), start=1):
+        fault = copy_recording(kept, saved, into.raw)
+        lost += [] if fault is None else [(kept, fault)]
+        progress(done, total)
+    for done, file in enumerate(files, start=len(recordings) + 1):
+        fault = copy_kept(file, folder, into.data_dir)
+        lost += [] if fault is None else [(file, fault)]
+        progress(done, total)
+    return lost
+
+
+def _place(one: KeptRecording | KeptFile, raw: RawStore) -> str:
+    return str(one.path) if isinstance(one, KeptFile) else raw.place(one.digest, one.suffix)
 
 
 def _stale(source: Connection, manifest: Manifest, lost: list[KeptFile]) -> tuple[str, ...]:
@@ -172,7 +199,7 @@ def _stale(source: Connection, manifest: Manifest, lost: list[KeptFile]) -> tupl
     kept = WINDOWS.c.samples_purged_ns.is_(None)
     statement = select(WINDOWS.c.vehicle).where(kept).distinct().order_by(WINDOWS.c.vehicle)
     if manifest.windows_kept:
-        digests = [file.digest for file in lost if file.kind == SAMPLES]
+        digests = [file.digest for file in lost]
         statement = statement.where(WINDOWS.c.content_digest.in_(digests))
     return tuple(source.scalars(statement))
 

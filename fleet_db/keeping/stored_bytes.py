@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +9,12 @@ from pathlib import Path
 from sqlalchemy import Connection, func, select
 
 from estimation.errors import StorageError
-from fleet_db.keeping.kept_files import RAW, SAMPLES
+from fleet_db.keeping.kept_files import SAMPLES
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.keeping.table_sizes import EXACT_BYTES, TableSize, database_size
 from fleet_db.models import ChunkRow, VehicleRow, WheelsetRow, WindowRow
+from fleet_db.raw import RawStore, RawTotal
+from fleet_db.raw_files import total_of
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 
@@ -100,13 +101,15 @@ class StoredBytes:
         return sum(kind.bytes for kind in self.kinds)
 
 
-def stored_bytes(storage: SqlStorage, retention: Retention, hours_per_day: float | None = None) -> StoredBytes:
+def stored_bytes(
+    storage: SqlStorage, raw: RawStore, retention: Retention, hours_per_day: float | None = None
+) -> StoredBytes:
     """Return where the bytes are.
 
     Parameters
     ----------
-    storage
-        Database and data folder.
+    storage, raw
+        Database and data folder, and where recordings are.
     retention
         Days by kind.
     hours_per_day
@@ -114,8 +117,8 @@ def stored_bytes(storage: SqlStorage, retention: Retention, hours_per_day: float
 
     Raises
     ------
-    StorageError
-        The database or a directory cannot be read.
+    StorageError, PassingFaultError
+        The database, a directory or the store of raw recordings cannot be read.
     """
     with storage.read() as unit:
         size = database_size(unit.connection, EXACT_BYTES)
@@ -123,12 +126,14 @@ def stored_bytes(storage: SqlStorage, retention: Retention, hours_per_day: float
         raw_hour = _raw_bytes_per_hour(unit.connection, running)
     year = _Year(running, retention)
     kinds = [_of_tables(kind, size.tables, year) for kind in (*TABLES, OTHER)]
-    raw, samples = (_directory(storage.data_dir / name) for name in (RAW, SAMPLES))
-    one = samples.bytes / samples.files if samples.files else 0.0
+    samples = _samples(storage.data_dir / SAMPLES)
+    one = samples.size_bytes / samples.items if samples.items else 0.0
     per_hour = one / running.window_hours if running.window_hours else 0.0
     kinds += [
         _of_files("samples of windows", samples, retention.window_samples, year.kept(per_hour, Kept.WINDOW_SAMPLES)),
-        _of_files("raw recordings", raw, retention.recordings, year.kept(raw_hour, Kept.RECORDINGS)),
+        _of_files(
+            "raw recordings", raw.total(LOOKED_AT_FILES), retention.recordings, year.kept(raw_hour, Kept.RECORDINGS)
+        ),
     ]
     return StoredBytes(tuple(sorted(kinds, key=lambda kind: -kind.bytes)), running, size.free_bytes)
 
@@ -163,33 +168,15 @@ def _of_tables(kind: str, sizes: Mapping[str, TableSize], year: _Year) -> Stored
     return StoredKind(kind, items, item_bytes, index_bytes, estimated, days, year.kept(per_hour, kept))
 
 
-@dataclass(frozen=True, slots=True)
-class _Directory:
-    files: int
-    bytes: int
-    estimated: bool
+def _of_files(kind: str, found: RawTotal, days: float | None, year_bytes: int | None) -> StoredKind:
+    return StoredKind(kind, found.items, found.size_bytes, 0, found.estimated, days, year_bytes)
 
 
-def _of_files(kind: str, found: _Directory, days: float | None, year_bytes: int | None) -> StoredKind:
-    return StoredKind(kind, found.files, found.bytes, 0, found.estimated, days, year_bytes)
-
-
-def _directory(path: Path) -> _Directory:
-    """Return the files below a directory, by whole subdirectories until enough were looked at."""
+def _samples(path: Path) -> RawTotal:
     try:
-        below = sorted(entry.path for entry in os.scandir(path) if entry.is_dir())
-        files = size = seen = 0
-        for folder in below:
-            sizes = [entry.stat().st_size for entry in os.scandir(folder) if entry.is_file()]
-            files, size, seen = files + len(sizes), size + sum(sizes), seen + 1
-            if files >= LOOKED_AT_FILES:
-                break
-    except FileNotFoundError:
-        return _Directory(0, 0, estimated=False)
+        return total_of(path, LOOKED_AT_FILES)
     except OSError as error:
         raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
-    scale = len(below) / seen if seen else 1.0
-    return _Directory(round(files * scale), round(size * scale), estimated=seen < len(below))
 
 
 def _running(connection: Connection, windows: int, hours_per_day: float | None) -> Running:

@@ -59,7 +59,7 @@ class BacklogWatch:
     storage
         The database, of all fleets.
     folder
-        Of the raw store.
+        In which chunks are received before they are stored.
     limits
         Of the deployment.
     now_s

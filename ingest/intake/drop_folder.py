@@ -15,7 +15,6 @@ from pathlib import Path
 
 from estimation.errors import ConflictError, InputError
 from fleet_db.atomic_files import write_atomically
-from fleet_db.incoming import IncomingFile
 from fleet_db.locks import locked_file
 from fleet_db.passing import passing_faults
 from fleet_db.raw import RawStore, pieces_of
@@ -155,7 +154,7 @@ class DropFolder:
         return complete, len(found) - len(complete)
 
     def _read(self, path: Path) -> Arrival:
-        """Return a file with the bytes of ``path``, on the disk.
+        """Return a file with the bytes of ``path``, received.
 
         Raises
         ------
@@ -170,7 +169,7 @@ class DropFolder:
             raise InputError("is empty", file=path)
         vehicle, suffix = self.settings.vehicle_of(path), format_of(path).suffix
         chunk = Chunk(vehicle, suffix, path.name, f"folder {self.settings.folder.name}")
-        incoming = IncomingFile(self.raw.directory)
+        incoming = self.raw.incoming(suffix)
         try:
             for piece in pieces_of(path):
                 incoming.write(piece)

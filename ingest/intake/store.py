@@ -9,7 +9,7 @@ from estimation.errors import ConflictError
 from estimation.storage import Clock
 from fleet_db.incoming import IncomingFile
 from fleet_db.raw import RawStore
-from fleet_db.raw_mark import check_raw_store, stored_mark
+from fleet_db.raw_mark import check_raw_store
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlStorage
 from ingest.deleted import DeletedRecordings
@@ -19,7 +19,7 @@ from ingest.receipts import enter_receipt, of_another_vehicle
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A chunk whose bytes are on the disk under no name yet."""
+    """A chunk whose bytes are received under no name yet."""
 
     file: IncomingFile
     chunk: Chunk
@@ -34,7 +34,7 @@ class Stored:
 
 
 class ChunkStorage:
-    """Stores arrivals: names first, then their directories on the disk, then all receipts in one transaction.
+    """Stores arrivals: their bytes in the raw store first, then all receipts in one transaction.
 
     Parameters
     ----------
@@ -66,15 +66,11 @@ class ChunkStorage:
         StorageError
             The database cannot be reached: the same.
         """
-        if self._mark is None or stored_mark(self._raw) != self._mark:
+        if self._mark is None or self._raw.read_mark() != self._mark:
             self._mark = check_raw_store(self._storage, self._raw, self._clock.now_ns())
         answers: dict[int, Stored | ConflictError] = {}
         self._refuse_deleted(arrivals, answers)
-        directories = set()
-        for number, arrival in enumerate(arrivals):
-            if number not in answers:
-                directories |= self._raw.place(arrival.file, arrival.chunk.suffix)
-        self._raw.synchronise(directories)
+        self._raw.put([arrival.file for number, arrival in enumerate(arrivals) if number not in answers])
         with self._storage.write() as unit:
             now_ns = self._clock.now_ns()
             for number, arrival in enumerate(arrivals):

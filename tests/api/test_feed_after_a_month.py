@@ -10,6 +10,7 @@ import api_fleet
 import pytest
 from populated_service import populated_service
 from running_service import Service
+from stored_raw import raw_of
 
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.retention import DAY_NS, LEAST_DAYS_OF_RECORDINGS, Retention
@@ -45,7 +46,9 @@ def test_thirty_days_away_and_the_shortest_retention_miss_nothing(
             )
             assert taken.status_code == 200, taken.text
             written += [(alert.alert_id, "raised"), (alert.alert_id, "acknowledged")]
-            deleted = purge(service.storage, SHORTEST, time.time_ns() + day * DAY_NS, lambda: None)
+            deleted = purge(
+                service.storage, raw_of(service.storage), SHORTEST, time.time_ns() + day * DAY_NS, lambda: None
+            )
             assert len(deleted) == len(fields(Retention))
         assert len(behind) > 5
         found = _rest(service, first["next_cursor"])

@@ -12,6 +12,7 @@ import api_fleet
 import httpx
 import pytest
 from running_service import running
+from stored_raw import installation, raw_of
 
 from api import cursors
 from api.factory import open_store
@@ -89,13 +90,13 @@ def test_a_poller_that_is_ahead_of_a_restored_database_is_shown_where_to_go_on(
     before = polling("original")
     _, first = before.poll(None, limit="1")
     _, at_backup = before.poll(None)
-    back_up(original, tmp_path / "backups", 1, progress=quietly)
+    back_up(original, raw_of(original), tmp_path / "backups", 1, progress=quietly)
     lost = api_fleet.raised(original, "WS-020", KIND)
     news, newer = before.poll(at_backup)
     assert news == [lost.alert_id]
 
     restored = tmp_path / "restored"
-    restore(settings_of(restored).url, restored, tmp_path / "backups", progress=quietly)
+    restore(installation(settings_of(restored).url, restored), tmp_path / "backups", progress=quietly)
     with opened(restored) as storage:
         after = polling("restored")
         body = after.refused(newer)  # nothing new yet, and its event is not there
@@ -154,9 +155,9 @@ def test_cursors_of_an_earlier_version_are_taken_where_their_event_is_there(
     poller.refused(old(newest + 1))
     assert poller.ask(old(-1)).status_code == 400
     assert poller.ask(cursors.encode("poll_alert_feed", {}, "1.x.y")).status_code == 400
-    back_up(original, tmp_path / "backups", 1, progress=quietly)
+    back_up(original, raw_of(original), tmp_path / "backups", 1, progress=quietly)
     restored = tmp_path / "restored"
-    restore(settings_of(restored).url, restored, tmp_path / "backups", progress=quietly)
+    restore(installation(settings_of(restored).url, restored), tmp_path / "backups", progress=quietly)
     with opened(restored) as storage:
         api_fleet.raised(storage, "WS-020", KIND)
         after = polling("restored")

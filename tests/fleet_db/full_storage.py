@@ -11,7 +11,7 @@ from estimation.values.alerts import AlertEventKind
 from estimation.values.runs import JobTrigger
 from estimation.values.windows import WindowState
 from fleet_db.models import Base
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 
@@ -20,7 +20,7 @@ RECORDING = b"frames of V-1" * 1000
 
 def fill(storage: SqlStorage) -> None:
     """Store one of everything: a recording, windows with tables, a geometry, a trend, alerts, an alignment."""
-    digest = RawStore(storage.data_dir / "raw").put_bytes(RECORDING, ".blf")
+    digest = FileRawStore(storage.data_dir / "raw").put_bytes(RECORDING, ".blf")
     with storage.write() as unit:
         record = replace(make.CHUNK, digest=digest, size_bytes=len(RECORDING), state=ChunkState.DECODED,
                          first_ns=make.START, last_ns=make.START + 1, counts={"frames": 3})  # fmt: skip

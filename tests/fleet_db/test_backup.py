@@ -13,10 +13,11 @@ import sqlalchemy
 import stored_values as make
 from full_storage import RECORDING, contents, fill
 from in_process_command import Run
+from stored_raw import installation, raw_of
 
 from estimation.errors import ConflictError, InputError
 from estimation.values.runs import JobTrigger
-from fleet_db.keeping.backup import back_up
+from fleet_db.keeping.backup import BackupPlan, back_up
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.manifest import read_manifest
@@ -71,12 +72,12 @@ def opened(target_url: str, tmp_path: Path) -> Iterator[SqlStorage]:
 def test_a_backup_becomes_the_same_installation(
     full: SqlStorage, target_url: str, opened: SqlStorage, tmp_path: Path
 ) -> None:
-    manifest = back_up(full, tmp_path / "backups", make.START, progress=quietly)
+    manifest = back_up(full, raw_of(full), tmp_path / "backups", make.START, progress=quietly)
     assert (manifest.raw_files, manifest.window_files, manifest.missing) == (1, 3, ())
     assert {name: count for name, count in manifest.rows.items() if count} == {
         name: len(rows) for name, rows in contents(full).items() if rows
     }
-    restored = restore(target_url, tmp_path / "restored", tmp_path / "backups", progress=quietly)
+    restored = restore(installation(target_url, tmp_path / "restored"), tmp_path / "backups", progress=quietly)
     assert (restored.files, restored.missing, restored.stale_vehicles) == (4, (), ())
     now, before = contents(opened), contents(full)
     branches, original = now.pop("feed_branches"), before.pop("feed_branches")
@@ -84,19 +85,19 @@ def test_a_backup_becomes_the_same_installation(
     assert branches[:-1] == original  # cursors of the feed from before are known, and end at the backup
     with opened.read() as unit:
         assert unit.feed_branches.all()[-1].after_sequence == unit.feed_branches.newest_sequence() == 3
-    assert check_deep(opened, quietly).findings == ()
+    assert check_deep(opened, raw_of(opened), quietly).findings == ()
     with opened.write() as unit:  # numbers go on where they were
         assert unit.jobs.start("refresh_geometry", JobTrigger.CLI, 6).run_id == 2
         assert make.same(unit.windows.load("WS-1", make.START), make.window())
 
 
 def test_a_second_backup_copies_what_is_new(embedded: SqlStorage, tmp_path: Path) -> None:
-    first = back_up(embedded, tmp_path / "b", make.START, progress=quietly)
+    first = back_up(embedded, raw_of(embedded), tmp_path / "b", make.START, progress=quietly)
     raw = next((tmp_path / "b" / "raw").rglob("*.blf"))
     before = raw.stat().st_ino
     with embedded.write() as unit:
         unit.windows.put(make.window(7), 107.0, make.START)
-    second = back_up(embedded, tmp_path / "b", make.START + 10**9, progress=quietly)
+    second = back_up(embedded, raw_of(embedded), tmp_path / "b", make.START + 10**9, progress=quietly)
     assert raw.stat().st_ino == before
     assert (first.window_files, second.window_files) == (3, 4)
     assert read_manifest(tmp_path / "b") == second
@@ -106,9 +107,9 @@ def test_a_second_backup_copies_what_is_new(embedded: SqlStorage, tmp_path: Path
 def test_without_windows_they_are_made_again(
     embedded: SqlStorage, target_url: str, opened: SqlStorage, tmp_path: Path
 ) -> None:
-    back_up(embedded, tmp_path / "b", make.START, windows=False, progress=quietly)
+    back_up(embedded, raw_of(embedded), tmp_path / "b", make.START, plan=BackupPlan(windows=False), progress=quietly)
     assert not (tmp_path / "b" / "windows").exists()
-    restored = restore(target_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+    restored = restore(installation(target_url, tmp_path / "restored"), tmp_path / "b", progress=quietly)
     assert restored.stale_vehicles == ("V-1",)
     with opened.read() as unit:
         assert [span.vehicle for span in unit.stale_spans.all() if span.cause == CAUSE] == ["V-1"]
@@ -117,39 +118,42 @@ def test_without_windows_they_are_made_again(
 def test_a_damaged_file_is_named_and_the_rest_restored(
     embedded: SqlStorage, target_url: str, opened: SqlStorage, tmp_path: Path
 ) -> None:
-    back_up(embedded, tmp_path / "b", make.START, progress=quietly)
+    back_up(embedded, raw_of(embedded), tmp_path / "b", make.START, progress=quietly)
     raw = next((tmp_path / "b" / "raw").rglob("*.blf"))
     raw.write_bytes(RECORDING[:-1] + b"?")
     min((tmp_path / "b" / "windows").rglob("*.window")).unlink()
-    restored = restore(target_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+    restored = restore(installation(target_url, tmp_path / "restored"), tmp_path / "b", progress=quietly)
     assert restored.files == 2
     assert [line.split(" (")[0].split(" ", 1)[1] for line in sorted(restored.missing)] == [
-        "holds other content than its name says",
+        "is damaged: its content has another digest",
         "is missing",
     ]
     assert restored.stale_vehicles == ("V-1",)
-    assert {finding.kind for finding in check_deep(opened, quietly).findings} == {"recording", "window file"}
+    assert {finding.kind for finding in check_deep(opened, raw_of(opened), quietly).findings} == {
+        "recording",
+        "window file",
+    }
 
 
 def test_a_damaged_database_is_refused(embedded: SqlStorage, file_url: str, tmp_path: Path) -> None:
-    manifest = back_up(embedded, tmp_path / "b", make.START, progress=quietly)
+    manifest = back_up(embedded, raw_of(embedded), tmp_path / "b", make.START, progress=quietly)
     file = manifest.database_file(tmp_path / "b")
     content = bytearray(file.read_bytes())
     content[5000] ^= 1
     file.write_bytes(content)
     with pytest.raises(InputError, match="another sha256"):
-        restore(file_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+        restore(installation(file_url, tmp_path / "restored"), tmp_path / "b", progress=quietly)
     file.unlink()
     with pytest.raises(InputError, match="is missing"):
-        restore(file_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+        restore(installation(file_url, tmp_path / "restored"), tmp_path / "b", progress=quietly)
 
 
 def test_a_database_with_content_is_refused(full: SqlStorage, tmp_path: Path) -> None:
-    back_up(full, tmp_path / "b", make.START, progress=quietly)
+    back_up(full, raw_of(full), tmp_path / "b", make.START, progress=quietly)
     url = full.engine.url.render_as_string(hide_password=False)
     before = contents(full)
     with pytest.raises(ConflictError, match=r"has content \(chunks, fleets"):
-        restore(url, full.data_dir, tmp_path / "b", progress=quietly)
+        restore(installation(url, full.data_dir), tmp_path / "b", progress=quietly)
     assert contents(full) == before
 
 
@@ -163,10 +167,10 @@ def test_an_interrupted_restore_is_repeated(
         if done == 2:
             raise PowerCutError
 
-    back_up(embedded, tmp_path / "b", make.START, progress=quietly)
+    back_up(embedded, raw_of(embedded), tmp_path / "b", make.START, progress=quietly)
     with pytest.raises(PowerCutError):
-        restore(target_url, tmp_path / "restored", tmp_path / "b", progress=cut)
-    restore(target_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+        restore(installation(target_url, tmp_path / "restored"), tmp_path / "b", progress=cut)
+    restore(installation(target_url, tmp_path / "restored"), tmp_path / "b", progress=quietly)
     now, before = contents(opened), contents(embedded)
     assert len(now.pop("feed_branches")) == len(before.pop("feed_branches")) + 1
     assert now == before
@@ -177,7 +181,7 @@ def test_an_interrupted_backup_does_not_count(embedded: SqlStorage, tmp_path: Pa
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        back_up(embedded, tmp_path / "b", make.START, progress=cut)
+        back_up(embedded, raw_of(embedded), tmp_path / "b", make.START, progress=cut)
     with pytest.raises(InputError, match="holds no finished backup"):
         read_manifest(tmp_path / "b")
 
@@ -193,7 +197,7 @@ def test_a_backup_of_an_older_version_is_brought_to_this_one(
     from fleet_db.keeping.manifest import write_manifest  # noqa: PLC0415 - of this test alone
     from fleet_db.migrate import _config  # noqa: PLC0415 - an upgrade to an older migration
 
-    manifest = back_up(embedded, tmp_path / "b", make.START, progress=quietly)
+    manifest = back_up(embedded, raw_of(embedded), tmp_path / "b", make.START, progress=quietly)
     file = manifest.database_file(tmp_path / "b")
     file.unlink()
     engine = database_engine(f"sqlite:///{file}")
@@ -205,13 +209,13 @@ def test_a_backup_of_an_older_version_is_brought_to_this_one(
     engine.dispose()
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     write_manifest(tmp_path / "b", replace(manifest, migration="0001", database_sha256=digest))
-    restore(target_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+    restore(installation(target_url, tmp_path / "restored"), tmp_path / "b", progress=quietly)
     with opened.read() as unit:
         assert [fleet.code for fleet in unit.registry.fleets()] == ["F-9"]
     write_manifest(tmp_path / "b", replace(manifest, migration="9999", database_sha256=digest))
     shutil.rmtree(tmp_path / "restored")
     with pytest.raises(InputError, match="of a newer version"):
-        restore(target_url, tmp_path / "restored", tmp_path / "b", progress=quietly)
+        restore(installation(target_url, tmp_path / "restored"), tmp_path / "b", progress=quietly)
 
 
 def test_a_baseline_that_was_emptied_is_no_damage(full: SqlStorage) -> None:
@@ -220,16 +224,18 @@ def test_a_baseline_that_was_emptied_is_no_damage(full: SqlStorage) -> None:
     with full.write() as unit:
         unit.geometries.put(make.geometry_record(8, baseline=1))
         unit.geometries.put(make.geometry_record(9, baseline=1, geometry=empty))
-    assert check_deep(full, quietly).findings == ()
+    assert check_deep(full, raw_of(full), quietly).findings == ()
     with full.engine.begin() as connection:
         connection.execute(sqlalchemy.update(WheelsetBinRow).values(geometry_id=2))
-    assert [finding.subject for finding in check_deep(full, quietly).findings] == ["bins of wheelset WS-1"]
+    assert [finding.subject for finding in check_deep(full, raw_of(full), quietly).findings] == [
+        "bins of wheelset WS-1"
+    ]
 
 
 def test_one_at_a_time(full: SqlStorage, tmp_path: Path) -> None:
     with keeping_alone(full.engine), pytest.raises(ConflictError, match="is running"):
-        back_up(full, tmp_path / "b", make.START, progress=quietly)
-    back_up(full, tmp_path / "b", make.START, progress=quietly)
+        back_up(full, raw_of(full), tmp_path / "b", make.START, progress=quietly)
+    back_up(full, raw_of(full), tmp_path / "b", make.START, progress=quietly)
 
 
 def test_by_command(treadwatch: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -246,8 +252,9 @@ def test_by_command(treadwatch: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert (done.returncode, "4 files" in done.stdout) == (0, True)
     checked = treadwatch("db", "check", "--deep")
     assert (checked.returncode, "0 damaged or lost" in checked.stdout) == (0, True)
-    next((tmp_path / "data" / "raw").rglob("*.blf")).unlink()
+    raw = tmp_path / "data" / "raw"
+    next(raw.rglob("*.blf")).unlink()
     checked = treadwatch("db", "check", "--deep")
-    assert (checked.returncode, "of vehicle V-1: raw/" in checked.stdout) == (1, True)
+    assert (checked.returncode, f"of vehicle V-1: {raw}/" in checked.stdout) == (1, True)
     again = treadwatch("backup", "c")
-    assert (again.returncode, "not in the backup: raw/" in again.stdout) == (1, True)
+    assert (again.returncode, f"not in the backup: {raw}/" in again.stdout) == (1, True)

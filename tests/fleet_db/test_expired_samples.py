@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import sqlalchemy
 import stored_values as make
+from stored_raw import raw_of
 
 from estimation.errors import DamagedError, ParameterError, PurgedError
 from estimation.values.reasons import Reason, ReasonCode
@@ -16,8 +17,8 @@ from estimation.values.track_epochs import EpochMember, FoldState, TrackEpoch
 from estimation.values.windows import PassedOver, WindowPosition, WindowRecord, WindowState
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.expired_samples import WAITING
-from fleet_db.keeping.kept_files import SAMPLES, kept_files
-from fleet_db.keeping.orphans import orphans
+from fleet_db.keeping.kept_files import kept_files
+from fleet_db.keeping.orphans import orphaned_samples
 from fleet_db.keeping.purge import Purged, purge
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.models import WindowBinTableRow
@@ -29,7 +30,7 @@ SECTION = "S-7"
 
 
 def purged(storage: SqlStorage, now_ns: int = AFTER) -> Purged:
-    (done,) = purge(storage, Retention(**(NOTHING | {"window_samples": 1.0})), now_ns, lambda: None)
+    (done,) = purge(storage, raw_of(storage), Retention(**(NOTHING | {"window_samples": 1.0})), now_ns, lambda: None)
     return done
 
 
@@ -77,9 +78,9 @@ def test_samples_of_what_is_estimated_or_refused_for_good_go(fleet: SqlStorage) 
     with fleet.read() as unit:
         with pytest.raises(PurgedError):
             unit.windows.load("WS-1", make.START)
-        assert len([one for one in kept_files(unit.connection) if one.kind == SAMPLES]) == files - 2
-    assert not check_deep(fleet, lambda *_: None).damaged
-    assert orphans(fleet) == []
+        assert len(list(kept_files(unit.connection))) == files - 2
+    assert not check_deep(fleet, raw_of(fleet), lambda *_: None).damaged
+    assert orphaned_samples(fleet) == []
 
 
 def test_a_table_that_is_not_rolled_up_keeps_the_samples(fleet: SqlStorage) -> None:
@@ -181,7 +182,7 @@ def test_a_file_that_was_used_again_is_left_to_the_orphans(fleet: SqlStorage) ->
     assert purged(fleet).items == 1
     assert len(list(fleet.data_dir.rglob("*.window"))) == 1  # younger than a transaction may be
     aged(fleet)
-    assert len(orphans(fleet)) == 1
+    assert len(orphaned_samples(fleet)) == 1
 
 
 def test_a_day_of_samples_is_the_least() -> None:

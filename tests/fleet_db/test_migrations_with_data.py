@@ -16,6 +16,7 @@ import stored_values as make
 from alembic import command
 from alembic.config import Config
 from full_storage import fill
+from stored_raw import raw_of
 
 from estimation.errors import MigrationError
 from fleet_db.keeping.deep_check import check_deep
@@ -80,7 +81,7 @@ def address(storage: SqlStorage) -> str:
 
 def check_whole(storage: SqlStorage) -> None:
     """Check that what every migration has had a place for is there, and readable."""
-    assert check_deep(storage, lambda _done, _total: None).findings == ()
+    assert check_deep(storage, raw_of(storage), lambda _done, _total: None).findings == ()
     with storage.read() as unit:
         assert [window.state.value for window in unit.windows.list("WS-1")] == ["estimated"] * 3
         assert make.same(unit.windows.load("WS-1", make.START), make.window())

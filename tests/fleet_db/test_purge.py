@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import sqlalchemy
 import stored_values as make
+from stored_raw import raw_of
 
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.keeping import purge as purge_module
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.exclusive import keeping_alone
-from fleet_db.keeping.orphans import LEAST_AGE_S, orphans, unlink_old
+from fleet_db.keeping.orphans import LEAST_AGE_S, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.purge import Purged, purge, purged_before
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.models import PurgeRow
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore, unlink_old
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from fleet_db.webhook_records import Delivery, DeliveryState, Failure, Webhook, WebhookState
@@ -29,8 +31,13 @@ NOTHING = dict.fromkeys((kind.value for kind in Kept), None)
 
 def purged(storage: SqlStorage, **days: float) -> dict[str, int]:
     """Return how many items of each kind a purge deletes that keeps only some kinds not for ever."""
-    done = purge(storage, Retention(**(NOTHING | days)), NOW, lambda: None)
+    done = purge(storage, raw_of(storage), Retention(**(NOTHING | days)), NOW, lambda: None)
     return {one.kind.value: one.items for one in done}
+
+
+def left_over(storage: SqlStorage) -> list[Path]:
+    """Return what no row refers to, of windows and recordings."""
+    return [*orphaned_samples(storage), *(Path(one.place) for one in orphaned_recordings(storage, raw_of(storage)))]
 
 
 def test_runs_go_but_the_newest_of_each_outcome(fleet: SqlStorage) -> None:
@@ -139,7 +146,7 @@ def test_a_purge_works_in_batches_with_a_record_of_each(fleet: SqlStorage, monke
             raise stop
 
     with pytest.raises(KeyboardInterrupt):
-        purge(fleet, Retention(**(NOTHING | {"idempotency_keys": 7.0})), NOW, checkpoint)
+        purge(fleet, raw_of(fleet), Retention(**(NOTHING | {"idempotency_keys": 7.0})), NOW, checkpoint)
     assert purged(fleet, idempotency_keys=7.0) == {"idempotency_keys": 1}
     with fleet.read() as unit:
         rows = unit.connection.execute(sqlalchemy.select(PurgeRow.items).order_by(PurgeRow.purge_id)).scalars().all()
@@ -150,17 +157,17 @@ def test_files_of_replaced_windows_go(fleet: SqlStorage) -> None:
     with fleet.write() as unit:
         unit.windows.put(make.window(0), 100.0, 1)
         unit.windows.put(make.window(0, seed=5), 100.0, 2)
-    lost = RawStore(fleet.data_dir / "raw").put_bytes(b"of a newer database", ".blf")
+    lost = FileRawStore(fleet.data_dir / "raw").put_bytes(b"of a newer database", ".blf")
     left = fleet.data_dir / "windows" / "ab" / ".writing-x"
     left.parent.mkdir(exist_ok=True)
     left.write_bytes(b"killed")
     (fleet.data_dir / "raw" / ".incoming-y").write_bytes(b"killed")
-    assert orphans(fleet) == []  # all of them are young
+    assert left_over(fleet) == []  # all of them are young
     for path in fleet.data_dir.rglob("*"):
         os.utime(path, (1e9, 1e9))
-    assert len(orphans(fleet)) == 4
+    assert len(left_over(fleet)) == 4
     assert purged(fleet, orphaned_files=1.0) == {"orphaned_files": 3}
-    assert [path.name for path in orphans(fleet)] == [f"{lost}.blf"]  # a recording is never an orphan to delete
+    assert [path.name for path in left_over(fleet)] == [f"{lost}.blf"]  # a recording is never an orphan to delete
     with fleet.read() as unit:
         assert make.same(unit.windows.load("WS-1", make.START), make.window(0, seed=5))
 
@@ -173,7 +180,7 @@ def test_a_file_that_a_window_takes_up_again_is_young(fleet: SqlStorage) -> None
         unit.windows.put(make.window(0, seed=5), 100.0, 2)
     for path in fleet.data_dir.rglob("*.window"):
         os.utime(path, (1e9, 1e9))
-    (orphan,) = orphans(fleet)
+    (orphan,) = orphaned_samples(fleet)
     with fleet.write() as unit:
         unit.windows.put(window, 100.0, 3)
         assert unlink_old(fleet.data_dir / orphan, LEAST_AGE_S) is None
@@ -184,7 +191,7 @@ def test_a_file_that_a_window_takes_up_again_is_young(fleet: SqlStorage) -> None
 
 
 def test_raw_files_of_old_recordings_go_and_their_receipts_stay(fleet: SqlStorage) -> None:
-    raw = RawStore(fleet.data_dir / "raw")
+    raw = FileRawStore(fleet.data_dir / "raw")
     digests = [raw.put_bytes(bytes([number]) * 10, ".blf") for number in range(4)]
     states = [ChunkState.DECODED, ChunkState.DECODED, ChunkState.STORED, ChunkState.REJECTED]
     days = [1, 1990, 1, 1]
@@ -199,14 +206,14 @@ def test_raw_files_of_old_recordings_go_and_their_receipts_stay(fleet: SqlStorag
         found = unit.chunks.get(digests[0])
     assert found is not None
     assert (found.state, found.purged_ns) == (ChunkState.DECODED, NOW)
-    assert check_deep(fleet, lambda _done, _total: None).findings == ()
+    assert check_deep(fleet, raw_of(fleet), lambda _done, _total: None).findings == ()
     raw.put_bytes(bytes([0]) * 10, ".blf")  # as by a process that was killed between row and file
     os.utime(raw.path(digests[0], ".blf"), (1e9, 1e9))
     assert purged(fleet, orphaned_files=1.0) == {"orphaned_files": 1}
 
 
 def test_a_clock_of_ours_that_is_400_days_ahead_makes_no_data_old(fleet: SqlStorage) -> None:
-    raw = RawStore(fleet.data_dir / "raw")
+    raw = FileRawStore(fleet.data_dir / "raw")
     digest = raw.put_bytes(b"a recording", ".blf")
     right = NOW - 400 * DAY_NS
     with fleet.write() as unit:
@@ -232,7 +239,7 @@ def test_young_files_stay_whatever_is_set() -> None:
 
 def test_nothing_while_a_backup_runs(fleet: SqlStorage) -> None:
     with keeping_alone(fleet.engine), pytest.raises(ConflictError):
-        purge(fleet, Retention(), NOW, lambda: None)
+        purge(fleet, raw_of(fleet), Retention(), NOW, lambda: None)
 
 
 @pytest.mark.parametrize("days", [0.0, -1.0, float("nan"), float("inf")])
@@ -249,4 +256,4 @@ def test_what_is_kept_by_default() -> None:
 
 
 def test_what_was_purged_is_counted(fleet: SqlStorage) -> None:
-    assert Purged(Kept.JOB_RUNS, 0) in purge(fleet, Retention(), NOW, lambda: None)
+    assert Purged(Kept.JOB_RUNS, 0) in purge(fleet, raw_of(fleet), Retention(), NOW, lambda: None)

@@ -12,7 +12,7 @@ from estimation.errors import PassingFaultError
 from estimation.values.quarantine import QuarantineState, SubjectKind
 from fleet_db.keeping import scrub as scrubbing
 from fleet_db.keeping.scrub import STAGE, ScrubFault, ScrubPlan, scrub
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.raw_scrubs import RawScrub
@@ -20,8 +20,8 @@ from fleet_db.stores.raw_scrubs import RawScrub
 WHOLE = ScrubPlan()
 
 
-def raw_of(storage: SqlStorage) -> RawStore:
-    return RawStore(storage.data_dir / "raw")
+def raw_of(storage: SqlStorage) -> FileRawStore:
+    return FileRawStore(storage.data_dir / "raw")
 
 
 def store(storage: SqlStorage, count: int) -> list[str]:

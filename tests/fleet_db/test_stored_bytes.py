@@ -12,6 +12,7 @@ import sqlalchemy
 import stored_values as make
 from full_storage import RECORDING, fill
 from in_process_command import Run
+from stored_raw import raw_of
 
 from fleet_db.keeping import stored_bytes as module
 from fleet_db.keeping.retention import Kept, Retention
@@ -26,7 +27,7 @@ FOR_EVER = Retention(**dict.fromkeys((kind.value for kind in Kept), None))
 
 
 def kinds(storage: SqlStorage, retention: Retention = FOR_EVER, hours: float | None = 16.0) -> dict[str, StoredKind]:
-    return {kind.kind: kind for kind in stored_bytes(storage, retention, hours).kinds}
+    return {kind.kind: kind for kind in stored_bytes(storage, raw_of(storage), retention, hours).kinds}
 
 
 def analysed(storage: SqlStorage) -> None:
@@ -48,7 +49,7 @@ def test_every_kind_is_counted(fleet: SqlStorage) -> None:
     assert found["windows"].index_bytes > 0
     listed = [name for names in TABLES.values() for name in names]
     assert len(listed) == len(set(listed))
-    whole = stored_bytes(fleet, FOR_EVER)
+    whole = stored_bytes(fleet, raw_of(fleet), FOR_EVER)
     assert whole.total == sum(kind.bytes for kind in whole.kinds)
     assert whole.running.wheelsets == 1
 
@@ -110,7 +111,7 @@ def test_a_year_follows_from_running_and_days(fleet: SqlStorage) -> None:
     assert kinds(fleet, hours=8.0)["windows"].wheelset_year_bytes == pytest.approx(
         (forever["windows"].wheelset_year_bytes or 0) / 2, abs=1
     )
-    lately = stored_bytes(fleet, FOR_EVER).running
+    lately = stored_bytes(fleet, raw_of(fleet), FOR_EVER).running
     assert lately.hours_per_day == pytest.approx(3 * make.LENGTH / make.SECOND / 3600)  # of one day at the least
 
 
@@ -127,7 +128,7 @@ def test_of_many_files_whole_directories_are_looked_at(fleet: SqlStorage, monkey
 
 
 def test_an_empty_database_has_no_year(fleet: SqlStorage) -> None:
-    assert {kind.wheelset_year_bytes for kind in stored_bytes(fleet, FOR_EVER).kinds} == {None}
+    assert {kind.wheelset_year_bytes for kind in stored_bytes(fleet, raw_of(fleet), FOR_EVER).kinds} == {None}
 
 
 def test_the_command_prints_a_table_and_json(treadwatch: Run, tmp_path: Path) -> None:

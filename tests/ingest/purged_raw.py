@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from stored_raw import raw_of
+
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.retention import DAY_NS, Retention
 from fleet_db.receipts import ChunkRecord, ChunkState
@@ -17,4 +19,4 @@ def purge_raw(storage: SqlStorage) -> None:
     )
     with storage.write() as unit:
         unit.chunks.put(newer)
-    purge(storage, Retention(recordings=31.0), LATER_NS, lambda: None)
+    purge(storage, raw_of(storage), Retention(recordings=31.0), LATER_NS, lambda: None)

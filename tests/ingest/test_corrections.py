@@ -14,7 +14,7 @@ from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from fleet_db.models import WindowRow
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState, RecordingAction
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
@@ -44,7 +44,7 @@ class Deployment:
     def __init__(self, storage: SqlStorage, directory: Path) -> None:
         clock = CountingClock()
         self.storage = storage
-        self.receiver = Receiver(storage, RawStore(directory / "raw"), default_catalogue(), clock, 10.0)
+        self.receiver = Receiver(storage, FileRawStore(directory / "raw"), default_catalogue(), clock, 10.0)
         self.corrections = RecordingCorrections(storage, clock)
 
     def receive(self, path: Path, vehicle: str = VEHICLE) -> str:
@@ -190,7 +190,7 @@ def test_one_that_was_deleted_is_as_if_it_had_never_come_and_comes_back_only_whe
     digest = deployment.receive(second)
     both = deployment.windows()
     assert never != both
-    raw = RawStore(tmp_path / "raw")
+    raw = FileRawStore(tmp_path / "raw")
     record = deployment.corrections.delete(digest, AUTHOR, raw)
     deployment.rest()
     assert deployment.windows() == never
@@ -220,7 +220,7 @@ def test_one_under_the_name_of_no_vehicle_is_as_if_it_had_come_for_the_one_that_
     first, second = halves(tmp_path)
     digests = [deployment.receive(path) for path in (first, second)]
     at_first = deployment.windows()
-    raw = RawStore(tmp_path / "raw")
+    raw = FileRawStore(tmp_path / "raw")
     for digest in digests:
         deployment.corrections.delete(digest, AUTHOR, raw)
     deployment.rest()

@@ -18,7 +18,7 @@ from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import ReasonCode, code_of
 from fleet_db.decoding_locks import decoding_locks
 from fleet_db.incoming import IncomingFile
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.intake.chunk import Chunk
@@ -30,12 +30,14 @@ LENGTH_S = 5.0
 
 
 def receiver_of(storage: SqlStorage) -> Receiver:
-    return Receiver(storage, RawStore(storage.data_dir / "raw"), CATALOGUE, CountingClock(), window_length_s=LENGTH_S)
+    return Receiver(
+        storage, FileRawStore(storage.data_dir / "raw"), CATALOGUE, CountingClock(), window_length_s=LENGTH_S
+    )
 
 
 def hand_in(storage: SqlStorage, *paths: Path, vehicle: str = VEHICLE) -> list[str]:
     """Store files as chunks; return their digests."""
-    raw = RawStore(storage.data_dir / "raw")
+    raw = FileRawStore(storage.data_dir / "raw")
     arrivals = []
     for path in paths:
         incoming = IncomingFile(raw.directory)
@@ -182,5 +184,5 @@ def test_a_hostile_chunk_is_kept_aside_with_its_reason_and_the_next_is_decoded(
     assert code_of(first.reason) is ReasonCode.LOG_DAMAGED
     assert first.reason is not None
     assert reason in first.reason.text
-    assert RawStore(storage.data_dir / "raw").fault(bomb, suffix) is None
+    assert FileRawStore(storage.data_dir / "raw").fault(bomb, suffix) is None
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 128 << 10  # KiB, in this process

@@ -14,7 +14,7 @@ import pytest
 
 from api.terminal.ingest import vehicle_in_name
 from estimation.errors import ConflictError, PassingFaultError
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import BacklogLimits, BacklogWatch, Limit
@@ -48,8 +48,8 @@ class Dropped:
     clock: Clock = field(default_factory=Clock)
 
     @property
-    def raw(self) -> RawStore:
-        return RawStore(self.storage.data_dir / "raw")
+    def raw(self) -> FileRawStore:
+        return FileRawStore(self.storage.data_dir / "raw")
 
     def watched(self) -> DropFolder:
         settings = DropSettings(self.folder, quiet_s=5.0, most_bytes=1000, vehicle_of=vehicle_in_name)
@@ -209,7 +209,7 @@ def test_a_watcher_that_is_killed_again_and_again_loses_and_doubles_nothing(
     with sqlite_storage.read() as unit:
         records = unit.chunks.with_state(ChunkState.STORED, 1000)
     assert sorted(str(record.file_name) for record in records) == sorted(contents)
-    raw = RawStore(sqlite_storage.data_dir / "raw")
+    raw = FileRawStore(sqlite_storage.data_dir / "raw")
     assert all(raw.fault(record.digest, record.suffix) is None for record in records)
 
 

@@ -20,7 +20,7 @@ from estimation.errors import ConflictError, ExchangeError
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import ACCELERATIONS, Window
 from fleet_db.migrate import upgrade
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
@@ -54,7 +54,11 @@ class Received:
     @property
     def receiver(self) -> Receiver:
         return Receiver(
-            self.storage, RawStore(self.folder / "raw"), default_catalogue(), CountingClock(), window_length_s=LENGTH_S
+            self.storage,
+            FileRawStore(self.folder / "raw"),
+            default_catalogue(),
+            CountingClock(),
+            window_length_s=LENGTH_S,
         )
 
     def windows(self) -> dict[tuple[str, int], Window]:

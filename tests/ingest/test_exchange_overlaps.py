@@ -10,7 +10,7 @@ from exchange_runs import EXAMPLE, register, true_run, write_csv
 
 from estimation.errors import ConflictError
 from estimation.values.arrays import FloatArray
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.chunks import ChosenChunks
 from ingest.catalogue import default_catalogue
@@ -39,7 +39,9 @@ def test_a_run_of_a_time_that_another_one_has_is_refused_and_taken_once_that_is_
 ) -> None:
     with sqlite_storage.write() as unit:
         register(unit)
-    receiver = Receiver(sqlite_storage, RawStore(tmp_path / "raw"), default_catalogue(), Clock(), window_length_s=10.0)
+    receiver = Receiver(
+        sqlite_storage, FileRawStore(tmp_path / "raw"), default_catalogue(), Clock(), window_length_s=10.0
+    )
     motion = dict(true_run(tmp_path))
     standing = {**motion, "s": np.full_like(motion["s"], 500.0), "v": np.zeros_like(motion["v"])}
     first = receiver.receive_exchange(example(tmp_path / "still", standing)).record

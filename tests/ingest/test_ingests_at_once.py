@@ -13,7 +13,7 @@ import pytest
 import sqlalchemy
 from vehicle_bus import SECOND_NS, VEHICLE, Run, register
 
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
@@ -38,7 +38,7 @@ class CountingClock:
 class Held(Receiver):
     """Stops in its write transaction, windows stored and nothing committed, until it is let go."""
 
-    def __init__(self, storage: SqlStorage, raw: RawStore) -> None:
+    def __init__(self, storage: SqlStorage, raw: FileRawStore) -> None:
         super().__init__(storage, raw, default_catalogue(), CountingClock(), window_length_s=LENGTH_S)
         self.stored, self.go_on = threading.Event(), threading.Event()
 
@@ -90,7 +90,7 @@ def test_a_recording_that_comes_while_its_neighbour_is_stored_is_joined_to_it(
     monkeypatch.setattr("ingest.receiver.ATTEMPTS_BESIDE_OTHERS", attempts)
     with storage.write() as unit:
         register(unit)
-    raw, paths = RawStore(tmp_path / "raw"), halves(tmp_path)
+    raw, paths = FileRawStore(tmp_path / "raw"), halves(tmp_path)
     first = Held(storage, raw)
     with ThreadPoolExecutor(2) as pool:
         one = pool.submit(first.receive_file, paths[0], VEHICLE)

@@ -21,7 +21,7 @@ from vehicle_bus import VEHICLE, Run, register
 from api.commands.ingest import ingest
 from api.terminal.live_health import registered
 from estimation.errors import ConflictError, ParameterError, StorageError
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus, send
@@ -59,7 +59,7 @@ class Buses:
     def receiver(self, vehicle: str) -> Receiver:
         if vehicle in self.away:
             raise StorageError("the stores are away")
-        raw = RawStore(self.folder / "raw")
+        raw = FileRawStore(self.folder / "raw")
         return Receiver(self.storage, raw, default_catalogue(), CountingClock(), window_length_s=2.0)
 
     def bus(self, vehicle: str) -> ReceivedBus:
@@ -94,7 +94,9 @@ class Buses:
         with self.storage.read() as unit:
             found = [r for state in ChunkState for r in unit.chunks.with_state(state, limit=1000)]
         mine = {r.digest: r for r in found if r.vehicle == vehicle}
-        return concatenate([read_log(RawStore(self.folder / "raw").path(r.digest, r.suffix)) for r in mine.values()])
+        return concatenate(
+            [read_log(FileRawStore(self.folder / "raw").path(r.digest, r.suffix)) for r in mine.values()]
+        )
 
     def transmit(self, vehicle: str, batch: FrameBatch) -> None:
         options = {"preserve_timestamps": True} if self.interface == "virtual" else {}

@@ -31,7 +31,7 @@ from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
 from api.terminal.live_health import serving_health
 from estimation.errors import ConflictError, MigrationError
 from fleet_db.migrate import upgrade
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
@@ -68,8 +68,8 @@ class Live:
     piece_seconds: float = 0.5
 
     @property
-    def raw(self) -> RawStore:
-        return RawStore(self.folder / "raw")
+    def raw(self) -> FileRawStore:
+        return FileRawStore(self.folder / "raw")
 
     def receiver(self) -> Receiver:
         return Receiver(self.storage, self.raw, default_catalogue(), CountingClock(), window_length_s=2.0)
@@ -373,7 +373,7 @@ def test_a_killed_receiver_leaves_what_the_next_one_stores(sqlite_url: str, tmp_
             assert process.wait(60.0) == 0
         with storage.read() as unit:
             records = [r for state in ChunkState for r in unit.chunks.with_state(state)]
-        raw = RawStore(folder / "raw")
+        raw = FileRawStore(folder / "raw")
         batches = [read_log(raw.path(record.digest, record.suffix)) for record in records]
     assert len(records) == 1
     stored = concatenate(batches)

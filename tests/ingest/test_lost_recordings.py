@@ -12,7 +12,7 @@ from test_receiver import files_of
 from vehicle_bus import VEHICLE, Run, register
 
 from estimation.values.quarantine import SubjectKind
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.held import ASSEMBLY
@@ -33,7 +33,7 @@ def corrected_without(storage: SqlStorage, folder: Path, harm: Callable[[Path], 
     with storage.write() as unit:
         (record,) = unit.chunks.with_state(ChunkState.DECODED)
         unit.registry.add_mounting(mounting(1, to_ns=1))
-    path = RawStore(folder / "raw").path(record.digest, record.suffix)
+    path = FileRawStore(folder / "raw").path(record.digest, record.suffix)
     harm(path)
     receiver = receiver_on(storage, folder)
     receiver.reassembler.work_off()
@@ -101,7 +101,7 @@ def test_a_recording_that_the_disk_has_damaged_is_not_rejected(sqlite_storage: S
     record, _ = receiver.keep(path.read_bytes(), ".blf", VEHICLE, path.name)
     with sqlite_storage.write() as unit:
         register(unit)
-    flip(RawStore(tmp_path / "raw").path(record.digest, record.suffix))
+    flip(FileRawStore(tmp_path / "raw").path(record.digest, record.suffix))
     (outcome,) = receiver.decode_stored()
     assert state(sqlite_storage, record) is ChunkState.STORED, outcome
     assert receiver.receive_file(path, VEHICLE).windows_changed == 6

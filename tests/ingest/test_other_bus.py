@@ -12,7 +12,7 @@ from test_receiver import CountingClock, files_of
 from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
 
 from estimation.errors import LogFileError, PassingFaultError, StorageError
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest import recordings
@@ -65,7 +65,7 @@ def test_a_recording_of_another_bus_is_rejected_and_its_windows_go(sqlite_storag
     with sqlite_storage.write() as unit:
         unit.stale_spans.add(VEHICLE, None, None, "the catalogue of its bus has changed")
     other = replace(default_catalogue(), sample_interval_ns=2_000_000)
-    raw = RawStore(tmp_path / "raw")
+    raw = FileRawStore(tmp_path / "raw")
     receiver = Receiver(sqlite_storage, raw, other, CountingClock(), window_length_s=10.0)
     at_rest(receiver, sqlite_storage)
     assert windows
@@ -103,7 +103,7 @@ def test_a_rejected_recording_is_decoded_once_its_vehicle_has_its_own_bus(
         unit.registry.add_vehicle(replace(right, vehicle_class="another"))
     fast = replace(default_catalogue(), sample_interval_ns=2_000_000)
     claim(sqlite_storage, BusChoice(fast, {}), 10 * SECOND_NS, 1)
-    wrong = Receiver(sqlite_storage, RawStore(tmp_path / "raw"), fast, CountingClock(), window_length_s=10.0)
+    wrong = Receiver(sqlite_storage, FileRawStore(tmp_path / "raw"), fast, CountingClock(), window_length_s=10.0)
     (path,) = files_of([Run().frames()], tmp_path)
     with pytest.raises(LogFileError, match="SYNC comes every"):
         wrong.receive_file(path, VEHICLE)

@@ -21,7 +21,7 @@ from vehicle_bus import INTERVAL_NS, OFFSETS_M, SECOND_NS, SECTION, START_NS, VE
 from estimation.errors import CatalogueError, LogFileError
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus, send
 from ingest.catalogue import default_catalogue
@@ -130,7 +130,7 @@ def registered(sqlite_storage: SqlStorage) -> SqlStorage:
 
 def receiver_on(storage: SqlStorage, folder: Path, bus: OwnBus) -> Receiver:
     choice = bus_choice(default_catalogue(), [bus])
-    return Receiver(storage, RawStore(folder / "raw"), choice, CountingClock(), window_length_s=LENGTH_S)
+    return Receiver(storage, FileRawStore(folder / "raw"), choice, CountingClock(), window_length_s=LENGTH_S)
 
 
 def windows(storage: SqlStorage) -> dict[tuple[str, int], Window]:
@@ -221,7 +221,7 @@ def test_a_live_bus_of_another_kind(registered: SqlStorage, tmp_path: Path, own_
     write_blf(tmp_path / f"{VEHICLE}__live.blf", received)
     receiver = Receiver(
         registered,
-        RawStore(tmp_path / "raw"),
+        FileRawStore(tmp_path / "raw"),
         bus_choice(default_catalogue(), [bus]),
         CountingClock(),
         window_length_s=2.0,
@@ -284,9 +284,9 @@ def test_the_shipped_bus_is_such_a_pair(registered: SqlStorage, tmp_path: Path) 
     write_blf(path, Run(seconds=25.0).frames())
     found = []
     for bus in (default_catalogue(), load_own_bus(SHIPPED)):
-        Receiver(registered, RawStore(tmp_path / "raw"), bus, CountingClock(), window_length_s=LENGTH_S).receive_file(
-            path, VEHICLE
-        )
+        Receiver(
+            registered, FileRawStore(tmp_path / "raw"), bus, CountingClock(), window_length_s=LENGTH_S
+        ).receive_file(path, VEHICLE)
         found.append(digests(registered))
         clear(registered)
     assert INTERVAL_NS == 4_000_000

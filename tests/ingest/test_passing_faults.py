@@ -21,8 +21,8 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobTrigger
 from fleet_db.models import ChunkRow, WindowRow
-from fleet_db.raw import RawStore
-from fleet_db.raw_mark import MARK_FILE
+from fleet_db.raw import MARK_NAME
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
@@ -62,7 +62,7 @@ def clock() -> SetClock:
 
 def receiver_on(storage: SqlStorage, directory: Path, clock: SetClock) -> Receiver:
     """Return a receiver as a new process would have it."""
-    return Receiver(storage, RawStore(directory / "raw"), default_catalogue(), clock, window_length_s=10.0)
+    return Receiver(storage, FileRawStore(directory / "raw"), default_catalogue(), clock, window_length_s=10.0)
 
 
 def recording(folder: Path, number: int = 0) -> Path:
@@ -143,7 +143,7 @@ def test_a_raw_store_that_is_not_mounted_is_refused_and_nothing_is_rejected_or_w
     (tmp_path / "data" / "windows").unlink()
     before = states(registered)
     raw, away = tmp_path / "raw", tmp_path / "away"
-    assert (raw / MARK_FILE).is_file()
+    assert (raw / MARK_NAME).is_file()
     raw.rename(away)
     for bare in (False, True):  # the folder is not there, or empty
         if bare:
@@ -178,7 +178,7 @@ def test_a_folder_with_the_recordings_but_without_the_mark_is_marked(
     registered: SqlStorage, tmp_path: Path, clock: SetClock
 ) -> None:
     receiver_on(registered, tmp_path, clock).receive_file(recording(tmp_path), VEHICLE)
-    mark = tmp_path / "raw" / MARK_FILE
+    mark = tmp_path / "raw" / MARK_NAME
     text = mark.read_text()
     mark.unlink()  # a restored folder, or one of an earlier version
     receiver_on(registered, tmp_path, clock).receive_file(recording(tmp_path, 1), VEHICLE)
@@ -191,7 +191,7 @@ def test_a_raw_file_that_cannot_be_read_is_not_rejected(
     windows_away(tmp_path)
     digest = receiver_on(registered, tmp_path, clock).receive_file(recording(tmp_path), VEHICLE).record.digest
     (tmp_path / "data" / "windows").unlink()
-    path = RawStore(tmp_path / "raw").path(digest, ".blf")
+    path = FileRawStore(tmp_path / "raw").path(digest, ".blf")
     whole = path.read_bytes()
     path.unlink()
     path.mkdir()  # the system refuses to read it, for root too

@@ -18,7 +18,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import WindowPosition, WindowState
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
@@ -34,7 +34,7 @@ Windows = dict[tuple[str, int], tuple[str, float]]
 
 
 def receiver_on(storage: SqlStorage, directory: Path, length_s: float = LENGTH_S) -> Receiver:
-    raw = RawStore(directory / "raw")
+    raw = FileRawStore(directory / "raw")
     return Receiver(storage, raw, default_catalogue(), CountingClock(), window_length_s=length_s)
 
 
@@ -294,7 +294,7 @@ def test_what_is_stored_of_a_recording_that_is_lost_stays(sqlite_storage: SqlSto
     with sqlite_storage.read() as unit:
         lost, _ = unit.chunks.with_state(ChunkState.DECODED)
         kept = {key for key in content(unit) if key[1] < START_NS + 1800 * SECOND_NS}
-    RawStore(tmp_path / "raw").path(lost.digest, lost.suffix).unlink()
+    FileRawStore(tmp_path / "raw").path(lost.digest, lost.suffix).unlink()
     with sqlite_storage.write() as unit:
         unit.registry.add_mounting(mounting(1, to_ns=1))
     receiver = receiver_on(sqlite_storage, tmp_path)

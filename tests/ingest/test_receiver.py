@@ -18,7 +18,7 @@ from vehicle_bus import INTERVAL_NS, SECOND_NS, START_NS, VEHICLE, Run, register
 from estimation.errors import ConflictError, LogFileError, NotFoundError
 from estimation.storage import UnitOfWork
 from estimation.values.windows import WindowState
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.assembly import WAITING
@@ -44,7 +44,7 @@ class CountingClock:
 
 def receiver_on(storage: SqlStorage, directory: Path) -> Receiver:
     return Receiver(
-        storage, RawStore(directory / "raw"), default_catalogue(), CountingClock(), window_length_s=LENGTH_S
+        storage, FileRawStore(directory / "raw"), default_catalogue(), CountingClock(), window_length_s=LENGTH_S
     )
 
 
@@ -265,7 +265,7 @@ def test_a_corrupt_recording_is_kept_rejected_and_named(registered: SqlStorage, 
         assert content(unit) == {}
     assert record is not None
     assert (record.state, "truncated" in str(record.reason)) == ("rejected", True)
-    assert RawStore(tmp_path / "raw").path(digest, ".blf").read_bytes() == path.read_bytes()
+    assert FileRawStore(tmp_path / "raw").path(digest, ".blf").read_bytes() == path.read_bytes()
 
 
 def test_one_bad_file_does_not_stop_the_others(registered: SqlStorage, tmp_path: Path) -> None:
@@ -350,7 +350,7 @@ def test_a_lost_raw_file_of_a_neighbour_is_no_fault_of_the_newcomer(registered: 
     half = len(run) // 2
     paths = files_of([take(run, slice(0, half)), take(run, slice(half, None))], tmp_path)
     first = receiver_on(registered, tmp_path).receive_file(paths[0], VEHICLE)
-    RawStore(tmp_path / "raw").path(first.record.digest, ".blf").unlink()
+    FileRawStore(tmp_path / "raw").path(first.record.digest, ".blf").unlink()
     second = receiver_on(registered, tmp_path).receive_file(paths[1], VEHICLE)
     assert second.record.reason is not None
     assert second.record.reason.code == "waits_for_storage"

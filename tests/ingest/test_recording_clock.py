@@ -10,7 +10,7 @@ from vehicle_bus import VEHICLE, Run, register
 
 from estimation.errors import LogFileError
 from estimation.values.reasons import ReasonCode
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
@@ -65,7 +65,7 @@ def test_a_clock_that_is_ahead_or_spans_decades_costs_its_own_recording_only(
     with sqlite_storage.write() as unit:
         register(unit)
     receiver = Receiver(
-        sqlite_storage, RawStore(tmp_path / "raw"), default_catalogue(), StandingClock(), window_length_s=10.0
+        sqlite_storage, FileRawStore(tmp_path / "raw"), default_catalogue(), StandingClock(), window_length_s=10.0
     )
     good = Run(start_ns=RECEIVED_NS - 3600 * SECOND_NS)
     ahead = Run(start_ns=RECEIVED_NS + 2 * DAY_NS, recorder_offset_ns=good.recorder_offset_ns - 3 * DAY_NS, seed=2)
@@ -106,7 +106,7 @@ def test_a_recording_that_our_slow_clock_refused_is_decoded_once_it_is_right(
     with sqlite_storage.write() as unit:
         register(unit)
     clock = SetClock(RECEIVED_NS - 400 * DAY_NS)
-    raw = RawStore(tmp_path / "raw")
+    raw = FileRawStore(tmp_path / "raw")
     receiver = Receiver(sqlite_storage, raw, default_catalogue(), clock, window_length_s=10.0)
     path = tmp_path / f"{VEHICLE}__good.blf"
     write_blf(path, Run(start_ns=RECEIVED_NS - 3600 * SECOND_NS).frames())

@@ -12,7 +12,7 @@ from estimation.jobs import evaluate_alerts
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import JobSettings
 from estimation.values.alerts import Alert
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
@@ -40,7 +40,7 @@ def receiver(sqlite_storage: SqlStorage, tmp_path: Path) -> Receiver:
     with sqlite_storage.write() as unit:
         register(unit)
     return Receiver(
-        sqlite_storage, RawStore(tmp_path / "raw"), default_catalogue(), SystemClock(), window_length_s=10.0
+        sqlite_storage, FileRawStore(tmp_path / "raw"), default_catalogue(), SystemClock(), window_length_s=10.0
     )
 
 
@@ -73,7 +73,9 @@ def test_it_is_one_alert_at_the_first_axle_and_ends_when_it_is_set_aside(
 def test_it_ends_when_the_recording_is_decoded(sqlite_storage: SqlStorage, receiver: Receiver, tmp_path: Path) -> None:
     path = tmp_path / f"{VEHICLE}__a.blf"
     write_blf(path, Run().frames())
-    slow = Receiver(sqlite_storage, RawStore(tmp_path / "raw"), default_catalogue(), SlowClock(), window_length_s=10.0)
+    slow = Receiver(
+        sqlite_storage, FileRawStore(tmp_path / "raw"), default_catalogue(), SlowClock(), window_length_s=10.0
+    )
     digest = rejected(sqlite_storage, slow, path)
     assert len(evaluated(sqlite_storage)) == 1
     RecordingCorrections(sqlite_storage, SystemClock()).retry(digest, AUTHOR, our_clock_was_behind=True)

@@ -16,7 +16,7 @@ from api.factory import open_store
 from api.settings import Settings
 from estimation.errors import ParameterError
 from estimation.values.registry import VehicleRecord
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import Catalogue, default_catalogue
 from ingest.own_bus.bus import OwnBus
@@ -40,7 +40,7 @@ def registered(storage: SqlStorage) -> SqlStorage:
 
 def receive(storage: SqlStorage, folder: Path, buses: BusChoice = SHIPPED) -> None:
     chosen = claim(storage, buses, LENGTH_NS, 1)
-    receiver = Receiver(storage, RawStore(folder / "raw"), chosen, CountingClock(), LENGTH_NS / 1e9)
+    receiver = Receiver(storage, FileRawStore(folder / "raw"), chosen, CountingClock(), LENGTH_NS / 1e9)
     receiver.receive_file(files_of([Run(seconds=12.0).frames()], folder)[0], VEHICLE)
     stale(storage)  # what the registry has left
 

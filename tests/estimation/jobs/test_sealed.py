@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 from alignment_job import counts
 from paper_class import PAPER_CLASS
+from stored_raw import raw_of
 from test_rolling import MINUTE, SETTINGS, Life, exact, made_again, register, tables
 
 from estimation.errors import ConflictError
@@ -43,7 +44,7 @@ def _rolled_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def purged(storage: SqlStorage, until: int = OLD, retention: Retention = BOTH) -> dict[str, int]:
     """Return how much a purge deletes of the windows before a step."""
-    done = purge(storage, retention, DAY_NS + until * MINUTE, lambda: None)
+    done = purge(storage, raw_of(storage), retention, DAY_NS + until * MINUTE, lambda: None)
     return {one.kind.value: one.items for one in done}
 
 
@@ -88,7 +89,9 @@ def test_sums_without_tables_give_the_same_geometry_bit_for_bit(
     assert sealed_keys(sqlite_storage) == {0, 1, 2, 3, 4}
     assert purged(sqlite_storage) == {"window_samples": 0, "window_bin_tables": 0}
     assert len(list(sqlite_storage.data_dir.rglob("*.window"))) == 130  # they have just been written
-    assert not [one for one in check_deep(sqlite_storage, lambda *_: None).findings if not one.harmless]
+    assert not [
+        one for one in check_deep(sqlite_storage, raw_of(sqlite_storage), lambda *_: None).findings if not one.harmless
+    ]
     with sqlite_storage.write() as unit:
         unit.changes.note("W1")
     assert refresh(sqlite_storage) == 0

@@ -1,0 +1,206 @@
+"""Raw recordings as files under one folder: on the disk before they are reported as stored."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from fleet_db.atomic_files import sync_directory, write_atomically
+from fleet_db.incoming import IncomingFile
+from fleet_db.passing import passing_faults
+from fleet_db.raw import (
+    MARK_NAME,
+    LostRecordingError,
+    RawItem,
+    RawStore,
+    RawTotal,
+    check_size,
+    damaged,
+    missing,
+    recording_name,
+)
+
+
+class FileRawStore(RawStore):
+    """Recordings under one folder.
+
+    Parameters
+    ----------
+    directory
+        The folder; made with the first recording. Recordings are received in it, and get their names by a rename.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        super().__init__(receiving=directory)
+        self.directory = directory
+
+    @property
+    def url(self) -> str:
+        """The folder."""
+        return str(self.directory)
+
+    @property
+    def saved_by_backup(self) -> bool:
+        """Files on a disk of ours are."""
+        return True
+
+    def path(self, digest: str, suffix: str) -> Path:
+        """Return where the recording of this digest is; raises ParameterError as :meth:`RawStore.place`."""
+        return self.directory / recording_name(digest, suffix)
+
+    def place(self, digest: str, suffix: str) -> str:
+        """Return the path of a recording."""
+        return str(self.path(digest, suffix))
+
+    def incoming(self, suffix: str) -> IncomingFile:
+        """Return a file in the folder."""
+        return IncomingFile(self.directory, suffix)
+
+    def put(self, files: Sequence[IncomingFile]) -> None:
+        """Give files their names, then force all names to the disk; a whole file of a name stays."""
+        directories: set[Path] = set()
+        for file in files:
+            path = self.path(file.digest, file.suffix)
+            with passing_faults(path):
+                if not (path.is_file() and _digest_of(path) == file.digest):
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    file.path.replace(path)
+            directories |= {path.parent, self.directory}  # also of one that was there: who put it may not have got here
+        for directory in sorted(directories):
+            with passing_faults(directory):
+                sync_directory(directory)
+
+    def file_of(self, placed: IncomingFile) -> Path:
+        """Return the recording itself."""
+        return self.path(placed.digest, placed.suffix)
+
+    def holds(self, digest: str, suffix: str) -> bool:
+        """Whether there is a file of this name."""
+        return self.path(digest, suffix).is_file()
+
+    def size(self, digest: str, suffix: str) -> int:
+        """Return the size of the file."""
+        path = self.path(digest, suffix)
+        with passing_faults(path):
+            return path.stat().st_size
+
+    def check(self, digest: str, suffix: str, size_bytes: int | None = None) -> None:
+        """Read the file."""
+        path = self.path(digest, suffix)
+        try:
+            check_size(path.stat().st_size, size_bytes, path)
+            whole = _digest_of(path) == digest
+        except FileNotFoundError:
+            raise missing(path) from None
+        except OSError as error:  # of this file: the others may be whole
+            raise LostRecordingError(f"cannot be read: {error.strerror}", file=path) from error
+        if not whole:
+            raise damaged(path)
+
+    def lost(self, digest: str, suffix: str) -> bool:
+        """Whether the file is missing or damaged; not where the folder is not there."""
+        return self.directory.is_dir() and super().lost(digest, suffix)
+
+    @contextmanager
+    def whole(self, digest: str, suffix: str, size_bytes: int) -> Iterator[Path]:
+        """Open a block with the file itself."""
+        self.check(digest, suffix, size_bytes)
+        yield self.path(digest, suffix)
+
+    def remove(self, digest: str, suffix: str) -> None:
+        """Delete the file."""
+        path = self.path(digest, suffix)
+        with passing_faults(path):
+            path.unlink(missing_ok=True)
+
+    def listed(self) -> Iterator[RawItem]:
+        """Yield every file below the folder, but for what is beside the recordings in the folder itself."""
+        for path in self.directory.rglob("*"):
+            left = path.name.startswith(".")
+            if path.parent == self.directory and not left:
+                continue
+            with passing_faults(path):
+                try:
+                    status = path.stat() if path.is_file() else None
+                except FileNotFoundError:
+                    continue  # replaced or removed meanwhile
+            if status is not None:
+                digest = "" if left else path.name.partition(".")[0]
+                yield RawItem(str(path), digest, status.st_size, status.st_mtime)
+
+    def remove_old(self, item: RawItem, least_age_s: float) -> int | None:
+        """Delete a file by its path."""
+        path = Path(item.place)
+        with passing_faults(path):
+            return unlink_old(path, least_age_s)
+
+    def total(self, enough: int) -> RawTotal:
+        """Return what is there, by whole folders until enough files were looked at."""
+        with passing_faults(self.directory):
+            return total_of(self.directory, enough)
+
+    def read_mark(self) -> str | None:
+        """Return what is in the file of the mark."""
+        with passing_faults(self.directory):
+            try:
+                return (self.directory / MARK_NAME).read_text(encoding="ascii", errors="replace").strip() or None
+            except FileNotFoundError:
+                return None
+
+    def write_mark(self, mark: str) -> None:
+        """Write the file of the mark."""
+        with passing_faults(self.directory):
+            write_atomically(self.directory / MARK_NAME, f"{mark}\n".encode(), durable=True)
+
+
+def unlink_old(path: Path, least_age_s: float) -> int | None:
+    """Delete a file unless it has been written or used again since it was found; return its size, None if it stays.
+
+    Parameters
+    ----------
+    path
+        The file.
+    least_age_s
+        Age that it must have now.
+    """
+    try:
+        found = path.stat()
+        if found.st_mtime > time.time() - least_age_s:
+            return None
+        path.unlink()
+    except FileNotFoundError:
+        return None
+    return found.st_size
+
+
+def total_of(directory: Path, enough: int) -> RawTotal:
+    """Return the files below a folder, by whole subfolders until enough were looked at; names are digests.
+
+    Parameters
+    ----------
+    directory
+        The folder; it need not be there.
+    enough
+        Files after which the other subfolders are taken to be like those that were looked at.
+    """
+    try:
+        below = sorted(entry.path for entry in os.scandir(directory) if entry.is_dir())
+        files = size = seen = 0
+        for folder in below:
+            sizes = [entry.stat().st_size for entry in os.scandir(folder) if entry.is_file()]
+            files, size, seen = files + len(sizes), size + sum(sizes), seen + 1
+            if files >= enough:
+                break
+    except FileNotFoundError:
+        return RawTotal(0, 0, estimated=False)
+    scale = len(below) / seen if seen else 1.0
+    return RawTotal(round(files * scale), round(size * scale), estimated=seen < len(below))
+
+
+def _digest_of(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
