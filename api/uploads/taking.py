@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -25,7 +24,6 @@ from ingest.intake.chunk import Chunk
 from ingest.intake.group import ReceiptGroup
 from ingest.intake.store import Arrival, ChunkStorage, Stored
 
-_log = logging.getLogger(__name__)
 ResultT = TypeVar("ResultT")
 THREADS = 8
 """That write and force chunks to the disk."""
@@ -78,7 +76,6 @@ class Uploads:
         self.ended: Counter[Taken] = Counter()
         self.refused: Counter[str] = Counter()
         self.bytes_stored = 0
-        self._said = ""
 
     def close(self) -> None:
         """Commit what waits, and end."""
@@ -114,14 +111,12 @@ class Uploads:
             self.ended[_outcome(error)] += 1
             await body.drain()
             if isinstance(error, PassingFaultError):
-                self._say(error)
                 raise self._behind(NO_STORAGE, "the raw store takes nothing now", TRY_AGAIN_S[Limit.DISK]) from error
             raise
         finally:
             self.running -= 1
         self.ended[Taken.KNOWN if stored.known else Taken.STORED] += 1
         self.bytes_stored += 0 if stored.known else stored.record.size_bytes
-        self._said = ""
         return stored
 
     async def _take(self, body: UploadBody, digest: str, chunk: Chunk) -> Stored:
@@ -143,12 +138,6 @@ class Uploads:
         except BaseException:
             await asyncio.shield(self._in_thread(incoming.discard))
             raise
-
-    def _say(self, fault: PassingFaultError) -> None:
-        """Log why chunks cannot be stored, once until one is."""
-        if fault.reason != self._said:
-            _log.warning("chunks cannot be stored: %s", fault)
-        self._said = fault.reason
 
     def _behind(self, limit: str, detail: str, after_s: int) -> ProblemError:
         self.refused[limit] += 1

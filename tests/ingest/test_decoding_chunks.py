@@ -17,7 +17,6 @@ from estimation.errors import StoppedError
 from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import ReasonCode, code_of
 from fleet_db.decoding_locks import decoding_locks
-from fleet_db.incoming import IncomingFile
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
@@ -40,7 +39,7 @@ def hand_in(storage: SqlStorage, *paths: Path, vehicle: str = VEHICLE) -> list[s
     raw = FileRawStore(storage.data_dir / "raw")
     arrivals = []
     for path in paths:
-        incoming = IncomingFile(raw.directory)
+        incoming = raw.incoming(path.suffix)
         incoming.write(path.read_bytes())
         incoming.finish()
         arrivals.append(Arrival(incoming, Chunk(vehicle, path.suffix, path.name, None)))
