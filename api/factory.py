@@ -117,15 +117,7 @@ def open_store(settings: Settings) -> SqlStorage:
 
 
 def raw_store(settings: Settings) -> RawStore:
-    """Return where raw recordings are kept.
-
-    Raises
-    ------
-    ParameterError
-        Settings contradict each other, or credentials are missing; names the variable.
-    PassingFaultError
-        What buckets need is not installed.
-    """
+    """Return where raw recordings are kept; refuses where :func:`open_raw_store` does."""
     return open_raw_store(settings)
 
 

@@ -10,6 +10,7 @@ from urllib.parse import quote, urlsplit
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from api.store_urls import names_endpoint, names_store
 from estimation.errors import ParameterError
 
 PREFIX = "TREADWATCH_"
@@ -203,22 +204,14 @@ class Settings(BaseSettings):
     @field_validator("raw_store")
     @classmethod
     def _known_store(cls, value: str | None) -> str | None:
-        if value is None:
-            return None
-        parts = urlsplit(value)
-        more = parts.query or parts.fragment or "@" in parts.netloc
-        of_files = parts.scheme == "file" and not parts.netloc and len(parts.path) > 1
-        if more or not (of_files or (parts.scheme == "s3" and parts.netloc)):
+        if value is not None and not names_store(value):
             raise ValueError("must be file:///absolute/path or s3://bucket/prefix")
         return value
 
     @field_validator("s3_endpoint")
     @classmethod
     def _address_of_store(cls, value: str | None) -> str | None:
-        if value is None:
-            return None
-        parts = urlsplit(value)
-        if parts.scheme not in {"http", "https"} or not parts.hostname or "@" in parts.netloc or parts.path.strip("/"):
+        if value is not None and not names_endpoint(value):
             raise ValueError("must be https://host or https://host:port")
         return value
 

@@ -6,12 +6,15 @@ import hashlib
 import io
 import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from estimation.errors import InputError
 from fleet_db.passing import passing_faults
 
+PIECE_BYTES = 1 << 20
 PREFIX = ".incoming-"
 """What a killed process leaves begins so; a purge deletes it."""
 
@@ -96,3 +99,24 @@ class IncomingFile:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.discard()
+
+
+def pieces_of(source: Path) -> Iterator[bytes]:
+    """Yield the bytes of a file of others.
+
+    Parameters
+    ----------
+    source
+        The file.
+
+    Raises
+    ------
+    InputError
+        It cannot be read; names it.
+    """
+    try:
+        with source.open("rb") as stream:
+            while piece := stream.read(PIECE_BYTES):
+                yield piece
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", file=source) from error

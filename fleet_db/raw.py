@@ -9,10 +9,9 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from estimation.errors import InputError, ParameterError, PassingFaultError
-from fleet_db.incoming import IncomingFile
+from estimation.errors import ParameterError, PassingFaultError
+from fleet_db.incoming import IncomingFile, pieces_of
 
-PIECE_BYTES = 1 << 20
 MARK_NAME = "treadwatch-raw-store"
 """What a store holds beside recordings: the mark by which a database knows it."""
 
@@ -279,24 +278,3 @@ def check_size(found: int, size_bytes: int | None, place: Path | str) -> None:
     """
     if size_bytes is not None and found != size_bytes:
         raise LostRecordingError(f"has {found} bytes, not {size_bytes}", file=place)
-
-
-def pieces_of(source: Path) -> Iterator[bytes]:
-    """Yield the bytes of a file of others.
-
-    Parameters
-    ----------
-    source
-        The file.
-
-    Raises
-    ------
-    InputError
-        It cannot be read; names it.
-    """
-    try:
-        with source.open("rb") as stream:
-            while piece := stream.read(PIECE_BYTES):
-                yield piece
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=source) from error

@@ -1,8 +1,13 @@
-"""Uploads of 1 MB from 16 clients on both databases, beside files that are only written and forced to the disk."""
+"""Uploads of 1 MB from 16 clients on both databases, beside files that are only written and forced to the disk.
+
+With ``--raw files s3`` also into a bucket of the tests' S3 server, which shares machine and disk with the service.
+"""
 
 from __future__ import annotations
 
 import argparse
+import itertools
+import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -18,11 +23,13 @@ from bench.chunks.sending import Uploaded, chunk, forced_writes_ms, upload_all
 from bench.results_page import markdown_table, write_page
 from fleet_db.migrate import upgrade
 from tests.postgres_server import SAFE, stoppable_server
+from tests.s3_server import running_s3_server
 
 CLIENTS, SIZE, COUNT, WARM = 16, 1_000_000, 800, 50
 REACH_MS = 200.0
 COLUMNS = (
     "database",
+    "raw",
     "processes",
     "p50 ms",
     "p99 ms",
@@ -42,15 +49,16 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--count", type=int, default=COUNT, help="chunks of a run")
     parser.add_argument("--workers", type=int, nargs="+", default=[1], help="processes of the service, a run each")
     parser.add_argument("--databases", nargs="+", default=["sqlite", "postgresql"], choices=["sqlite", "postgresql"])
+    parser.add_argument("--raw", nargs="+", default=["files"], choices=["files", "s3"], help="where chunks are kept")
     parser.add_argument("--write-docs", action="store_true", help="write docs/results/chunks.md")
     options = parser.parse_args(arguments)
     console, rows = Console(), []
-    for database in options.databases:
-        for workers in options.workers:
+    for raw, database, workers in itertools.product(options.raw, options.databases, options.workers):
+        with _raw(raw):
             found, forced = measure(database, workers, options.clients, options.size, options.count)
-            rows.append(_row(database, workers, found, forced))
-            line = "  ".join(f"{title} {cell}" for title, cell in zip(COLUMNS, rows[-1], strict=True))
-            console.print(f"{line}  answers {found.statuses}  CPU of the senders {found.cpu_s:.1f} s", soft_wrap=True)
+        rows.append(_row(database, raw, workers, found, forced))
+        line = "  ".join(f"{title} {cell}" for title, cell in zip(COLUMNS, rows[-1], strict=True))
+        console.print(f"{line}  answers {found.statuses}  CPU of the senders {found.cpu_s:.1f} s", soft_wrap=True)
     if options.write_docs:
         console.print(f"wrote {_page(rows, options.clients, options.size, options.count)}", soft_wrap=True)
     return 0 if all(row[-1] == "yes" for row in rows) else 1
@@ -87,9 +95,10 @@ def measure(
         return found, forced
 
 
-def _row(database: str, workers: int, found: Uploaded, forced: float) -> tuple[str, ...]:
+def _row(database: str, raw: str, workers: int, found: Uploaded, forced: float) -> tuple[str, ...]:
     return (
         database,
+        raw,
         str(workers),
         f"{found.p50_ms:.0f}",
         f"{found.p99_ms:.0f}",
@@ -99,6 +108,22 @@ def _row(database: str, workers: int, found: Uploaded, forced: float) -> tuple[s
         f"< {REACH_MS:g} ms",
         "yes" if found.p99_ms < REACH_MS else "NO",
     )
+
+
+@contextmanager
+def _raw(kind: str) -> Iterator[None]:
+    """Let services that are started in the block keep raw recordings in files, or in a bucket of a server."""
+    if kind == "files":
+        yield
+        return
+    with running_s3_server() as server:
+        given = server.environment("bench")
+        os.environ.update(given)
+        try:
+            yield
+        finally:
+            for name in given:
+                del os.environ[name]
 
 
 @contextmanager
@@ -118,5 +143,5 @@ def _page(rows: Sequence[tuple[str, ...]], clients: int, size: int, count: int) 
         "disk. Beside it: files of the same size that as many threads only write and force to the same disk. Written "
         f"{time.strftime('%Y-%m-%d')}."
     )
-    body = [words, markdown_table(COLUMNS, rows, right=(1, 2, 3, 4, 5, 6))]
+    body = [words, markdown_table(COLUMNS, rows, right=(2, 3, 4, 5, 6, 7))]
     return write_page("chunks", "Uploads of chunks", "python -m bench chunks --write-docs", body)

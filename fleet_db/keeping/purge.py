@@ -283,17 +283,13 @@ def _thin_estimates(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint
 
 
 def _purge_orphans(storage: SqlStorage, raw: RawStore, before_ns: int, now_ns: int) -> Purged:
-    """Delete files of windows that no row refers to, what killed processes left, and recordings that were purged.
-
-    Other recordings may be those of a newer database.
-    """
+    """Delete files of windows that no row refers to, what killed processes left, and recordings that were purged."""
     age_s = max((now_ns - before_ns) / DAY_NS * 86_400.0, LEAST_AGE_S)
     with storage.read() as unit:
-        gone = unit.chunks.purged()
+        gone = unit.chunks.purged()  # others that no row refers to may be those of a newer database
     recordings = [one for one in orphaned_recordings(storage, raw, age_s) if not one.digest or one.digest in gone]
     sizes = [unlink_old(storage.data_dir / path, age_s) for path in orphaned_samples(storage, age_s)]
-    sizes += [raw.remove_old(one, age_s) for one in recordings]
-    deleted = [size for size in sizes if size is not None]
+    deleted = [size for size in (*sizes, *(raw.remove_old(one, age_s) for one in recordings)) if size is not None]
     purged = Purged(Kept.ORPHANED_FILES, len(deleted), sum(deleted))
     if deleted:
         with storage.write() as unit:

@@ -33,13 +33,21 @@ def test_every_service_is_a_subcommand_of_one_image() -> None:
 
 
 OF_TRACES = {"OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_RESOURCE_ATTRIBUTES"}
+OF_A_BUCKET = {"AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN"}
 
 
 def test_every_variable_in_an_environment_is_a_setting() -> None:
     settings = {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
     everything = services(PASSWORD)
     for name in OURS:
-        assert set(everything[name].get("environment", {})) <= settings | OF_TRACES
+        assert set(everything[name].get("environment", {})) <= settings | OF_TRACES | OF_A_BUCKET
+
+
+def test_the_credentials_of_a_bucket_reach_the_services_and_are_in_no_file() -> None:
+    everything = services(PASSWORD | dict.fromkeys(OF_A_BUCKET, "given"))
+    for name in ("api", "scheduler", "receiver"):
+        assert {key: everything[name]["environment"][key] for key in OF_A_BUCKET} == dict.fromkeys(OF_A_BUCKET, "given")
+    assert {services(PASSWORD)["api"]["environment"][key] for key in OF_A_BUCKET} == {""}
 
 
 def test_every_setting_reaches_the_services_from_the_env_file() -> None:
