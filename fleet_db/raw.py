@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -12,6 +13,7 @@ from pathlib import Path
 from estimation.errors import ParameterError, PassingFaultError
 from fleet_db.incoming import IncomingFile, pieces_of
 
+_NAME = re.compile(r"([0-9a-f]{2})/([0-9a-f]{64})\.[A-Za-z0-9]+")
 MARK_NAME = "treadwatch-raw-store"
 """What a store holds beside recordings: the mark by which a database knows it."""
 
@@ -254,6 +256,18 @@ def recording_name(digest: str, suffix: str) -> str:
     if not (suffix.startswith(".") and suffix[1:].isalnum()):
         raise ParameterError(f"{suffix!r} is no plain file ending", field="suffix")
     return f"{digest[:2]}/{digest}{suffix}"
+
+
+def digest_in(name: str) -> str | None:
+    """Return the digest in the name of a recording; None where it is the name of something else.
+
+    Parameters
+    ----------
+    name
+        In a store, with its folder.
+    """
+    found = _NAME.fullmatch(name)
+    return None if found is None or found[1] != found[2][:2] else found[2]
 
 
 def missing(place: Path | str) -> LostRecordingError:

@@ -20,6 +20,7 @@ from fleet_db.raw import (
     RawTotal,
     check_size,
     damaged,
+    digest_in,
     missing,
     recording_name,
 )
@@ -109,14 +110,14 @@ class S3RawStore(RawStore):
         self._bucket.remove(recording_name(digest, suffix))
 
     def listed(self) -> Iterator[RawItem]:
-        """Yield every object, and what killed processes left on this machine."""
+        """Yield every recording, and what killed processes left on this machine; not the objects of others."""
         with passing_faults(self.receiving):
             left = [(path, path.stat()) for path in self.receiving.glob(f"{PREFIX}*") if path.is_file()]
         for path, status in left:
             yield RawItem(str(path), "", status.st_size, status.st_mtime)
         for name, facts in self._bucket.listed():
-            if name != MARK_NAME:
-                digest = name.rpartition("/")[2].partition(".")[0]
+            digest = digest_in(name)
+            if digest is not None:
                 yield RawItem(self._bucket.url(name), digest, facts.size_bytes, facts.changed_s)
 
     def remove_old(self, item: RawItem, least_age_s: float) -> int | None:
@@ -136,11 +137,12 @@ class S3RawStore(RawStore):
         """Return what is there; of more than ``enough`` by how far their names, which are digests, have come."""
         files = size = 0
         for name, facts in self._bucket.listed():
-            if name == MARK_NAME:
+            digest = digest_in(name)
+            if digest is None:
                 continue
             files, size = files + 1, size + facts.size_bytes
             if files == enough:
-                reached = (int(name.rpartition("/")[2][:8], 16) + 1) / NAMES
+                reached = (int(digest[:8], 16) + 1) / NAMES
                 return RawTotal(round(files / reached), round(size / reached), estimated=True)
         return RawTotal(files, size, estimated=False)
 

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from obstore.store import S3Credential, S3Store
 
 EXTRA = "treadwatch[s3]"
-PART_BYTES = 8 << 20
+PART_BYTES = 5 << 20
 """Objects up to this size are sent and read by one request; larger ones in parts of it."""
-PARTS_AT_ONCE = 2
+PARTS_AT_ONCE = 1
 CONNECT_S = 5.0
 RETRIES = 3
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 2.0

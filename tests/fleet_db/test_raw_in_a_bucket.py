@@ -20,7 +20,7 @@ from s3_server import BUCKET, SECRET_KEY, S3Server, running_s3_server
 from scipy.stats import uniform
 
 from estimation.errors import PassingFaultError
-from fleet_db.raw import LostRecordingError, RawStore
+from fleet_db.raw import LostRecordingError, RawStore, RawTotal
 from fleet_db.s3_bucket import PART_BYTES, RETRIES, S3Place
 
 NEEDLE = b"one of the bytes changes" * 4
@@ -176,6 +176,15 @@ def test_no_variable_of_the_environment_leads_elsewhere(
         monkeypatch.setenv(name, value)
     digest = in_bucket(s3_server, name_of_it, tmp_path).store.put_bytes(b"here", ".blf")
     assert [meta["path"] for page in objects.list() for meta in page] == [f"{digest[:2]}/{digest}.blf"]
+
+
+def test_objects_of_others_below_the_prefix_are_left_alone(s3_server: S3Server, tmp_path: Path) -> None:
+    behind = in_bucket(s3_server, prefix(), tmp_path)
+    digest = behind.store.put_bytes(b"ours", ".blf")
+    for name in ("notes.txt", ".hidden", f"zz/{digest}.blf", f"{'b' * 64}.blf", f"copy/{digest[:2]}/{digest}.blf"):
+        behind.objects.put(name, b"of others")
+    assert [item.digest for item in behind.store.listed()] == [digest]
+    assert behind.store.total(10) == RawTotal(1, 4, estimated=False)
 
 
 PUTTING = """
