@@ -177,7 +177,7 @@ def test_settings_come_from_the_environment_and_empty_means_not_set(monkeypatch:
 def test_the_embedded_database_is_in_the_data_directory(tmp_path: Path) -> None:
     settings = Settings(data_dir=tmp_path, _env_file=None)
     assert settings.url == f"sqlite:///{tmp_path}/treadwatch.sqlite"
-    assert settings.raw_dir.parent == tmp_path
+    assert settings.receiving_dir.parent == tmp_path
 
 
 def test_the_code_version_is_that_of_the_numerics() -> None:
