@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 
 from api.raw_stores import open_raw_store
 from api.settings import Settings, load_settings
-from estimation.errors import ParameterError
+from estimation.errors import ParameterError, PassingFaultError
 from fleet_db.raw_files import FileRawStore
 from fleet_db.raw_s3 import S3RawStore
 from fleet_db.s3_bucket import S3Place
@@ -115,3 +116,10 @@ def test_what_names_no_store_is_refused_by_its_variable_and_not_repeated(name: s
         load_settings(**{name: value})
     assert caught.value.field == f"TREADWATCH_{name.upper()}"
     assert "SECRET" not in str(caught.value)
+
+
+def test_a_bucket_without_its_extra_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "obstore.store", None)
+    with pytest.raises(PassingFaultError, match=r"pip install 'treadwatch\[s3\]'") as caught:
+        place_of()
+    assert caught.value.code == "waits_for_extra"
