@@ -30,6 +30,7 @@ from api.middleware import RequestContextMiddleware
 from api.openapi.document import document
 from api.openapi.security import scopes_of
 from api.page import routes as page
+from api.reference_measures import ReferenceMeasures
 from api.routes import (
     accuracy,
     alert_actions,
@@ -179,6 +180,7 @@ def build_app(
     registry = CollectorRegistry(auto_describe=False)
     registry.register(StoredMeasures(lambda: app.state.services))
     registry.register(UploadMeasures(lambda: app.state.services))
+    registry.register(ReferenceMeasures(lambda: None if (ours := app.state.services) is None else ours.references))
     app.state.services = services
     app.state.registry = registry
     app.state.document = committed_document()
@@ -212,4 +214,6 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     if services is not None:
         await anyio.to_thread.run_sync(services.runner.close)
         await anyio.to_thread.run_sync(services.uploads.close)
+        if services.references is not None:
+            await anyio.to_thread.run_sync(services.references.close)
         services.close()

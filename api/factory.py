@@ -18,6 +18,7 @@ from api.retention_file import load_retention
 from api.rules_file import load_rules
 from api.settings import PREFIX, Settings
 from api.starting import once_the_database_answers
+from api.topic import publisher
 from api.tracing import traced
 from estimation.alerts.rules.book import RuleBook
 from estimation.errors import ParameterError
@@ -39,6 +40,7 @@ from ingest.intake.backlog import BacklogLimits, BacklogWatch
 from ingest.intake.store import ChunkStorage
 from ingest.own_bus.choice import bus_choice
 from ingest.own_bus.loading import load_own_bus
+from ingest.receipts import Announce, to_nobody
 from ingest.receiver import Receiver
 from ingest.stored_settings import SECOND_NS, check_window_length, claim
 from ingest.vehicle_class_file import class_of_package
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
 
     from api.services import Services
     from api.uploads.taking import Uploads
+    from ingest.topic.publishing import Publisher
 
 
 MEGABYTE = 1_000_000
@@ -204,6 +207,7 @@ def receiver(
     catalogues: Sequence[Path] = (),
     *,
     deleted_taken_by: str | None = None,
+    announce: Announce = to_nobody,
 ) -> Receiver:
     """Return what takes recordings in and makes their windows.
 
@@ -219,6 +223,8 @@ def receiver(
         Mapping files of buses of one's own; by default those of the settings.
     deleted_taken_by
         Who wants recordings that were deleted to be taken in again; None where they are refused.
+    announce
+        Called with each receipt once it is committed.
 
     Raises
     ------
@@ -234,6 +240,7 @@ def receiver(
         clock,
         window_length_s=settings.window_length_s,
         deleted_taken_by=deleted_taken_by,
+        announce=announce,
     )
 
 
@@ -262,6 +269,7 @@ def open_services(settings: Settings) -> Services:
     storage = replace(open_store(settings), patience_s=PATIENCE_S)
     context = job_context(settings, storage)
     one_reader = not settings.on_server
+    references = publisher(settings, lambda: storage)
     return Services(
         raw=raw_store(settings),
         storage=storage,
@@ -272,7 +280,8 @@ def open_services(settings: Settings) -> Services:
         close=storage.close,
         writers=WriterSlots(1 if one_reader else WRITERS, PATIENCE_S),
         cache=RepresentationCache(),
-        uploads=_uploads(settings, storage, context.clock),
+        uploads=_uploads(settings, storage, context.clock, references),
+        references=references,
         one_reader=one_reader,
     )
 
@@ -283,15 +292,16 @@ def backlog_watch(settings: Settings, storage: SqlStorage, raw: RawStore) -> Bac
     return BacklogWatch(storage, raw.receiving, limits)
 
 
-def _uploads(settings: Settings, storage: SqlStorage, clock: Clock) -> Uploads:
+def _uploads(settings: Settings, storage: SqlStorage, clock: Clock, references: Publisher | None) -> Uploads:
     from api.uploads.taking import UploadLimits, Uploads  # noqa: PLC0415 - the same
 
     patient = replace(storage, patience_s=RECEIPT_PATIENCE_S)
     limits = UploadLimits(
         settings.max_chunk_mb * MEGABYTE, settings.max_uploads, settings.upload_timeout_s, settings.body_timeout_s
     )
-    raw = raw_store(settings)
-    return Uploads(raw, ChunkStorage(patient, raw, clock), backlog_watch(settings, storage, raw), limits)
+    raw, announce = raw_store(settings), to_nobody if references is None else references.publish
+    chunks = ChunkStorage(patient, raw, clock, announce)
+    return Uploads(raw, chunks, backlog_watch(settings, storage, raw), limits)
 
 
 def create_app(settings: Settings) -> FastAPI:

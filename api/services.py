@@ -19,6 +19,7 @@ from estimation.jobs.job import Job
 from estimation.storage import Clock
 from fleet_db.raw import RawStore
 from fleet_db.storage import SqlStorage
+from ingest.topic.publishing import Publisher
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,7 @@ class Services:
     writers: WriterSlots
     cache: RepresentationCache
     uploads: Uploads
+    references: Publisher | None  # of received chunks, where a topic is set
     one_reader: bool  # an embedded database, whose reads slow each other down in threads
     contacts: ContactCache = field(default_factory=ContactCache)
 

@@ -102,6 +102,9 @@ class Settings(BaseSettings):
     backlog_chunks, backlog_mb, free_disk_mb
         How many chunks, and megabytes of them, may wait to be decoded, and how many megabytes of the disk stay free;
         beyond, no chunk is taken.
+    kafka_servers, kafka_topic, kafka_properties
+        Brokers of the topic of references to chunks, ``host:port`` with commas between them; left out, there is none.
+        Its name. A file of properties of librdkafka, such as those of TLS and SASL.
     shutdown_timeout_s
         How long running requests and jobs may take to finish after SIGTERM, in seconds.
     max_connections
@@ -178,6 +181,9 @@ class Settings(BaseSettings):
     backlog_chunks: int = Field(default=10_000, ge=1)
     backlog_mb: int = Field(default=20_000, ge=1)
     free_disk_mb: int = Field(default=1_000, ge=0)
+    kafka_servers: str | None = None
+    kafka_topic: str = Field(default="treadwatch.chunks", pattern=r"^[A-Za-z0-9._-]{1,249}$")
+    kafka_properties: Path | None = None
     shutdown_timeout_s: int = Field(default=10, ge=1, le=600)
     max_connections: int = Field(default=1000, ge=1, le=100_000)
     max_streams: int = Field(default=500, ge=1, le=100_000)

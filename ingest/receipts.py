@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from estimation.errors import ConflictError
@@ -9,6 +10,13 @@ from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlUnitOfWork
 from ingest.assembly import extent
 from ingest.deleted import DeletedRecordings
+
+Announce = Callable[[ChunkRecord], None]
+"""Called with each committed receipt; it neither waits nor fails."""
+
+
+def to_nobody(_record: ChunkRecord) -> None:
+    """Announce a receipt to nobody."""
 
 
 def enter_receipt(unit: SqlUnitOfWork, record: ChunkRecord, deleted: DeletedRecordings) -> tuple[ChunkRecord, bool]:

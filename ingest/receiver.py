@@ -34,7 +34,7 @@ from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
 from ingest.own_bus.choice import BusChoice
 from ingest.reassembly import Reassembler
-from ingest.receipts import enter_receipt, of_another_vehicle
+from ingest.receipts import Announce, enter_receipt, of_another_vehicle, to_nobody
 from ingest.received import Decoded, ReceivedFile, check_undecided, printable_name, read_or_raise
 from ingest.recordings import Recording, Recordings
 from ingest.span_commit import NO_CHANGES, commit, still_so
@@ -69,6 +69,8 @@ class Receiver:
         Length of a window; a whole number of sampling intervals.
     deleted_taken_by
         Who wants recordings that were deleted to be taken in again; None where they are refused.
+    announce
+        Called with each receipt once it is committed.
     """
 
     def __init__(
@@ -79,11 +81,13 @@ class Receiver:
         clock: Clock,
         window_length_s: float = 60.0,
         deleted_taken_by: str | None = None,
+        announce: Announce = to_nobody,
     ) -> None:
         self._storage = storage
         self._raw = raw
         self._buses = catalogue if isinstance(catalogue, BusChoice) else BusChoice(catalogue, {})
         self._clock = clock
+        self._announce = announce
         self._recordings = Recordings(raw, self._bus_of)
         self._held = HeldRecordings(storage, clock)
         self._deleted = DeletedRecordings(storage, deleted_taken_by)
@@ -337,6 +341,7 @@ class Receiver:
             found, known = enter_receipt(unit, record, self._deleted)
         if found.vehicle != vehicle:
             raise of_another_vehicle(found, vehicle, str(path))
+        self._announce(found)
         return found, known
 
     def _reject(self, record: ChunkRecord, error: LogFileError) -> None:

@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 chunk = typer.Typer(
-    no_args_is_help=True, help="Watch a drop folder, decode what is received, scrub raw files.", rich_markup_mode=None
+    no_args_is_help=True,
+    help="Watch a drop folder, decode what is received, consume a Kafka topic, scrub raw files.",
+    rich_markup_mode=None,
 )
 
 
@@ -42,6 +44,24 @@ def decode_chunks(
     from api.terminal.chunks import work
 
     work(once=once)
+
+
+@chunk.command("consume")
+def consume_references(
+    *,
+    health_port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Serve /healthz, /readyz and /metrics here.")
+    ] = None,
+    health_host: Annotated[str, typer.Option(help="Address of the health port.")] = "127.0.0.1",
+) -> None:
+    """Consume the Kafka topic of references to chunks: each gets its receipt where it has none, and is decoded.
+
+    Any number of these may run; they share the partitions of TREADWATCH_KAFKA_TOPIC.
+    """
+    from api.terminal.consume import consume
+    from api.terminal.health_server import HealthAddress
+
+    consume(None if health_port is None else HealthAddress(health_host, health_port))
 
 
 @chunk.command("scrub")

@@ -61,8 +61,9 @@ def ingest(
         raise ParameterError(
             "give recordings, or --exchange, or --interface with --channel and --vehicle, or --bus", field="FILES"
         )
+    from api.terminal.health_server import HealthAddress
     from api.terminal.ingest import Exchanges, ingest_and_report
-    from api.terminal.live import HealthAddress, receive_and_report
+    from api.terminal.live import receive_and_report
 
     if exchange and vehicle is not None:
         raise ParameterError("an exchange names its vehicle itself", field="--vehicle")

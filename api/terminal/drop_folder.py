@@ -13,12 +13,14 @@ from api.factory import RECEIPT_PATIENCE_S, SystemClock, backlog_watch, open_sto
 from api.settings import Settings, load_settings
 from api.starting import once_the_database_answers
 from api.terminal.ingest import vehicle_in_name
+from api.topic import publishing
 from estimation.errors import InputError, MigrationError, PassingFaultError, StorageError
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.storage import SqlStorage
 from ingest.intake.drop_folder import DropFolder, DropSettings, Look, held_folder
 from ingest.intake.store import ChunkStorage
 from ingest.live.backoff import Backoff
+from ingest.receipts import Announce
 
 LOOK_EVERY_S = 1.0
 FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 30.0
@@ -61,8 +63,8 @@ def watch(folder: Path, vehicle: str | None, quiet_s: float, *, once: bool) -> N
         opened = once_the_database_answers(partial(open_store, settings), settings, stopping)
         if opened is None:
             return
-        with closing(opened) as storage:
-            _watch(_drop_folder(settings, storage, folder, vehicle, quiet_s), stopping, once=once)
+        with closing(opened) as storage, publishing(settings, lambda: storage) as announce:
+            _watch(_drop_folder(settings, storage, folder, vehicle, quiet_s, announce), stopping, once=once)
 
 
 def _watch(drop: DropFolder, stopping: threading.Event, *, once: bool) -> None:
@@ -97,7 +99,7 @@ def _say(look: Look) -> None:
 
 
 def _drop_folder(
-    settings: Settings, storage: SqlStorage, folder: Path, vehicle: str | None, quiet_s: float
+    settings: Settings, storage: SqlStorage, folder: Path, vehicle: str | None, quiet_s: float, announce: Announce
 ) -> DropFolder:
     def vehicle_of(path: Path) -> str:
         return vehicle or vehicle_in_name(path)
@@ -105,4 +107,5 @@ def _drop_folder(
     patient = SqlStorage(storage.engine, storage.data_dir, storage.shipped, RECEIPT_PATIENCE_S)
     raw = raw_store(settings)
     wanted = DropSettings(folder, quiet_s, settings.max_chunk_mb * MEGABYTE, vehicle_of)
-    return DropFolder(wanted, raw, ChunkStorage(patient, raw, SystemClock()), backlog_watch(settings, storage, raw))
+    chunks = ChunkStorage(patient, raw, SystemClock(), announce)
+    return DropFolder(wanted, raw, chunks, backlog_watch(settings, storage, raw))

@@ -18,6 +18,7 @@ from api import factory, logs
 from api.factory import SystemClock, open_store
 from api.settings import load_settings
 from api.times import to_rfc3339
+from api.topic import publishing
 from api.tracing import start_tracing
 from estimation.errors import InputError, TreadwatchError
 from fleet_db.registry_events import Decision
@@ -80,11 +81,13 @@ def ingest_and_report(
     logs.configure(settings)
     start_tracing()
     console = Console(stderr=True)
-    with closing(open_store(settings)) as storage:
+    with closing(open_store(settings)) as storage, publishing(settings, lambda: storage) as announce:
         if registry is not None:
             load_and_say(registry, storage, console)
         taken_by = getpass.getuser() if take_deleted else None
-        receiver = factory.receiver(settings, storage, SystemClock(), catalogues, deleted_taken_by=taken_by)
+        receiver = factory.receiver(
+            settings, storage, SystemClock(), catalogues, deleted_taken_by=taken_by, announce=announce
+        )
         outcomes = _unfinished(receiver, console)
         work_off(receiver, console)
         if isinstance(source, Exchanges):

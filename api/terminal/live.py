@@ -15,9 +15,12 @@ from rich.console import Console
 
 from api import factory, logs
 from api.factory import SystemClock, open_store
+from api.reference_measures import ReferenceMeasures
 from api.settings import Settings, load_settings
+from api.terminal.health_server import HealthAddress
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes
 from api.terminal.live_health import serving_health
+from api.topic import publisher
 from api.tracing import start_tracing
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.revisions import check_head
@@ -28,6 +31,7 @@ from ingest.live.listening import BusSource
 from ingest.live.receiver import LiveSettings
 from ingest.live.status import LiveStatus, Reports, Say
 from ingest.live.storing import Stores
+from ingest.receipts import to_nobody
 from ingest.receiver import ChunkReceipt, Receiver
 
 REMEMBERED = 1000
@@ -46,14 +50,6 @@ class LiveBus:
     channel: str
     vehicle: str
     chunk_seconds: float
-
-
-@dataclass(frozen=True, slots=True)
-class HealthAddress:
-    """Where the health endpoint listens; port 0 takes a free one."""
-
-    host: str
-    port: int
 
 
 def receive_and_report(
@@ -96,8 +92,12 @@ def receive_and_report(
     with ExitStack() as stack:
         stores = _Stores(settings, catalogues, registry, console)
         stack.callback(stores.close)
+        references = stores.references
+        if references is not None:
+            stack.callback(references.close)
         if health is not None:
-            port = stack.enter_context(serving_health(health.host, health.port, statuses))
+            more = [] if references is None else [ReferenceMeasures(lambda: references)]
+            port = stack.enter_context(serving_health(health.host, health.port, statuses, more))
             say(f"health and metrics at http://{health.host}:{port}")
         receive_buses(
             [
@@ -125,6 +125,7 @@ class _Stores:
         self._console = console
         self._storage: SqlStorage | None = None
         self._opening = threading.Lock()  # each bus has a thread that asks
+        self.references = publisher(settings, lambda: self._storage)
 
     def connect(self) -> Receiver:
         with self._opening:
@@ -133,7 +134,8 @@ class _Stores:
             if self._registry is not None:
                 load_and_say(self._registry, self._storage, self._console)
                 self._registry = None
-            return factory.receiver(self._settings, self._storage, SystemClock(), self._catalogues)
+            announce = to_nobody if self.references is None else self.references.publish
+            return factory.receiver(self._settings, self._storage, SystemClock(), self._catalogues, announce=announce)
 
     def check(self) -> None:
         if self._storage is not None:

@@ -140,7 +140,9 @@ class ChunkStore:
         """Return the digests of the recordings whose raw bytes were deleted."""
         return frozenset(self.connection.scalars(select(CHUNKS.c.digest).where(CHUNKS.c.purged_ns.is_not(None))))
 
-    def undecoded(self, limit: int, after: tuple[int, str] = (-1, "")) -> Sequence[ChunkRecord]:
+    def undecoded(
+        self, limit: int, after: tuple[int, str] = (-1, ""), vehicle: str | None = None
+    ) -> Sequence[ChunkRecord]:
         """Return the receipts of recordings that wait for a worker to decode them, in the order of their receipt.
 
         Parameters
@@ -149,9 +151,13 @@ class ChunkStore:
             At most so many.
         after
             Recorded time and digest of the last one of the page before.
+        vehicle
+            Only its; None for all.
         """
         place = (CHUNKS.c.recorded_ns, CHUNKS.c.digest)
         statement = select(CHUNKS).where(UNDECODED, tuple_(*place) > tuple_(*after)).order_by(*place).limit(limit)
+        if vehicle is not None:
+            statement = statement.where(CHUNKS.c.vehicle == vehicle)
         return [_record(row) for row in self.connection.execute(statement)]
 
     def undecoded_size(self) -> Undecoded:

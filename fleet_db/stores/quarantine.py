@@ -37,6 +37,11 @@ class QuarantineStore:
             statement = statement.where(ITEMS.c.stage == stage)
         return self._items(statement)
 
+    def due(self, stage: str, now_ns: int, limit: int) -> Sequence[Quarantined]:
+        """Return what is held of a stage and due for another attempt, at most ``limit``, by last failure."""
+        held = (ITEMS.c.state == QuarantineState.HELD.value, ITEMS.c.stage == stage)
+        return self._items(select(ITEMS).where(*held, ITEMS.c.due_ns <= now_ns).limit(limit))
+
     def all(self, limit: int) -> Sequence[Quarantined]:
         """Return what is or was held, at most ``limit``, by last failure."""
         return self._items(select(ITEMS).limit(limit))

@@ -24,7 +24,11 @@ class DecodedChunks:
 
 
 def decode_received(
-    storage: SqlStorage, receiver: Receiver, holder: str, checkpoint: Callable[[int, int], None]
+    storage: SqlStorage,
+    receiver: Receiver,
+    holder: str,
+    checkpoint: Callable[[int, int], None],
+    vehicle: str | None = None,
 ) -> DecodedChunks:
     """Decode the chunks that wait for a worker when this begins or come meanwhile, but for those of other workers.
 
@@ -38,6 +42,8 @@ def decode_received(
         Name of the process.
     checkpoint
         Called between two chunks with (done, of how many as far as known); it may raise to end the work.
+    vehicle
+        Only its chunks are decoded; None for all.
 
     Raises
     ------
@@ -48,7 +54,7 @@ def decode_received(
     with decoding_locks(storage, holder) as try_vehicle:
         while True:
             with storage.read() as unit:
-                batch = unit.chunks.undecoded(AT_ONCE, after)
+                batch = unit.chunks.undecoded(AT_ONCE, after, vehicle)
                 total = unit.chunks.undecoded_size().count
             for record in batch:
                 _decode(storage, receiver, try_vehicle, record, counts)

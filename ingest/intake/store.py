@@ -14,7 +14,7 @@ from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlStorage
 from ingest.deleted import DeletedRecordings
 from ingest.intake.chunk import Chunk
-from ingest.receipts import enter_receipt, of_another_vehicle
+from ingest.receipts import Announce, enter_receipt, of_another_vehicle, to_nobody
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +42,15 @@ class ChunkStorage:
         Where receipts and bytes go.
     clock
         Ours.
+    announce
+        Called with each receipt once it is committed.
     """
 
-    def __init__(self, storage: SqlStorage, raw: RawStore, clock: Clock) -> None:
+    def __init__(self, storage: SqlStorage, raw: RawStore, clock: Clock, announce: Announce = to_nobody) -> None:
         self._storage = storage
         self._raw = raw
         self._clock = clock
+        self._announce = announce
         self._deleted = DeletedRecordings(storage, None)
         self._mark: str | None = None
 
@@ -85,6 +88,9 @@ class ChunkStorage:
                 wrong = found.vehicle != record.vehicle
                 refusal = of_another_vehicle(found, record.vehicle, record.file_name or record.digest)
                 answers[number] = refusal if wrong else Stored(found, known)
+        for answer in answers.values():
+            if isinstance(answer, Stored):
+                self._announce(answer.record)
         for arrival in arrivals:
             arrival.file.discard()
         return [answers[number] for number in range(len(arrivals))]

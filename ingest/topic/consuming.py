@@ -1,0 +1,239 @@
+"""The loop of a consumer: each message becomes a receipt and is decoded, then its offset may be committed.
+
+Whatever a message holds, the next one gets its turn; while database, raw store or backlog keep receipts out, the same
+message waits, and its partition with it.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from estimation.errors import MigrationError, PassingFaultError, StoppedError, StorageError
+from estimation.failures import first_line
+from fleet_db.storage import SqlStorage
+from ingest.intake.backlog import Behind, Limit
+from ingest.intake.decoding import decode_received
+from ingest.live.backoff import Backoff
+from ingest.receiver import Receiver
+from ingest.topic.outcomes import Outcome, Refused
+from ingest.topic.reading import Received, TopicReader
+from ingest.topic.reference import Reference, read_message
+from ingest.topic.status import ConsumerStatus
+from ingest.topic.taking import ReferenceTaking, Taken
+
+POLL_S = 0.5
+LOOK_EVERY_S = 5.0
+"""How often references that are held are tried again, and, while no message comes, what else waits is decoded."""
+ATTEMPTS = 3
+"""With a message at which the database fails, before the reference is held and the next message gets its turn."""
+FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Decoding:
+    """What decodes: the receipts of a storage, by a receiver, in the name of a process."""
+
+    storage: SqlStorage
+    receiver: Receiver
+    holder: str
+
+
+class Consuming:
+    """Takes messages until asked to end.
+
+    Parameters
+    ----------
+    reader
+        Of the topic.
+    taking
+        From references to receipts.
+    decoding
+        From receipts to windows.
+    status
+        Where it says what it does.
+    stopped
+        Whether an end is requested.
+    """
+
+    def __init__(
+        self,
+        reader: TopicReader,
+        taking: ReferenceTaking,
+        decoding: Decoding,
+        status: ConsumerStatus,
+        stopped: Callable[[], bool],
+    ) -> None:
+        self._reader = reader
+        self._taking = taking
+        self._decoding = decoding
+        self._status = status
+        self._stopped = stopped
+        self._looked_s = float("-inf")
+
+    def run(self) -> None:
+        """Consume; what has no committed offset at the end comes again.
+
+        Raises
+        ------
+        MigrationError
+            The database is at another migration.
+        """
+        while not self._stopped():
+            message = self._reader.next(POLL_S)
+            if message is not None:
+                self._work_off(message)
+            if time.monotonic() - self._looked_s >= LOOK_EVERY_S:
+                self._look(idle=message is None)
+                self._looked_s = time.monotonic()
+
+    def _work_off(self, message: Received) -> None:
+        read = read_message(message.key, message.value)
+        outcome = self._refused(message, read) if isinstance(read, Refused) else self._taken_at_last(message, read)
+        if outcome is None:
+            return
+        self._status.outcomes[outcome] += 1
+        self._status.last_message_s = time.time()
+        if isinstance(read, Reference):
+            self._status.last_age_s = max(0.0, time.time() - read.received_ns * 1e-9)
+        self._reader.done(message)
+
+    def _refused(self, message: Received, refused: Refused) -> Outcome:
+        where = f"partition {message.partition}, offset {message.offset}"
+        _log.warning("nothing is taken of a message (%s, %s): it %s", where, refused.outcome, refused.text)
+        return refused.outcome
+
+    def _taken_at_last(self, message: Received, reference: Reference) -> Outcome | None:
+        """Take a reference however long that waits; None where an end is requested, or another member has it."""
+        delays, failures = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S), 0
+        while not self._stopped() and self._reader.holds(message):
+            found = self._attempted(reference)
+            if found is None or isinstance(found, Outcome):
+                return found
+            if isinstance(found, Behind):
+                if self._caught_up(found):
+                    continue
+            elif not isinstance(found, PassingFaultError):
+                failures += 1
+                for_good = failures >= ATTEMPTS or not isinstance(found, StorageError)
+                if for_good and self._held(reference, found):
+                    return Outcome.FAILED
+            self._reader.wait(delays.failed(), self._stopped)
+        return None
+
+    def _attempted(self, reference: Reference) -> Outcome | Behind | Exception | None:
+        """Take a reference; return what became of it or what was raised, None where an end is requested."""
+        try:
+            return self._taken(reference)
+        except StoppedError:
+            return None
+        except MigrationError:
+            raise
+        except (StorageError, PassingFaultError) as error:
+            self._fault(error)
+            return error
+        except Exception as error:  # noqa: BLE001 - whatever it is, the next message gets its turn
+            _log.exception("a reference to chunk %s failed", reference.digest)
+            return error
+
+    def _taken(self, reference: Reference) -> Outcome | Behind:
+        found = self._taking.take(reference)
+        self._well()
+        if isinstance(found, Behind):
+            return found
+        self._status.behind = None
+        self._report(reference, found)
+        if found.waits:
+            self._decode(reference.vehicle)
+        return found.outcome
+
+    def _report(self, reference: Reference, taken: Taken) -> None:
+        if taken.outcome in {Outcome.STORED, Outcome.KNOWN}:
+            return
+        chunk = f"chunk {reference.digest[:12]} of vehicle {reference.vehicle}"
+        _log.warning("a reference to %s: %s", chunk, taken.outcome)
+
+    def _caught_up(self, behind: Behind) -> bool:
+        """Decode what keeps new receipts out; return whether any was."""
+        if self._status.behind is None:
+            _log.warning("references wait: %s", behind.text)
+        self._status.behind = behind.text
+        try:
+            return behind.limit is not Limit.DISK and self._decode(None) > 0
+        except StoppedError:
+            return False
+        except StorageError as error:
+            self._fault(error)
+            return False
+
+    def _held(self, reference: Reference, error: Exception) -> bool:
+        """Keep a reference at which something fails; False where the database cannot take that either."""
+        try:
+            self._taking.held.hold(reference, error)
+        except StorageError as fault:
+            self._fault(fault)
+            return False
+        return True
+
+    def _decode(self, vehicle: str | None) -> int:
+        """Decode what waits, of a vehicle or of all; return of how many chunks that is done."""
+
+        def checkpoint(done: int, total: int) -> None:
+            if self._stopped():
+                raise StoppedError(done, total)
+            self._reader.stay()
+
+        one = self._decoding
+        counts = decode_received(one.storage, one.receiver, one.holder, checkpoint, vehicle)
+        self._status.decoded += counts.decoded
+        self._status.not_decoded += counts.others
+        return counts.decoded + counts.others
+
+    def _look(self, *, idle: bool) -> None:
+        """Try again what is held, decode what else waits while no message comes, and ask how brokers and topic are."""
+        self._reader.ask()
+        try:
+            for reference in self._taking.held.due():
+                if not self._tried_again(reference):
+                    break
+            if idle:
+                self._decode(None)
+            self._well()
+        except MigrationError:
+            raise
+        except StoppedError:
+            return
+        except (StorageError, PassingFaultError) as error:
+            self._fault(error)
+
+    def _tried_again(self, reference: Reference) -> bool:
+        """Try a reference that was held; return whether the next one gets its turn."""
+        self._reader.stay()
+        try:
+            found = self._taken(reference)
+        except (StoppedError, StorageError, PassingFaultError):
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever it is, the next one gets its turn
+            _log.exception("a held reference to chunk %s failed", reference.digest)
+            self._taking.held.hold(reference, error)
+            return True
+        if isinstance(found, Behind):
+            return False
+        _log.info("the held reference to chunk %s was tried again: %s", reference.digest[:12], found)
+        return True
+
+    def _fault(self, error: Exception) -> None:
+        fault, passing = first_line(error), isinstance(error, PassingFaultError)
+        if (self._status.raw_fault if passing else self._status.database_fault) in {None, "not asked yet"}:
+            _log.warning("references wait: %s", fault)
+        if passing:
+            self._status.raw_fault = fault
+        else:
+            self._status.database_fault = fault
+
+    def _well(self) -> None:
+        self._status.raw_fault = self._status.database_fault = None

@@ -1,0 +1,198 @@
+"""References to received chunks are published; whether brokers are there or not, nobody waits for it.
+
+The database is the truth: a reference that is dropped is found by the schedule.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from estimation.errors import TreadwatchError
+from fleet_db.receipts import ChunkRecord, ChunkState
+from ingest.topic.client import Topic, connected, require_client
+from ingest.topic.reference import Reference, message_of, reference_of
+
+if TYPE_CHECKING:
+    from confluent_kafka import KafkaError, Message, Producer
+
+MOST_WAITING = 10_000
+"""References that wait for a broker; what comes beyond is dropped."""
+CLOSE_S = 5.0
+"""How long an end waits for the brokers."""
+POLL_S = 0.1
+FLEET_COUNTS_S = 60.0
+"""How long the fleet of a vehicle counts that was looked up; it only decides the partition."""
+FLEETS_KEPT = 10_000
+
+_log = logging.getLogger(__name__)
+
+
+class Sent(StrEnum):
+    """How the publishing of a reference ended."""
+
+    PUBLISHED = "published"
+    DROPPED = "dropped"  # too many waited already, or an end was requested
+    FAILED = "failed"  # no broker took it in time
+
+
+class Publisher:
+    """Publishes references from a thread of its own; it starts with the first.
+
+    Parameters
+    ----------
+    topic
+        Where to.
+    fleet_of
+        Returns the fleet of a vehicle; raises TreadwatchError where it is not known.
+    most_waiting
+        References that may wait.
+
+    Raises
+    ------
+    PassingFaultError
+        The client is not installed.
+    InputError
+        Its configuration cannot be used.
+    """
+
+    def __init__(self, topic: Topic, fleet_of: Callable[[str], str], most_waiting: int = MOST_WAITING) -> None:
+        require_client()
+        self._topic = topic
+        self._fleet_of = fleet_of
+        self._most_waiting = most_waiting
+        self._producer = self._made()
+        self._queue: queue.SimpleQueue[Reference | None] = queue.SimpleQueue()
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self._closed = False
+        self._fleets: dict[str, tuple[str, float]] = {}
+        self._fault = ""
+        self.waiting = 0
+        self.ended: Counter[Sent] = Counter()
+
+    def publish(self, record: ChunkRecord) -> None:
+        """Hand a reference over to a committed receipt; it never waits and never fails.
+
+        Parameters
+        ----------
+        record
+            The receipt; where it is decoded or decided on already, nobody needs the reference.
+        """
+        reference = reference_of(record) if record.state is ChunkState.STORED else None
+        if reference is None:
+            return
+        with self._lock:
+            if self._closed or self.waiting >= self._most_waiting:
+                self.ended[Sent.DROPPED] += 1
+                return
+            self.waiting += 1
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="references", daemon=True)
+                self._thread.start()
+        self._queue.put(reference)
+
+    def close(self, timeout_s: float = CLOSE_S) -> None:
+        """Publish what waits within a time, drop the rest, and log how many did not reach the topic.
+
+        Parameters
+        ----------
+        timeout_s
+            In all, s.
+        """
+        until = time.monotonic() + timeout_s
+        with self._lock:
+            self._closed, thread = True, self._thread
+        if thread is not None:
+            self._queue.put(None)
+            thread.join(timeout_s)
+            self._producer.flush(max(0.0, until - time.monotonic()))
+            self._producer.purge()
+        with self._lock:
+            self.ended[Sent.DROPPED] += self.waiting
+            self.waiting = 0
+            lost = self.ended[Sent.DROPPED] + self.ended[Sent.FAILED]
+        if lost:
+            _log.warning("%d references did not reach the topic %s: the schedule finds them", lost, self._topic.name)
+
+    def _run(self) -> None:
+        while True:
+            try:
+                reference = self._queue.get(timeout=POLL_S)
+            except queue.Empty:
+                self._producer.poll(0)
+                continue
+            if reference is None:
+                return
+            self._produce(reference)
+            self._producer.poll(0)
+
+    def _produce(self, reference: Reference) -> None:
+        from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
+
+        key, value = message_of(reference, self._fleet(reference.vehicle))
+        try:
+            self._producer.produce(self._topic.name, value, key, on_delivery=self._delivered)
+        except (KafkaException, BufferError) as error:
+            self._end(Sent.FAILED)
+            self._report(str(error))
+            if isinstance(error, KafkaException) and error.args[0].fatal():
+                self._begin_again()
+
+    def _begin_again(self) -> None:
+        """Replace a producer that refuses everything from now on; what it held is reported as failed."""
+        self._producer.purge()
+        self._producer.flush(0)
+        self._producer = self._made()
+
+    def _fleet(self, vehicle: str) -> str:
+        """Return the fleet of a vehicle; empty where it cannot be found now."""
+        found, until_s = self._fleets.get(vehicle, ("", 0.0))
+        if time.monotonic() < until_s:
+            return found
+        try:
+            found = self._fleet_of(vehicle)
+        except TreadwatchError:  # not registered yet, or the database is away: the key only decides the partition
+            return found
+        if len(self._fleets) >= FLEETS_KEPT:
+            self._fleets.clear()
+        self._fleets[vehicle] = (found, time.monotonic() + FLEET_COUNTS_S)
+        return found
+
+    def _delivered(self, error: KafkaError | None, _message: Message) -> None:
+        if error is None:
+            self._end(Sent.PUBLISHED)
+            if self._fault:
+                _log.info("references reach the topic %s again", self._topic.name)
+            self._fault = ""
+        else:
+            self._end(Sent.FAILED)
+            self._report(error.str())
+
+    def _end(self, how: Sent) -> None:
+        with self._lock:
+            if self.waiting:  # else it was dropped at the end
+                self.waiting -= 1
+                self.ended[how] += 1
+
+    def _report(self, fault: str) -> None:
+        if not self._fault:
+            _log.warning("references do not reach the topic %s: %s", self._topic.name, fault)
+        self._fault = fault
+
+    def _made(self) -> Producer:
+        from confluent_kafka import Producer  # noqa: PLC0415 - an extra, imported where it is used
+
+        config = {
+            "queue.buffering.max.messages": self._most_waiting,
+            **self._topic.producer(),
+            "error_cb": lambda error: self._report(error.str()),
+            "logger": _log,
+        }
+        return connected(lambda: Producer(config), self._topic)
