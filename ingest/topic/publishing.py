@@ -11,7 +11,9 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from enum import StrEnum
+from functools import partial
 from typing import TYPE_CHECKING
 
 from estimation.errors import TreadwatchError
@@ -27,6 +29,8 @@ MOST_WAITING = 10_000
 CLOSE_S = 5.0
 """How long an end waits for the brokers."""
 POLL_S = 0.1
+BEGIN_AGAIN_EVERY_S = 10.0
+"""How often a producer that the brokers refuse for good, such as one without permission, is replaced at most."""
 FLEET_COUNTS_S = 60.0
 """How long the fleet of a vehicle counts that was looked up; it only decides the partition."""
 FLEETS_KEPT = 10_000
@@ -74,6 +78,8 @@ class Publisher:
         self._closed = False
         self._fleets: dict[str, tuple[str, float]] = {}
         self._fault = ""
+        self._began_s = float("-inf")
+        self._handed = 0  # to the producer, and not reported on yet
         self.waiting = 0
         self.ended: Counter[Sent] = Counter()
 
@@ -106,13 +112,16 @@ class Publisher:
         timeout_s
             In all, s.
         """
+        from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
+
         until = time.monotonic() + timeout_s
         with self._lock:
             self._closed, thread = True, self._thread
         if thread is not None:
             self._queue.put(None)
             thread.join(timeout_s)
-            self._producer.flush(max(0.0, until - time.monotonic()))
+            with suppress(KafkaException, SystemError):  # refused for good
+                self._producer.flush(max(0.0, until - time.monotonic()))
             self._producer.purge()
         with self._lock:
             self.ended[Sent.DROPPED] += self.waiting
@@ -126,30 +135,51 @@ class Publisher:
             try:
                 reference = self._queue.get(timeout=POLL_S)
             except queue.Empty:
-                self._producer.poll(0)
+                self._serve()
                 continue
             if reference is None:
                 return
             self._produce(reference)
-            self._producer.poll(0)
+            self._serve()
 
     def _produce(self, reference: Reference) -> None:
         from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
 
         key, value = message_of(reference, self._fleet(reference.vehicle))
+        delivered = partial(self._delivered, self._producer)
         try:
-            self._producer.produce(self._topic.name, value, key, on_delivery=self._delivered)
+            self._producer.produce(self._topic.name, value, key, on_delivery=delivered)
         except (KafkaException, BufferError) as error:
             self._end(Sent.FAILED)
-            self._report(str(error))
-            if isinstance(error, KafkaException) and error.args[0].fatal():
-                self._begin_again()
+            self._failed(error)
+        else:
+            self._handed += 1
 
-    def _begin_again(self) -> None:
-        """Replace a producer that refuses everything from now on; what it held is reported as failed."""
-        self._producer.purge()
-        self._producer.flush(0)
-        self._producer = self._made()
+    def _serve(self) -> None:
+        """Take reports of deliveries and of faults."""
+        from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
+
+        try:
+            self._producer.poll(0)
+        except (KafkaException, SystemError) as error:  # raised where the brokers refuse for good
+            self._failed(error)
+
+    def _failed(self, error: Exception) -> None:
+        """Report an error; replace a producer that refuses everything from now on."""
+        from confluent_kafka import KafkaError, KafkaException  # noqa: PLC0415 - an extra
+
+        for_good = isinstance(error, SystemError)  # of the client, in which an error of the other kind was raised
+        fault = str(error)
+        if isinstance(error, KafkaException):
+            fault = error.args[0].str()
+            for_good = error.args[0].fatal() or error.args[0].code() == KafkaError._FATAL  # noqa: SLF001 - is public
+        self._report(fault)
+        if for_good and time.monotonic() - self._began_s >= BEGIN_AGAIN_EVERY_S:
+            self._began_s = time.monotonic()
+            self._producer.purge()
+            self._producer = self._made()
+            self._end(Sent.FAILED, self._handed)
+            self._handed = 0
 
     def _fleet(self, vehicle: str) -> str:
         """Return the fleet of a vehicle; empty where it cannot be found now."""
@@ -165,7 +195,10 @@ class Publisher:
         self._fleets[vehicle] = (found, time.monotonic() + FLEET_COUNTS_S)
         return found
 
-    def _delivered(self, error: KafkaError | None, _message: Message) -> None:
+    def _delivered(self, producer: Producer, error: KafkaError | None, _message: Message) -> None:
+        if producer is not self._producer:  # replaced: what it held has failed
+            return
+        self._handed -= 1
         if error is None:
             self._end(Sent.PUBLISHED)
             if self._fault:
@@ -175,11 +208,11 @@ class Publisher:
             self._end(Sent.FAILED)
             self._report(error.str())
 
-    def _end(self, how: Sent) -> None:
+    def _end(self, how: Sent, count: int = 1) -> None:
         with self._lock:
-            if self.waiting:  # else it was dropped at the end
-                self.waiting -= 1
-                self.ended[how] += 1
+            ended = min(count, self.waiting)  # the others were dropped at the end
+            self.waiting -= ended
+            self.ended[how] += ended
 
     def _report(self, fault: str) -> None:
         if not self._fault:
