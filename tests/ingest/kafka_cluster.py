@@ -21,6 +21,8 @@ NAME = "treadwatch.chunks"
 PRODUCER = 0
 """Kind of a client, as librdkafka counts them."""
 BROKER = 1
+PARTITION_UA = -1
+"""Whichever the key gives."""
 NUMBER_OF_A_PRODUCER, NOT_PERMITTED = 22, 31
 """A request of the protocol, and an error at which an idempotent producer refuses everything from then on."""
 FAST = {"session.timeout.ms": "1500", "heartbeat.interval.ms": "300", "auto.commit.interval.ms": "100"}
@@ -77,10 +79,18 @@ class MockCluster:
         self.library.rd_kafka_mock_push_request_errors_array(self.handle, request, 1, (ctypes.c_int * 1)(error))
 
     def send(self, *messages: tuple[bytes | None, bytes | None]) -> None:
-        """Produce messages as a gateway would, each with its key."""
+        """Produce messages as a gateway would, into the partitions of their keys."""
+        self._send([(*message, PARTITION_UA) for message in messages])
+
+    def spread(self, *messages: tuple[bytes | None, bytes | None]) -> None:
+        """Produce messages into one partition after the other, whatever their keys are."""
+        partitions = self.partitions()
+        self._send([(*one, partitions[number % len(partitions)]) for number, one in enumerate(messages)])
+
+    def _send(self, messages: Sequence[tuple[bytes | None, bytes | None, int]]) -> None:
         producer = Producer({"bootstrap.servers": self.servers, "log_level": 2})
-        for key, value in messages:
-            producer.produce(NAME, value, key)
+        for key, value, partition in messages:
+            producer.produce(NAME, value, key, partition)
         assert producer.flush(30) == 0
 
     def messages(self, count: int) -> Sequence[Message]:
