@@ -7,7 +7,7 @@ COPY estimation estimation
 COPY fleet_db fleet_db
 COPY ingest ingest
 RUN python -m venv /opt/treadwatch \
-    && /opt/treadwatch/bin/pip install --no-cache-dir --disable-pip-version-check --constraint constraints.txt '.[otel,dask,s3]'
+    && /opt/treadwatch/bin/pip install --no-cache-dir --disable-pip-version-check --constraint constraints.txt '.[otel,dask,kafka,s3]'
 
 # machine code of every kernel, so that a container whose file system cannot be written starts without compiling
 ENV TREADWATCH_COMPILED_DIR=/opt/treadwatch/compiled TREADWATCH_COMPILED_CPU=portable

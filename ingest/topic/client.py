@@ -40,7 +40,9 @@ OURS = frozenset(
 """Properties on which it rests that nothing is lost: a file cannot set them."""
 
 _LOGGED = MappingProxyType({"log_level": 2})  # faults are reported once, not at each of its attempts
-_PRODUCER: Mapping[str, Any] = MappingProxyType({"enable.idempotence": True, "linger.ms": 20})
+_PRODUCER: Mapping[str, Any] = MappingProxyType(
+    {"enable.idempotence": True, "linger.ms": 20, "message.timeout.ms": 300_000}
+)
 _CONSUMER: Mapping[str, Any] = MappingProxyType(
     {
         "group.id": GROUP,

@@ -15,14 +15,15 @@ from test_decoding_chunks import hand_in, receiver_of, runs, windows
 from topic_consumer import ROOM, Consumer, put, referred, sent
 from vehicle_bus import VEHICLE, register
 
-from estimation.errors import PassingFaultError, StorageError
-from estimation.values.quarantine import QuarantineState
+from estimation.errors import StorageError
+from estimation.values.quarantine import QuarantineState, delay_s
 from estimation.values.reasons import ReasonCode
 from fleet_db.decoding_locks import decoding_locks
 from fleet_db.raw_mark import check_raw_store
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from ingest.topic import consuming, held_references
+from ingest.topic import consuming, held_references, publishing, reading
+from ingest.topic.client import Topic
 from ingest.topic.held_references import MOST_ATTEMPTS, NEVER_NS
 from ingest.topic.outcomes import Outcome
 from ingest.topic.taking import ReferenceTaking
@@ -375,6 +376,15 @@ def test_a_cluster_that_has_lost_everything_gives_messages_again_and_nothing_cha
     assert windows(registered) == made
 
 
-def test_the_bound_of_attempts_and_what_is_tried_at_a_time_are_as_documented() -> None:
+def test_the_bounds_are_as_documented() -> None:
     assert (held_references.MOST_ATTEMPTS, held_references.AT_ONCE, consuming.ATTEMPTS) == (30, 100, 3)
-    assert isinstance(held_references.missing(referred(Path(__file__)), PassingFaultError("x")), PassingFaultError)
+    assert (reading.STAY_EVERY_S, publishing.CLOSE_S, consuming.LOOK_EVERY_S) == (10.0, 5.0, 5.0)
+    waited_s = sum(delay_s(ReasonCode.WAITS_FOR_STORAGE, attempts) for attempts in range(1, MOST_ATTEMPTS))
+    assert round(waited_s / 3600) == 23
+    topic = Topic("kafka-1:9092", "t", {"session.timeout.ms": "6000"})
+    assert topic.producer()["message.timeout.ms"] == 300_000
+    assert topic.producer()["enable.idempotence"] is True
+    consumer = topic.consumer()
+    assert (consumer["session.timeout.ms"], Topic("x", "t").consumer()["session.timeout.ms"]) == ("6000", 10_000)
+    assert (consumer["queued.max.messages.kbytes"], consumer["group.id"]) == (1024, "treadwatch")
+    assert (consumer["enable.auto.offset.store"], consumer["auto.offset.reset"]) == (False, "earliest")
