@@ -123,7 +123,8 @@ class _Work:
 
     def _consuming(self, reader: TopicReader, decoding: Decoding) -> Consuming:
         patient = replace(self._storage, patience_s=RECEIPT_PATIENCE_S)
-        backlog = backlog_watch(self._settings, self._storage)
+        raw = raw_store(self._settings)
+        backlog = backlog_watch(self._settings, self._storage, raw)
         sender = f"topic {self._topic.name}"
-        taking = ReferenceTaking(patient, raw_store(self._settings), SystemClock(), backlog, sender)
+        taking = ReferenceTaking(patient, raw, SystemClock(), backlog, sender)
         return Consuming(reader, taking, decoding, self._status, self._stopping.is_set)

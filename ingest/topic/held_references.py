@@ -12,6 +12,7 @@ from estimation.errors import PassingFaultError
 from estimation.failures import after_failure
 from estimation.storage import Clock
 from estimation.values.quarantine import Quarantined, SubjectKind, resolved
+from fleet_db.raw import LostRecordingError
 from fleet_db.storage import SqlStorage
 from ingest.topic.reference import Reference, as_text, from_text
 
@@ -87,7 +88,7 @@ class HeldReferences:
         return [reference for reference in found if reference is not None]
 
 
-def missing(reference: Reference, fault: PassingFaultError) -> PassingFaultError:
+def missing(reference: Reference, fault: LostRecordingError) -> PassingFaultError:
     """Return what is kept of a chunk whose bytes are not there, or are others.
 
     Parameters

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from estimation.errors import ConflictError, PassingFaultError
+from estimation.errors import ConflictError
 from estimation.storage import Clock
 from estimation.values.reasons import ReasonCode, code_of
-from fleet_db.raw import RawStore
+from fleet_db.raw import LostRecordingError, RawStore
 from fleet_db.raw_mark import check_raw_store
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
@@ -68,7 +68,8 @@ class ReferenceTaking:
         StorageError
             The database cannot be reached: nothing has changed.
         PassingFaultError
-            The folder of raw recordings is not that of the database, such as one that is not mounted: the same.
+            The store of raw recordings is away, or not that of the database, such as a folder that is not mounted: the
+            same.
         """
         with self.storage.read() as unit:
             found = unit.chunks.get(reference.digest)
@@ -97,17 +98,13 @@ class ReferenceTaking:
         self.held.release(reference.digest)
         return _taken(stored, reference, Outcome.KNOWN if known else Outcome.STORED)
 
-    def _fault(self, reference: Reference) -> tuple[Outcome, PassingFaultError] | None:
+    def _fault(self, reference: Reference) -> tuple[Outcome, LostRecordingError] | None:
         """Return what is wrong with the bytes of a chunk; None where they are whole."""
-        try:
-            size_bytes = self.raw.size(reference.digest, reference.suffix)
-        except PassingFaultError as error:
-            return Outcome.MISSING, error
-        if size_bytes != reference.size_bytes:
-            text = f"its file has {size_bytes:,} bytes, the reference names {reference.size_bytes:,}"
-            return Outcome.DAMAGED, PassingFaultError(text)
-        fault = self.raw.fault(reference.digest, reference.suffix)
-        return None if fault is None else (Outcome.DAMAGED, fault)
+        fault = self.raw.fault(reference.digest, reference.suffix, reference.size_bytes)
+        if fault is None:
+            return None
+        there = self.raw.holds(reference.digest, reference.suffix)
+        return (Outcome.DAMAGED if there else Outcome.MISSING), fault
 
 
 def _taken(found: ChunkRecord, reference: Reference, outcome: Outcome) -> Taken:

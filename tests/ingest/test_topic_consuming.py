@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from kafka_cluster import MockCluster, mock_cluster
 from live_listening import eventually
+from raw_stores import Behind, in_bucket
+from s3_server import running_s3_server
 from test_decoding_chunks import hand_in, receiver_of, runs, windows
 from topic_consumer import ROOM, Consumer, put, referred, sent
 from vehicle_bus import VEHICLE, register
@@ -122,8 +124,8 @@ def test_messages_of_others_each_have_their_outcome_and_harm_nothing(
     reasons = {name: "" if one is None else one.error for name, one in kept.items()}
     assert all(f"a reference names this chunk of vehicle {VEHICLE}: " in one for one in reasons.values())
     assert "has another digest" in reasons["d"]
-    assert f"bytes, the reference names {references[2].size_bytes + 1:,}" in reasons["l"]
-    assert "No such file" in reasons["a"]
+    assert f"has {references[2].size_bytes} bytes, not {references[2].size_bytes + 1}" in reasons["l"]
+    assert "is missing" in reasons["a"]
     with registered.read() as unit:
         assert unit.chunks.get(references[1].digest) is None
         assert unit.chunks.get(referred(absent).digest) is None
@@ -150,6 +152,53 @@ def test_a_reference_that_overtakes_its_file_is_taken_once_the_file_is_there(
     item = consumer.held(reference)
     assert item is not None
     assert item.state is QuarantineState.RESOLVED
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_gateway_may_put_chunks_into_a_folder_or_a_bucket(
+    sqlite_storage: SqlStorage, cluster: MockCluster, tmp_path: Path, raw_behind: Behind
+) -> None:
+    with sqlite_storage.write() as unit:
+        register(unit)
+    consumer = Consumer(sqlite_storage, cluster, store=raw_behind.store)
+    late, torn, good = runs(tmp_path, 3, seconds=3.0)
+    references = [referred(path) for path in (late, torn, good)]
+    for reference, content in zip(references[1:], (torn.read_bytes()[:-1], good.read_bytes()), strict=True):
+        raw_behind.write(reference.digest, ".blf", content)
+    cluster.send(*map(sent, references))
+    with consumer.running():
+        consumer.until(missing=1, damaged=1, stored=1)
+        for reference, path in zip(references, (late, torn), strict=False):
+            raw_behind.write(reference.digest, ".blf", path.read_bytes())
+        with sqlite_storage.write() as unit:
+            unit.quarantine.retry()
+        eventually(lambda: consumer.status.decoded == 3)
+    found = [consumer.receipt(reference) for reference in references]
+    assert [one.state for one in found if one is not None] == [ChunkState.DECODED] * 3
+
+
+@pytest.mark.usefixtures("quick")
+def test_while_a_bucket_is_away_references_wait_and_none_is_quarantined(
+    sqlite_storage: SqlStorage, cluster: MockCluster, tmp_path: Path
+) -> None:
+    with sqlite_storage.write() as unit:
+        register(unit)
+    with running_s3_server() as server:
+        behind = in_bucket(server, "waits", tmp_path, timeout_s=2.0)
+        consumer = Consumer(sqlite_storage, cluster, store=behind.store)
+        path = runs(tmp_path, 1, seconds=3.0)[0]
+        reference = referred(path)
+        behind.write(reference.digest, ".blf", path.read_bytes())
+        check_raw_store(sqlite_storage, behind.store, 0)
+        server.stop()
+        cluster.send(sent(reference))
+        with consumer.running():
+            eventually(lambda: consumer.status.raw_fault is not None)
+            assert consumer.status.outcomes.total() == 0
+            server.start()
+            consumer.until(stored=1)
+    assert consumer.status.faults == {}
+    assert consumer.held(reference) is None
 
 
 def test_a_held_reference_is_tried_thirty_times_and_then_by_hand_only(storage: SqlStorage, tmp_path: Path) -> None:

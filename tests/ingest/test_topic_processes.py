@@ -30,7 +30,7 @@ from vehicle_bus import VEHICLE, register
 
 from api.settings import Settings
 from api.terminal.live import _Stores
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
@@ -124,7 +124,7 @@ def test_a_consumer_that_is_killed_is_followed_by_another_and_nothing_is_lost_or
     given = environment(tmp_path, cluster, storage_url)
     paths = runs(tmp_path, 10, seconds=1.0)
     hand_in(deployment, *paths[:3])
-    raw = RawStore(deployment.data_dir / "raw")
+    raw = FileRawStore(deployment.data_dir / "raw")
     cluster.spread(*(sent(referred(path)) for path in paths[:3]), *(sent(put(raw, path)) for path in paths[3:]))
     with consumer(tmp_path, "first", given) as first:
         eventually(lambda: decoded(deployment) >= 3)

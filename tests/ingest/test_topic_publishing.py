@@ -18,8 +18,7 @@ from test_receiver import CountingClock
 from vehicle_bus import VEHICLE, register
 
 from estimation.errors import InputError, NotFoundError, PassingFaultError, StorageError
-from fleet_db.incoming import IncomingFile
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
@@ -162,14 +161,14 @@ def test_a_chunk_is_announced_after_its_receipt_and_each_way_of_taking_it_does(
 
     with sqlite_storage.write() as unit:
         register(unit)
-    raw = RawStore(sqlite_storage.data_dir / "raw")
+    raw = FileRawStore(sqlite_storage.data_dir / "raw")
     first, second, third = runs(tmp_path, 3, seconds=3.0)
     receiver = Receiver(sqlite_storage, raw, default_catalogue(), CountingClock(), 2.0, announce=announce)
     one = receiver.receive_file(first, VEHICLE).record.digest
     two = receiver.keep(second.read_bytes(), ".blf", VEHICLE, "L-1__1")[0].digest
     chunks = ChunkStorage(sqlite_storage, raw, CountingClock(), announce)
     for _ in range(2):  # the second time it is known, and still waits
-        with IncomingFile(raw.directory) as incoming:
+        with raw.incoming(".blf") as incoming:
             incoming.write(third.read_bytes())
             incoming.finish()
             chunks.store([Arrival(incoming, Chunk(VEHICLE, ".blf", third.name, None))])

@@ -16,6 +16,7 @@ from vehicle_bus import CATALOGUE, VEHICLE
 
 from estimation.values.quarantine import Quarantined, SubjectKind
 from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import BacklogLimits, BacklogWatch
@@ -45,17 +46,21 @@ class Consumer:
     status: ConsumerStatus = field(default_factory=ConsumerStatus)
     stop: threading.Event = field(default_factory=threading.Event)
     failures: list[Exception] = field(default_factory=list)
+    store: RawStore | None = None
+    """Of raw recordings; by default the folder of the storage."""
 
     @property
-    def raw(self) -> RawStore:
-        return RawStore(self.storage.data_dir / "raw")
+    def raw(self) -> FileRawStore:
+        return FileRawStore(self.storage.data_dir / "raw")
 
     def taking(self) -> ReferenceTaking:
-        backlog = BacklogWatch(self.storage, self.raw.directory, self.limits)
-        return ReferenceTaking(self.storage, self.raw, self.clock, backlog, "topic of the test")
+        raw = self.store or self.raw
+        backlog = BacklogWatch(self.storage, raw.receiving, self.limits)
+        return ReferenceTaking(self.storage, raw, self.clock, backlog, "topic of the test")
 
     def run(self) -> None:
-        receiver = Receiver(self.storage, self.raw, CATALOGUE, self.clock, window_length_s=LENGTH_S)
+        raw = self.store or self.raw
+        receiver = Receiver(self.storage, raw, CATALOGUE, self.clock, window_length_s=LENGTH_S)
         reader = TopicReader(self.cluster.topic(), self.status)
         decoding = Decoding(self.storage, receiver, self.name)
         try:
@@ -101,7 +106,7 @@ def referred(path: Path, vehicle: str = VEHICLE) -> Reference:
     return Reference(digest, path.suffix, vehicle, len(content), path.name, RECEIVED_NS)
 
 
-def put(raw: RawStore, path: Path) -> Reference:
+def put(raw: FileRawStore, path: Path) -> Reference:
     """Put a file into the raw store, as a gateway does, and return its reference."""
     reference = referred(path)
     target = raw.path(reference.digest, reference.suffix)
