@@ -19,6 +19,7 @@ from ingest.align.clock import (
     TickedValues,
     merge_aligned,
 )
+from ingest.align.nearby import values_near
 from ingest.align.windows import (
     MountedWindow,
     RegistryLookup,
@@ -251,8 +252,8 @@ class Assembler:
     def _windows(
         self, recordings: Sequence[Recording], lookup: RegistryLookup, span: Span
     ) -> tuple[list[MountedWindow], dict[str, int]]:
-        aligned = align_recordings(recordings)
-        samples, counts = _samples(lookup.vehicle.code, recordings[0].catalogue, merge_aligned(aligned))
+        messages = merge_aligned(align_recordings(recordings, span))
+        samples, counts = _samples(lookup.vehicle.code, recordings[0].catalogue, messages, span)
         windows, made = [], WindowCounts()
         for outcome in windows_of(samples, _starts(samples, span, self.length_ns), self.length_ns, lookup):
             if isinstance(outcome, MountedWindow):
@@ -278,16 +279,19 @@ def _starts(samples: VehicleSamples, span: Span, length_ns: int) -> list[int]:
     found: set[int] = set()
     for node in samples.nodes.values():
         low, high = np.searchsorted(node.block.t_ns, span)
-        found.update((np.unique(node.block.t_ns[low:high] // length_ns) * length_ns).tolist())
+        numbers = node.block.t_ns[low:high] // length_ns
+        found.update((numbers[np.diff(numbers, prepend=-1) != 0] * length_ns).tolist())
     return sorted(found)
 
 
 def _samples(
-    vehicle: str, catalogue: Catalogue, messages: Mapping[int, TickedValues]
+    vehicle: str, catalogue: Catalogue, messages: Mapping[int, TickedValues], span: Span
 ) -> tuple[VehicleSamples, AlignCounts]:
+    """Return the samples of a vehicle that windows of a span can be made of, and counts of what is near it."""
+    near = values_near(messages, span, catalogue.sample_interval_ns)
     if isinstance(catalogue, OwnBus):
-        return own_samples(vehicle, catalogue, messages)
-    return vehicle_samples(vehicle, catalogue, messages)
+        return own_samples(vehicle, catalogue, near)
+    return vehicle_samples(vehicle, catalogue, near)
 
 
 def _check_one_kind(vehicle: str, suffix: str, sources: Iterable[ChunkRecord]) -> None:

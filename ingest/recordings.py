@@ -15,6 +15,7 @@ from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.clock import TIME_REACH_NS, AlignedFrames, align_to_clock, check_sync_rate
+from ingest.align.nearby import frames_near
 from ingest.catalogue import Catalogue
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.bundle import read_bundle
@@ -205,7 +206,7 @@ def _beside(record: ChunkRecord, digest: str, recorder_ns: Span) -> bool:
     )
 
 
-def align_recordings(recordings: Iterable[Recording]) -> list[AlignedFrames]:
+def align_recordings(recordings: Iterable[Recording], span: Span | None = None) -> list[AlignedFrames]:
     """Merge recordings whose recorder stamps touch and whose recorders agree, and align what was merged.
 
     The answer depends on the set of recordings, not on their order.
@@ -214,6 +215,8 @@ def align_recordings(recordings: Iterable[Recording]) -> list[AlignedFrames]:
     ----------
     recordings
         Recordings of one vehicle.
+    span
+        ``[from, to)`` of the vehicle's clock, ns: what cannot matter to windows in it may be left out. None is all.
     """
     groups: list[list[Recording]] = []
     for recording in sorted(recordings, key=lambda r: (r.recorder_ns, r.digest)):
@@ -228,12 +231,15 @@ def align_recordings(recordings: Iterable[Recording]) -> list[AlignedFrames]:
             else:
                 apart.append(group)
         groups = [*apart, joined]
-    return [
-        group[0].alone
-        if len(group) == 1
-        else align_frames(group[0].catalogue, merge([recording.batch for recording in group]))
-        for group in groups
-    ]
+    return [group[0].alone if len(group) == 1 else _align_merged(group, span) for group in groups]
+
+
+def _align_merged(group: Sequence[Recording], span: Span | None) -> AlignedFrames:
+    batches: Sequence[FrameBatch] = [recording.batch for recording in group]
+    catalogue = group[0].catalogue
+    if span is not None and not isinstance(catalogue, OwnBus):
+        batches = frames_near(batches, [recording.alone for recording in group], span)
+    return align_frames(catalogue, merge(batches))
 
 
 def _touch(first: Recording, second: Recording) -> bool:
