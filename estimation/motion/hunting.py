@@ -13,9 +13,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
+from functools import cache
 
-from estimation.values.arrays import FloatArray
+import numpy as np
+import numpy.typing as npt
+
+from estimation.compiled import compiled
+from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import NOT_HUNTING, Hunting, WindowQuality
 
@@ -31,6 +35,7 @@ FLANGE_TO_FLANGE = (5e-3, 0.9, 0.11)  # of which rough track disturbs the rhythm
 LEAST_COHERENCE = 0.8  # between lateral and yaw acceleration in the line
 MOST_PHASE = np.pi / 3.0  # from the kinematic mode
 GAINS = (0.3, 3.0)  # of yaw, times what the kinematic mode has
+DOUBT = 1e-6  # relative: blocks this near to a limit are looked at once more
 QUALITY_REASONS = frozenset(
     {
         ReasonCode.TOO_FEW_SAMPLES,
@@ -83,14 +88,14 @@ def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interv
         Between samples.
     """
     size = round(BLOCK_S / interval_s)
-    running, found = 0, []
-    for start in range(0, len(lateral) - size + 1, size):
-        part = slice(start, start + size)
-        fast = float(np.nan_to_num(np.mean(speed[part])))
-        if fast < LEAST_SPEED:
-            continue
-        running += 1
-        line = _line(lateral[part], yaw[part], fast, interval_s)
+    blocks = (len(lateral) // size, size)
+    lateral, yaw, speed = (signal[: blocks[0] * size].reshape(blocks) for signal in (lateral, yaw, speed))
+    fast = np.nan_to_num(np.mean(speed, axis=1))
+    at = np.flatnonzero(fast >= LEAST_SPEED)
+    running = len(at)
+    found = []
+    for block in at[_may_hunt(lateral[at], yaw[at], fast[at], interval_s)]:
+        line = _line(lateral[block], yaw[block], float(fast[block]), interval_s)
         if line is not None and line.hunts:
             found.append(line)
     if not found:
@@ -101,12 +106,102 @@ def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interv
     return Hunting(len(found) / running, frequency, amplitude)
 
 
+def _may_hunt(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_s: float) -> BoolArray:
+    """Return of which blocks (k,) the lateral motion alone is enough for hunting; most are not looked at further.
+
+    Parameters
+    ----------
+    lateral, yaw
+        (k, n) m/s2 and rad/s2; NaN where nothing is known.
+    speed
+        (k,) m/s.
+    interval_s
+        Between samples.
+    """
+    known = np.isfinite(lateral) & np.isfinite(yaw)
+    enough = known.mean(axis=1) >= LEAST_KNOWN
+    if not known.all():
+        lateral = lateral.copy()
+        at = np.arange(lateral.shape[1])
+        for block in np.flatnonzero(enough & ~known.all(axis=1)):
+            lateral[block] = np.interp(at, at[known[block]], lateral[block, known[block]])
+        lateral[~enough] = 0.0
+    window, power = _window(lateral.shape[1])
+    spectra = np.fft.rfft((lateral - lateral.mean(axis=1, keepdims=True)) * window)
+    frequency = np.fft.rfftfreq(lateral.shape[1], interval_s)
+    return enough & may_hunt(spectra, speed, frequency, power * lateral.shape[1])
+
+
+@compiled(nogil=True)
+def may_hunt(spectra: npt.NDArray[np.complex128], speed: FloatArray, frequency: FloatArray, scale: float) -> BoolArray:
+    """Return which blocks (k,) have a line that is as large, as much of the whole and as narrow as that of hunting.
+
+    Those that are within :data:`DOUBT` of a limit are among them, and those whose strongest line is not clear.
+
+    Parameters
+    ----------
+    spectra
+        (k, m) of the lateral acceleration.
+    speed
+        (k,) m/s.
+    frequency
+        (m,) Hz.
+    scale
+        What the power of a line is divided by for a fourth of its squared amplitude.
+    """
+    found = np.zeros(len(speed), np.bool_)
+    power = np.zeros(len(frequency) + 2)  # of the displacement; one more on either side
+    for block in range(len(speed)):
+        slowest, fastest = max(LEAST_FREQUENCY, speed[block] / LONGEST), speed[block] / SHORTEST
+        total = best = 0.0
+        for k in range(len(frequency)):
+            power[k + 1] = 0.0
+            if slowest <= frequency[k] <= fastest:
+                omega = 2.0 * np.pi * frequency[k]
+                a = spectra[block, k]
+                power[k + 1] = (a.real**2 + a.imag**2) / omega**4
+            total += power[k + 1]
+            if k:
+                best = max(best, power[k - 1] + power[k] + power[k + 1])
+        if not total > 0.0:
+            continue
+        peak, strongest = 0.0, 0
+        for k in range(len(frequency)):
+            if power[k] + power[k + 1] + power[k + 2] >= best * (1.0 - DOUBT):
+                peak = frequency[k]
+                strongest += 1
+        own = moment = spread = 0.0
+        for k in range(len(frequency)):
+            if LINE[0] * peak < frequency[k] < LINE[1] * peak:
+                own += power[k + 1]
+                moment += power[k + 1] * frequency[k]
+        middle = moment / own if own > 0.0 else 1.0
+        for k in range(len(frequency)):
+            if LINE[0] * peak < frequency[k] < LINE[1] * peak:
+                spread += power[k + 1] * (frequency[k] - middle) ** 2
+        more, less = 1.0 + DOUBT, 1.0 - DOUBT
+        amplitude, share = np.sqrt(4.0 * own / scale) * more, own / total * more
+        width = np.sqrt(spread / own) / middle * less if own > 0.0 else 0.0
+        steady = amplitude >= STEADY[0] and share >= STEADY[1] and width <= STEADY[2]
+        far = amplitude >= FLANGE_TO_FLANGE[0] and share >= FLANGE_TO_FLANGE[1] and width <= FLANGE_TO_FLANGE[2]
+        found[block] = steady or far or strongest > 1
+    return found
+
+
+@cache
+def _window(size: int) -> tuple[FloatArray, float]:
+    """Return the window of a block, and the sum of its squares."""
+    window = np.hanning(size)
+    window.flags.writeable = False
+    return window, float((window**2).sum())
+
+
 def _line(lateral: FloatArray, yaw: FloatArray, speed: float, interval_s: float) -> _Line | None:
     known = np.isfinite(lateral) & np.isfinite(yaw)
     if known.mean() < LEAST_KNOWN:
         return None
     at = np.arange(len(lateral))
-    window = np.hanning(len(lateral))
+    window, window_power = _window(len(lateral))
     both = [np.interp(at, at[known], signal[known]) for signal in (lateral, yaw)]
     a, b = (np.fft.rfft((signal - signal.mean()) * window) for signal in both)
     frequency = np.fft.rfftfreq(len(lateral), interval_s)
@@ -127,7 +222,7 @@ def _line(lateral: FloatArray, yaw: FloatArray, speed: float, interval_s: float)
     other = float((np.abs(turned[line]) ** 2).sum())
     return _Line(
         frequency_hz=middle,
-        amplitude=float(np.sqrt(4.0 * own.sum() / (window**2).sum() / len(lateral))),
+        amplitude=float(np.sqrt(4.0 * own.sum() / window_power / len(lateral))),
         share=float(own.sum()) / total,
         width=float(np.sqrt(own @ (frequency[line] - middle) ** 2 / own.sum())) / middle,
         coherence=abs(cross) / float(np.sqrt(own.sum() * other)) if other > 0.0 else 0.0,
