@@ -13,6 +13,7 @@ import numpy as np
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.windows import ACCELERATIONS
 from ingest.align.clock import TIME_REACH_NS, AlignCounts, TickedValues
+from ingest.align.window_samples import between_frames
 from ingest.catalogue import ACCELERATION, EMERGENCY, MOTION, PLACE, POSITION, STATUS, VEHICLE_NODE, Catalogue
 from ingest.codec import MessageValues
 from ingest.plausibility.vehicle_motion import odometer_excess, possible_motion
@@ -169,24 +170,6 @@ def _spans(tick: IntArray, after: IntArray, until: IntArray) -> BoolArray:
     return np.cumsum(edges[:-1]) > 0
 
 
-def widened(flags: BoolArray, slot: IntArray, reach: int) -> BoolArray:
-    """Return which samples (n,) are near to a flagged one.
-
-    Parameters
-    ----------
-    flags
-        (n,) which samples are flagged.
-    slot
-        (n,) sampling instant of each, ascending.
-    reach
-        Slots on each side.
-    """
-    counted = np.concatenate([[0], np.cumsum(flags)])
-    first = np.searchsorted(slot, slot - reach, side="left")
-    last = np.searchsorted(slot, slot + reach, side="right")
-    return np.asarray(counted[last] > counted[first])
-
-
 LONGEST_GAP_NS = 1_000_000_000
 """Frames further apart than this are not interpolated between."""
 
@@ -238,19 +221,16 @@ class VehicleMotion:
     def on_grid(self, first_tick: int, count: int) -> GridMotion:
         """Return the motion at ``count`` sampling instants from ``first_tick``."""
         reach = LONGEST_GAP_NS // self.interval_ns
-        grid = np.arange(count, dtype=np.int64)
         moved, where = (_near(track, first_tick, count, reach) for track in (self.motion, self.position))
-        speed, _ = _between(grid, moved.tick, moved.values[:, 0], reach)
+        speed, _, _ = _between(count, moved.tick, moved.values[:, 0], reach)
         one_section = np.zeros(len(where.tick), dtype=np.bool_)
         one_section[:-1] = where.values[1:, 0] == where.values[:-1, 0]
-        distance, slope = _between(grid, where.tick, where.values[:, 1], reach, one_section)
-        before = np.clip(np.searchsorted(where.tick, grid, side="right") - 1, 0, None)
-        known = np.zeros(count, dtype=np.bool_)
+        distance, slope, before = _between(count, where.tick, where.values[:, 1], reach, one_section)
+        section, quality = np.full(count, NO_SECTION, np.int64), np.zeros(count)
         if len(where.tick):
             known = ~(np.isnan(distance) | np.isnan(where.values[before, 0]))
-        section, quality = np.full(count, NO_SECTION, np.int64), np.zeros(count)
-        section[known] = where.values[before[known], 0].astype(np.int64)
-        quality[known] = np.nan_to_num(where.values[before[known], 2], nan=0.0)
+            section[known] = where.values[before[known], 0].astype(np.int64)
+            quality[known] = np.nan_to_num(where.values[before[known], 2], nan=0.0)
         forward = np.where(slope < 0.0, -1.0, 1.0)
         inside = (moved.tick >= 0) & (moved.tick < count)
         excess = odometer_excess(moved.tick[inside], moved.values[inside], self.interval_ns * 1e-9, reach)
@@ -299,21 +279,15 @@ def _near(track: Track, first_tick: int, count: int, reach: int) -> Track:
 
 
 def _between(
-    grid: IntArray, tick: IntArray, values: FloatArray, reach: int, joined: BoolArray | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Return linear values (n,) between neighbours at most ``reach`` apart, and their slope; NaN elsewhere.
+    count: int, tick: IntArray, values: FloatArray, reach: int, joined: BoolArray | None = None
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return linear values (n,) between neighbours at most ``reach`` apart, their slope, NaN elsewhere, and the frame.
 
     ``joined`` (k,) is whether a frame may be joined to the next.
     """
-    if len(tick) == 0:
-        return np.full(len(grid), np.nan), np.full(len(grid), np.nan)
-    step = np.diff(tick, append=tick[-1] + 1)
+    step = np.diff(tick, append=tick[-1] + 1 if len(tick) else 0)
     slope = np.diff(values, append=np.nan) / step
     slope[step > reach] = np.nan
     if joined is not None:
         slope[~joined] = np.nan
-    at = np.searchsorted(tick, grid, side="right") - 1
-    since = grid - tick[at]
-    inside = np.where(at >= 0, values[at] + slope[at] * since, np.nan)
-    on_frame = (at >= 0) & (since == 0)
-    return np.where(on_frame, values[at], inside), np.where(at >= 0, slope[at], np.nan)
+    return between_frames(count, tick, np.ascontiguousarray(values), slope)

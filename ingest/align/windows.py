@@ -16,7 +16,7 @@ import numpy as np
 
 from estimation.errors import ParameterError
 from estimation.motion.hunting import find_hunting
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, runs
+from estimation.values.arrays import BoolArray, IntArray
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine
 from estimation.values.windows import ACCELERATIONS, Hunting, Window, WindowQuality
@@ -28,8 +28,8 @@ from ingest.align.samples import (
     VehicleMotion,
     node_samples,
     vehicle_motion,
-    widened,
 )
+from ingest.align.window_samples import gaps_of, good_samples, gridded, on_section, range_of
 from ingest.catalogue import ACCELERATION, Catalogue, resolution
 from ingest.plausibility.vehicle_place import off_line_m
 
@@ -38,6 +38,9 @@ MIN_PRESENCE = 0.2
 
 CLIPPING_GUARD_S = 0.04
 """Samples this near to a clipped one are left out with it: the sensor's filter has spread what was cut off."""
+
+SWAYING = ACCELERATIONS[:2]
+"""The lateral and the yaw acceleration, which show hunting."""
 
 MOVING_M_S = 0.5
 """A window in which the vehicle never ran faster is no running time."""
@@ -178,16 +181,19 @@ def _window(
     if np.isnan(motion.odometer_m):
         return WindowCounts(windows_without_odometer=1)
     slot = (t_ns - extent[0]) // samples.interval_ns
-    good = node.block.valid[span].all(axis=1) & ~np.isnan(motion.speed[slot])
-    good &= ~widened(node.clipped[span], slot, round(CLIPPING_GUARD_S * 1e9 / samples.interval_ns))
-    section, distance = _section_and_distance(motion, slot[good], lookup, lookup.vehicle.axle_offsets_m[axle - 1])
+    guard = round(CLIPPING_GUARD_S * 1e9 / samples.interval_ns)
+    good, many = good_samples(slot, node.block.valid[span], node.clipped[span], motion.speed, guard)
+    section, number = _section(motion, slot, good, lookup) if many else (None, NO_SECTION)
+    distance = np.full(len(motion.distance), np.nan)
     if section is not None:
+        offset = lookup.vehicle.axle_offsets_m[axle - 1]
+        distance = on_section(motion.distance, motion.forward, motion.section, number, offset)
         good &= ~np.isnan(distance[slot])
     valid = np.zeros(len(motion.speed), dtype=np.bool_)
     valid[slot[good]] = True
-    accelerations = np.full((4, len(valid)), np.nan)
-    accelerations[:, slot[good]] = node.block.values[span][good].T
-    accelerations.flags.writeable = False
+    accelerations = gridded(node.block.values[span], slot, good, len(valid), len(ACCELERATIONS))
+    for array in (accelerations, distance, valid):
+        array.flags.writeable = False
     named: dict[str, Any] = dict(zip(ACCELERATIONS, accelerations, strict=True))
     window = Window(
         wheelset=mounting.wheelset,
@@ -218,43 +224,35 @@ def _off_line(motion: GridMotion, section: str | None, lookup: RegistryLookup) -
     return off_line_m(line, motion.distance[at][on_it], motion.fixes.values[on_it])
 
 
-def _section_and_distance(
-    motion: GridMotion, slot: IntArray, lookup: RegistryLookup, offset: float
-) -> tuple[str | None, FloatArray]:
-    """Return the one section of the window and the distance of the wheelset along it (n,), NaN off the section.
+def _section(
+    motion: GridMotion, slot: IntArray, good: BoolArray, lookup: RegistryLookup
+) -> tuple[str | None, int]:
+    """Return the one section of the window and its number on the bus; None where it is not known.
 
     The section is the one of most good samples (the lower number of two), if it is registered. A
     wheelset that has not yet reached the section of the reference point is off it.
     """
-    nowhere = np.full(len(motion.distance), np.nan)
-    numbers, times = np.unique(motion.section[slot], return_counts=True)
-    times = times[numbers != NO_SECTION]
-    numbers = numbers[numbers != NO_SECTION]
-    if len(numbers) == 0:
-        return None, nowhere
-    number = int(numbers[np.argmax(times)])
-    code = lookup.section_codes.get(number)
-    if code is None:
-        return None, nowhere
-    distance = motion.distance - motion.forward * offset
-    return code, np.where((motion.section == number) & (distance >= 0.0), distance, np.nan)
+    number, largest = range_of(motion.section, slot, good)
+    if number != largest:
+        numbers, times = np.unique(motion.section[slot[good]], return_counts=True)
+        on_one = numbers != NO_SECTION
+        number = int(numbers[on_one][np.argmax(times[on_one])])
+    return (None if number == NO_SECTION else lookup.section_codes.get(number)), number
 
 
 def _quality(
     node: NodeSamples, span: slice, extent: tuple[int, int], motion: GridMotion, valid: BoolArray, slot: IntArray
 ) -> WindowQuality:
-    missing = runs(~valid)
-    lengths = missing[:, 1] - missing[:, 0]
+    gaps, longest = gaps_of(valid)
     first, last = np.searchsorted(node.fault_ns, [extent[0], extent[0] + extent[1]])
-    speed = motion.speed[~np.isnan(motion.speed)]
     return WindowQuality(
-        coverage=float(valid.mean()),
-        longest_gap_s=float(lengths.max(initial=0) * (extent[1] // len(valid)) * 1e-9),
-        gaps=len(lengths),
-        clipped=float(node.clipped[span].mean()),
-        invalid=float(node.invalid[span].mean()),
-        speed_min_m_s=float(speed.min()),
-        speed_max_m_s=float(speed.max()),
+        coverage=np.count_nonzero(valid) / len(valid),
+        longest_gap_s=float(longest * (extent[1] // len(valid)) * 1e-9),
+        gaps=gaps,
+        clipped=np.count_nonzero(node.clipped[span]) / len(slot),
+        invalid=np.count_nonzero(node.invalid[span]) / len(slot),
+        speed_min_m_s=float(np.fmin.reduce(motion.speed)),
+        speed_max_m_s=float(np.fmax.reduce(motion.speed)),
         position_quality=float(motion.position_quality[slot].mean()),
         sensor_fault=bool(last > first),
         hunting=_hunting(node, span, motion, slot, extent[1] * 1e-9 / len(valid)),
@@ -263,9 +261,8 @@ def _quality(
 
 def _hunting(node: NodeSamples, span: slice, motion: GridMotion, slot: IntArray, interval_s: float) -> Hunting:
     """Return what all samples of the node show of hunting, those that clip too."""
-    signals = np.full((2, len(motion.speed)), np.nan)
-    columns = [ACCELERATIONS.index(name) for name in ("lateral_acceleration", "yaw_acceleration")]
-    signals[:, slot] = node.saturated[span][:, columns].T
+    every = np.ones(len(slot), np.bool_)
+    signals = gridded(node.saturated[span], slot, every, len(motion.speed), len(SWAYING))
     return find_hunting(signals[0], signals[1], motion.speed, interval_s)
 
 
