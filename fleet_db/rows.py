@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -84,6 +84,21 @@ def insert_new(connection: Connection, table: Table, values: Mapping[str, Any]) 
         By column, with the whole primary key.
     """
     return connection.execute(_insert_new(table, connection.dialect.name), values).rowcount > 0
+
+
+def insert_all_new(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> bool:
+    """Insert rows, at least one, whose primary keys are not there yet; return whether all were new.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    table
+        Where.
+    rows
+        By column, all with the same ones, with the whole primary key.
+    """
+    return connection.execute(_insert_new(table, connection.dialect.name), list(rows)).rowcount == len(rows)
 
 
 def null_if_nan(value: float | None) -> float | None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from estimation.values.reasons import ReasonCode
+from estimation.values.windows import Window, WindowKey, WindowRecord
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
+from fleet_db.stores.assembled import AssembledWindow, StoredWindow
 from ingest.align.windows import MountedWindow
 from ingest.assembly import Assembler
 from ingest.span_assembly import SpanAssembly, registry_lookup
@@ -92,21 +94,39 @@ def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, ver
     verify
         Whether the files of windows that have not changed are read and checked.
     """
-    stored = {
-        (record.wheelset, record.start_ns): record
-        for record in unit.assembled.of_vehicle(assembly.vehicle, assembly.from_ns, assembly.to_ns)
-    }
-    wanted = {(each.window.wheelset, each.window.start_ns): each for each in assembly.windows}
+    wanted = {_key(each.window): each for each in map(_assembled, assembly.windows)}
+    wheelsets = {wheelset for wheelset, _ in wanted}
+    found = unit.assembled.in_span(assembly.vehicle, wheelsets, assembly.from_ns, assembly.to_ns)
+    stored = {_key(one.record): one for one in found}
     gone = [
-        record
-        for key, record in stored.items()
-        if key not in wanted and not assembly.keeps(record.start_ns, record.length_ns)
+        one.record
+        for key, one in stored.items()
+        if one.record.vehicle == assembly.vehicle
+        and key not in wanted
+        and not assembly.keeps(one.record.start_ns, one.record.length_ns)
     ]
     removed = unit.assembled.remove(gone)
-    for record in removed:
-        _requeue_partner(unit, record.vehicle, record.axle, record.start_ns)
-    changes = sum((_put(unit, each, recorded_ns, verify=verify) for each in assembly.windows), NO_CHANGES)
-    return replace(changes, removed=len(removed))
+    touched = [(record.axle, record.start_ns) for record in removed]
+    new = [each for key, each in wanted.items() if key not in stored]
+    # where another transaction has stored one since the look-up, each is looked at by itself
+    alone = set() if unit.assembled.add(new, recorded_ns) else {_key(each.window) for each in new}
+    changes = SpanChanges(new=0 if alone else len(new), removed=len(removed))
+    touched += [(each.window.axle, each.window.start_ns) for each in new]
+    for key, each in wanted.items():
+        if key in alone or (key in stored and (verify or not _is_as_stored(unit, stored[key], each))):
+            made, other_samples = _put(unit, each, recorded_ns, verify=verify)
+            changes += made
+            touched += [(each.window.axle, each.window.start_ns)] if other_samples else []
+    _requeue_partners(unit, assembly.vehicle, found, touched)
+    return changes
+
+
+def _key(window: Window | WindowRecord) -> WindowKey:
+    return window.wheelset, window.start_ns
+
+
+def _assembled(mounted: MountedWindow) -> AssembledWindow:
+    return AssembledWindow(mounted.window, mileage_km(mounted), mounted.odometer_excess_m, mounted.off_line_m)
 
 
 def mileage_km(mounted: MountedWindow) -> float:
@@ -121,31 +141,48 @@ def mileage_km(mounted: MountedWindow) -> float:
     return mounting.wheelset_mileage_km + (mounted.window.odometer_m / 1000.0 - mounting.vehicle_odometer_km)
 
 
-def _put(unit: SqlUnitOfWork, mounted: MountedWindow, recorded_ns: int, *, verify: bool) -> SpanChanges:
-    window = mounted.window
+def _is_as_stored(unit: SqlUnitOfWork, stored: StoredWindow, now: AssembledWindow) -> bool:
+    reason = stored.record.reason
+    refused = reason is not None and reason.code is ReasonCode.FILE_DAMAGED
+    return not refused and unit.assembled.is_as_stored(stored, now)
+
+
+def _put(
+    unit: SqlUnitOfWork, assembled: AssembledWindow, recorded_ns: int, *, verify: bool
+) -> tuple[SpanChanges, bool]:
+    """Store one window; return what changes, and whether it has other samples now, or has them again."""
+    window = assembled.window
     before = unit.windows.get(window.wheelset, window.start_ns)
     refused = before is not None and before.reason is not None and before.reason.code is ReasonCode.FILE_DAMAGED
     lost = before is not None and not unit.assembled.intact(before, verify=verify or refused)
-    stored = unit.windows.put(window, mileage_km(mounted), recorded_ns)
-    unit.plausibility.note_odometer(window.wheelset, window.start_ns, mounted.odometer_excess_m)
-    unit.plausibility.note_place(window.wheelset, window.start_ns, mounted.off_line_m)
+    stored = unit.windows.put(window, assembled.mileage_km, recorded_ns)
+    unit.plausibility.note_odometer(window.wheelset, window.start_ns, assembled.odometer_excess_m)
+    unit.plausibility.note_place(window.wheelset, window.start_ns, assembled.off_line_m)
     after = unit.windows.get(window.wheelset, window.start_ns)
     assert after is not None
     same = before is not None and before.content_digest == after.content_digest
     if same and (lost or refused):
         unit.windows.wait_again(window.wheelset, window.start_ns)
-    elif same and not stored:
-        return NO_CHANGES
-    if not same or lost or refused:
-        _requeue_partner(unit, window.vehicle, window.axle, window.start_ns)
-    if before is None:
-        return SpanChanges(new=1)
-    return SpanChanges(healed=1) if same and (lost or refused) else SpanChanges(changed=1)
+        return SpanChanges(healed=1), True
+    if same:
+        return (SpanChanges(changed=1) if stored else NO_CHANGES), False
+    return (SpanChanges(new=1) if before is None else SpanChanges(changed=1)), True
 
 
-def _requeue_partner(unit: SqlUnitOfWork, vehicle: str, axle: int, start_ns: int) -> None:
-    """Let the window of the other axle in the bogie wait again: it is estimated with the signals of both."""
-    on_file = unit.registry.vehicle_class(unit.registry.vehicle(vehicle).vehicle_class)
-    partner = None if on_file is None else on_file.vehicle_class.partner(axle)
-    if partner is not None:
-        unit.windows.requeue_axle(vehicle, partner, start_ns)
+def _requeue_partners(
+    unit: SqlUnitOfWork, vehicle: str, stored: Iterable[StoredWindow], touched: Iterable[tuple[int, int]]
+) -> None:
+    """Let stored windows wait again whose partner in the bogie, axle and start, is another now.
+
+    They are estimated with the signals of both.
+    """
+    there = {(one.record.axle, one.record.start_ns) for one in stored if one.record.vehicle == vehicle}
+    starts = {start_ns for _, start_ns in there}
+    touched = [place for place in dict.fromkeys(touched) if place[1] in starts]
+    on_file = unit.registry.vehicle_class(unit.registry.vehicle(vehicle).vehicle_class) if touched else None
+    if on_file is None:
+        return
+    for axle, start_ns in touched:
+        partner = on_file.vehicle_class.partner(axle)
+        if partner is not None and (partner, start_ns) in there:
+            unit.windows.requeue_axle(vehicle, partner, start_ns)

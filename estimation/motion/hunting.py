@@ -12,7 +12,6 @@ amplitude and adds odd harmonics, but does not widen it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-
 from functools import cache
 
 import numpy as np
@@ -126,10 +125,10 @@ def _may_hunt(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_
         for block in np.flatnonzero(enough & ~known.all(axis=1)):
             lateral[block] = np.interp(at, at[known[block]], lateral[block, known[block]])
         lateral[~enough] = 0.0
-    window, power = _window(lateral.shape[1])
+    window, square = _window(lateral.shape[1])
     spectra = np.fft.rfft((lateral - lateral.mean(axis=1, keepdims=True)) * window)
-    frequency = np.fft.rfftfreq(lateral.shape[1], interval_s)
-    return enough & may_hunt(spectra, speed, frequency, power * lateral.shape[1])
+    frequency: FloatArray = np.asarray(np.fft.rfftfreq(lateral.shape[1], interval_s), np.float64)
+    return np.asarray(enough & may_hunt(spectra, speed, frequency, square * lateral.shape[1]))
 
 
 @compiled(nogil=True)
@@ -153,38 +152,50 @@ def may_hunt(spectra: npt.NDArray[np.complex128], speed: FloatArray, frequency: 
     power = np.zeros(len(frequency) + 2)  # of the displacement; one more on either side
     for block in range(len(speed)):
         slowest, fastest = max(LEAST_FREQUENCY, speed[block] / LONGEST), speed[block] / SHORTEST
-        total = best = 0.0
         for k in range(len(frequency)):
-            power[k + 1] = 0.0
-            if slowest <= frequency[k] <= fastest:
-                omega = 2.0 * np.pi * frequency[k]
-                a = spectra[block, k]
-                power[k + 1] = (a.real**2 + a.imag**2) / omega**4
-            total += power[k + 1]
-            if k:
-                best = max(best, power[k - 1] + power[k] + power[k + 1])
-        if not total > 0.0:
-            continue
-        peak, strongest = 0.0, 0
-        for k in range(len(frequency)):
-            if power[k] + power[k + 1] + power[k + 2] >= best * (1.0 - DOUBT):
-                peak = frequency[k]
-                strongest += 1
-        own = moment = spread = 0.0
-        for k in range(len(frequency)):
-            if LINE[0] * peak < frequency[k] < LINE[1] * peak:
-                own += power[k + 1]
-                moment += power[k + 1] * frequency[k]
-        middle = moment / own if own > 0.0 else 1.0
-        for k in range(len(frequency)):
-            if LINE[0] * peak < frequency[k] < LINE[1] * peak:
-                spread += power[k + 1] * (frequency[k] - middle) ** 2
-        more, less = 1.0 + DOUBT, 1.0 - DOUBT
-        amplitude, share = np.sqrt(4.0 * own / scale) * more, own / total * more
-        width = np.sqrt(spread / own) / middle * less if own > 0.0 else 0.0
-        steady = amplitude >= STEADY[0] and share >= STEADY[1] and width <= STEADY[2]
-        far = amplitude >= FLANGE_TO_FLANGE[0] and share >= FLANGE_TO_FLANGE[1] and width <= FLANGE_TO_FLANGE[2]
-        found[block] = steady or far or strongest > 1
+            omega, a = 2.0 * np.pi * frequency[k], spectra[block, k]
+            inside = slowest <= frequency[k] <= fastest
+            power[k + 1] = (a.real**2 + a.imag**2) / omega**4 if inside else 0.0
+        found[block] = line_may_hunt(power, frequency, scale)
+    return found
+
+
+@compiled(nogil=True)
+def line_may_hunt(power: FloatArray, frequency: FloatArray, scale: float) -> bool:
+    """Return whether the strongest line of a block may be that of hunting; see :func:`may_hunt`.
+
+    Parameters
+    ----------
+    power
+        (m + 2,) of the displacement at each frequency, with one more on either side.
+    frequency
+        (m,) Hz.
+    scale
+        As in :func:`may_hunt`.
+    """
+    total = best = 0.0
+    for k in range(len(frequency)):
+        total += power[k + 1]
+        best = max(best, power[k] + power[k + 1] + power[k + 2])
+    peak, strongest = 0.0, 0
+    for k in range(len(frequency)):
+        if power[k] + power[k + 1] + power[k + 2] >= best * (1.0 - DOUBT):
+            peak = frequency[k]
+            strongest += 1
+    own = moment = square = 0.0
+    for k in range(len(frequency)):
+        if LINE[0] * peak < frequency[k] < LINE[1] * peak:
+            own += power[k + 1]
+            moment += power[k + 1] * (frequency[k] - peak)
+            square += power[k + 1] * (frequency[k] - peak) ** 2
+    if strongest != 1 or not own > 0.0:
+        return total > 0.0
+    off = moment / own
+    amplitude, share = np.sqrt(4.0 * own / scale) * (1.0 + DOUBT), own / total * (1.0 + DOUBT)
+    width = np.sqrt(max(square / own - off**2, 0.0)) / (peak + off) - DOUBT
+    found = False
+    for limits in (STEADY, FLANGE_TO_FLANGE):
+        found = found or (amplitude >= limits[0] and share >= limits[1] and width <= limits[2])
     return found
 
 

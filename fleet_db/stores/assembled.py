@@ -2,23 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, and_, delete, func, select
+from sqlalchemy import Connection, and_, delete, func, or_, select
 
 from estimation.errors import DamagedError
-from estimation.values.windows import PassedOver, WindowRecord
+from estimation.values.windows import PassedOver, Window, WindowRecord
 from fleet_db.changes import Changes
 from fleet_db.models import ChunkRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.receipts import ChunkState
-from fleet_db.rows import table_of
+from fleet_db.rows import insert_all_new, table_of
 from fleet_db.stores.taken_tables import take_back
-from fleet_db.stores.windows import pass_over, to_window_record
-from fleet_db.telemetry import WindowFiles
+from fleet_db.stores.windows import pass_over, to_window_record, window_values
+from fleet_db.telemetry import WindowFiles, window_digest
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)
 CHUNKS = table_of(ChunkRow)
+
+
+@dataclass(frozen=True, slots=True)
+class AssembledWindow:
+    """A window as it was assembled, to be stored.
+
+    Attributes
+    ----------
+    window
+        With its samples.
+    mileage_km
+        Of the wheelset since new, at its start.
+    odometer_excess_m
+        By which odometer and speed differ beyond what they may, m.
+    off_line_m
+        From the line of its section, by GNSS, m; 0 within the limit.
+    """
+
+    window: Window
+    mileage_km: float
+    odometer_excess_m: float = 0.0
+    off_line_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class StoredWindow:
+    """A stored window with what only its storage needs.
+
+    Attributes
+    ----------
+    record
+        The window.
+    sample_bytes
+        Size of its file.
+    samples_purged
+        Whether its file was purged.
+    odometer_excess_m, off_line_m
+        As in :class:`AssembledWindow`.
+    """
+
+    record: WindowRecord
+    sample_bytes: int
+    samples_purged: bool
+    odometer_excess_m: float
+    off_line_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +82,54 @@ class AssembledWindowStore:
             .order_by(WINDOWS.c.start_ns, WINDOWS.c.wheelset)
         )
         return [to_window_record(row) for row in self.connection.execute(statement)]
+
+    def in_span(self, vehicle: str, wheelsets: Collection[str], from_ns: int, to_ns: int) -> Sequence[StoredWindow]:
+        """Return the windows that start in ``[from_ns, to_ns)`` of a vehicle, and of wheelsets wherever they ran."""
+        statement = (
+            select(WINDOWS)
+            .where(or_(WINDOWS.c.vehicle == vehicle, WINDOWS.c.wheelset.in_(sorted(wheelsets))))
+            .where(WINDOWS.c.start_ns >= from_ns, WINDOWS.c.start_ns < to_ns)
+            .order_by(WINDOWS.c.start_ns, WINDOWS.c.wheelset)
+        )
+        return [
+            StoredWindow(
+                to_window_record(row),
+                row.sample_bytes,
+                row.samples_purged_ns is not None,
+                row.odometer_excess_m,
+                row.off_line_m,
+            )
+            for row in self.connection.execute(statement)
+        ]
+
+    def add(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> bool:
+        """Store windows that are not there yet; return False where another transaction has stored one meanwhile.
+
+        What that one has stored stays.
+        """
+        rows = []
+        for each in windows:
+            digest = window_digest(each.window)
+            row = window_values(each.window, each.mileage_km) | {
+                "content_digest": digest,
+                "sample_bytes": self.files.save(each.window, digest),
+                "recorded_ns": recorded_ns,
+                "odometer_excess_m": each.odometer_excess_m,
+                "off_line_m": each.off_line_m,
+            }
+            rows.append(row)
+            self.changes.show(each.window.wheelset)
+        return not rows or insert_all_new(self.connection, WINDOWS, rows)
+
+    def is_as_stored(self, stored: StoredWindow, now: AssembledWindow) -> bool:
+        """Return whether a window is stored just as it was assembled now, with its file unless that was purged."""
+        record = stored.record
+        return (
+            (record.vehicle, record.axle, record.mileage_km) == (now.window.vehicle, now.window.axle, now.mileage_km)
+            and (stored.odometer_excess_m, stored.off_line_m) == (now.odometer_excess_m, now.off_line_m)
+            and record.content_digest == window_digest(now.window)
+            and (stored.samples_purged or self.files.has(record.content_digest, stored.sample_bytes))
+        )
 
     def first_start(self, vehicle: str, from_ns: int, to_ns: int) -> int | None:
         """Return the start of the first window of a vehicle in ``[from_ns, to_ns)``; None where there is none."""

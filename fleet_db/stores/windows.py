@@ -111,7 +111,7 @@ class WindowStore:
         if found.table_purged_ns is not None:
             self.pass_over(window.wheelset, window.start_ns, PassedOver.SUPERSEDED)
             return False
-        values = _values(window, mileage_km) | {
+        values = window_values(window, mileage_km) | {
             "content_digest": digest,
             "sample_bytes": self.files.save(window, digest),
             "recorded_ns": recorded_ns,
@@ -445,7 +445,16 @@ def _hunting(row: Row[Any]) -> Hunting:
     return Hunting(row.hunting_share, row.hunting_hz or 0.0, row.hunting_amplitude_m or 0.0)
 
 
-def _values(window: Window, mileage_km: float) -> dict[str, object]:
+def window_values(window: Window, mileage_km: float) -> dict[str, object]:
+    """Return what the row of a window that waits to be estimated holds of it, without its file.
+
+    Parameters
+    ----------
+    window
+        The window.
+    mileage_km
+        Of the wheelset since new, at its start.
+    """
     return {
         "wheelset": window.wheelset,
         "start_ns": window.start_ns,

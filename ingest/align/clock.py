@@ -8,7 +8,8 @@ with that remainder, is the number of the SYNC: exact, and the same from any TIM
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from operator import add, attrgetter
 from types import MappingProxyType
 
 import numpy as np
@@ -61,8 +62,10 @@ class AlignCounts:
     self_test_failures: int = 0
 
     def __add__(self, other: AlignCounts) -> AlignCounts:
-        own, others = asdict(self), asdict(other)
-        return AlignCounts(**{name: own[name] + others[name] for name in own})
+        return AlignCounts(*map(add, _values_of(self), _values_of(other)))
+
+
+_values_of = attrgetter(*AlignCounts.__slots__)
 
 
 @dataclass(frozen=True, slots=True)

@@ -224,9 +224,7 @@ def _off_line(motion: GridMotion, section: str | None, lookup: RegistryLookup) -
     return off_line_m(line, motion.distance[at][on_it], motion.fixes.values[on_it])
 
 
-def _section(
-    motion: GridMotion, slot: IntArray, good: BoolArray, lookup: RegistryLookup
-) -> tuple[str | None, int]:
+def _section(motion: GridMotion, slot: IntArray, good: BoolArray, lookup: RegistryLookup) -> tuple[str | None, int]:
     """Return the one section of the window and its number on the bus; None where it is not known.
 
     The section is the one of most good samples (the lower number of two), if it is registered. A
