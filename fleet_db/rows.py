@@ -71,6 +71,21 @@ def replace(connection: Connection, table: Table, values: Mapping[str, Any]) -> 
     connection.execute(_update(table, tuple(values)), {**values, **key_of(table, values)})
 
 
+def replace_all(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Change the rows with the primary keys of some, at least one, as :func:`replace` does.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    table
+        Where.
+    rows
+        By column, all with the same ones, with the whole primary key.
+    """
+    connection.execute(_update(table, tuple(rows[0])), [{**values, **key_of(table, values)} for values in rows])
+
+
 def insert_new(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:
     """Insert ``values`` unless the primary key is there already; return whether it was new.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.values.reasons import ReasonCode
@@ -10,6 +10,7 @@ from estimation.values.windows import Window, WindowKey, WindowRecord
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.assembled import AssembledWindow, StoredWindow
+from fleet_db.telemetry import window_digest
 from ingest.align.windows import MountedWindow
 from ingest.assembly import Assembler
 from ingest.span_assembly import SpanAssembly, registry_lookup
@@ -109,16 +110,46 @@ def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, ver
     touched = [(record.axle, record.start_ns) for record in removed]
     new = [each for key, each in wanted.items() if key not in stored]
     # where another transaction has stored one since the look-up, each is looked at by itself
-    alone = set() if unit.assembled.add(new, recorded_ns) else {_key(each.window) for each in new}
-    changes = SpanChanges(new=0 if alone else len(new), removed=len(removed))
-    touched += [(each.window.axle, each.window.start_ns) for each in new]
-    for key, each in wanted.items():
-        if key in alone or (key in stored and (verify or not _is_as_stored(unit, stored[key], each))):
-            made, other_samples = _put(unit, each, recorded_ns, verify=verify)
-            changes += made
-            touched += [(each.window.axle, each.window.start_ns)] if other_samples else []
+    alone = [] if unit.assembled.add(new, recorded_ns) else new
+    others = [] if alone else new
+    changes = SpanChanges(new=len(others), removed=len(removed))
+    other_samples, unsure = _compared(unit, stored, wanted, verify=verify)
+    unit.assembled.replace(other_samples, recorded_ns)
+    changes += SpanChanges(changed=len(other_samples))
+    others += other_samples
+    for each in (*alone, *unsure):
+        made, is_other = _put(unit, each, recorded_ns, verify=verify)
+        changes += made
+        others += [each] if is_other else []
+    touched += [(each.window.axle, each.window.start_ns) for each in others]
     _requeue_partners(unit, assembly.vehicle, found, touched)
     return changes
+
+
+def _compared(
+    unit: SqlUnitOfWork,
+    stored: Mapping[WindowKey, StoredWindow],
+    wanted: Mapping[WindowKey, AssembledWindow],
+    *,
+    verify: bool,
+) -> tuple[list[AssembledWindow], list[AssembledWindow]]:
+    """Return the windows whose samples alone are to be replaced, and those that are to be looked at one by one.
+
+    Those that are stored as they are now are in neither.
+    """
+    other_samples, unsure = [], []
+    for key, before in stored.items():
+        now = wanted.get(key)
+        if now is None:
+            continue
+        reason = before.record.reason
+        if verify or (reason is not None and reason.code is ReasonCode.FILE_DAMAGED):
+            unsure.append(now)
+        elif before.untouched and not before.samples_purged and before.record.content_digest != now.digest:
+            other_samples.append(now)
+        elif not unit.assembled.is_as_stored(before, now):
+            unsure.append(now)
+    return other_samples, unsure
 
 
 def _key(window: Window | WindowRecord) -> WindowKey:
@@ -126,7 +157,9 @@ def _key(window: Window | WindowRecord) -> WindowKey:
 
 
 def _assembled(mounted: MountedWindow) -> AssembledWindow:
-    return AssembledWindow(mounted.window, mileage_km(mounted), mounted.odometer_excess_m, mounted.off_line_m)
+    window = mounted.window
+    noted = (mileage_km(mounted), mounted.odometer_excess_m, mounted.off_line_m)
+    return AssembledWindow(window, window_digest(window), *noted)
 
 
 def mileage_km(mounted: MountedWindow) -> float:
@@ -139,12 +172,6 @@ def mileage_km(mounted: MountedWindow) -> float:
     """
     mounting = mounted.mounting
     return mounting.wheelset_mileage_km + (mounted.window.odometer_m / 1000.0 - mounting.vehicle_odometer_km)
-
-
-def _is_as_stored(unit: SqlUnitOfWork, stored: StoredWindow, now: AssembledWindow) -> bool:
-    reason = stored.record.reason
-    refused = reason is not None and reason.code is ReasonCode.FILE_DAMAGED
-    return not refused and unit.assembled.is_as_stored(stored, now)
 
 
 def _put(

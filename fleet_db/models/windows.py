@@ -27,6 +27,7 @@ class WindowRow(Base):
         one_of("state", WindowState),
         CheckConstraint("length_ns > 0", name="length_positive"),
         Index(None, "track_section", "start_ns"),
+        Index(None, "vehicle", "start_ns"),
         Index("ix_windows_pending", "wheelset", "start_ns", sqlite_where=PENDING, postgresql_where=PENDING),
         Index("ix_windows_refused", "wheelset", "reason_code", sqlite_where=REFUSED, postgresql_where=REFUSED),
         Index("ix_windows_implausible", "wheelset", "start_ns", sqlite_where=DOUBTED, postgresql_where=DOUBTED),

@@ -5,20 +5,21 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, and_, delete, func, or_, select
+from sqlalchemy import Connection, and_, delete, exists, func, or_, select
 
 from estimation.errors import DamagedError
 from estimation.values.windows import PassedOver, Window, WindowRecord
 from fleet_db.changes import Changes
 from fleet_db.models import ChunkRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.receipts import ChunkState
-from fleet_db.rows import insert_all_new, table_of
+from fleet_db.rows import insert_all_new, replace_all, table_of
 from fleet_db.stores.taken_tables import take_back
 from fleet_db.stores.windows import pass_over, to_window_record, window_values
-from fleet_db.telemetry import WindowFiles, window_digest
+from fleet_db.telemetry import WindowFiles
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)
 CHUNKS = table_of(ChunkRow)
+HAS_TABLE = exists().where(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +28,8 @@ class AssembledWindow:
 
     Attributes
     ----------
-    window
-        With its samples.
+    window, digest
+        With its samples; of its content.
     mileage_km
         Of the wheelset since new, at its start.
     odometer_excess_m
@@ -38,6 +39,7 @@ class AssembledWindow:
     """
 
     window: Window
+    digest: str
     mileage_km: float
     odometer_excess_m: float = 0.0
     off_line_m: float = 0.0
@@ -55,6 +57,8 @@ class StoredWindow:
         Size of its file.
     samples_purged
         Whether its file was purged.
+    untouched
+        Whether there is no bin table of it, nor was one.
     odometer_excess_m, off_line_m
         As in :class:`AssembledWindow`.
     """
@@ -62,6 +66,7 @@ class StoredWindow:
     record: WindowRecord
     sample_bytes: int
     samples_purged: bool
+    untouched: bool
     odometer_excess_m: float
     off_line_m: float
 
@@ -86,7 +91,7 @@ class AssembledWindowStore:
     def in_span(self, vehicle: str, wheelsets: Collection[str], from_ns: int, to_ns: int) -> Sequence[StoredWindow]:
         """Return the windows that start in ``[from_ns, to_ns)`` of a vehicle, and of wheelsets wherever they ran."""
         statement = (
-            select(WINDOWS)
+            select(WINDOWS, HAS_TABLE.label("has_table"))
             .where(or_(WINDOWS.c.vehicle == vehicle, WINDOWS.c.wheelset.in_(sorted(wheelsets))))
             .where(WINDOWS.c.start_ns >= from_ns, WINDOWS.c.start_ns < to_ns)
             .order_by(WINDOWS.c.start_ns, WINDOWS.c.wheelset)
@@ -96,6 +101,7 @@ class AssembledWindowStore:
                 to_window_record(row),
                 row.sample_bytes,
                 row.samples_purged_ns is not None,
+                not row.has_table and row.table_purged_ns is None,
                 row.odometer_excess_m,
                 row.off_line_m,
             )
@@ -107,19 +113,26 @@ class AssembledWindowStore:
 
         What that one has stored stays.
         """
-        rows = []
-        for each in windows:
-            digest = window_digest(each.window)
-            row = window_values(each.window, each.mileage_km) | {
-                "content_digest": digest,
-                "sample_bytes": self.files.save(each.window, digest),
-                "recorded_ns": recorded_ns,
-                "odometer_excess_m": each.odometer_excess_m,
-                "off_line_m": each.off_line_m,
-            }
-            rows.append(row)
-            self.changes.show(each.window.wheelset)
+        rows = [self._row(each, recorded_ns) for each in windows]
         return not rows or insert_all_new(self.connection, WINDOWS, rows)
+
+    def replace(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> None:
+        """Replace windows without bin tables by what they are now; they wait to be estimated."""
+        not_purged = {"judged": False, "samples_purged_ns": None, "passed_over": None}
+        rows = [self._row(each, recorded_ns) | not_purged for each in windows]
+        if rows:
+            replace_all(self.connection, WINDOWS, rows)
+
+    def _row(self, each: AssembledWindow, recorded_ns: int) -> dict[str, object]:
+        """Return the row of a window whose file is written here."""
+        self.changes.show(each.window.wheelset)
+        return window_values(each.window, each.mileage_km) | {
+            "content_digest": each.digest,
+            "sample_bytes": self.files.save(each.window, each.digest),
+            "recorded_ns": recorded_ns,
+            "odometer_excess_m": each.odometer_excess_m,
+            "off_line_m": each.off_line_m,
+        }
 
     def is_as_stored(self, stored: StoredWindow, now: AssembledWindow) -> bool:
         """Return whether a window is stored just as it was assembled now, with its file unless that was purged."""
@@ -127,7 +140,7 @@ class AssembledWindowStore:
         return (
             (record.vehicle, record.axle, record.mileage_km) == (now.window.vehicle, now.window.axle, now.mileage_km)
             and (stored.odometer_excess_m, stored.off_line_m) == (now.odometer_excess_m, now.off_line_m)
-            and record.content_digest == window_digest(now.window)
+            and record.content_digest == now.digest
             and (stored.samples_purged or self.files.has(record.content_digest, stored.sample_bytes))
         )
 

@@ -5,9 +5,22 @@ from __future__ import annotations
 import builtins
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, exists, func, select, tuple_, union_all, update
+from sqlalchemy import (
+    ColumnElement,
+    CompoundSelect,
+    Connection,
+    Row,
+    bindparam,
+    exists,
+    func,
+    select,
+    tuple_,
+    union_all,
+    update,
+)
 
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
@@ -111,14 +124,9 @@ class ChunkStore:
         return self._overlapping(vehicle, from_ns, to_ns, CLOCKS[1])
 
     def _overlapping(self, vehicle: str, from_ns: int, to_ns: int, clock: tuple[str, str]) -> Sequence[ChunkRecord]:
-        first, last = (CHUNKS.c[name] for name in clock)
-        each = [
-            select(CHUNKS)
-            .where(CHUNKS.c.vehicle == vehicle, first < to_ns, last >= from_ns, of_length(condition, clock))
-            .where(*([] if longest is None else [first >= from_ns - longest]))
-            for _, condition, longest in LENGTHS
-        ]
-        found = [_record(row) for row in self.connection.execute(union_all(*each))]
+        within = {"of_vehicle": vehicle, "from_ns": from_ns, "to_ns": to_ns}
+        within |= {f"from_ns_{number}": from_ns - (longest or 0) for number, (_, _, longest) in enumerate(LENGTHS)}
+        found = [_record(row) for row in self.connection.execute(_in_span(clock), within)]
         return sorted(found, key=lambda record: (record.first_ns or 0, record.digest))
 
     def purge(self, before_ns: int, now_ns: int, limit: int) -> Sequence[ChunkRecord]:
@@ -258,6 +266,20 @@ class ChunkStore:
             .limit(limit)
         )
         return [_record(row) for row in self.connection.execute(statement)]
+
+
+@cache
+def _in_span(clock: tuple[str, str]) -> CompoundSelect[Any]:
+    """Return the statement for decoded recordings in a span of a clock, in the parameters ``from_ns`` and ``to_ns``."""
+    first, last = (CHUNKS.c[name] for name in clock)
+    within = (CHUNKS.c.vehicle == bindparam("of_vehicle"), first < bindparam("to_ns"), last >= bindparam("from_ns"))
+    each = [
+        select(CHUNKS)
+        .where(*within, of_length(condition, clock))
+        .where(*([] if longest is None else [first >= bindparam(f"from_ns_{number}")]))
+        for number, (_, condition, longest) in enumerate(LENGTHS)
+    ]
+    return union_all(*each)
 
 
 def _values(record: ChunkRecord) -> dict[str, object]:

@@ -26,7 +26,7 @@ from estimation.worklist.row import worklist_row
 from estimation.worklist.urgency import distance_key, urgency_key
 from fleet_db.changes import Changes
 from fleet_db.models import WheelsetRow, WorklistAlertRow, WorklistEntryRow
-from fleet_db.rows import insert_new, replace, table_of
+from fleet_db.rows import insert_new, replace_all, table_of
 from fleet_db.stores.worklist_inputs import WorklistReader, not_voided
 from fleet_db.worklist_documents import FORM, to_document
 
@@ -161,8 +161,7 @@ class WorklistStore:
         """
         for part in _parts(serials):
             kept = self._locked(part)
-            for inputs in self.reader.read(kept):
-                self._store(_row(inputs))
+            self._store([_row(inputs) for inputs in self.reader.read(kept)])
             gone = [serial for serial in part if serial not in set(kept)]
             if gone:
                 self.connection.execute(delete(KINDS).where(KINDS.c.wheelset.in_(gone)))
@@ -189,17 +188,21 @@ class WorklistStore:
                 insert_new(self.connection, ENTRIES, {**_EMPTY, "wheelset": serial})
         return kept
 
-    def _store(self, row: WorklistRow) -> None:
-        values = _values(row)
-        before = self.connection.execute(
-            select(ENTRIES.c.document, ENTRIES.c.form).where(ENTRIES.c.wheelset == values["wheelset"])
-        ).one()
-        if (before.document, before.form) == (values["document"], FORM):
-            return
-        replace(self.connection, ENTRIES, values)
-        serial = values["wheelset"]
-        self.connection.execute(delete(KINDS).where(KINDS.c.wheelset == serial))
-        kinds = [{"kind": kind, "wheelset": serial} for kind in dict.fromkeys(one.kind for one in row.state.alerts)]
+    def _store(self, rows: Sequence[WorklistRow]) -> None:
+        """Store rows whose entries are there, with the kinds of their alerts, where they are others now."""
+        found = select(ENTRIES.c.wheelset, ENTRIES.c.document, ENTRIES.c.form)
+        serials = [row.wheelset.serial for row in rows]
+        before = {one.wheelset: one for one in self.connection.execute(found.where(ENTRIES.c.wheelset.in_(serials)))}
+        changed, kinds = [], []
+        for row in rows:
+            values, was = _values(row), before[row.wheelset.serial]
+            if (was.document, was.form) != (values["document"], FORM):
+                changed.append(values)
+                alerts = dict.fromkeys(one.kind for one in row.state.alerts)
+                kinds += [{"kind": kind, "wheelset": row.wheelset.serial} for kind in alerts]
+        if changed:
+            replace_all(self.connection, ENTRIES, changed)
+            self.connection.execute(delete(KINDS).where(KINDS.c.wheelset.in_([one["wheelset"] for one in changed])))
         if kinds:
             self.connection.execute(insert(KINDS), kinds)
 
