@@ -17,9 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from estimation.compiled import compiled
 from estimation.errors import DamagedError, StorageError
-from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.windows import ACCELERATIONS, NOT_HUNTING, Hunting, Window, WindowQuality
 from fleet_db.atomic_files import write_atomically
 from fleet_db.fields import from_json, to_json
@@ -28,7 +30,8 @@ from fleet_db.passing import passing_fault, passing_faults
 
 KIND = "window"
 VERSION = 1
-MISSING = np.int16(-32768)
+MISSING, LARGEST_COUNT = -32768, 32767
+NAN_BITS = int(np.array(np.nan).view(np.int64))
 SMOOTH = ("speed", "distance")
 QUALITY_COUNTS = ("gaps", "sensor_fault")
 
@@ -100,8 +103,8 @@ def window_digest(window: Window) -> str:
     """Return the sha256 over every field of ``window``, independent of how it is stored."""
     digest = hashlib.sha256(json.dumps(_scalars(window), sort_keys=True, separators=(",", ":")).encode())
     for name in (*ACCELERATIONS, *SMOOTH):
-        digest.update(getattr(window, name).astype("<f8", copy=False).tobytes())
-    digest.update(window.valid.tobytes())
+        digest.update(getattr(window, name).astype("<f8", copy=False))
+    digest.update(window.valid.data)
     return digest.hexdigest()
 
 
@@ -146,12 +149,35 @@ def unpack_window(blob: bytes, *, where: str) -> Window:
 
 def _counts(values: FloatArray, step: float) -> Array:
     """Return whole counts where they give back the same bits, else the values as they are."""
-    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        counts = np.rint(values / step)
-        inside = np.abs(counts) < -int(MISSING)
-        packed = np.where(inside, counts, MISSING).astype(np.int16)
-    same = _from_counts(packed, step).tobytes() == values.tobytes()
-    return packed if same else values
+    counts, same = whole_counts(values, values.view(np.int64), step)
+    return counts if same else values
+
+
+@compiled(nogil=True)
+def whole_counts(values: FloatArray, bits: IntArray, step: float) -> tuple[npt.NDArray[np.int16], bool]:
+    """Return values (n,) as counts of ``step``, and whether those give back the same bits.
+
+    Parameters
+    ----------
+    values, bits
+        (n,) as numbers, and their bits; NaN as numpy has it is missing.
+    step
+        What one count is.
+    """
+    counts = np.full(len(values), MISSING, np.int16)
+    same = True
+    for i in range(len(values)):
+        if np.isnan(values[i]):
+            same = same and bits[i] == NAN_BITS
+            continue
+        count = np.rint(values[i] / step)
+        if abs(count) <= LARGEST_COUNT:
+            counts[i] = np.int16(count)
+            back = counts[i] * step
+            same = same and back == values[i] and np.signbit(back) == np.signbit(values[i])
+        else:
+            same = False
+    return counts, same
 
 
 def _from_counts(packed: Array, step: float) -> FloatArray:

@@ -170,11 +170,13 @@ class _ObjectReader:
         layout = blf.object_layout(_BODIES[base.kind], base.header_size)
         if base.header_size != blf.HEADER_SIZES.get(base.version) or layout.itemsize > objects.shape[1]:
             raise self._error(f"{where} has an impossible header")
-        fields = np.ascontiguousarray(objects[:, : layout.itemsize]).view(layout).ravel()
-        dlc = fields["body_dlc"]
-        if (dlc > DATA_BYTES).any():
+        fields = objects[:, : layout.itemsize].view(layout)[:, 0]
+        dlc = np.ascontiguousarray(fields["body_dlc"])
+        if int(dlc.max()) > DATA_BYTES:
             raise self._error(f"{where} or after it: a frame of {int(dlc.max())} bytes")
-        words = np.ascontiguousarray(fields["body_data"]).view("<u8").ravel() & _BYTES_MASK[dlc]
+        words = np.ascontiguousarray(fields["body_data"]).view("<u8").ravel()
+        if int(dlc.min()) < DATA_BYTES:
+            words &= _BYTES_MASK[dlc]
         channel = fields["body_channel"]
         if (channel != channel[0]).any():
             numbers = ", ".join(map(str, np.unique(channel)))
@@ -191,11 +193,13 @@ class _ObjectReader:
         raw = fields["body_id"].astype(np.uint32)
         if kind == blf.CAN_ERROR_EXT:
             return np.asarray((raw & np.uint32(_IDENTIFIER_BITS | EXTENDED_FLAG)) | np.uint32(ERROR_FLAG))
-        most = np.where(raw & np.uint32(blf.EXTENDED), np.uint32(_IDENTIFIER_BITS), np.uint32(_STANDARD_BITS))
-        beyond = (raw & np.uint32(~blf.EXTENDED & 0xFFFF_FFFF)) > most
-        if beyond.any():
-            raise self._error(f"{where} or after it: identifier {int(raw[beyond][0]):#x} is out of range")
-        return np.asarray(raw | np.where(fields["body_flags"] & blf.REMOTE, np.uint32(REMOTE_FLAG), np.uint32(0)))
+        if int(raw.max()) > _STANDARD_BITS:
+            most = np.where(raw & np.uint32(blf.EXTENDED), np.uint32(_IDENTIFIER_BITS), np.uint32(_STANDARD_BITS))
+            beyond = (raw & np.uint32(~blf.EXTENDED & 0xFFFF_FFFF)) > most
+            if beyond.any():
+                raise self._error(f"{where} or after it: identifier {int(raw[beyond][0]):#x} is out of range")
+        remote = fields["body_flags"] & blf.REMOTE
+        return raw | np.where(remote, np.uint32(REMOTE_FLAG), np.uint32(0)) if remote.any() else raw
 
     def _times(self, fields: npt.NDArray[Any], where: str) -> npt.NDArray[np.int64]:
         units, time = fields["flags"], fields["time"]
@@ -204,9 +208,11 @@ class _ObjectReader:
         if unknown.any():
             raise self._error(f"{where} or after it: unknown unit of time {int(units[unknown][0])}")
         unit = np.where(coarse, np.uint64(blf.NANOSECONDS_PER_UNIT[blf.TEN_MICROSECONDS]), np.uint64(1))
+        if coarse.all() or not coarse.any():
+            unit = unit[:1]  # of all of them
         if (time > np.uint64(blf.LATEST_NS - self.header.start_ns) // unit).any():
             raise self._error(f"{where} or after it: a time beyond this age")
-        return np.asarray((time * unit).astype(np.int64) + self.header.start_ns)
+        return np.asarray((time * unit).view(np.int64) + self.header.start_ns)
 
     def _error(self, reason: str) -> LogFileError:
         return LogFileError(reason, file=self.path)
@@ -215,13 +221,12 @@ class _ObjectReader:
 def _run(contents: bytes, at: int, stride: int) -> npt.NDArray[np.uint8]:
     """Return the objects (k, stride) that begin at a byte, lie ``stride`` apart and are equal in size and type."""
     count = min(max((len(contents) - at) // stride, 1), RUN_OBJECTS)
-    first = np.frombuffer(contents, np.uint8, blf.BASE_SIZE, at).view(np.uint64)
     length, looked = 1, 64
     while True:
         looked = min(looked, count)
         rows = np.frombuffer(contents, np.uint8, looked * stride, at).reshape(looked, stride)
-        heads = np.ascontiguousarray(rows[length - 1 :, : blf.BASE_SIZE]).view(np.uint64)
-        other = np.flatnonzero((heads != first).any(axis=1))
+        low, high = rows[length - 1 :, : blf.BASE_SIZE].view(np.uint64).T
+        other = np.flatnonzero((low != low[0]) | (high != high[0]))
         if len(other):
             return rows[: length - 1 + int(other[0])]
         if looked == count:
