@@ -12,7 +12,7 @@ import json
 import os
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ import numpy.typing as npt
 from estimation.compiled import compiled
 from estimation.errors import DamagedError, StorageError
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.json_value import JsonValue
 from estimation.values.windows import ACCELERATIONS, NOT_HUNTING, Hunting, Window, WindowQuality
 from fleet_db.atomic_files import write_atomically
 from fleet_db.fields import from_json, to_json
@@ -33,6 +34,7 @@ VERSION = 1
 MISSING, LARGEST_COUNT = -32768, 32767
 NAN_BITS = int(np.array(np.nan).view(np.int64))
 SMOOTH = ("speed", "distance")
+QUALITY = tuple(item.name for item in fields(WindowQuality) if item.name != "hunting")
 QUALITY_COUNTS = ("gaps", "sensor_fault")
 
 
@@ -187,8 +189,6 @@ def _from_counts(packed: Array, step: float) -> FloatArray:
 
 
 def _scalars(window: Window) -> dict[str, Any]:
-    quality = asdict(window.quality)
-    hunting = quality.pop("hunting")  # in the file only where there is some: the file of another window stays as it was
     return {
         "wheelset": window.wheelset,
         "vehicle": window.vehicle,
@@ -199,16 +199,19 @@ def _scalars(window: Window) -> dict[str, Any]:
         "sample_interval_s": to_json(window.sample_interval_s),
         "odometer_m": to_json(window.odometer_m),
         "resolution": to_json(window.resolution),
-        "quality": {
-            name: value if name in QUALITY_COUNTS else to_json(float(value)) for name, value in quality.items()
-        },
-        **({"hunting": to_json(window.quality.hunting)} if hunting["share"] else {}),
+        "quality": {name: _to_json(name, getattr(window.quality, name)) for name in QUALITY},
+        # only where there is some: the file of another window stays as it was
+        **({"hunting": to_json(window.quality.hunting)} if window.quality.hunting.share else {}),
     }
 
 
-def _quality(fields: Mapping[str, Any], hunting: Any) -> WindowQuality:  # noqa: ANN401 - JSON
+def _to_json(name: str, value: float) -> JsonValue:
+    return value if name in QUALITY_COUNTS else to_json(float(value))
+
+
+def _quality(stored: Mapping[str, Any], hunting: Any) -> WindowQuality:  # noqa: ANN401 - JSON
     numbers: dict[str, Any] = {
-        name: value if name in QUALITY_COUNTS else from_json(value, float) for name, value in fields.items()
+        name: value if name in QUALITY_COUNTS else from_json(value, float) for name, value in stored.items()
     }
     found: Hunting = NOT_HUNTING if hunting is None else from_json(hunting, Hunting)
     return WindowQuality(**numbers, hunting=found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.values.reasons import ReasonCode
@@ -122,7 +122,7 @@ def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, ver
         changes += made
         others += [each] if is_other else []
     touched += [(each.window.axle, each.window.start_ns) for each in others]
-    _requeue_partners(unit, assembly.vehicle, found, touched)
+    _requeue_partners(unit, assembly.vehicle, found, touched, {_key(each.window) for each in others})
     return changes
 
 
@@ -197,19 +197,31 @@ def _put(
 
 
 def _requeue_partners(
-    unit: SqlUnitOfWork, vehicle: str, stored: Iterable[StoredWindow], touched: Iterable[tuple[int, int]]
+    unit: SqlUnitOfWork,
+    vehicle: str,
+    stored: Iterable[StoredWindow],
+    touched: Iterable[tuple[int, int]],
+    waiting: Collection[WindowKey],
 ) -> None:
-    """Let stored windows wait again whose partner in the bogie, axle and start, is another now.
+    """Let windows that were stored wait again whose partner in the bogie, axle and start, is another now.
 
-    They are estimated with the signals of both.
+    They are estimated with the signals of both. Those in ``waiting`` wait already.
     """
-    there = {(one.record.axle, one.record.start_ns) for one in stored if one.record.vehicle == vehicle}
+    there = {
+        (one.record.axle, one.record.start_ns): _key(one.record) for one in stored if one.record.vehicle == vehicle
+    }
     starts = {start_ns for _, start_ns in there}
     touched = [place for place in dict.fromkeys(touched) if place[1] in starts]
     on_file = unit.registry.vehicle_class(unit.registry.vehicle(vehicle).vehicle_class) if touched else None
     if on_file is None:
         return
+    positions: list[WindowKey] = []
     for axle, start_ns in touched:
         partner = on_file.vehicle_class.partner(axle)
-        if partner is not None and (partner, start_ns) in there:
+        if partner is None or (partner, start_ns) not in there:
+            continue
+        if there[partner, start_ns] in waiting:
+            positions.append(there[partner, start_ns])
+        else:
             unit.windows.requeue_axle(vehicle, partner, start_ns)
+    unit.assembled.forget_positions(positions)

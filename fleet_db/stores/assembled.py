@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, and_, delete, exists, func, or_, select
+from sqlalchemy import Connection, and_, delete, exists, func, or_, select, tuple_
 
 from estimation.errors import DamagedError
-from estimation.values.windows import PassedOver, Window, WindowRecord
+from estimation.values.windows import PassedOver, Window, WindowKey, WindowRecord
 from fleet_db.changes import Changes
 from fleet_db.models import ChunkRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.receipts import ChunkState
@@ -122,6 +122,12 @@ class AssembledWindowStore:
         rows = [self._row(each, recorded_ns) | not_purged for each in windows]
         if rows:
             replace_all(self.connection, WINDOWS, rows)
+
+    def forget_positions(self, keys: Sequence[WindowKey]) -> None:
+        """Let it be found again where windows were."""
+        if keys:
+            same = tuple_(POSITIONS.c.wheelset, POSITIONS.c.start_ns).in_(keys)
+            self.connection.execute(delete(POSITIONS).where(same))
 
     def _row(self, each: AssembledWindow, recorded_ns: int) -> dict[str, object]:
         """Return the row of a window whose file is written here."""
