@@ -19,14 +19,14 @@ from itertools import pairwise
 from pathlib import Path
 
 from rich.console import Console
+from sqlalchemy import Engine, event
 
 from api.comparison.trial import Recorded, opened, receive
 from bench.pipeline_rival import rival_s_per_frame
 from bench.report import BenchRow
 from bench.results_page import markdown_table, write_page
-from bench.worker_kinds import cpu_of
+from bench.worker_kinds import TICKS
 from bench.worker_load import Workload, workload
-from bench.workers import counted
 from estimation.errors import TreadwatchError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import run_job
@@ -42,8 +42,9 @@ GIB = 2**30
 
 @dataclass(slots=True)
 class Stages:
-    """What each stage took: CPU s and statements."""
+    """What each stage took: CPU s and statements; and how many windows there are."""
 
+    windows: int = 0
     cpu_s: dict[str, float] = field(default_factory=dict)
     statements: dict[str, int] = field(default_factory=dict)
 
@@ -68,6 +69,9 @@ def rows(folder: Path, vehicles: int, minutes: float, chunk_s: float) -> Iterato
     what = f"{vehicles * AXLES} wheelsets, {minutes:g} min in chunks of {chunk_s:g} s"
     for name, spent in stages.cpu_s.items():
         shown = f"{spent / hours:.3f} CPU s per wheelset-hour, {stages.statements[name]} statements"
+        if name == "ingest":
+            shown += f", {stages.statements[name] / len(chunks):.0f} a chunk"
+            shown += f" and {stages.statements[name] / stages.windows:.1f} a window"
         yield BenchRow(f"{what}: {name}", shown, "", met=True)
     total = sum(stages.cpu_s.values())
     shown, reach = f"{total / hours:.2f} CPU s per wheelset-hour", f"<= {REACH_HOUR_S}"
@@ -112,23 +116,54 @@ def _measured(load: Workload, folder: Path, chunks: Sequence[tuple[str, Path]]) 
         for job in ALL_JOBS:
             run_job(job, context, JobTrigger.CLI)
         peak = stack.enter_context(_peak_memory())
-        asked = stack.enter_context(counted(storage))
-        begin_s = _cpu_s()
+        asked = stack.enter_context(_statements())
+        with storage.read() as unit:
+            known = sum(unit.windows.counts().values())
+        begin_s, before = _cpu_s(), asked[0]
         receive(Recorded(tuple(chunks), load.received.data_dir), settings)
-        found.cpu_s["ingest"], found.statements["ingest"] = _cpu_s() - begin_s, asked.statements
+        found.cpu_s["ingest"], found.statements["ingest"] = _cpu_s() - begin_s, asked[0] - before
+        with storage.read() as unit:
+            found.windows = sum(unit.windows.counts().values()) - known
         for job in ALL_JOBS:
-            begin_s, before = _cpu_s(), asked.statements
+            begin_s, before = _cpu_s(), asked[0]
             run = run_job(job, context, JobTrigger.CLI)
             if run.error is not None:
                 raise TreadwatchError(f"{run.job}: {run.error}")
-            found.cpu_s[job.name], found.statements[job.name] = _cpu_s() - begin_s, asked.statements - before
+            found.cpu_s[job.name], found.statements[job.name] = _cpu_s() - begin_s, asked[0] - before
     return found, peak[0]
 
 
+@contextmanager
+def _statements() -> Iterator[list[int]]:
+    """Yield the number of statements that every connection of this process has executed so far."""
+    asked = [0]
+
+    def count(*_: object) -> None:
+        asked[0] += 1
+
+    event.listen(Engine, "before_cursor_execute", count)
+    try:
+        yield asked
+    finally:
+        event.remove(Engine, "before_cursor_execute", count)
+
+
 def _cpu_s() -> float:
-    """Return processor time of this process, and of those that it started and that have ended or still run, s."""
+    """Return processor time of this process and of all that it started, s; those that they started and that ended too.
+
+    The processes that read logs are such: their server runs on.
+    """
     own, ended = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return own.ru_utime + own.ru_stime + ended.ru_utime + ended.ru_stime + sum(map(cpu_of, _children()))
+    return own.ru_utime + own.ru_stime + ended.ru_utime + ended.ru_stime + sum(map(_cpu_with_ended, _children()))
+
+
+def _cpu_with_ended(pid: int) -> float:
+    """Return the processor time of a process and of those that it started and that ended, s; 0 where it is gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(") ")[2].split()
+    except OSError:
+        return 0.0
+    return sum(map(int, fields[11:15])) / TICKS
 
 
 def _children() -> list[int]:
