@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from api import ingest_kernel_runs
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
@@ -249,4 +250,5 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _simulator,
     _running_gears,
     _passes,
+    *ingest_kernel_runs.RUNS,
 )
