@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, and_, delete, exists, func, or_, select, tuple_
+from sqlalchemy import Connection, and_, delete, exists, func, select, tuple_, union_all
 
 from estimation.errors import DamagedError
 from estimation.values.windows import PassedOver, Window, WindowKey, WindowRecord
@@ -90,12 +90,10 @@ class AssembledWindowStore:
 
     def in_span(self, vehicle: str, wheelsets: Collection[str], from_ns: int, to_ns: int) -> Sequence[StoredWindow]:
         """Return the windows that start in ``[from_ns, to_ns)`` of a vehicle, and of wheelsets wherever they ran."""
-        statement = (
-            select(WINDOWS, HAS_TABLE.label("has_table"))
-            .where(or_(WINDOWS.c.vehicle == vehicle, WINDOWS.c.wheelset.in_(sorted(wheelsets))))
-            .where(WINDOWS.c.start_ns >= from_ns, WINDOWS.c.start_ns < to_ns)
-            .order_by(WINDOWS.c.start_ns, WINDOWS.c.wheelset)
-        )
+        within = (WINDOWS.c.start_ns >= from_ns, WINDOWS.c.start_ns < to_ns)
+        found = select(WINDOWS, HAS_TABLE.label("has_table")).where(*within)
+        elsewhere = found.where(WINDOWS.c.wheelset.in_(sorted(wheelsets)), WINDOWS.c.vehicle != vehicle)
+        each = union_all(found.where(WINDOWS.c.vehicle == vehicle), elsewhere)  # each by an index of its own
         return [
             StoredWindow(
                 to_window_record(row),
@@ -105,7 +103,7 @@ class AssembledWindowStore:
                 row.odometer_excess_m,
                 row.off_line_m,
             )
-            for row in self.connection.execute(statement)
+            for row in self.connection.execute(each)
         ]
 
     def add(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> bool:

@@ -6,6 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import hunting_blocks
 from swaying import Swaying, rough_track, sway
 
 from estimation.motion.hunting import find_hunting, hunting_reason, in_place_of_quality
@@ -84,6 +87,43 @@ def test_what_resembles_hunting_in_part_is_none() -> None:
     half = np.where(at < 10.0, 1.0, 0.02)
     assert share(lateral * half, yaw * half) == 0.5
     assert find_hunting(lateral[:100], yaw[:100], speed[:100], interval) == NOT_HUNTING
+
+
+@settings(deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    gain=st.sampled_from([0.0, 0.45, 0.5, 0.9, 1.0, 1.1]),
+    noise=st.sampled_from([0.0, 0.01, 1.0]),
+    missing=st.sampled_from([0.0, 0.3, 0.69, 0.8, 1.0]),
+)
+def test_blocks_that_are_not_looked_at_closer_are_none_of_hunting(
+    seed: int, gain: float, noise: float, missing: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    n, interval = 2100, 0.01
+    at = interval * np.arange(n)
+    omega, velocity = 2.0 * np.pi * rng.uniform(0.7, 6.0), rng.uniform(7.0, 40.0)
+    speed = np.full(n, velocity)
+    speed[rng.random(n) < 1e-4] = np.nan
+    wave = gain * 5e-3 * (1.0 + rng.uniform(0.0, 0.6) * np.cos(2.0 * np.pi * 0.4 * at))
+    lateral = -(omega**2) * wave * np.cos(omega * at) + noise * rng.standard_normal(n)
+    yaw = omega**3 * wave / velocity * np.sin(omega * at) + noise * rng.standard_normal(n)
+    for signal in (lateral, yaw):
+        signal[rng.random(n) < missing * rng.choice([0.0, 1.0])] = np.nan
+    assert find_hunting(lateral, yaw, speed, interval) == hunting_blocks.find_hunting(lateral, yaw, speed, interval)
+
+
+@pytest.mark.parametrize("below", [1e-9, 1e-7])
+def test_a_block_that_is_just_enough_is_looked_at_closer(below: float) -> None:
+    n, interval = 500, 0.01
+    at, omega, speed = interval * np.arange(n), 2.0 * np.pi * 4.0, np.full(n, 25.0)
+    lateral, yaw = -(omega**2) * np.cos(omega * at), omega**3 / 25.0 * np.sin(omega * at)
+    amplitude = find_hunting(lateral, yaw, speed, interval).amplitude
+    for factor in (1.0 + below, 1.0 - below):
+        scale = 2.5e-3 / amplitude * factor
+        found = find_hunting(scale * lateral, scale * yaw, speed, interval)
+        assert found == hunting_blocks.find_hunting(scale * lateral, scale * yaw, speed, interval)
+        assert found.share == float(factor > 1.0)
 
 
 def test_the_reason_names_hunting_in_place_of_what_hunting_does_to_the_samples() -> None:
