@@ -176,7 +176,7 @@ class _ObjectReader:
             raise self._error(f"{where} or after it: a frame of {int(dlc.max())} bytes")
         words = np.ascontiguousarray(fields["body_data"]).view("<u8").ravel()
         if int(dlc.min()) < DATA_BYTES:
-            words &= _BYTES_MASK[dlc]
+            words = words & _BYTES_MASK[dlc]
         channel = fields["body_channel"]
         if (channel != channel[0]).any():
             numbers = ", ".join(map(str, np.unique(channel)))
