@@ -46,7 +46,7 @@ class JobContext:
         Name of this process in the claims that it makes.
     lease_s
         How long a claim lasts once its process is gone or stands still, s.
-    settle_s
+    quiet_s
         What is about to change again is left to a later run as long as data came within so many seconds; 0 for nothing.
     """
 
@@ -59,7 +59,7 @@ class JobContext:
     executor: WorkExecutor | None = None
     holder: str = "worker"
     lease_s: float = LEASE_S
-    settle_s: float = 0.0
+    quiet_s: float = 0.0
 
     def checkpoint(self, done: int, total: int) -> None:
         """Report the progress; to be called between two batches, with everything before it committed.

@@ -226,7 +226,7 @@ def _leaves_for_later(context: JobContext, epoch: TrackEpoch, due: Due, group: G
     It is computed by the first run that finds no new window, so what is stored at rest is the same.
     """
     ages_ns = [context.clock.now_ns() - record.recorded_ns for record, _ in group.entries]
-    coming = any(0 <= age_ns < context.settle_s * NANOSECONDS for age_ns in ages_ns)
+    coming = any(0 <= age_ns < context.quiet_s * NANOSECONDS for age_ns in ages_ns)
     grows = epoch.windows < len(group.entries) < GROWN * epoch.windows
     return coming and grows and group.horizon_ns == OPEN_NS and epoch.before == due.before.key(due.basis)
 

@@ -164,7 +164,7 @@ def build_scheduler(context: JobContext, jobs: Sequence[Job], every_s: Callable[
         scheduler.add_job(
             _scheduled,
             "interval",
-            args=(job, replace(context, settle_s=every_s(job))),  # until a run finds nothing new
+            args=(job, replace(context, quiet_s=every_s(job))),  # until a run finds nothing new
             seconds=every_s(job),
             id=job.name,
             name=job.name,

@@ -179,6 +179,15 @@ def first_rounds(setting: Setting, panel: Panel, corrections: Mapping[Journey, C
 
     That search begins where the panel ends, which is within a metre or two. A gauge that varies is noise in that
     regression, and not in the panel. There the panel's positions are kept, unless the noise of R has moved them all.
+
+    Parameters
+    ----------
+    setting
+        Passes and prior alignment.
+    panel
+        Without a gauge.
+    corrections
+        Of the positions, to begin with.
     """
     prior = setting.prior
     found = _rounds(setting, panel, corrections, {})

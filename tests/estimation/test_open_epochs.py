@@ -19,7 +19,7 @@ from estimation.values.runs import JobTrigger
 from estimation.values.windows import Window, WindowKey
 from fleet_db.storage import SqlStorage
 
-NOW_NS, SECOND_NS, SETTLE_S = 10**15, 10**9, 600.0
+NOW_NS, SECOND_NS, QUIET_S = 10**15, 10**9, 600.0
 
 
 def journey(number: int, day: int) -> list[Window]:
@@ -85,7 +85,7 @@ def test_journeys_are_placed_on_known_track_where_they_were(known: SqlStorage) -
 
 def _scheduled(storage: Storage, now_ns: int) -> int:
     """Return how many epochs a scheduled run has computed."""
-    context = JobContext(storage, StandingClock(now_ns), "test", JobSettings(), settle_s=SETTLE_S)
+    context = JobContext(storage, StandingClock(now_ns), "test", JobSettings(), quiet_s=QUIET_S)
     run = run_job(refresh_alignment.JOB, context, JobTrigger.SCHEDULE)
     assert run.error is None
     return run.counts["epochs"]
@@ -103,8 +103,8 @@ def test_an_epoch_that_still_grows_is_computed_when_it_has_grown_enough_or_nothi
         computed.append(_scheduled(storage, now_ns + SECOND_NS))
     assert computed == [1, 0, 0, 1, 0]  # with 1 and 4 journeys
     last_ns = NOW_NS + 4 * SECOND_NS
-    assert _scheduled(storage, last_ns + round(SETTLE_S - 1.0) * SECOND_NS) == 0
-    assert _scheduled(storage, last_ns + round(SETTLE_S + 1.0) * SECOND_NS) == 1
+    assert _scheduled(storage, last_ns + round(QUIET_S - 1.0) * SECOND_NS) == 0
+    assert _scheduled(storage, last_ns + round(QUIET_S + 1.0) * SECOND_NS) == 1
     whole = new_sqlite_storage()
     register(whole)
     put(whole, [window for number in range(5) for window in journey(number, 0)])
@@ -120,4 +120,4 @@ def test_what_is_recorded_in_the_future_does_not_wait_for_it(new_sqlite_storage:
     put(storage, [*journey(0, 0), *journey(1, 0)], NOW_NS)
     assert _scheduled(storage, NOW_NS) == 1
     put(storage, journey(2, 0), NOW_NS + DAY_NS)  # by a clock that was ahead
-    assert _scheduled(storage, NOW_NS + round(SETTLE_S + 1.0) * SECOND_NS) == 1
+    assert _scheduled(storage, NOW_NS + round(QUIET_S + 1.0) * SECOND_NS) == 1
