@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from api.settings import Settings
+from bench.service_environment import environment_of
 
 START_S = 60.0
 
@@ -78,15 +79,7 @@ def dask_cluster(settings: Settings, folder: Path, workers: int) -> Iterator[Das
         How many.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-        "TREADWATCH_DATABASE_URL": settings.url,
-        "TREADWATCH_DATA_DIR": str(settings.data_dir),
-        "TREADWATCH_WINDOW_LENGTH_S": str(settings.window_length_s),
-        "TREADWATCH_LEASE_S": str(settings.lease_s),
-        "TMPDIR": str(folder),
-    }
+    environment = {**environment_of(settings), "TMPDIR": str(folder)}
     cluster = DaskCluster(environment, folder, _free_port())
     try:
         cluster.start_scheduler()
