@@ -16,5 +16,7 @@ def environment_of(settings: Settings) -> dict[str, str]:
     settings
         Of the deployment; those that are not the default are handed over.
     """
-    chosen = {f"{PREFIX}{name.upper()}": str(value) for name, value in settings.model_dump(exclude_defaults=True).items()}
+    chosen = {
+        f"{PREFIX}{name.upper()}": str(value) for name, value in settings.model_dump(exclude_defaults=True).items()
+    }
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path), **chosen}

@@ -18,7 +18,10 @@ def parts() -> tuple[ChaosPart, ...]:
         ChaosPart("live", "a live receiver is killed, its database away for up to 5 min, its disk full", 100, 1, _live),
         ChaosPart("connections", "clients that open connections and do not use them", 1000, 300, _connections),
         ChaosPart("mutations", "log files are damaged, so many of each format, and read", 100_000, 40, _mutations),
-        ChaosPart("workers", "many workers killed, stopped, cut off from the database while they work", 66, 3, _workers),
+        ChaosPart("workers", "many workers are killed, stopped, cut off from the database", 66, 3, _workers),
+        ChaosPart(
+            "behind", "chunks that nobody decodes, a bus without its database, for up to an hour", 60, 1, _behind
+        ),
         ChaosPart("orders", "windows in any order and in pieces, half of the rounds with late ones", 200, 2, _orders),
         ChaosPart("registry", "mistakes in the registry, made at random and corrected", 50, 2, _registry),
     )
@@ -80,5 +83,11 @@ def _registry(settings: ChaosSettings) -> Iterator[BenchRow]:
 
 def _workers(settings: ChaosSettings) -> Iterator[BenchRow]:
     from bench.chaos.workers import rows  # noqa: PLC0415 - only when it runs
+
+    return rows(settings)
+
+
+def _behind(settings: ChaosSettings) -> Iterator[BenchRow]:
+    from bench.chaos.behind import rows  # noqa: PLC0415 - only when it runs
 
     return rows(settings)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import struct
 import threading
@@ -148,9 +147,9 @@ def _ports_of(pid: int) -> set[int]:
     """Return the local TCP ports of a process."""
     inodes = set()
     with suppress(OSError):  # it is gone
-        for name in os.listdir(f"/proc/{pid}/fd"):
+        for file in Path(f"/proc/{pid}/fd").iterdir():
             with suppress(OSError):
-                inodes.add(os.readlink(f"/proc/{pid}/fd/{name}").removeprefix("socket:[").removesuffix("]"))
+                inodes.add(str(file.readlink()).removeprefix("socket:[").removesuffix("]"))
     lines = Path("/proc/net/tcp").read_text(encoding="ascii").splitlines()[1:]
     columns = [line.split() for line in lines]
     return {int(one[1].rpartition(":")[2], 16) for one in columns if one[9] in inodes}

@@ -2,38 +2,23 @@
 
 from __future__ import annotations
 
-import os
 import random
 import resource
-import signal
-import subprocess
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
-from pathlib import Path
-from threading import Event, Thread
+from contextlib import closing
 
 import numpy as np
 
 from api.factory import open_store
-from api.settings import Settings
+from bench.chaos.live_round import SECOND_NS, LiveRound, acceleration_frames, stored_frames, transmitting
 from bench.chaos.part import ChaosSettings
-from bench.chaos.small_deployment import PASSWORD, Databases, databases, faults, until
+from bench.chaos.small_deployment import PASSWORD, Databases, databases, faults
 from bench.report import BenchRow
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkState
-from ingest.bus import open_bus, send
 from ingest.dropped_frames import OVERFLOW_ID, count_dropped
-from ingest.frames import FrameBatch, concatenate, take
-from ingest.logs import read_log
-from tests.ingest.vehicle_bus import VEHICLE, Run
+from ingest.frames import FrameBatch, take
 
-CHANNEL = "239.74.163.91"
-PATIENCE_S = 120.0
-SECOND_NS = 1_000_000_000
 KINDS = ("sqlite", "postgresql")
 OUTAGES_S = (1.0, 4.0, 15.0, 60.0, 300.0)
 FULL_S = 12.0
@@ -45,79 +30,6 @@ LOST_S = 1.0
 
 SHORT = 4
 """Kills up to which the run is short: all of them while the one database is away, and nothing is timed."""
-
-
-@dataclass
-class _Round:
-    """One deployment with its receiver, and what was transmitted to it."""
-
-    settings: Settings
-    log: Path
-    process: subprocess.Popen[bytes] | None = None
-    sent: list[FrameBatch] = field(default_factory=list)
-    sent_ns: list[int] = field(default_factory=list)
-    away_ns: list[tuple[int, int]] = field(default_factory=list)  # no process received
-
-    def start(self) -> None:
-        arguments = ["ingest", "--interface", "udp_multicast", "--channel", CHANNEL, "--vehicle", VEHICLE]
-        environment = os.environ | {
-            "TREADWATCH_DATABASE_URL": self.settings.url,
-            "TREADWATCH_DATA_DIR": str(self.settings.data_dir),
-            "TREADWATCH_WINDOW_LENGTH_S": f"{self.settings.window_length_s:g}",
-        }
-        before = self.said().count("listening")
-        with self.log.open("ab") as log:
-            self.process = subprocess.Popen(  # noqa: S603 - our own command
-                [sys.executable, "-c", "from api.cli import main; main()", *arguments, "--chunk-seconds", "1"],
-                env=environment,
-                stdout=log,
-                stderr=log,
-            )
-        assert until(lambda: self.said().count("listening") > before, PATIENCE_S) is not None, self.said()
-
-    def kill(self) -> None:
-        """Kill the receiver and start it again; what is transmitted meanwhile reaches nobody."""
-        assert self.process is not None
-        self.process.send_signal(signal.SIGKILL)
-        begin = time.time_ns()
-        self.process.wait()
-        self.start()
-        self.away_ns.append((begin, time.time_ns()))
-
-    def end(self) -> None:
-        assert self.process is not None
-        until(lambda: not any(self.spool()), PATIENCE_S)
-        self.process.terminate()
-        self.process.wait(PATIENCE_S)
-
-    def said(self) -> str:
-        return self.log.read_text() if self.log.exists() else ""
-
-    def spool(self) -> list[Path]:
-        return [path for path in (self.settings.spool_dir / VEHICLE).glob("*.*") if path.stat().st_size]
-
-
-@contextmanager
-def _transmitting(one: _Round) -> Iterator[None]:
-    """Transmit without an end, a fifth of a second at a time; every payload is known by its batch."""
-    stop = Event()
-
-    def transmit() -> None:
-        with open_bus("udp_multicast", CHANNEL) as bus:
-            while not stop.is_set():
-                begin_ns = time.time_ns() // SECOND_NS * SECOND_NS
-                batch = Run(seconds=1.0, start_ns=begin_ns, seed=len(one.sent)).frames()
-                one.sent_ns.append(time.time_ns())
-                one.sent.append(batch)
-                send(bus, batch)
-
-    thread = Thread(target=transmit)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
 
 
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
@@ -142,9 +54,9 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
 
 
 def _kills_without_database(both: Databases, settings: ChaosSettings) -> BenchRow:
-    one = _Round(both.new("postgresql"), settings.folder / "kills-without-database.log")
+    one = LiveRound(both.new("postgresql"), settings.folder / "kills-without-database.log")
     one.start()
-    with _transmitting(one):
+    with transmitting(one):
         time.sleep(1.0)
         both.server.stop()
         for _ in range(settings.size):
@@ -157,10 +69,10 @@ def _kills_without_database(both: Databases, settings: ChaosSettings) -> BenchRo
 
 
 def _kills(both: Databases, kind: str, settings: ChaosSettings, draw: random.Random) -> BenchRow:
-    one = _Round(both.new(kind), settings.folder / f"kills-{kind}.log")
+    one = LiveRound(both.new(kind), settings.folder / f"kills-{kind}.log")
     kills = settings.size // 2
     one.start()
-    with _transmitting(one):
+    with transmitting(one):
         for _ in range(kills):
             time.sleep(draw.uniform(0.3, 3.0))
             one.kill()
@@ -170,9 +82,9 @@ def _kills(both: Databases, kind: str, settings: ChaosSettings, draw: random.Ran
 
 
 def _outage(both: Databases, settings: ChaosSettings, seconds: float) -> BenchRow:
-    one = _Round(both.new("postgresql"), settings.folder / f"outage-{seconds:g}.log")
+    one = LiveRound(both.new("postgresql"), settings.folder / f"outage-{seconds:g}.log")
     one.start()
-    with _transmitting(one):
+    with transmitting(one):
         time.sleep(2.0)
         both.server.stop()
         time.sleep(seconds)
@@ -184,10 +96,10 @@ def _outage(both: Databases, settings: ChaosSettings, seconds: float) -> BenchRo
 
 def _full_disk(both: Databases, kind: str, settings: ChaosSettings) -> BenchRow:
     """Let the receiver write nothing for a while: no spool, no recording, no file of SQLite."""
-    one = _Round(both.new(kind), settings.folder / f"full-{kind}.log")
+    one = LiveRound(both.new(kind), settings.folder / f"full-{kind}.log")
     one.start()
     assert one.process is not None
-    with _transmitting(one):
+    with transmitting(one):
         time.sleep(2.0)
         before = resource.prlimit(one.process.pid, resource.RLIMIT_FSIZE)
         resource.prlimit(one.process.pid, resource.RLIMIT_FSIZE, (FULL_BYTES, before[1]))
@@ -198,14 +110,11 @@ def _full_disk(both: Databases, kind: str, settings: ChaosSettings) -> BenchRow:
     return _row(f"{kind}: disk full for {FULL_S:g} s", both, one)
 
 
-def _row(what: str, both: Databases, one: _Round, *, timed: bool = True) -> BenchRow:
+def _row(what: str, both: Databases, one: LiveRound, *, timed: bool = True) -> BenchRow:
     """Compare what was transmitted with what has a receipt."""
     with closing(open_store(one.settings)) as storage:
         wrong = faults(one.settings, storage)
-        with storage.read() as unit:
-            records = [record for state in ChunkState for record in unit.chunks.with_state(state, limit=100_000)]
-        raw = FileRawStore(one.settings.data_dir / "raw")
-        stored = concatenate([read_log(raw.path(record.digest, record.suffix)) for record in records])
+        stored = stored_frames(one, storage)
     dropped = count_dropped(stored)
     ours = stored.arbitration_id != OVERFLOW_ID
     doubled, lost_s, lost = _compared(one, stored.t_ns[ours], _keys(stored))
@@ -222,7 +131,7 @@ def _row(what: str, both: Databases, one: _Round, *, timed: bool = True) -> Benc
     return BenchRow(what, measured, "0 lost but the last second before a kill, 0 doubled, 0 torn, 0 left", met)
 
 
-def _compared(one: _Round, stored_ns: np.ndarray, keys: np.ndarray) -> tuple[int, float, int]:
+def _compared(one: LiveRound, stored_ns: np.ndarray, keys: np.ndarray) -> tuple[int, float, int]:
     """Return frames stored twice, the longest time lost before a kill, s, and frames lost although they were received.
 
     A frame belongs to a kill when it was sent within the last two seconds before it or before the next receiver
@@ -249,4 +158,4 @@ def _compared(one: _Round, stored_ns: np.ndarray, keys: np.ndarray) -> tuple[int
 
 def _keys(batch: FrameBatch) -> np.ndarray:
     """Return the payloads of the acceleration frames, which are drawn: no two are the same."""
-    return np.ascontiguousarray(batch.data[np.isin(batch.arbitration_id, (0x181, 0x182))]).view("<u8").ravel()
+    return np.ascontiguousarray(batch.data[acceleration_frames(batch)]).view("<u8").ravel()

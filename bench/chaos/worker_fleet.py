@@ -1,4 +1,4 @@
-"""A fleet for many workers: its recordings, deployments that count every table that is stored, and the state at rest."""
+"""A fleet for many workers: recordings, deployments that count every table that is stored, the state at rest."""
 
 from __future__ import annotations
 
@@ -72,24 +72,23 @@ initial_wear_mm = {worn}
 wear_mm_per_100000_km = 0.8
 """
 STORED = "chaos_stored_tables"
+NOTED = (
+    "NEW.wheelset || '@' || NEW.start_ns || ' ' || NEW.window_digest || ' ' || NEW.parameter_key || ' ' ||"
+    " COALESCE(NEW.track_version, 0) || ' ' || NEW.content_digest"
+)
+NOTE = f"INSERT INTO {STORED} VALUES ({NOTED});"  # noqa: S608 - our own words
+TRIGGER = f"CREATE TRIGGER {STORED}_noted BEFORE INSERT ON window_bin_tables"
+FUNCTION = f"CREATE FUNCTION {STORED}_note() RETURNS trigger LANGUAGE plpgsql"
 COUNTED = {
-    "sqlite": (
-        f"CREATE TABLE {STORED} (what TEXT NOT NULL)",
-        f"CREATE TRIGGER {STORED}_counted BEFORE INSERT ON window_bin_tables BEGIN"
-        f" INSERT INTO {STORED} VALUES (NEW.wheelset || '@' || NEW.start_ns || ' ' || NEW.window_digest || ' ' ||"
-        " NEW.parameter_key || ' ' || COALESCE(NEW.track_version, 0) || ' ' || NEW.content_digest); END",
-    ),
+    "sqlite": (f"{TRIGGER} BEGIN {NOTE} END",),
     "postgresql": (
-        f"CREATE TABLE {STORED} (what text NOT NULL)",
-        f"CREATE FUNCTION {STORED}_count() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN"
-        f" INSERT INTO {STORED} VALUES (concat_ws(' ', NEW.wheelset, NEW.start_ns, NEW.window_digest,"
-        " NEW.parameter_key, NEW.track_version, NEW.content_digest)); RETURN NEW; END $$",
-        f"CREATE TRIGGER {STORED}_counted BEFORE INSERT ON window_bin_tables"
-        f" FOR EACH ROW EXECUTE FUNCTION {STORED}_count()",
+        f"{FUNCTION} AS $$ BEGIN {NOTE} RETURN NEW; END $$",
+        f"{TRIGGER} FOR EACH ROW EXECUTE FUNCTION {STORED}_note()",
     ),
 }
 """Notes each table that is stored in the same transaction; also where the same one is there already."""
-DOUBLED = f"SELECT COALESCE(SUM(times - 1), 0) FROM (SELECT COUNT(*) AS times FROM {STORED} GROUP BY what) AS each_one"  # noqa: S608 - our own name
+TIMES = f"SELECT COUNT(*) AS times FROM {STORED} GROUP BY what"  # noqa: S608 - the same
+DOUBLED = f"SELECT COALESCE(SUM(times - 1), 0) FROM ({TIMES}) AS each_one"  # noqa: S608 - the same
 MOST_RUNS = 8
 """Runs of all jobs after which they must have come to rest."""
 
@@ -146,7 +145,8 @@ def worker_fleet(folder: Path, vehicles: int, campaigns: int, server: str | None
         upgrade(empty.url)
         register(scenario, empty, home / "registered")
     with closing(open_store(empty)) as storage, storage.write() as unit:
-        for statement in COUNTED["sqlite" if server is None else "postgresql"]:
+        unit.connection.execute(text(f"CREATE TABLE {STORED} (what TEXT NOT NULL)"))
+        for statement in COUNTED[unit.connection.dialect.name]:
             unit.connection.execute(text(statement))
     fleet = WorkerFleet(recorded.recordings, empty, server, {})
     alone = fleet.copy(home / "undisturbed")

@@ -17,7 +17,7 @@ from bench.chaos.part import ChaosSettings
 from bench.chaos.small_deployment import PASSWORD, until
 from bench.chaos.worker_faults import HERE, ON_DASK, ON_SERVER, Strike
 from bench.chaos.worker_fleet import WorkerFleet, come_to_rest, compared_state, stored_twice, worker_fleet
-from bench.chaos.worker_services import DASK_WORKERS, PROCESSES, Services, services
+from bench.chaos.worker_services import DASK_WORKERS, PROCESSES, services
 from bench.report import BenchRow
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.storage import SqlStorage
@@ -82,10 +82,17 @@ def _harmed(half: _Half, settings: ChaosSettings, rng: random.Random, faults: in
     while order:
         _round(half, settings, rng, tally, order)
     named = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in sorted(tally.faults.items()))
-    what = f"{half.name}, {tally.faults.total()} faults ({named}): lost or other than undisturbed; tables stored twice; "
+    what = (
+        f"{half.name}, {tally.faults.total()} faults ({named}): lost or other than undisturbed; tables stored twice; "
+    )
     measured = f"{len(tally.wrong)} {', '.join(sorted(set(tally.wrong)))[:300]}".strip()
     met = not tally.wrong and tally.twice == 0 and len(tally.states) == 1
-    yield BenchRow(f"{what}final states", f"{measured}; {tally.twice}; {len(tally.states)}", "0; 0; 1", met)
+    yield BenchRow(
+        f"{what}: lost or other than undisturbed; tables stored twice; final states",
+        f"{measured}; {tally.twice}; {len(tally.states)}",
+        "0; 0; 1",
+        met,
+    )
     worst = max(tally.rest_s)
     what = f"{half.name}: until all is done after the last fault, longest"
     yield BenchRow(what, f"{worst:.1f} s", f"< {WITHIN_S:g} s", worst < WITHIN_S)
@@ -95,7 +102,7 @@ def _harmed(half: _Half, settings: ChaosSettings, rng: random.Random, faults: in
 
 
 def _round(half: _Half, settings: ChaosSettings, rng: random.Random, tally: _Tally, order: list[Strike]) -> None:
-    """Let recordings come in, with a fault after each, and compare the state at rest; what was done leaves ``order``."""
+    """Let recordings come in, with a fault after each, and compare the state at rest; faults done leave ``order``."""
     folder = settings.folder / "round"
     deployed = half.fleet.copy(folder)
     undisturbed = half.fleet.undisturbed
@@ -114,7 +121,9 @@ def _round(half: _Half, settings: ChaosSettings, rng: random.Random, tally: _Tal
         state = compared_state(storage)
         tally.states.add(tuple(sorted(state.items())))
         tally.wrong += [name for name in state if state[name] != undisturbed[name]]
-        tally.wrong += [str(one) for one in check_deep(storage, lambda _done, _total: None).findings if not one.harmless]
+        tally.wrong += [
+            str(one) for one in check_deep(storage, lambda _done, _total: None).findings if not one.harmless
+        ]
         tally.twice += stored_twice(storage)
     shutil.rmtree(folder)
 
@@ -124,4 +133,3 @@ def _tried_again(storage: SqlStorage, tally: _Tally) -> bool:
     with storage.write() as unit:
         tally.set_aside += sum(one.due_ns > one.last_ns for one in unit.quarantine.retry())
     return False
-
