@@ -53,6 +53,7 @@ from fleet_db.stores.work_claims import WorkClaimStore
 from fleet_db.stores.worklist import WorklistStore
 from fleet_db.stores.worklist_inputs import WorklistReader
 from fleet_db.telemetry import WindowFiles
+from fleet_db.unended import UnendedLease, UnendedLeases
 from fleet_db.visibility import VISIBLE
 
 SNAPSHOT = {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
@@ -173,6 +174,8 @@ class SqlStorage:
         Without which nothing is committed; None where none is needed.
     works_for
         Token of the process that runs the job and started this one; with it leases end. None where there is none.
+    unended
+        Leases of this process that could not be ended yet.
     """
 
     engine: Engine
@@ -182,6 +185,7 @@ class SqlStorage:
     visible_fleets: frozenset[str] | None = None
     lease: Lease | None = None
     works_for: int | None = None
+    unended: UnendedLeases = field(default_factory=UnendedLeases, compare=False, repr=False)
 
     def seen_by(self, fleets: frozenset[str] | None) -> SqlStorage:
         """Return the storage whose reading transactions see only these fleets.
@@ -265,7 +269,7 @@ class SqlStorage:
         claim = self._postgresql_claim(kind, holder, now_ns) if file is None else self._file_claim(kind, holder, now_ns)
         with claim as token:
             same = (self.engine, self.data_dir, self.shipped, self.patience_s)
-            storage = OwnedStorage(*same, token=token, holder=holder)
+            storage = OwnedStorage(*same, unended=self.unended, token=token, holder=holder)
             try:
                 yield storage
             finally:
@@ -279,7 +283,8 @@ class SqlStorage:
         """Claim what is free and yield a storage that commits nothing once the claim has ended.
 
         The claim is prolonged until the block ends, and forgotten then, however it ends. Where the process is killed
-        or stands still it ends by itself after ``length_s``.
+        or stands still it ends by itself after ``length_s``. Where the database is out of reach at the end, it ends
+        with the next one of this process.
 
         Parameters
         ----------
@@ -301,15 +306,22 @@ class SqlStorage:
         StorageError
             The database cannot be reached.
         """
+        left = self.unended.left()
         with self.write() as unit:
+            for one in left:
+                unit.work_claims.end_late(one)
             number = unit.work_claims.lease(holder, round(length_s * 1e9), self.owner_token or self.works_for)
             claimed = unit.work_claims.take(number, stage, keys, alone=alone)
+        self.unended.ended(left)
         try:
             with prolonged(partial(self._prolong, number), length_s):
                 yield replace(self, lease=Lease(number, holder, length_s)), claimed
         finally:
-            with suppress(StorageError), self.write() as unit:  # out of reach: it ends by itself
-                unit.work_claims.end(number)
+            try:
+                with self.write() as unit:
+                    unit.work_claims.end(number)
+            except StorageError:  # out of reach
+                self.unended.add(UnendedLease(number, stage, claimed.begun_ns))
 
     def lease_lost(self) -> bool:
         """Return whether the lease of this storage has ended; False where the database cannot be asked."""

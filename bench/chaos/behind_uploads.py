@@ -133,8 +133,8 @@ def _row_of_answers(name: str, client: httpx.Client, chunks: Sequence[_Chunk], a
     silent += sum(client.get(f"/v1/chunks/{chunk.digest}").status_code != HTTPStatus.OK for chunk in answers.stored)
     kept = sum(client.get(f"/v1/chunks/{c.digest}").status_code != HTTPStatus.NOT_FOUND for c in answers.refused)
     measured = (
-        f"{len(answers.stored)} receipts, {len(answers.refused)} refused with 503; of those {answers.without_time} without "
-        f"Retry-After, {kept} stored nevertheless; {answers.others.total()} answered otherwise, {silent} dropped"
+        f"{len(answers.stored)} receipts, {len(answers.refused)} refused with 503; {answers.without_time} without "
+        f"Retry-After, {kept} of them stored; {answers.others.total()} answered otherwise, {silent} dropped"
     )
     bad = (answers.without_time, kept, answers.others.total(), silent)
     met = not any(bad) and bool(answers.refused)

@@ -32,6 +32,8 @@ START_S = 120.0
 AT_WORK_S = 10.0
 SCHEDULE = "from api.cli import main; main()"
 QUICK = {"lease_s": LEASE_S, "jobs_every_s": EVERY_S, "database_silence_s": 1.0, "database_connect_timeout_s": 2}
+KEPT = '[days]\nwindow_samples = "for ever"\nwindow_bin_tables = "for ever"\n'
+"""The recordings are older than what is kept by default, and a purge would leave nothing to compare."""
 CLAIMS, LEASES = table_of(WorkClaimRow), table_of(WorkLeaseRow)
 
 
@@ -125,7 +127,9 @@ def services(storage: SqlStorage, settings: Settings, folder: Path, *, dask: boo
     dask
         Whether workers of Dask work, in place of processes of the scheduler.
     """
-    chosen = settings.model_copy(update=QUICK)
+    kept = folder / "retention.toml"
+    kept.write_text(KEPT, encoding="utf-8")
+    chosen = settings.model_copy(update={**QUICK, "retention_file": kept})
     with ExitStack() as stack:
         link = None
         if settings.on_server:

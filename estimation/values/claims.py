@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 MOST_ENDED = 3
 """Workers that end at one thing before it is set aside."""
@@ -20,8 +21,11 @@ class Claimed:
         Of those at which workers have ended: by key, how many. They are free, and to be asked for one by one.
     elsewhere
         How many are worked on under other leases.
+    begun_ns
+        When work on each of ``keys`` was begun, ns by the clock of the claims.
     """
 
     keys: tuple[str, ...]
     ended: tuple[tuple[str, int], ...] = ()
     elsewhere: int = 0
+    begun_ns: Mapping[str, int] = field(default_factory=dict)

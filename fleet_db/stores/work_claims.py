@@ -22,6 +22,7 @@ from sqlalchemy import (
     literal,
     or_,
     select,
+    tuple_,
     update,
 )
 from sqlalchemy.dialects import postgresql, sqlite
@@ -31,6 +32,7 @@ from estimation.values.claims import Claimed
 from fleet_db.models import WorkClaimRow, WorkLeaseRow
 from fleet_db.owners import living
 from fleet_db.rows import table_of
+from fleet_db.unended import UnendedLease
 
 LEASES, CLAIMS = table_of(WorkLeaseRow), table_of(WorkClaimRow)
 KEPT_NS = 86_400_000_000_000
@@ -78,16 +80,17 @@ class WorkClaimStore:
             Whether also what workers have ended at.
         """
         taken = self._insert(lease, stage, sorted(keys), alone=alone)
-        rest = set(keys) - taken
+        ours = tuple(key for key in keys if key in taken)
+        rest = set(keys) - set(taken)
         if not rest:
-            return Claimed(tuple(key for key in keys if key in taken))
+            return Claimed(ours, begun_ns=taken)
         columns = (CLAIMS.c.key, CLAIMS.c.lease_id, CLAIMS.c.attempts)
         held = {
             row.key: row
             for row in self.connection.execute(select(*columns).where(CLAIMS.c.stage == stage, CLAIMS.c.key.in_(rest)))
         }
         free = tuple((key, held[key].attempts) for key in keys if key in held and held[key].lease_id is None)
-        return Claimed(tuple(key for key in keys if key in taken), free, len(rest) - len(free))
+        return Claimed(ours, free, len(rest) - len(free), taken)
 
     def prolong(self, lease: int) -> bool:
         """Let a lease last its length from now; return whether it is still there."""
@@ -131,6 +134,22 @@ class WorkClaimStore:
         self.connection.execute(delete(CLAIMS).where(CLAIMS.c.lease_id == lease))
         self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease))
 
+    def end_late(self, lease: UnendedLease) -> None:
+        """End a lease whose process could not reach the database at the end of its work, but lives.
+
+        What it had claimed is free, and it does not count that it had begun, unless others have begun since.
+
+        Parameters
+        ----------
+        lease
+            It may have ended by its time.
+        """
+        self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease.number))
+        begun = tuple_(CLAIMS.c.key, CLAIMS.c.begun_ns).in_(sorted(lease.begun_ns.items()))
+        own = (CLAIMS.c.stage == lease.stage, CLAIMS.c.lease_id.is_(None), begun)
+        self.connection.execute(delete(CLAIMS).where(*own, CLAIMS.c.attempts == 1))
+        self.connection.execute(update(CLAIMS).where(*own).values(attempts=CLAIMS.c.attempts - 1))
+
     def end_of(self, holder: str, *, forgiven: bool) -> None:
         """End the leases of a worker that is known to be gone: what it had claimed is free at once.
 
@@ -163,8 +182,8 @@ class WorkClaimStore:
         if dead:
             self.connection.execute(delete(LEASES).where(LEASES.c.owner.in_(dead)))
 
-    def _insert(self, lease: int, stage: str, keys: Sequence[str], *, alone: bool) -> set[str]:
-        """Insert claims, in one order in all transactions; return those that are ours now."""
+    def _insert(self, lease: int, stage: str, keys: Sequence[str], *, alone: bool) -> dict[str, int]:
+        """Insert claims, in one order in all transactions; return when each was begun that is ours now."""
         now = self._now()
         values = [
             {"stage": stage, "key": key, "lease_id": lease, "attempts": 1, "begun_ns": now}
@@ -177,7 +196,8 @@ class WorkClaimStore:
             set_={"lease_id": lease, "attempts": CLAIMS.c.attempts + 1 if alone else literal(1), "begun_ns": now},
             where=CLAIMS.c.lease_id.is_(None) if alone else CLAIMS.c.lease_id.is_(None) & forgotten,
         )
-        return set(self.connection.scalars(claimed.returning(CLAIMS.c.key)))
+        rows = self.connection.execute(claimed.returning(CLAIMS.c.key, CLAIMS.c.begun_ns))
+        return {row.key: row.begun_ns for row in rows}
 
     def _now(self) -> ColumnElement[int]:
         if self.connection.dialect.name == "sqlite":
