@@ -7,24 +7,30 @@ on connections.
 from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING
 
-from fastapi import FastAPI
-
-from api import factory, logs
-from api.compiled_code import choose_compiled_code
-from api.kept_objects import keep_what_is_loaded
-from api.settings import load_settings
-from api.tracing import start_tracing
+if TYPE_CHECKING:
+    from fastapi import FastAPI
 
 
 def app() -> FastAPI:
     """Return the application of the deployment that the environment describes.
+
+    Linear algebra runs on one thread, as in every command: sums over several have other last bits, and a job that is
+    asked for here is to give what the scheduler and its workers give.
 
     Raises
     ------
     InputError, MigrationError, ParameterError, StorageError
         As ``treadwatch serve``; the server ends with the error.
     """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is loaded
+    from api import factory, logs  # noqa: PLC0415 - not before that
+    from api.compiled_code import choose_compiled_code  # noqa: PLC0415 - the same
+    from api.kept_objects import keep_what_is_loaded  # noqa: PLC0415 - the same
+    from api.settings import load_settings  # noqa: PLC0415 - the same
+    from api.tracing import start_tracing  # noqa: PLC0415 - the same
+
     choose_compiled_code(os.environ)
     settings = load_settings()
     logs.configure(settings)

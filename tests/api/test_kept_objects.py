@@ -1,4 +1,4 @@
-"""The garbage collector of a process that serves."""
+"""A process that serves: its garbage collector, and its linear algebra."""
 
 from __future__ import annotations
 
@@ -35,3 +35,25 @@ def test_what_a_server_has_loaded_is_not_collected_through_again(tmp_path: Path,
     command = [sys.executable, "-c", SERVED.format(how=how)]
     ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60)
     assert int(ran.stdout.splitlines()[-1]) > 100_000
+
+
+ALGEBRA = """
+import os, sys
+threads = lambda: len(os.listdir("/proc/self/task"))
+from api.asgi import app
+before = "numpy" in sys.modules
+app()
+begun = threads()
+import numpy
+numpy.ones((1000, 1000)) @ numpy.ones((1000, 1000))
+print(before, os.environ["OPENBLAS_NUM_THREADS"], threads() - begun)
+"""
+
+
+def test_linear_algebra_of_a_worker_of_the_server_runs_on_one_thread(tmp_path: Path) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    upgrade(Settings(data_dir=tmp_path, _env_file=None).url)
+    command = [sys.executable, "-c", ALGEBRA]
+    environment["TREADWATCH_DATA_DIR"] = str(tmp_path)
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60)
+    assert ran.stdout.splitlines()[-1] == "False 1 0"

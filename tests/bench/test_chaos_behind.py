@@ -1,0 +1,15 @@
+"""The short form of the chaos part of services that are behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bench.chaos.catalogue import parts
+from bench.chaos.part import ChaosSettings
+
+
+def test_chunks_that_nobody_decodes_are_kept_or_refused_and_assembled_later(tmp_path: Path) -> None:
+    (part,) = (one for one in parts() if one.name == "behind")
+    rows = list(part.rows(ChaosSettings(part.short, 0, tmp_path)))
+    assert len(rows) == 4
+    assert [(row.what, row.measured) for row in rows if not row.met] == []

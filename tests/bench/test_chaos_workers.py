@@ -1,0 +1,16 @@
+"""The short form of the chaos part of many workers: what it counts, not how long it takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bench.chaos.catalogue import parts
+from bench.chaos.part import ChaosSettings
+
+
+def test_workers_that_are_harmed_lose_and_double_nothing(tmp_path: Path) -> None:
+    (part,) = (one for one in parts() if one.name == "workers")
+    rows = [row for row in part.rows(ChaosSettings(part.short, 1, tmp_path)) if not row.reach.endswith(" s")]
+    assert len(rows) == 3
+    assert [(row.what, row.measured) for row in rows if not row.met] == []
+    assert f"{part.short} faults" in rows[0].what
