@@ -44,6 +44,7 @@ class Worker:
     process: ForkServerProcess
     connection: Connection
     said_s: float
+    looked_s: float
     memory_mb: float = 0.0
     units: int = 0
     begun: bool = False  # it has said something
@@ -168,7 +169,7 @@ class ProcessPool:
 
     def _of_worker(self, worker: Worker, unit: UnitOfWork) -> UnitDone | None:
         """Return what comes of a unit in one worker; None where the worker is to be replaced."""
-        worker.said_s = time.monotonic()
+        worker.said_s = worker.looked_s = time.monotonic()
         try:
             worker.connection.send(unit)
             while True:
@@ -192,6 +193,10 @@ class ProcessPool:
     def _why_ended(self, worker: Worker) -> str | None:
         """Return why a worker that is at work is to be ended; None where it is not."""
         now_s = time.monotonic()
+        stood_still_s = now_s - worker.looked_s - self._sign_s
+        worker.looked_s = now_s
+        if stood_still_s > self._sign_s:  # this process, perhaps its machine: what was said then is not read yet
+            worker.said_s += stood_still_s
         if now_s - worker.said_s > (self.settings.lease_s if worker.begun else START_S):
             return f"it has said nothing for {now_s - worker.said_s:.0f} s"
         if worker.memory_mb > LARGEST * self.settings.worker_memory_mb:
@@ -217,7 +222,7 @@ def _started(settings: Settings, sign_s: float) -> Worker:
     process = server.Process(target=run_worker, args=(theirs, settings, sign_s), daemon=True)
     process.start()
     theirs.close()
-    return Worker(process, ours, time.monotonic())
+    return Worker(process, ours, time.monotonic(), time.monotonic())
 
 
 def _freed(storage: SqlStorage, worker: Worker, *, forgiven: bool) -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from api.comparison.trial import Recorded, receive
 from api.factory import job_context, open_store
 from bench.chaos.part import ChaosSettings
-from bench.chaos.small_deployment import PASSWORD, until
+from bench.chaos.small_deployment import PASSWORD
 from bench.chaos.worker_faults import HERE, ON_DASK, ON_SERVER, Strike
 from bench.chaos.worker_fleet import WorkerFleet, come_to_rest, compared_state, stored_twice, worker_fleet
 from bench.chaos.worker_services import DASK_WORKERS, PROCESSES, services
@@ -25,6 +25,7 @@ from tests.postgres_server import SAFE, stoppable_server
 
 VEHICLES, CAMPAIGNS = 2, 4
 AT_REST_S = 180.0
+LOOK_S = 0.5
 WITHIN_S = 90.0
 SHORT = 3
 """Faults up to which the run is short: a small fleet, and no workers of Dask, which tests of their own harm."""
@@ -114,7 +115,9 @@ def _round(half: _Half, settings: ChaosSettings, rng: random.Random, tally: _Tal
                 if order and order[-1](running, rng):
                     tally.faults[order.pop().__name__] += 1
             begin_s = time.monotonic()
-            until(lambda: _tried_again(storage, tally) or compared_state(storage) == undisturbed, AT_REST_S)
+            while compared_state(storage) != undisturbed and time.monotonic() - begin_s < AT_REST_S:
+                _try_again(storage, tally)
+                time.sleep(LOOK_S)
             tally.rest_s.append(time.monotonic() - begin_s)
             running.end_scheduler(signal.SIGTERM)
             tally.leaked += running.said().count(PASSWORD)
@@ -129,8 +132,7 @@ def _round(half: _Half, settings: ChaosSettings, rng: random.Random, tally: _Tal
     shutil.rmtree(folder)
 
 
-def _tried_again(storage: SqlStorage, tally: _Tally) -> bool:
-    """Let what was set aside be tried again, as whoever looks at the quarantine does; False."""
+def _try_again(storage: SqlStorage, tally: _Tally) -> None:
+    """Let what was set aside be tried again, as whoever looks at the quarantine does."""
     with storage.write() as unit:
         tally.set_aside += sum(one.due_ns > one.last_ns for one in unit.quarantine.retry())
-    return False

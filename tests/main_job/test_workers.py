@@ -34,6 +34,7 @@ from ingest.simulator.fleet import FleetReport
 
 SCRIPT = Path(__file__).with_name("worker_process.py")
 CLAIMS, LEASES = table_of(WorkClaimRow), table_of(WorkLeaseRow)
+LEASE_S = 2.0
 ESTIMATED = ("refresh_alignment", "estimate_windows", "refresh_geometry")
 
 
@@ -93,6 +94,22 @@ def test_a_worker_that_is_killed_or_stands_still_is_replaced_and_its_work_done_a
         harmed.join()
         assert [found.outcome for found in runs] == ["succeeded"] * 3, runs
         assert workers.replaced >= 2
+    compared(fleet, second_fleet)
+
+
+@pytest.mark.parametrize("storage_url", ["postgresql"], indirect=True)
+def test_workers_that_stood_still_with_their_machine_go_on(
+    fleet: Deployment, second_fleet: Deployment, report: FleetReport
+) -> None:
+    for deployed in (fleet, second_fleet):
+        deployed.receive(report.recordings[:3])
+    with pool(fleet, lease_s=LEASE_S) as workers:
+        suspended = threading.Thread(target=suspend, args=(fleet.storage, workers))
+        suspended.start()
+        runs = [run(fleet, job, workers) for job in ESTIMATED]
+        suspended.join()
+        assert [found.outcome for found in runs] == ["succeeded"] * 3, runs
+        assert workers.replaced == 0
     compared(fleet, second_fleet)
 
 
@@ -180,6 +197,17 @@ def harm(storage: SqlStorage, signals: tuple[signal.Signals, ...]) -> None:
             time.sleep(0.02)
         os.kill(found[0], number)
         harmed.add(found[0])
+
+
+def suspend(storage: SqlStorage, workers: ProcessPool) -> None:
+    """Stop this process and its workers for longer than a lease once one is at work, and wake them, us first."""
+    until = time.monotonic() + 120.0
+    while not [pid for pid in holders(storage) if pid != os.getpid()]:
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    others = " ".join(map(str, workers.pids()))
+    script = f"kill -STOP {others} {os.getpid()}; sleep {2 * LEASE_S}; kill -CONT {os.getpid()}; sleep 0.5"
+    subprocess.run(["sh", "-c", f"{script}; kill -CONT {others}"], check=True)
 
 
 def kill_whoever_has(storage: SqlStorage, key: str, over: threading.Event) -> None:
