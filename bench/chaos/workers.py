@@ -69,7 +69,7 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
         on_server = worker_fleet(settings.folder, *extent, server.url)
         halves = [_Half(f"{PROCESSES} processes, postgresql", on_server, ON_SERVER, dask=False)]
         if not short:
-            halves.append(_Half(f"{DASK_WORKERS} Dask workers, postgresql", on_server, ON_DASK, dask=True))
+            halves.insert(0, _Half(f"{DASK_WORKERS} Dask workers, postgresql", on_server, ON_DASK, dask=True))
             embedded = worker_fleet(settings.folder, *extent)
             halves.append(_Half(f"{PROCESSES} processes, sqlite", embedded, HERE, dask=False))
         for number, half in enumerate(halves):
