@@ -18,7 +18,7 @@ def parts() -> tuple[ChaosPart, ...]:
         ChaosPart("live", "a live receiver is killed, its database away for up to 5 min, its disk full", 100, 1, _live),
         ChaosPart("connections", "clients that open connections and do not use them", 1000, 300, _connections),
         ChaosPart("mutations", "log files are damaged, so many of each format, and read", 100_000, 40, _mutations),
-        ChaosPart("workers", "many workers are killed, stopped, cut off from the database", 66, 3, _workers),
+        ChaosPart("workers", "many workers are killed, stopped, cut off from the database", 60, 3, _workers),
         ChaosPart(
             "behind", "chunks that nobody decodes, a bus without its database, for up to an hour", 60, 1, _behind
         ),

@@ -27,7 +27,7 @@ from fleet_db.storage import SqlStorage
 
 PROCESSES, DASK_WORKERS = 4, 2
 LEASE_S = 2.0
-EVERY_S = 1.0
+EVERY_S = 2.0
 START_S = 120.0
 AT_WORK_S = 10.0
 SCHEDULE = "from api.cli import main; main()"
