@@ -9,7 +9,7 @@ from bench.chaos.part import ChaosSettings
 from bench.chaos.small_deployment import databases
 from bench.report import BenchRow
 
-VEHICLES = {"postgresql": 10, "sqlite": 4}
+VEHICLES = {"postgresql": 4, "sqlite": 2}
 SHORT = 1
 """Minutes up to which the run is short: uploads to SQLite alone."""
 SHORT_VEHICLES = 12
