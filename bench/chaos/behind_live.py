@@ -9,7 +9,7 @@ from pathlib import Path
 
 from api.factory import open_store
 from bench.chaos.behind_memory import grown, resident_mb
-from bench.chaos.live_round import LiveRound, stored_frames, transmitting
+from bench.chaos.live_round import PATIENCE_S, LiveRound, stored_frames, transmitting
 from bench.chaos.small_deployment import Databases, faults
 from bench.report import BenchRow
 from ingest.dropped_frames import OVERFLOW_ID, count_dropped
@@ -19,6 +19,8 @@ BUSY = 14
 SPED_UP = 8.0
 FULL_MB = 1
 FULL_S = 30.0
+EACH_S = 5.0
+"""A piece takes so long to be stored at most, on a machine that does other things too, s."""
 
 
 def rows(both: Databases, folder: Path, minutes: float) -> Iterator[BenchRow]:
@@ -42,7 +44,6 @@ def _outage(both: Databases, folder: Path, name: str, seconds: float, chosen: di
     one = LiveRound(both.new("postgresql").model_copy(update=chosen), folder / f"behind-{seconds:g}.log")
     one.start()
     assert one.process is not None
-    waiting = 0
     with transmitting(one, BUSY):
         time.sleep(2.0)
         both.server.stop()
@@ -51,7 +52,7 @@ def _outage(both: Databases, folder: Path, name: str, seconds: float, chosen: di
         time.sleep(0.9 * seconds)
         late_mb, waiting = resident_mb(one.process.pid), len(one.spool())
     both.server.start()
-    one.end()
+    one.end(PATIENCE_S + EACH_S * waiting)
     yield _row(name, both, one, waiting, full=bool(chosen))
     yield grown(f"{name}: memory of the receiver", early_mb, late_mb)
 

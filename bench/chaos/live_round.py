@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Event, Thread
@@ -71,10 +71,10 @@ class LiveRound:
         self.start()
         self.away_ns.append((begin, time.time_ns()))
 
-    def end(self) -> None:
-        """End the receiver once nothing waits in its spool."""
+    def end(self, patience_s: float = PATIENCE_S) -> None:
+        """End the receiver once nothing waits in its spool, or after some patience."""
         assert self.process is not None
-        until(lambda: not any(self.spool()), PATIENCE_S)
+        until(lambda: not any(self.spool()), patience_s)
         self.process.terminate()
         self.process.wait(PATIENCE_S)
 
@@ -84,7 +84,11 @@ class LiveRound:
 
     def spool(self) -> list[Path]:
         """Return the pieces in the spool."""
-        return [path for path in (self.settings.spool_dir / VEHICLE).glob("*.*") if path.stat().st_size]
+        found = []
+        for path in (self.settings.spool_dir / VEHICLE).glob("*.*"):
+            with suppress(FileNotFoundError):  # it has its receipt by now
+                found += [path] if path.stat().st_size else []
+        return found
 
 
 @contextmanager
