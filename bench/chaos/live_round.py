@@ -17,7 +17,7 @@ import numpy as np
 from api.settings import Settings
 from bench.chaos.small_deployment import until
 from bench.service_environment import environment_of
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus, send
@@ -126,7 +126,7 @@ def stored_frames(one: LiveRound, storage: SqlStorage) -> FrameBatch:
     """Return all frames that have a receipt."""
     with storage.read() as unit:
         records = [record for state in ChunkState for record in unit.chunks.with_state(state, limit=100_000)]
-    raw = RawStore(one.settings.raw_dir)
+    raw = FileRawStore(one.settings.data_dir / "raw")
     return concatenate([read_log(raw.path(record.digest, record.suffix)) for record in records])
 
 
