@@ -106,7 +106,7 @@ def _corrected(
     settings: AlignmentSettings,
 ) -> WindowPosition:
     if update.outcome.positions_valid:
-        far = correction is not None and _largest(correction) > settings.trusted_offset
+        far = correction is not None and largest_shift(correction) > settings.trusted_offset
         return uncorrected if correction is None or not far else _moved(uncorrected, correction)
     return replace(uncorrected, reason=_uncertain()) if correction is None else _moved(uncorrected, correction)
 
@@ -119,8 +119,14 @@ def _moved(uncorrected: WindowPosition, correction: Correction) -> WindowPositio
     return replace(uncorrected, offset_m=correction.offset, scale=correction.scale, middle_m=correction.middle)
 
 
-def _largest(correction: Correction) -> float:
-    """Return the largest shift between the begin and twice the middle of the section, m."""
+def largest_shift(correction: Correction) -> float:
+    """Return the largest shift between the begin and twice the middle of the section, m.
+
+    Parameters
+    ----------
+    correction
+        Of positions.
+    """
     ends = np.array([0.0, 2.0 * correction.middle])
     return float(np.abs(correction.at(ends) - ends).max())
 
