@@ -111,18 +111,16 @@ def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, ver
     new = [each for key, each in wanted.items() if key not in stored]
     # where another transaction has stored one since the look-up, each is looked at by itself
     alone = [] if unit.assembled.add(new, recorded_ns) else new
-    others = [] if alone else new
-    changes = SpanChanges(new=len(others), removed=len(removed))
-    other_samples, unsure = _compared(unit, stored, wanted, verify=verify)
-    unit.assembled.replace(other_samples, recorded_ns)
-    changes += SpanChanges(changed=len(other_samples))
-    others += other_samples
+    replaced, unsure = _compared(unit, stored, wanted, verify=verify)
+    unit.assembled.replace(replaced, recorded_ns)
+    changes = SpanChanges(new=len(new) - len(alone), changed=len(replaced), removed=len(removed))
+    others = [*new, *replaced]
     for each in (*alone, *unsure):
         made, is_other = _put(unit, each, recorded_ns, verify=verify)
         changes += made
         others += [each] if is_other else []
     touched += [(each.window.axle, each.window.start_ns) for each in others]
-    _requeue_partners(unit, assembly.vehicle, found, touched, {_key(each.window) for each in others})
+    _requeue_partners(unit, assembly.vehicle, found, touched, {_key(each.window) for each in replaced})
     return changes
 
 
@@ -137,7 +135,7 @@ def _compared(
 
     Those that are stored as they are now are in neither.
     """
-    other_samples, unsure = [], []
+    replaced, unsure = [], []
     for key, before in stored.items():
         now = wanted.get(key)
         if now is None:
@@ -146,10 +144,10 @@ def _compared(
         if verify or (reason is not None and reason.code is ReasonCode.FILE_DAMAGED):
             unsure.append(now)
         elif before.untouched and not before.samples_purged and before.record.content_digest != now.digest:
-            other_samples.append(now)
+            replaced.append(now)
         elif not unit.assembled.is_as_stored(before, now):
             unsure.append(now)
-    return other_samples, unsure
+    return replaced, unsure
 
 
 def _key(window: Window | WindowRecord) -> WindowKey:
