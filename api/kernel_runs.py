@@ -22,6 +22,7 @@ from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.paper_equations import PaperParameters, recursion_in_bins
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.motion.smooth_sampling import sample_smoothed
+from estimation.filters.smoothing_spline import remove_wander
 from estimation.tables.bin_table import BinParameters, init
 from estimation.tables.exact_sum import LARGEST, ExactSum, nothing
 from estimation.tables.least_squares import collect
@@ -103,6 +104,18 @@ def _moments() -> Iterator[FloatArray]:
     rng = np.random.default_rng(5)
     found = collect(rng.standard_normal((20, 3)), rng.standard_normal((20, 2)), np.arange(20) % 4 - 1, 3)
     yield from (found.packed, found.weight)
+
+
+def _smoothing_spline() -> Iterator[FloatArray]:
+    rng = np.random.default_rng(7)
+    known = np.ones(90, bool)
+    known[30:40] = False
+    yield remove_wander(rng.standard_normal((2, 90)), np.linspace(0.0, 30.0, 90), known, 20.0)
+    unknown = np.array([0.0, np.nan, 2.0, 3.0, 4.0])
+    try:
+        remove_wander(np.ones((1, 5)), unknown, np.ones(5, bool), 20.0)
+    except np.linalg.LinAlgError as error:
+        yield np.array([len(str(error))])
 
 
 def _frames() -> Iterator[FloatArray]:
@@ -245,6 +258,7 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _paper,
     _stretches,
     _moments,
+    _smoothing_spline,
     _exact_sums,
     _frames,
     _simulator,

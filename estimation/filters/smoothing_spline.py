@@ -6,7 +6,7 @@ segment of u is then the smoothing spline
 
     minimise  sum_i ds_i (u_i - w(s_i))^2 + mu integral (w''')^2 ds,        mu = (L / 2 pi)^6,
 
-which is what a Kalman filter over the segment and the Rauch-Tung-Striebel smoother back give, computed as one sparse
+which is what a Kalman filter over the segment and the Rauch-Tung-Striebel smoother back give, computed as one banded
 least-squares problem. Of a wave of length l it leaves 1 / (1 + (l/L)^6): half at the cut-off L, 98.5 % at L/2, 1.5 %
 at 2 L. At the ends of a segment, where a filter would have to guess, the spline runs on as a parabola.
 
@@ -16,14 +16,16 @@ to. ``docs/decisions/wander-smoother.md`` gives the reasons.
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.interpolate import BSpline
-from scipy.linalg import cho_factor, cho_solve
+from dataclasses import dataclass
 
-from estimation.values.arrays import BoolArray, FloatArray
+import numpy as np
+
+from estimation.filters import spline_kernels as kernels
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
 
 ORDER = 3  # of the derivative that is white
-DEGREE = 3  # of the spline's pieces
+PIECES = 4  # B-splines of third degree at a place
+REGULARISATION = 1e-12  # of the normal equations: what is removed may be nearly a spline itself
 KNOTS_PER_CUT_OFF = 12  # twice as many change what is left of a wave by less than a hundredth of it
 
 
@@ -44,40 +46,76 @@ def subtract_smoothing_spline(
         Wavelength of which half is left, m.
     removed
         (k, n) functions that are taken out whole beside the wander, such as what an offset integrates to.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The samples that count do not determine the wander.
     """
-    step = float(distance[-1]) / max(int(np.ceil(KNOTS_PER_CUT_OFF * distance[-1] / cutoff_wavelength)), 1)
-    spline = _spline(distance, step)
-    penalty = _roughness(spline.shape[1], step, cutoff_wavelength)
-    weight = np.where(known, np.gradient(distance), 0.0)
-    count = len(penalty)
-    weighted_spline, weighted_removed = spline.T.multiply(weight).tocsr(), removed * weight
-    gram = np.empty((count + len(removed), count + len(removed)))
-    gram[:count, :count] = (weighted_spline @ spline).toarray() + penalty
-    gram[:count, count:] = weighted_spline @ removed.T
-    gram[count:, :count] = gram[:count, count:].T
-    gram[count:, count:] = weighted_removed @ removed.T
-    gram[np.diag_indices_from(gram)] *= 1 + 1e-12  # what is removed may be nearly a spline itself
-    right = np.concatenate([weighted_spline @ signals.T, weighted_removed @ signals.T])
-    solution = cho_solve(cho_factor(gram), right)
-    return np.asarray(signals - (spline @ solution[:count]).T - solution[count:].T @ removed)
+    spline = _spline(distance, known, cutoff_wavelength)
+    rows, removed = np.ascontiguousarray(signals), np.ascontiguousarray(removed)
+    wander, of_removed = spline.projected(rows), spline.projected(removed)
+    explained = spline.solved(of_removed)
+    weighted = removed * spline.weight
+    gram = _products(weighted, removed)
+    gram[np.diag_indices_from(gram)] *= 1 + REGULARISATION
+    gram -= _products(of_removed, explained)
+    coefficients = spline.solved(wander)
+    shares = _solved_definite(gram, _products(weighted, rows) - _products(of_removed, coefficients))
+    coefficients -= shares.T @ explained
+    left = np.empty_like(rows)
+    kernels.subtract(rows, spline.interval, spline.pieces, coefficients, removed, shares, left)
+    return left
 
 
-def _spline(distance: FloatArray, step: float):  # type: ignore[no-untyped-def]  # noqa: ANN202 - a sparse array of scipy
-    """Return the B-splines (n, k) on knots every ``step``, sparse."""
+@dataclass(frozen=True, slots=True)
+class _Spline:
+    """A smoothing spline on uniform knots, without what it is to smooth."""
+
+    weight: FloatArray  # (n,) m, of each sample
+    interval: IntArray  # (n,) between knots
+    pieces: FloatArray  # (n, PIECES) B-splines at each sample
+    factor: FloatArray  # (k, PIECES) of the normal equations
+
+    def projected(self, rows: FloatArray) -> FloatArray:
+        """Return the right sides (m, k) of the normal equations."""
+        sums = np.zeros((len(rows), len(self.factor)))
+        kernels.project(rows, self.weight, self.interval, self.pieces, sums)
+        return sums
+
+    def solved(self, right: FloatArray) -> FloatArray:
+        """Return the coefficients (m, k) for right sides."""
+        found = right.copy()
+        kernels.solve(self.factor, found)
+        return found
+
+
+def _spline(distance: FloatArray, known: BoolArray, cutoff_wavelength: float) -> _Spline:
     length = float(distance[-1])
-    knots = step * np.arange(-DEGREE, round(length / step) + DEGREE + 1)
-    return BSpline.design_matrix(np.clip(distance, 0.0, length * (1 - 1e-12)), knots, DEGREE)
+    count = max(int(np.ceil(KNOTS_PER_CUT_OFF * length / cutoff_wavelength)), 1)
+    step = length / count
+    interval, pieces = np.empty(len(distance), np.int64), np.empty((len(distance), PIECES))
+    kernels.place(distance, length * (1 - 1e-12), 1 / step, interval, pieces, count - 1)
+    weight, band = np.where(known, np.gradient(distance), 0.0), np.zeros((count + PIECES - 1, PIECES))
+    kernels.add_band(weight, interval, pieces, band)
+    kernels.add_roughness(band, (cutoff_wavelength / (2 * np.pi)) ** (2 * ORDER) * step ** (1 - 2 * ORDER))
+    band[:, 0] *= 1 + REGULARISATION
+    if not kernels.factorise(band):
+        raise np.linalg.LinAlgError("the samples do not determine the wander")
+    return _Spline(weight, interval, pieces, band)
 
 
-def _roughness(count: int, step: float, cutoff_wavelength: float) -> FloatArray:
-    """Return mu times the integral of the squared third derivative as a quadratic form (k, k) of the coefficients.
+def _products(weighted: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return the products (k, m) of functions (k, n) with rows (m, n)."""
+    products = np.empty((len(weighted), len(rows)))
+    kernels.multiply(weighted, rows, products)
+    return products
 
-    The third derivative of a cubic spline is constant between knots: the third difference over ``step``^3.
-    """
-    difference = np.diff(np.eye(count), ORDER, axis=0)
-    return np.asarray(
-        (cutoff_wavelength / (2 * np.pi)) ** (2 * ORDER) * step ** (1 - 2 * ORDER) * difference.T @ difference
-    )
+
+def _solved_definite(gram: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the solution (k, m) of a positive definite system (k, k)."""
+    factor = np.linalg.cholesky(gram)
+    return np.asarray(np.linalg.solve(factor.T, np.linalg.solve(factor, right)))
 
 
 def remove_wander(
