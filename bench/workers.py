@@ -37,7 +37,7 @@ from tests.postgres_server import SAFE, stoppable_server
 JOBS = (estimate_windows.JOB, refresh_geometry.JOB)
 COLUMNS = ("what", "measured", "reach", "met")
 TITLE = "Worker processes"
-REACH, EFFICIENCY, MOST_STATEMENTS, MOST_WRITING = 1.8, 0.9, 15.0, 0.1
+REACH, EFFICIENCY, MOST_STATEMENTS, MOST_WRITING = 1.8, 0.9, 5.0, 0.1
 
 
 @dataclass(frozen=True, slots=True)

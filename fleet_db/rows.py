@@ -72,7 +72,7 @@ def replace(connection: Connection, table: Table, values: Mapping[str, Any]) -> 
 
 
 def replace_all(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Change the rows with the primary keys of some, at least one, as :func:`replace` does.
+    """Change the rows with the primary keys of several values, all of the same columns, to hold them.
 
     Parameters
     ----------
@@ -81,9 +81,10 @@ def replace_all(connection: Connection, table: Table, rows: Sequence[Mapping[str
     table
         Where.
     rows
-        By column, all with the same ones, with the whole primary key.
+        By column, each with the whole primary key.
     """
-    connection.execute(_update(table, tuple(rows[0])), [{**values, **key_of(table, values)} for values in rows])
+    if rows:
+        connection.execute(_update(table, tuple(rows[0])), [{**row, **key_of(table, row)} for row in rows])
 
 
 def insert_new(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:
@@ -101,8 +102,8 @@ def insert_new(connection: Connection, table: Table, values: Mapping[str, Any]) 
     return connection.execute(_insert_new(table, connection.dialect.name), values).rowcount > 0
 
 
-def insert_all_new(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> bool:
-    """Insert rows, at least one, whose primary keys are not there yet; return whether all were new.
+def insert_all_new(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> int:
+    """Insert those of several values, all of the same columns, that have a new primary key; return how many.
 
     Parameters
     ----------
@@ -111,9 +112,9 @@ def insert_all_new(connection: Connection, table: Table, rows: Sequence[Mapping[
     table
         Where.
     rows
-        By column, all with the same ones, with the whole primary key.
+        By column, each with the whole primary key.
     """
-    return connection.execute(_insert_new(table, connection.dialect.name), list(rows)).rowcount == len(rows)
+    return connection.execute(_insert_new(table, connection.dialect.name), list(rows)).rowcount if rows else 0
 
 
 def null_if_nan(value: float | None) -> float | None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 from estimation.errors import DamagedError, PassingFaultError, TreadwatchError
 from estimation.jobs.hand_out import Unit, hand_out, unit_size
@@ -25,21 +24,22 @@ from estimation.jobs.steps.failed_windows import (
     refuse_failed,
     release_others,
 )
-from estimation.jobs.steps.load_window import load_window, partner_digest
+from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.lost_windows import assemble_if_lost
 from estimation.jobs.steps.plausibility import judge_mileages
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
+from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.steps.window_inputs import BatchInputs, WindowInputs, inputs_of_batch
+from estimation.jobs.steps.window_tracks import tracks_of_batch
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import tabulate_window
-from estimation.values.geometry import BinTable
+from estimation.values.geometry import BinTable, WindowTable
 from estimation.values.quantities import Status
 from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import Mounting
 from estimation.values.track import AlignmentRecord, AlignmentSource, Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import WindowKey, WindowPosition, WindowRecord, WindowState
+from estimation.values.windows import WindowKey, WindowMark, WindowPosition, WindowRecord, WindowState
 
 
 def run(context: JobContext) -> Mapping[str, int]:
@@ -81,16 +81,22 @@ def _hand_out(context: JobContext, waiting: Sequence[str], total: int, counts: C
 
 
 def _units(context: JobContext, waiting: Sequence[str], size: int) -> Iterator[Unit]:
-    """Yield the keys of windows that are ready, in their order, so many together."""
+    """Yield the keys of windows that are ready, so many together: those of a vehicle, in order of running."""
     last: WindowKey | None = None
     while True:
         with context.storage.read() as unit:
             found = unit.windows.ready(_PAGE * size, waiting, last)
         if not found:
             return
-        last = found[-1].wheelset, found[-1].start_ns
-        for first in range(0, len(found), size):
-            yield tuple(key_of(record) for record in found[first : first + size])
+        last = found[-1].key
+        near = sorted(found, key=_running_order)
+        for first in range(0, len(near), size):
+            yield tuple(key_of(record) for record in near[first : first + size])
+
+
+def _running_order(record: WindowRecord) -> tuple[str, int, int]:
+    """Return what puts the windows of a bogie next to each other: each needs the samples of the other."""
+    return record.vehicle, record.start_ns, record.axle
 
 
 def _work(context: JobContext, keys: Sequence[str]) -> Mapping[str, int]:
@@ -125,20 +131,17 @@ _PAGE = 16  # units whose keys are read together
 
 @dataclass(frozen=True, slots=True)
 class _Work:
-    """A window, the alignment in force, and where the window was."""
+    """A window, and what it is estimated with."""
 
     record: WindowRecord
+    inputs: WindowInputs
     track: TrackAlignment | None
-    position: WindowPosition | None
-    assumed: Assumed | Reason  # of the vehicle
-    partner: str | None  # digest of the window on the other axle of the bogie
-    mounting: Mounting | None = None  # at the begin of the window
     layout: TrackLayout | None = None
 
     @property
     def mounted_reversed(self) -> bool:
         """Whether the wheelset is mounted the other way round."""
-        return self.mounting is not None and self.mounting.reversed
+        return self.inputs.mounting is not None and self.inputs.mounting.reversed
 
 
 _Outcome = tuple[_Work, BinTable | Reason]
@@ -158,9 +161,36 @@ def _store_all(context: JobContext, found: Sequence[_Outcome], counts: Counter[s
 
 
 def _stored(context: JobContext, found: Sequence[_Outcome]) -> list[str]:
+    """Store outcomes; windows that something has changed under since are still pending: the next batch takes them."""
     with context.storage.write() as unit:
-        classes = ClassLookup(unit, context.settings.estimation)
-        return [_store(unit, work, outcome, classes) for work, outcome in found]
+        now = {record.key: record for record in unit.windows.several([one.record.key for one, _ in found], held=True)}
+        inputs = inputs_of_batch(unit, list(now.values()), ClassLookup(unit, context.settings.estimation))
+        same = [(work, outcome) for work, outcome in found if not _changed(work, now.get(work.record.key), inputs)]
+        _store(unit, same)
+    changed = ["changed_meanwhile"] * (len(found) - len(same))
+    return changed + ["refused" if isinstance(outcome, Reason) else "estimated" for _, outcome in same]
+
+
+def _changed(work: _Work, now: WindowRecord | None, inputs: BatchInputs) -> bool:
+    """Whether something that a window was estimated with is another by now."""
+    return now is None or now.content_digest != work.record.content_digest or inputs.of(work.record.key) != work.inputs
+
+
+def _store(unit: UnitOfWork, found: Sequence[_Outcome]) -> None:
+    tables, marks, refused = [], [], {}
+    for work, outcome in found:
+        record, version = work.record, work.track.version if work.track is not None else None
+        if isinstance(outcome, Reason):
+            refusal = in_place_of_quality(outcome, record.quality)
+            marks.append(WindowMark(*record.key, WindowState.REFUSED, refusal))
+            refused[record.key] = version
+            assemble_if_lost(unit, record, outcome)
+        else:
+            tables.append(WindowTable(*record.key, record.content_digest, outcome, version))
+            marks.append(WindowMark(*record.key, WindowState.ESTIMATED))
+    unit.tables.put_all(tables)
+    unit.windows.mark_all(marks)
+    unit.epochs.note_all_refused(refused)
 
 
 def _requeue(
@@ -198,118 +228,51 @@ def _compute(
 ) -> list[_Outcome | FailedWindow]:
     """Return what the windows come to that are still ready."""
     with context.storage.read() as unit:
-
-        @lru_cache
-        def in_force(section: str) -> AlignmentRecord | None:
-            return unit.tracks.in_force(section)
-
-        @lru_cache
-        def of_version(section: str, version: int) -> TrackAlignment | None:
-            return unit.tracks.alignment(section, version)
-
-        def alignment(record: WindowRecord) -> TrackAlignment | None:
-            section = record.track_section
-            if section is None:
-                return None
-            now = in_force(section)
-            version = None if now is None else now.version
-            version = unit.epochs.alignment_version(record.wheelset, record.start_ns, version)
-            return None if version is None else of_version(section, version)
-
-        @lru_cache
-        def layout(section: str | None) -> TrackLayout | None:
-            return unit.tracks.layout(section) if section is not None else None
-
-        classes = ClassLookup(unit, settings)
+        records = sorted(unit.windows.pending(keys), key=_running_order)
+        tracks = tracks_of_batch(unit, records)
+        batch = inputs_of_batch(unit, records, ClassLookup(unit, settings))
+        loader = WindowLoader(unit, batch.vehicles, batch.records)
 
         def computed(record: WindowRecord) -> _Outcome | None:
-            position = unit.tracks.position(record.wheelset, record.start_ns)
-            section = record.track_section
-            now = None if section is None else in_force(section)
-            placed = position is not None and position.content_digest == record.content_digest
-            if now is not None and _waits_for_place(now) and not placed:
+            inputs, now = batch.of(record.key), tracks.in_force(record)
+            if now is not None and _waits_for_place(now) and not _placed(record, inputs.position):
                 return None  # its position has been taken back since it was handed out
-            assumed = classes.assumed(record.vehicle, record.wheelset)
-            partner = _partner(unit, record, assumed)
-            work = _Work(
-                record, alignment(record), position, assumed, partner, _mounting(unit, record), layout(section)
-            )
-            return work, _outcome(unit, work)
+            work = _Work(record, inputs, tracks.alignment(record), tracks.layout(record))
+            return work, _outcome(loader, work)
 
-        found = [attempted(computed, record) for record in unit.windows.pending(keys)]
+        found = [attempted(computed, record) for record in records]
     return [one for one in found if one is not None]
 
 
-def _outcome(unit: UnitOfWork, work: _Work) -> BinTable | Reason:
-    if work.record.implausible is not None:
-        return work.record.implausible
-    if isinstance(work.assumed, Reason):
-        return work.assumed
-    parameters = work.assumed.windows
+def _placed(record: WindowRecord, position: WindowPosition | None) -> bool:
+    """Whether the position of a window was found from its samples."""
+    return position is not None and position.content_digest == record.content_digest
+
+
+def _outcome(loader: WindowLoader, work: _Work) -> BinTable | Reason:
+    record, assumed, position = work.record, work.inputs.assumed, work.inputs.position
+    if record.implausible is not None:
+        return record.implausible
+    if isinstance(assumed, Reason):
+        return assumed
+    parameters = assumed.windows
     try:
-        window = load_window(unit, work.record, parameters.vehicle_class)
+        window = loader.load(record, parameters.vehicle_class)
     except DamagedError as error:
         return Reason(ReasonCode.FILE_DAMAGED, str(error))  # names the file; the other windows go on
     if isinstance(window, Reason):
         return window
-    position = work.position
     if position is not None and position.reason is not None and position.reason.code in TRIED_AGAIN:
         raise PassingFaultError(position.reason.text, code=position.reason.code)  # it is looked for again, too
-    if position is None or position.content_digest != work.record.content_digest:
-        return tabulate_window(
-            window, work.track, parameters, mounted_reversed=work.mounted_reversed, layout=work.layout
-        )
-    correction = Correction(position.offset_m, position.scale, position.middle_m)
+    correction, misplaced = None, None
+    if position is not None and _placed(record, position):
+        correction, misplaced = Correction(position.offset_m, position.scale, position.middle_m), position.reason
     return tabulate_window(
         window,
         work.track,
         parameters,
         correction,
-        position.reason,
+        misplaced,
         mounted_reversed=work.mounted_reversed,
         layout=work.layout,
     )
-
-
-def _store(unit: UnitOfWork, work: _Work, outcome: BinTable | Reason, classes: ClassLookup) -> str:
-    record = work.record
-    if _changed(unit, work, classes):
-        return "changed_meanwhile"  # still pending: the next batch takes it
-    version = work.track.version if work.track is not None else None
-    if isinstance(outcome, Reason):
-        refusal = in_place_of_quality(outcome, record.quality)
-        unit.windows.mark(record.wheelset, record.start_ns, WindowState.REFUSED, refusal)
-        unit.epochs.note_refused(record.wheelset, record.start_ns, version)
-        assemble_if_lost(unit, record, outcome)
-        return "refused"
-    unit.tables.put(record.wheelset, record.start_ns, outcome, version, record.content_digest)
-    unit.windows.mark(record.wheelset, record.start_ns, WindowState.ESTIMATED)
-    return "estimated"
-
-
-def _changed(unit: UnitOfWork, work: _Work, classes: ClassLookup) -> bool:
-    """Whether something that a window was estimated with is another by now."""
-    record = work.record
-    now = unit.windows.get(record.wheelset, record.start_ns)
-    if now is None or now.content_digest != record.content_digest:
-        return True
-    assumed = classes.assumed(record.vehicle, record.wheelset)
-    return (
-        unit.tracks.position(record.wheelset, record.start_ns) != work.position
-        or _layout_version(unit, record.track_section) != (work.layout.version if work.layout is not None else None)
-        or assumed != work.assumed
-        or _mounting(unit, record) != work.mounting
-        or _partner(unit, record, assumed) != work.partner
-    )
-
-
-def _mounting(unit: UnitOfWork, record: WindowRecord) -> Mounting | None:
-    return unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
-
-
-def _partner(unit: UnitOfWork, record: WindowRecord, assumed: Assumed | Reason) -> str | None:
-    return None if isinstance(assumed, Reason) else partner_digest(unit, record, assumed.windows.vehicle_class)
-
-
-def _layout_version(unit: UnitOfWork, section: str | None) -> int | None:
-    return unit.tracks.layout_version(section) if section is not None else None

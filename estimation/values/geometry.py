@@ -12,6 +12,7 @@ from estimation.values.arrays import FloatArray, IntArray, bin_centres, frozen_a
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
+from estimation.values.windows import WindowKey
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +90,22 @@ class FilledCells:
             samples=self.samples,
             windows=self.windows,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class WindowTable:
+    """The bin table of a window, and what it was made from."""
+
+    wheelset: str
+    start_ns: int
+    window_digest: str  # of the content of the window
+    table: BinTable
+    track_version: int | None = None  # of the alignment
+
+    @property
+    def key(self) -> WindowKey:
+        """Wheelset and start."""
+        return self.wheelset, self.start_ns
 
 
 @dataclass(frozen=True, slots=True)

@@ -144,6 +144,27 @@ class WindowRecord:
     content_digest: str  # sha256 of the samples; the same content again changes nothing
     recorded_ns: int
     implausible: Reason | None = None  # why its mileage is not believed
+    samples_purged: bool = False
+
+    @property
+    def key(self) -> WindowKey:
+        """Wheelset and start."""
+        return self.wheelset, self.start_ns
+
+
+@dataclass(frozen=True, slots=True)
+class WindowMark:
+    """A window and the state that it is to have."""
+
+    wheelset: str
+    start_ns: int
+    state: WindowState
+    reason: Reason | None = None  # of a refusal
+
+    @property
+    def key(self) -> WindowKey:
+        """Wheelset and start."""
+        return self.wheelset, self.start_ns
 
 
 @dataclass(frozen=True, slots=True)

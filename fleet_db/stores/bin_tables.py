@@ -8,18 +8,19 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, and_, or_, select
+from sqlalchemy import Connection, Row, Select, and_, or_, select
 
-from estimation.errors import ConflictError
-from estimation.values.geometry import BinTable, FilledCells, TableKey
+from estimation.errors import ConflictError, NotFoundError
+from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTable
 from estimation.values.roll_up import TabledWindow
-from estimation.values.windows import WindowRecord
+from estimation.values.windows import WindowKey, WindowRecord
 from fleet_db.changes import Changes
 from fleet_db.models import WindowBinTableRow, WindowRow
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
-from fleet_db.rows import insert_new, key_given, key_of, replace, table_of
+from fleet_db.rows import insert_all_new, replace, table_of
 from fleet_db.stores.taken_tables import take_back
-from fleet_db.stores.windows import content_digest, to_window_record
+from fleet_db.stores.window_marks import keys_given
+from fleet_db.stores.windows import to_window_record
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 SAME_WINDOW = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
@@ -44,35 +45,49 @@ class BinTableStore:
         ConflictError
             The window holds other content now than ``window_digest``.
         """
-        if content_digest(self.connection, wheelset, start_ns) != window_digest:
-            key = f"{wheelset}@{start_ns}"
-            raise ConflictError(f"window {key} was replaced while it was estimated", kind="window", key=key)
-        packed = pack_bin_table(table)
-        values = {
-            "wheelset": wheelset,
-            "start_ns": start_ns,
-            "track_version": track_version,
-            "window_digest": window_digest,
-            "parameter_key": table.parameter_key,
-            "samples": int(table.samples),
-            "content_digest": hashlib.sha256(packed).hexdigest(),
-            "packed": packed,
-        }
-        if self._stored(values):
-            self.changes.note(wheelset, shown=False)  # its geometry follows
+        self.put_all([WindowTable(wheelset, start_ns, window_digest, table, track_version)])
 
-    def _stored(self, values: Mapping[str, Any]) -> bool:
-        """Store a row, with another one in its place taken from its roll-up; return whether anything changed."""
-        if insert_new(self.connection, TABLES, values):
-            return True
-        found = (
-            self.connection.execute(select(TABLES).where(key_given(TABLES)), key_of(TABLES, values)).mappings().one()
-        )
-        if all(found[name] == value for name, value in values.items()):
-            return False
-        take_back(self.connection, values["wheelset"], values["start_ns"])
-        replace(self.connection, TABLES, values)
-        return True
+    def put_all(self, tables: Sequence[WindowTable]) -> None:
+        """Store the bin tables of different windows as :meth:`put` does.
+
+        Raises
+        ------
+        NotFoundError, ConflictError
+            As :meth:`put`.
+        """
+        self._check([(one.key, one.window_digest) for one in tables])
+        values = {one.key: _values(one) for one in tables}
+        stored = self._stored(list(values))
+        new = [row for key, row in values.items() if key not in stored]
+        if insert_all_new(self.connection, TABLES, new) < len(new):  # another transaction has stored some meanwhile
+            stored = self._stored(list(values))
+        for key, row in values.items():
+            if key in stored:
+                if all(getattr(stored[key], name) == row[name] for name in COMPARED):
+                    continue
+                take_back(self.connection, *key)
+                replace(self.connection, TABLES, row)
+            self.changes.note(key[0], shown=False)  # its geometry follows
+
+    def _check(self, expected: Sequence[tuple[WindowKey, str]]) -> None:
+        digests = self._by_key(_digests(), [key for key, _ in expected])
+        for key, digest in expected:
+            name = f"{key[0]}@{key[1]}"
+            if key not in digests:
+                raise NotFoundError("window", name)
+            if digests[key].content_digest != digest:
+                raise ConflictError(f"window {name} was replaced while it was estimated", kind="window", key=name)
+
+    def _stored(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, Row[Any]]:
+        """Return by key what is compared of the tables that are there."""
+        return self._by_key(_compared(), keys)
+
+    def _by_key(self, statement: Select[Any], keys: Sequence[WindowKey]) -> dict[WindowKey, Row[Any]]:
+        found: dict[WindowKey, Row[Any]] = {}
+        for first in range(0, len(keys), BATCH):
+            for row in self.connection.execute(statement, {"keys": keys[first : first + BATCH]}):
+                found[row.wheelset, row.start_ns] = row
+        return found
 
     def parameter_keys(self) -> Sequence[TableKey]:
         """Return every combination of wheelset, vehicle and parameters of which there is a table."""
@@ -186,6 +201,34 @@ class BinTableStore:
             for row in found:
                 where = f"bin table of window {wheelset}@{row.start_ns}"
                 yield to_window_record(row), unpack_bin_table(row.packed, where=where), row.track_version
+
+
+COMPARED = ("track_version", "window_digest", "parameter_key", "samples", "content_digest", "packed")
+
+
+def _values(one: WindowTable) -> dict[str, Any]:
+    packed = pack_bin_table(one.table)
+    return {
+        "wheelset": one.wheelset,
+        "start_ns": one.start_ns,
+        "track_version": one.track_version,
+        "window_digest": one.window_digest,
+        "parameter_key": one.table.parameter_key,
+        "samples": int(one.table.samples),
+        "content_digest": hashlib.sha256(packed).hexdigest(),
+        "packed": packed,
+    }
+
+
+@cache
+def _digests() -> Select[Any]:
+    return select(WINDOWS.c.wheelset, WINDOWS.c.start_ns, WINDOWS.c.content_digest).where(keys_given(WINDOWS))
+
+
+@cache
+def _compared() -> Select[Any]:
+    names = ("wheelset", "start_ns", *COMPARED)
+    return select(*(TABLES.c[name] for name in names)).where(keys_given(TABLES))
 
 
 @cache

@@ -19,7 +19,7 @@ from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.rows import reason_columns, table_of
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
-from fleet_db.stores.windows import pass_over
+from fleet_db.stores.window_marks import pass_over
 
 WINDOWS, POSITIONS = table_of(WindowRow), table_of(WindowPositionRow)
 ALIGNMENTS, VERSIONS = table_of(TrackAlignmentRow), table_of(TrackVersionRow)

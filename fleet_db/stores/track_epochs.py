@@ -4,13 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Select, and_, case, delete, func, insert, or_, select, update
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Select,
+    Update,
+    and_,
+    bindparam,
+    case,
+    delete,
+    func,
+    insert,
+    or_,
+    select,
+    update,
+)
 
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track_epochs import OPEN_NS, EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
-from estimation.values.windows import WindowRecord, WindowState
+from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.models import (
     TrackEpochRow,
     TrackEpochVehicleRow,
@@ -20,6 +35,7 @@ from fleet_db.models import (
     WindowRow,
 )
 from fleet_db.rows import insert_new, replace, table_of, upsert
+from fleet_db.stores.window_marks import BATCH, keys_given
 from fleet_db.stores.windows import to_window_record
 
 EPOCHS, MEMBERS, WINDOWS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow), table_of(WindowRow)
@@ -71,6 +87,18 @@ def _newer(first: ColumnElement[Any], second: ColumnElement[Any]) -> ColumnEleme
 
 
 _WANTED = _newer(_newer(EPOCHS.c.estimated_on, _FINAL.c.same_since), _OF_VEHICLE)
+
+
+@cache
+def _wanted() -> Select[Any]:
+    columns = (MEMBERS.c.wheelset, MEMBERS.c.start_ns, _WANTED.label("wanted"))
+    return select(*columns).select_from(_CHAIN).where(keys_given(MEMBERS))
+
+
+@cache
+def _refused() -> Update:
+    this = (MEMBERS.c.wheelset == bindparam("of_wheelset"), MEMBERS.c.start_ns == bindparam("of_start_ns"))
+    return update(MEMBERS).where(*this).values(estimated_version=bindparam("version"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,14 +227,25 @@ class EpochStore:
         newest that holds what was found of its vehicle alone. The last is that of the last epoch that holds all its
         windows: one that windows still come for is computed again and again. What it finds of a survey counts at once.
         """
-        key = (MEMBERS.c.wheelset == wheelset, MEMBERS.c.start_ns == start_ns)
-        row = self.connection.execute(select(_WANTED.label("wanted")).select_from(_CHAIN).where(*key)).first()
-        return in_force if row is None else row.wanted
+        return self.alignment_versions([(wheelset, start_ns)]).get((wheelset, start_ns), in_force)
+
+    def alignment_versions(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, int | None]:
+        """Return by wheelset and start the versions of :meth:`alignment_version` of those windows that epochs hold."""
+        found = {}
+        for first in range(0, len(keys), BATCH):
+            for row in self.connection.execute(_wanted(), {"keys": keys[first : first + BATCH]}):
+                found[row.wheelset, row.start_ns] = row.wanted
+        return found
 
     def note_refused(self, wheelset: str, start_ns: int, version: int | None) -> None:
         """Record on which version of the alignment a window has been refused."""
-        key = (MEMBERS.c.wheelset == wheelset, MEMBERS.c.start_ns == start_ns)
-        self.connection.execute(update(MEMBERS).where(*key).values(estimated_version=version))
+        self.note_all_refused({(wheelset, start_ns): version})
+
+    def note_all_refused(self, versions: Mapping[WindowKey, int | None]) -> None:
+        """Record by wheelset and start on which versions of their alignments windows have been refused."""
+        rows = [{"of_wheelset": key[0], "of_start_ns": key[1], "version": version} for key, version in versions.items()]
+        if rows:
+            self.connection.execute(_refused(), rows)
 
     def outdated(self) -> Sequence[tuple[str, int]]:
         """Return (wheelset, start) of windows that were estimated on another version than they are to be."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, Select, and_, delete, exists, func, insert, select, update
+from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.quantities import Status
@@ -20,7 +20,7 @@ from estimation.values.track import (
     TrackReport,
     TrackSectionRecord,
 )
-from estimation.values.windows import WindowPosition
+from estimation.values.windows import WindowKey, WindowPosition
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import (
     TrackAlignmentRow,
@@ -38,6 +38,7 @@ from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, 
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.track_epochs import EpochStore
+from fleet_db.stores.window_positions import positions_of
 
 LAYOUTS = table_of(TrackLayoutRow)
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
@@ -256,9 +257,11 @@ class TrackStore:
 
     def position(self, wheelset: str, start_ns: int) -> WindowPosition | None:
         """Return where a window was, if that has been looked at."""
-        key = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
-        row = self.connection.execute(select(POSITIONS).where(*key)).first()
-        return None if row is None else _position(row)
+        return self.positions([(wheelset, start_ns)]).get((wheelset, start_ns))
+
+    def positions(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, WindowPosition]:
+        """Return by wheelset and start where those of some windows were that have been looked at."""
+        return positions_of(self.connection, keys)
 
     def put_position(self, position: WindowPosition) -> bool:
         """Store where a window was, in the place of what was known; return whether that has changed."""
@@ -307,12 +310,6 @@ class TrackStore:
 
     def _sections(self, statement: Select[Any]) -> Sequence[TrackSectionRecord]:
         return [TrackSectionRecord(*row) for row in self.connection.execute(statement)]
-
-
-def _position(row: Row[Any]) -> WindowPosition:
-    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
-    del fields["reason_code"]
-    return WindowPosition(**(fields | {"reason": stored_reason(row)}))
 
 
 def _version_values(alignment: TrackAlignment, same_since: int, recorded_ns: int) -> dict[str, Any]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import builtins
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from sqlalchemy import (
-    ColumnElement,
     Connection,
     Row,
     Select,
@@ -20,7 +20,6 @@ from sqlalchemy import (
     or_,
     select,
     tuple_,
-    update,
 )
 
 from estimation.errors import NotFoundError, PurgedError
@@ -31,6 +30,7 @@ from estimation.values.windows import (
     PassedOver,
     Window,
     WindowKey,
+    WindowMark,
     WindowQuality,
     WindowRecord,
     WindowState,
@@ -49,6 +49,7 @@ from fleet_db.rows import (
     table_of,
 )
 from fleet_db.stores.taken_tables import take_back
+from fleet_db.stores.window_marks import BATCH, keys_given, mark_all, pass_over, remove_tables
 from fleet_db.telemetry import WindowFiles, window_digest
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
@@ -124,7 +125,7 @@ class WindowStore:
             # another transaction may have stored it since the look-up
             return insert_new(self.connection, WINDOWS, values) or self.put(window, mileage_km, recorded_ns)
         replace(self.connection, WINDOWS, values)
-        self._remove_table(window.wheelset, window.start_ns)
+        remove_tables(self.connection, self.changes, [(window.wheelset, window.start_ns)])
         return True
 
     def ready(
@@ -155,6 +156,23 @@ class WindowStore:
         key = (WINDOWS.c.wheelset, WINDOWS.c.start_ns)
         wanted = (tuple_(*key).in_(keys), WINDOWS.c.state == WindowState.PENDING.value)
         return self._records(select(WINDOWS).where(*wanted).order_by(*key))
+
+    def several(self, keys: Sequence[WindowKey], *, held: bool = False) -> Sequence[WindowRecord]:
+        """Return the records of some windows, by wheelset and start; those that are not there are left out.
+
+        Parameters
+        ----------
+        keys
+            Of the windows.
+        held
+            Whether nobody else may change them until this transaction, which writes, has ended.
+        """
+        found: builtins.list[WindowRecord] = []
+        ordered = sorted(set(keys))
+        for first in range(0, len(ordered), BATCH):
+            rows = self.connection.execute(_several(held), {"keys": ordered[first : first + BATCH]})
+            found += [to_window_record(row) for row in rows]
+        return found
 
     def get(self, wheelset: str, start_ns: int) -> WindowRecord | None:
         """Return one window's record."""
@@ -225,8 +243,20 @@ class WindowStore:
         """
         row = _digest(self.connection, wheelset, start_ns)
         if row.samples_purged_ns is not None:
-            raise PurgedError(f"the samples of window {wheelset}@{start_ns} have been purged")
+            raise _purged(wheelset, start_ns)
         return self.files.load(row.content_digest)
+
+    def samples(self, record: WindowRecord) -> Window:
+        """Return the window of a record that this transaction has read.
+
+        Raises
+        ------
+        PurgedError, DamagedError
+            As :meth:`load`.
+        """
+        if record.samples_purged:
+            raise _purged(record.wheelset, record.start_ns)
+        return self.files.load(record.content_digest)
 
     def mark(self, wheelset: str, start_ns: int, state: WindowState, reason: Reason | None = None) -> bool:
         """Set the state of a window; one that is refused loses its bin table. Return whether it has that state now.
@@ -238,23 +268,17 @@ class WindowStore:
         NotFoundError
             There is no such window.
         """
-        key = {"wheelset": wheelset, "start_ns": start_ns}
-        before = self.connection.execute(STANDING, key_of(WINDOWS, key)).first()
-        if before is None:
-            raise NotFoundError("window", f"{wheelset}@{start_ns}")
-        after = {"state": state.value, **reason_columns(reason)}
-        if all(getattr(before, name) == value for name, value in after.items()):
-            return True
-        if before.samples_purged_ns is not None:
-            self.pass_over(wheelset, start_ns, PassedOver.SUPERSEDED)
-            return False
-        replace(self.connection, WINDOWS, {**key, **after})
-        if before.state != state.value:
-            refused = WindowState.REFUSED.value in {before.state, state.value}  # else the newest usable one stays
-            self.changes.note(wheelset, shown=refused)
-        if state is WindowState.REFUSED:
-            self._remove_table(wheelset, start_ns)
-        return True
+        return bool(self.mark_all([WindowMark(wheelset, start_ns, state, reason)]))
+
+    def mark_all(self, marks: Sequence[WindowMark]) -> Sequence[WindowMark]:
+        """Set the states of several windows as :meth:`mark` does; return those that have their states now.
+
+        Raises
+        ------
+        NotFoundError
+            There is no such window.
+        """
+        return mark_all(self.connection, self.changes, marks)
 
     def pass_over(self, wheelset: str, start_ns: int, what: PassedOver) -> None:
         """Note what would have changed a window that stays as it is; that its table is wrong stands before the rest."""
@@ -339,56 +363,8 @@ class WindowStore:
         self.changes.note(window.wheelset)
         return True
 
-    def _remove_table(self, wheelset: str, start_ns: int) -> None:
-        take_back(self.connection, wheelset, start_ns)
-        result = self.connection.execute(
-            delete(TABLES).where(TABLES.c.wheelset == wheelset, TABLES.c.start_ns == start_ns)
-        )
-        if result.rowcount:
-            self.changes.note(wheelset, shown=False)
-
     def _records(self, statement: Select[Any]) -> builtins.list[WindowRecord]:
         return [to_window_record(row) for row in self.connection.execute(statement)]
-
-
-def content_digest(connection: Connection, wheelset: str, start_ns: int) -> str:
-    """Return the digest of a window's content.
-
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    wheelset
-        Serial.
-    start_ns
-        Start of the window, ns UTC on the vehicle's clock.
-
-    Raises
-    ------
-    NotFoundError
-        There is no such window.
-    """
-    return str(_digest(connection, wheelset, start_ns).content_digest)
-
-
-def pass_over(connection: Connection, chosen: ColumnElement[bool], what: PassedOver) -> int:
-    """Note what would have changed windows that stay as they are; return of how many it was not known.
-
-    That a table is wrong stands before the rest.
-
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    chosen
-        Which windows.
-    what
-        Would have changed them.
-    """
-    weaker = [one.value for one in PassedOver][: list(PassedOver).index(what)]
-    open_ = or_(WINDOWS.c.passed_over.is_(None), WINDOWS.c.passed_over.in_(weaker))
-    noted = update(WINDOWS).where(chosen, open_).values(passed_over=what.value)
-    return connection.execute(noted.execution_options(preserve_rowcount=True)).rowcount
 
 
 def _digest(connection: Connection, wheelset: str, start_ns: int) -> Row[Any, Any]:
@@ -396,6 +372,16 @@ def _digest(connection: Connection, wheelset: str, start_ns: int) -> Row[Any, An
     if row is None:
         raise NotFoundError("window", f"{wheelset}@{start_ns}")
     return row
+
+
+def _purged(wheelset: str, start_ns: int) -> PurgedError:
+    return PurgedError(f"the samples of window {wheelset}@{start_ns} have been purged")
+
+
+@cache
+def _several(held: bool) -> Select[Any]:  # noqa: FBT001 - a key of the cache
+    statement = select(WINDOWS).where(keys_given(WINDOWS)).order_by(*WINDOWS.primary_key)
+    return statement.with_for_update(key_share=True) if held else statement
 
 
 def to_window_record(row: Row[Any]) -> WindowRecord:
@@ -425,6 +411,7 @@ def to_window_record(row: Row[Any]) -> WindowRecord:
         content_digest=row.content_digest,
         recorded_ns=row.recorded_ns,
         implausible=implausible_reason(row),
+        samples_purged=row.samples_purged_ns is not None,
     )
 
 

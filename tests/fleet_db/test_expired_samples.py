@@ -167,7 +167,7 @@ def test_the_same_recording_again_changes_nothing(fleet: SqlStorage) -> None:
     with fleet.write() as unit:
         assert not unit.windows.put(make.window(0), 100.0, 3)
         assert unit.windows.put(make.window(0), 101.0, 3)  # another mileage needs no samples
-        assert unit.windows.get("WS-1", make.START) == replace(before, mileage_km=101.0)
+        assert unit.windows.get("WS-1", make.START) == replace(before, mileage_km=101.0, samples_purged=True)
         with pytest.raises(DamagedError):
             unit.windows.load("WS-1", make.START)
     assert list(fleet.data_dir.rglob("*.window")) == []

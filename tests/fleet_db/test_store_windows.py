@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from threading import Thread
 
 import pytest
 import stored_values as make
@@ -11,9 +12,10 @@ from same_values import same_values
 
 from api.schemas import windows
 from estimation.errors import ConflictError, NotFoundError, StorageError
+from estimation.values.geometry import WindowTable
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Reprofiling
-from estimation.values.windows import WindowState
+from estimation.values.windows import WindowMark, WindowState
 from fleet_db.storage import SqlStorage
 from fleet_db.telemetry import WindowFiles, window_digest
 
@@ -167,6 +169,72 @@ def test_bin_tables_stream_in_the_order_of_time(fleet: SqlStorage) -> None:
         assert {version for _, _, version in found} == {3}
         assert len(list(unit.tables.stream("WS-1", 0, None))) == 3
         assert list(unit.tables.stream("WS-2", 0, None)) == []
+
+
+def test_tables_and_states_of_several_windows_are_stored_together(fleet: SqlStorage) -> None:
+    put(fleet, *range(5))
+    estimate(fleet, 0)
+    estimate(fleet, 1)
+    estimate(fleet, 4)
+    mark_estimated(fleet)
+    starts = [make.window(index).start_ns for index in range(5)]
+    keys = [("WS-1", start_ns) for start_ns in starts]
+    with fleet.write() as unit:
+        records = unit.windows.several([*reversed(keys), ("WS-1", 5)], held=True)
+        assert [record.key for record in records] == keys
+        tables = [
+            WindowTable(*record.key, record.content_digest, make.bin_table(seed), version)
+            for record, seed, version in zip(records, (0, 7, 2, 3), (3, 3, 3, None), strict=False)
+        ]
+        unit.tables.put_all(tables)  # the same, another one, and two new ones
+        states = (WindowState.ESTIMATED, WindowState.PENDING, WindowState.ESTIMATED, WindowState.ESTIMATED)
+        marks = [WindowMark(*key, state) for key, state in zip(keys, states, strict=False)]
+        marks.append(WindowMark(*keys[4], WindowState.REFUSED, SLOW))
+        assert unit.windows.mark_all(marks) == marks
+    with fleet.read() as unit:
+        found = {record.start_ns: (table, version) for record, table, version in unit.tables.stream("WS-1", 0, None)}
+        assert list(found) == starts[:4]  # a refused window loses its own
+        for one in tables:
+            assert make.same(found[one.start_ns], (one.table, one.track_version))
+        assert [record.state for record in unit.windows.several(keys)] == [mark.state for mark in marks]
+        assert [record.reason for record in unit.windows.several(keys)] == [mark.reason for mark in marks]
+    assert stale(fleet) == ["WS-1"]
+
+
+def test_nothing_is_stored_of_several_windows_where_one_is_unknown_or_another(fleet: SqlStorage) -> None:
+    put(fleet, 0, 1)
+    digest = window_digest(make.window(0))
+    good = WindowTable("WS-1", make.START, digest, make.bin_table(), 3)
+    for bad, error in (
+        (replace(good, start_ns=make.window(1).start_ns), ConflictError),
+        (replace(good, start_ns=5), NotFoundError),
+    ):
+        with pytest.raises(error), fleet.write() as unit:
+            unit.tables.put_all([good, bad])
+    with pytest.raises(NotFoundError), fleet.write() as unit:
+        unit.windows.mark_all([WindowMark("WS-1", start_ns, WindowState.ESTIMATED) for start_ns in (make.START, 5)])
+    with fleet.read() as unit:
+        assert list(unit.tables.stream("WS-1", 0, None)) == []
+        assert unit.windows.counts()["pending"] == 2
+        assert unit.windows.several([]) == []
+
+
+def test_a_window_that_is_held_is_not_replaced_until_the_transaction_has_ended(fleet: SqlStorage) -> None:
+    put(fleet, 0)
+    done: list[bool] = []
+
+    def replaced() -> None:
+        with fleet.write() as unit:
+            done.append(unit.windows.put(make.window(0, seed=9), 10.0, 60))
+
+    with fleet.write() as unit:
+        unit.windows.several([("WS-1", make.START)], held=True)
+        other = Thread(target=replaced)
+        other.start()
+        other.join(0.3)
+        assert not done
+    other.join()
+    assert done == [True]
 
 
 def test_a_bin_table_of_replaced_content_is_refused(fleet: SqlStorage) -> None:

@@ -1,0 +1,134 @@
+"""States of windows, many at once, and what would have changed those that stay as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, delete, or_, select, tuple_, update
+
+from estimation.errors import NotFoundError
+from estimation.values.windows import PassedOver, WindowKey, WindowMark, WindowState
+from fleet_db.changes import Changes
+from fleet_db.models import WindowBinTableRow, WindowRow
+from fleet_db.rows import reason_columns, replace_all, table_of
+from fleet_db.stores.taken_tables import take_back
+
+WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
+BATCH = 500  # keys in a statement
+
+
+def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
+    """Return the condition that the key of a row is among the parameters ``keys``.
+
+    Parameters
+    ----------
+    table
+        With the columns ``wheelset`` and ``start_ns``.
+    """
+    return tuple_(table.c.wheelset, table.c.start_ns).in_(bindparam("keys", expanding=True))
+
+
+def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMark]) -> list[WindowMark]:
+    """Set states of windows; those that are refused lose their bin tables. Return those that have their states now.
+
+    A window whose samples have been purged stays as it is; that it was to change is noted.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    changes
+        In which they are noted.
+    marks
+        Of different windows.
+
+    Raises
+    ------
+    NotFoundError
+        There is no such window.
+    """
+    standing = _standing(connection, [mark.key for mark in marks])
+    held, changed, gone = [], [], []
+    for mark in marks:
+        before = standing.get(mark.key)
+        if before is None:
+            raise NotFoundError("window", f"{mark.wheelset}@{mark.start_ns}")
+        after = {"state": mark.state.value, **reason_columns(mark.reason)}
+        same = all(getattr(before, name) == value for name, value in after.items())
+        if not same and before.samples_purged_ns is not None:
+            this = and_(WINDOWS.c.wheelset == mark.wheelset, WINDOWS.c.start_ns == mark.start_ns)
+            if pass_over(connection, this, PassedOver.SUPERSEDED):
+                changes.note(mark.wheelset)
+            continue
+        held.append(mark)
+        if not same:
+            changed.append({"wheelset": mark.wheelset, "start_ns": mark.start_ns, **after})
+            if mark.state is WindowState.REFUSED:
+                gone.append(mark.key)
+            if before.state != mark.state.value:
+                refused = WindowState.REFUSED.value in {before.state, mark.state.value}  # else the newest usable stays
+                changes.note(mark.wheelset, shown=refused)
+    replace_all(connection, WINDOWS, changed)
+    remove_tables(connection, changes, gone)
+    return held
+
+
+def remove_tables(connection: Connection, changes: Changes, keys: Sequence[WindowKey]) -> None:
+    """Remove the bin tables of some windows, where there are any.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    changes
+        In which they are noted.
+    keys
+        Of the windows.
+    """
+    for first in range(0, len(keys), BATCH):
+        for row in connection.execute(_tabled(), {"keys": keys[first : first + BATCH]}).all():
+            take_back(connection, row.wheelset, row.start_ns)
+            same = (TABLES.c.wheelset == row.wheelset, TABLES.c.start_ns == row.start_ns)
+            connection.execute(delete(TABLES).where(*same))
+            changes.note(row.wheelset, shown=False)
+
+
+def pass_over(connection: Connection, chosen: ColumnElement[bool], what: PassedOver) -> int:
+    """Note what would have changed windows that stay as they are; return of how many it was not known.
+
+    That a table is wrong stands before the rest.
+
+    Parameters
+    ----------
+    connection
+        Of a writing transaction.
+    chosen
+        Which windows.
+    what
+        Would have changed them.
+    """
+    weaker = [one.value for one in PassedOver][: list(PassedOver).index(what)]
+    open_ = or_(WINDOWS.c.passed_over.is_(None), WINDOWS.c.passed_over.in_(weaker))
+    noted = update(WINDOWS).where(chosen, open_).values(passed_over=what.value)
+    return connection.execute(noted.execution_options(preserve_rowcount=True)).rowcount
+
+
+def _standing(connection: Connection, keys: Sequence[WindowKey]) -> dict[WindowKey, Row[Any]]:
+    found: dict[WindowKey, Row[Any]] = {}
+    for first in range(0, len(keys), BATCH):
+        for row in connection.execute(_states(), {"keys": keys[first : first + BATCH]}):
+            found[row.wheelset, row.start_ns] = row
+    return found
+
+
+@cache
+def _states() -> Select[Any]:
+    names = ("wheelset", "start_ns", "state", "reason", "reason_code", "samples_purged_ns")
+    return select(*(WINDOWS.c[name] for name in names)).where(keys_given(WINDOWS))
+
+
+@cache
+def _tabled() -> Select[Any]:
+    return select(TABLES.c.wheelset, TABLES.c.start_ns).where(keys_given(TABLES)).order_by(*TABLES.primary_key)
