@@ -23,7 +23,7 @@ from estimation.estimators.paper_equations import PaperParameters, recursion_in_
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.motion.smooth_sampling import sample_smoothed
 from estimation.filters.smoothing_spline import remove_wander
-from estimation.tables.bin_table import BinParameters, init
+from estimation.tables.bin_table import BinParameters, fill_cells, group_of, init
 from estimation.tables.exact_sum import LARGEST, ExactSum, nothing
 from estimation.tables.least_squares import collect
 from estimation.track.panel.pass_rows import add_filtered_hats
@@ -33,6 +33,8 @@ from estimation.values.exact_table import HALF
 from estimation.values.geometry import FilledCells
 from estimation.values.motion import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.regression_kernels import Signals
+from estimation.vehicle.regressors import regression
 from estimation.vehicle.vehicle_class import BogieParameters
 from ingest.catalogue import default_catalogue
 from ingest.codec import decode, encode
@@ -104,6 +106,22 @@ def _moments() -> Iterator[FloatArray]:
     rng = np.random.default_rng(5)
     found = collect(rng.standard_normal((20, 3)), rng.standard_normal((20, 2)), np.arange(20) % 4 - 1, 3)
     yield from (found.packed, found.weight)
+
+
+def _bin_tables() -> Iterator[FloatArray]:
+    rng = np.random.default_rng(8)
+    n = 60
+    values = dict(zip(Signals._fields, 1e-2 * rng.standard_normal((len(Signals._fields), n)), strict=True))
+    values |= {"displacement": 3e-3 * rng.standard_normal(n), "speed": np.full(n, 20.0)}
+    valid, block = np.arange(n) % 7 > 0, np.arange(n) // 20 + 80_000_000
+    in_bogie = Motion(**values, valid=valid, block=block, band_limited=True)
+    alone = replace(in_bogie, frame_yaw=None, frame_yaw_rate=None, frame_displacement=None)
+    for motion, parameters in ((alone, BinParameters()), (in_bogie, BinParameters(wheelbase=2.5))):
+        cells = fill_cells(motion, parameters)
+        yield from (cells.weight, cells.lateral, cells.yaw)
+        equations = regression(motion, parameters.vehicle)
+        yield from (equations.lateral_targets, equations.yaw_targets)
+    yield group_of(block, 16).astype(float)
 
 
 def _smoothing_spline() -> Iterator[FloatArray]:
@@ -258,6 +276,7 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _paper,
     _stretches,
     _moments,
+    _bin_tables,
     _smoothing_spline,
     _exact_sums,
     _frames,

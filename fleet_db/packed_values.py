@@ -208,10 +208,16 @@ def unpack_wheel_pair(blob: bytes, *, where: str) -> tuple[Profile, Profile]:
     return left, right
 
 
-def pack_bin_table(table: BinTable) -> bytes:
+def pack_bin_table(table: BinTable | FilledCells) -> bytes:
     """Return ``table`` as one blob. A cell is empty when every bit of its weight and moments is zero."""
-    cells = np.concatenate([table.weight[:, :, None], table.lateral, table.yaw], axis=2)
-    filled: BoolArray = np.any(cells.view(np.int64), axis=2)
+    if isinstance(table, BinTable):
+        cells = np.concatenate([table.weight[:, :, None], table.lateral, table.yaw], axis=2)
+        filled: BoolArray = np.any(cells.view(np.int64), axis=2)
+        groups, columns = len(table.weight), cells[filled].T
+    else:
+        filled = np.zeros(table.groups * (len(table.edges) - 1), dtype=np.bool_)
+        filled[table.cells] = True
+        groups, columns = table.groups, np.concatenate([table.weight[None], table.lateral.T, table.yaw.T])
     return pack(
         BIN_TABLE,
         VERSION,
@@ -219,10 +225,10 @@ def pack_bin_table(table: BinTable) -> bytes:
             "parameter_key": table.parameter_key,
             "samples": int(table.samples),
             "windows": int(table.windows),
-            "groups": len(table.weight),
-            "lateral": table.lateral.shape[2],
+            "groups": groups,
+            "lateral": table.lateral.shape[-1],
         },
-        {"edges": table.edges, "filled": np.packbits(filled), "cells": np.ascontiguousarray(cells[filled].T)},
+        {"edges": table.edges, "filled": np.packbits(filled), "cells": np.ascontiguousarray(columns)},
     )
 
 

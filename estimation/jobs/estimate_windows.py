@@ -33,8 +33,8 @@ from estimation.jobs.steps.window_tracks import tracks_of_batch
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import UnitOfWork
-from estimation.tables.bin_table import tabulate_window
-from estimation.values.geometry import BinTable, WindowTable
+from estimation.tables.bin_table import cells_of_window
+from estimation.values.geometry import FilledCells, WindowTable
 from estimation.values.quantities import Status
 from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import Reason, ReasonCode
@@ -144,7 +144,7 @@ class _Work:
         return self.inputs.mounting is not None and self.inputs.mounting.reversed
 
 
-_Outcome = tuple[_Work, BinTable | Reason]
+_Outcome = tuple[_Work, FilledCells | Reason]
 
 
 def _store_all(context: JobContext, found: Sequence[_Outcome], counts: Counter[str]) -> list[FailedWindow]:
@@ -249,7 +249,7 @@ def _placed(record: WindowRecord, position: WindowPosition | None) -> bool:
     return position is not None and position.content_digest == record.content_digest
 
 
-def _outcome(loader: WindowLoader, work: _Work) -> BinTable | Reason:
+def _outcome(loader: WindowLoader, work: _Work) -> FilledCells | Reason:
     record, assumed, position = work.record, work.inputs.assumed, work.inputs.position
     if record.implausible is not None:
         return record.implausible
@@ -267,7 +267,7 @@ def _outcome(loader: WindowLoader, work: _Work) -> BinTable | Reason:
     correction, misplaced = None, None
     if position is not None and _placed(record, position):
         correction, misplaced = Correction(position.offset_m, position.scale, position.middle_m), position.reason
-    return tabulate_window(
+    return cells_of_window(
         window,
         work.track,
         parameters,

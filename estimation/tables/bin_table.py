@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from estimation.errors import ParameterError
 from estimation.motion.parameters import WindowParameters
 from estimation.motion.window_motion import window_motion
+from estimation.tables import bin_kernels as kernels
 from estimation.tables import least_squares
 from estimation.tables.table_sum import TableSum
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
@@ -27,12 +28,12 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, SHARED_IN_BOGIE, YAW_TARGETS, regression
+from estimation.vehicle.regression_kernels import signals_of
+from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, SHARED_IN_BOGIE, YAW_TARGETS, coefficients
 from estimation.vehicle.sensor_noise import difference_noise
 from estimation.vehicle.vehicle_class import VehicleClass
 
 TABLE_VERSION = 5
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +107,9 @@ def group_of(block: IntArray, groups: int) -> IntArray:
     groups
         Number of groups.
     """
-    turn = (block // groups).astype(np.uint64) * _GOLDEN >> np.uint64(32)  # spreads any regular step evenly
-    return np.asarray((block + (turn * np.uint64(groups) >> np.uint64(32)).astype(np.int64)) % groups)
+    found = np.empty(len(block), np.int64)
+    kernels.write_groups(np.asarray(block, np.int64), groups, found)
+    return found
 
 
 def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
@@ -120,31 +122,52 @@ def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
     parameters
         Bins, groups, and the vehicle of Eq. 1 and Eq. 2.
     """
-    edges = parameters.edges
-    bins = len(edges) - 1
-    position = (motion.displacement - edges[0]) / parameters.width
-    inside = motion.valid & (motion.block >= 0) & np.isfinite(position) & (position >= 0) & (position < bins)
-    index = np.where(inside, position, 0.0).astype(np.int64)
-    u = position - index - 0.5
-    cell = np.where(inside, group_of(motion.block, parameters.groups) * bins + index, -1)
-    equations = regression(motion, parameters.vehicle, parameters.difference_noise, parameters.wheelbase or 1.0)
-    x1, x2 = equations.lateral.T
-    *first, c = equations.yaw.T
-    targets = equations.yaw_targets.copy()
-    targets[:, YAW_TARGETS.index("noise")] += c * fast_noise(targets[:, 0] / c, inside)
-    cells = parameters.groups * bins
-    lateral = least_squares.collect(np.column_stack([x1, x1 * u, x2, x2 * u]), equations.lateral_targets, cell, cells)
-    yaw = least_squares.collect(np.column_stack([*first, c, c * u, c * u * u]), targets, cell, cells)
-    shape = (parameters.groups, bins)
-    return BinTable(
+    return fill_cells(motion, parameters).table()
+
+
+def fill_cells(motion: Motion, parameters: BinParameters) -> FilledCells:
+    """Return what :func:`tabulate` does without the cells that have no sample.
+
+    Parameters
+    ----------
+    motion, parameters
+        As :func:`tabulate` takes them.
+    """
+    edges, cell, u = parameters.edges, np.empty(len(motion), np.int64), np.empty(len(motion))
+    place = (parameters.groups, float(edges[0]), parameters.width, len(edges) - 1)
+    samples = kernels.assign(motion.displacement, motion.valid, motion.block, *place, cell, u)
+    signals, difference = signals_of(motion), np.empty(len(motion))
+    k = coefficients(motion, parameters.vehicle, parameters.difference_noise, parameters.wheelbase or 1.0)
+    kernels.radius_difference(signals, k, cell, difference)
+    inside = cell != kernels.OUTSIDE
+    noise = fast_noise(difference, inside)
+    filled = np.flatnonzero(np.bincount(cell[inside]))
+    slot = np.zeros(parameters.groups * (len(edges) - 1), np.int64)
+    slot[filled] = np.arange(len(filled))
+    weight = np.zeros(len(filled))
+    lateral, yaw = (
+        np.zeros((len(filled), regressors + 1, regressors + targets))
+        for regressors, targets in ((REGRESSORS, len(LATERAL_TARGETS)), (parameters.yaw_regressors, len(YAW_TARGETS)))
+    )
+    kernels.add_samples(signals, k, noise, cell, u, slot, weight, lateral, yaw)
+    return FilledCells(
         parameter_key=parameters.key,
         edges=edges,
-        weight=lateral.weight.reshape(shape),
-        lateral=lateral.packed.reshape(*shape, -1),
-        yaw=yaw.packed.reshape(*shape, -1),
-        samples=int(inside.sum()),
+        groups=parameters.groups,
+        cells=filled,
+        weight=weight,
+        lateral=_packed(lateral),
+        yaw=_packed(yaw),
+        samples=samples,
         windows=1,
     )
+
+
+def _packed(sums: FloatArray) -> FloatArray:
+    regressors = sums.shape[1] - 1
+    packed = np.empty((len(sums), least_squares.packed_size(regressors, sums.shape[2] - regressors)))
+    kernels.pack(sums, packed)
+    return packed
 
 
 def fast_noise(difference: FloatArray, valid: BoolArray) -> float:
@@ -265,13 +288,36 @@ def tabulate_window(
     window, track, parameters, correction, misplaced, mounted_reversed, layout
         As :func:`~estimation.motion.window_motion.window_motion` takes them.
     """
+    filled = cells_of_window(
+        window, track, parameters, correction, misplaced, mounted_reversed=mounted_reversed, layout=layout
+    )
+    return filled if isinstance(filled, Reason) else filled.table()
+
+
+def cells_of_window(
+    window: Window,
+    track: TrackAlignment | None,
+    parameters: WindowParameters,
+    correction: Correction | None = None,
+    misplaced: Reason | None = None,
+    *,
+    mounted_reversed: bool = False,
+    layout: TrackLayout | None = None,
+) -> FilledCells | Reason:
+    """Return the cells with samples of the bin table of ``window`` on ``track``, or why the window is refused.
+
+    Parameters
+    ----------
+    window, track, parameters, correction, misplaced, mounted_reversed, layout
+        As :func:`~estimation.motion.window_motion.window_motion` takes them.
+    """
     moved = window_motion(
         window, track, parameters, correction, misplaced, mounted_reversed=mounted_reversed, layout=layout
     )
     if isinstance(moved, Reason):
         return moved
-    table = tabulate(moved, bin_parameters(parameters))
-    return table if table.samples else Reason(ReasonCode.OUTSIDE_BINS, "no sample is inside the bins")
+    filled = fill_cells(moved, bin_parameters(parameters))
+    return filled if filled.samples else Reason(ReasonCode.OUTSIDE_BINS, "no sample is inside the bins")
 
 
 def bin_parameters(parameters: WindowParameters) -> BinParameters:

@@ -99,7 +99,7 @@ class WindowTable:
     wheelset: str
     start_ns: int
     window_digest: str  # of the content of the window
-    table: BinTable
+    table: BinTable | FilledCells
     track_version: int | None = None  # of the alignment
 
     @property

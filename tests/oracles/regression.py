@@ -1,0 +1,66 @@
+"""The equations of motion solved for the contact geometry, array by array."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray
+from estimation.values.motion import Motion
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.regressors import Regression, angle_difference_factor
+
+
+def regression(
+    motion: Motion, parameters: VehicleParameters, difference_noise: float = 0.0, wheelbase: float = 1.0
+) -> Regression:
+    """Return regressors and targets of Eq. 1 and Eq. 2 for every sample, as the product's own does."""
+    f11 = parameters.longitudinal_creep_coefficient / motion.stiffness_ratio
+    p = replace(parameters, longitudinal_creep_coefficient=f11)
+    f22, f23 = p.lateral_creep_coefficient, p.lateral_spin_creep_coefficient
+    f33, r0, l = p.spin_creep_coefficient, p.nominal_radius, p.half_contact_distance  # noqa: E741 - the paper's l
+    V, ψ, dψ, ddψ = motion.speed, motion.yaw, motion.yaw_rate, motion.yaw_acceleration
+    slip = motion.lateral_velocity - V * ψ  # without the roll term, which carries S
+    rolling_slip = slip + r0 * motion.roll_rate
+
+    inertia = p.wheelset_mass * motion.lateral_acceleration
+    spring = -p.lateral_stiffness * motion.suspension_deflection
+    damper = -p.lateral_damping * motion.suspension_deflection_rate
+    spin = (2 * f23 / V) * dψ
+    weight = p.load * motion.roll
+    z1 = inertia + (2 * f22 / V) * slip + 2 * f11 * ψ + spin + weight + spring + damper
+    x1 = (f11 / r0) * ψ - (f22 / V) * motion.roll_rate
+    x2 = np.full(len(motion), angle_difference_factor(p))
+
+    yaw_inertia = p.yaw_inertia * ddψ
+    creep = 2 * l**2 * f11 * dψ / V
+    yaw_spring = p.yaw_stiffness * motion.yaw_deflection
+    yaw_damper = p.yaw_damping * motion.yaw_deflection_rate
+    yaw_spin = -(2 * f23 / V) * rolling_slip
+    gyroscopic = (p.pitch_inertia * V / r0) * motion.roll_rate
+    z2 = yaw_inertia + gyroscopic + creep + 2 * f33 * dψ / V + yaw_spring + yaw_damper + yaw_spin
+    c = np.full(len(motion), -l * f11 / r0)
+    creep_moment = yaw_inertia + yaw_spring + yaw_damper  # what the creep forces hold up
+    force = np.hypot(creep_moment / (2 * l), 0.5 * (inertia + weight + spring + damper))  # of one wheel
+    saturation = creep_moment * force / (1.5 * p.axle_load)
+    first = [(l * p.load / 2) * ψ]
+    if motion.frame_yaw is not None and motion.frame_displacement is not None:
+        first = [
+            p.yaw_stiffness * (rolling_slip / V + ψ),
+            (p.yaw_stiffness / wheelbase) * motion.frame_displacement,
+            _moment_of_roll(motion, p),
+        ]
+    return Regression(
+        np.column_stack([x1, x2]),
+        np.column_stack([z1, (2 * f22 / V) * rolling_slip, spin, inertia, weight, spring, damper]),
+        np.column_stack([*first, c]),
+        np.column_stack([z2, creep - z2, yaw_spring, yaw_inertia, yaw_spin, saturation, c * difference_noise / V**3]),
+    )
+
+
+def _moment_of_roll(motion: Motion, p: VehicleParameters) -> FloatArray:
+    """Return what z2 would be (n,), N m, if the roll were the yaw; the wheelset's inertia is small beside the rest."""
+    creep = 2 * (p.half_contact_distance**2 * p.longitudinal_creep_coefficient + p.spin_creep_coefficient)
+    of_rate = (creep / motion.speed + p.yaw_damping) * motion.roll_rate
+    return (p.yaw_stiffness + 2 * p.lateral_spin_creep_coefficient) * motion.roll + of_rate
