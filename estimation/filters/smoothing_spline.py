@@ -16,21 +16,30 @@ to. ``docs/decisions/wander-smoother.md`` gives the reasons.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from estimation.filters import spline_kernels as kernels
-from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 
 ORDER = 3  # of the derivative that is white
 PIECES = 4  # B-splines of third degree at a place
 REGULARISATION = 1e-12  # of the normal equations: what is removed may be nearly a spline itself
+LENGTHS = 8  # of segments, whose functions are kept: most windows are whole
 KNOTS_PER_CUT_OFF = 12  # twice as many change what is left of a wave by less than a hundredth of it
 
 
 def subtract_smoothing_spline(
-    signals: FloatArray, distance: FloatArray, known: BoolArray, cutoff_wavelength: float, removed: FloatArray
+    signals: FloatArray,
+    distance: FloatArray,
+    known: BoolArray,
+    cutoff_wavelength: float,
+    removed: FloatArray,
+    *,
+    in_place: bool = False,
 ) -> FloatArray:
     """Return ``signals`` (m, n) less their wander.
 
@@ -46,6 +55,8 @@ def subtract_smoothing_spline(
         Wavelength of which half is left, m.
     removed
         (k, n) functions that are taken out whole beside the wander, such as what an offset integrates to.
+    in_place
+        Whether ``signals`` may be written over, and are what is returned.
 
     Raises
     ------
@@ -53,7 +64,7 @@ def subtract_smoothing_spline(
         The samples that count do not determine the wander.
     """
     spline = _spline(distance, known, cutoff_wavelength)
-    rows, removed = np.ascontiguousarray(signals), np.ascontiguousarray(removed)
+    rows, removed = np.ascontiguousarray(signals), frozen_array(removed, removed.shape, name="removed")
     wander, of_removed = spline.projected(rows), spline.projected(removed)
     explained = spline.solved(of_removed)
     weighted = removed * spline.weight
@@ -63,7 +74,7 @@ def subtract_smoothing_spline(
     coefficients = spline.solved(wander)
     shares = _solved_definite(gram, _products(weighted, rows) - _products(of_removed, coefficients))
     coefficients -= shares.T @ explained
-    left = np.empty_like(rows)
+    left = rows if in_place else np.empty_like(rows)
     kernels.subtract(rows, spline.interval, spline.pieces, coefficients, removed, shares, left)
     return left
 
@@ -124,6 +135,8 @@ def remove_wander(
     known: BoolArray,
     cutoff_wavelength: float,
     bridged: int = 0,
+    *,
+    in_place: bool = False,
 ) -> FloatArray:
     """Return ``signals`` (m, n) without what varies more slowly along the track than ``cutoff_wavelength``.
 
@@ -140,15 +153,21 @@ def remove_wander(
         m, of which half is left.
     bridged
         Gaps of up to so many samples are not modelled: straight lines bridge them well enough.
+    in_place
+        Whether ``signals`` may be written over, and are what is returned.
     """
-    removed = np.concatenate([_line_and_parabola(len(distance)), _after_gaps(known, bridged)])
-    return subtract_smoothing_spline(signals, distance, known, cutoff_wavelength, removed)
+    removed = _line_and_parabola(len(distance))
+    gaps = modelled_gaps(known, bridged)
+    if gaps:
+        removed = np.concatenate([removed, _after_gaps(len(known), gaps)])
+    return subtract_smoothing_spline(signals, distance, known, cutoff_wavelength, removed, in_place=in_place)
 
 
+@lru_cache(maxsize=LENGTHS)
 def _line_and_parabola(n: int) -> FloatArray:
     """Return (2, n): in time, what the constants of the integration and a constant offset leave."""
     t = np.linspace(-1.0, 1.0, n)
-    return np.stack([t, 1.5 * t * t - 0.5])
+    return frozen_array(np.stack([t, 1.5 * t * t - 0.5]), (2, n), name="functions")
 
 
 def modelled_gaps(known: BoolArray, bridged: int) -> list[tuple[int, int]]:
@@ -167,10 +186,9 @@ def modelled_gaps(known: BoolArray, bridged: int) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(first, behind, strict=False) if a > 0 and b - a > bridged]
 
 
-def _after_gaps(known: BoolArray, bridged: int) -> FloatArray:
+def _after_gaps(n: int, gaps: Sequence[tuple[int, int]]) -> FloatArray:
     """Return (2 g, n): for each modelled gap a step and the line that rises after it."""
-    gaps = modelled_gaps(known, bridged)
-    t = np.arange(len(known))
+    t = np.arange(n)
     steps = [(t >= behind).astype(np.float64) for _, behind in gaps]
-    lines = [np.maximum(t - 0.5 * (first - 1 + behind), 0.0) / len(known) for first, behind in gaps]
-    return np.array([*steps, *lines]).reshape(-1, len(known))
+    lines = [np.maximum(t - 0.5 * (first - 1 + behind), 0.0) / n for first, behind in gaps]
+    return np.array([*steps, *lines])

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.filters.smoothing_spline import remove_wander
+from estimation.motion import integration_kernels as kernels
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.windows import ACCELERATIONS, Window
@@ -155,16 +156,19 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
     if window.frame_yaw_acceleration is not None:
         measured.append(window.frame_yaw_acceleration)
     accelerations = np.stack([bridged(values[part], known) for values in measured])
-    accelerations -= accelerations.mean(axis=1, keepdims=True)
-    rates = _detrended_integrals(accelerations, dt)
-    displacements = _running_integrals(rates, dt)
-    speed = bridged(window.speed[part], known)
-    (run,) = _running_integrals(speed[None, :], dt)
+    kernels.take_out_mean(accelerations)
+    rates, displacements = np.empty_like(accelerations), np.empty_like(accelerations)
+    kernels.integrate_twice(accelerations, dt, rates, displacements)
+    speed = np.array(bridged(window.speed[part], known))
+    run = np.empty_like(speed)
+    kernels.integrate_once(speed, dt, run)
     if window.measures_gravity:
         (roll,) = remove_wander(displacements[[_ROLL]], run, known, ROLL_CUTOFF)
-        accelerations[_LATERAL] -= GRAVITY * roll
-        rates[_LATERAL] = _detrended_integrals(accelerations[_LATERAL], dt)
-        displacements[_LATERAL] = _running_integrals(rates[_LATERAL], dt)
+        lateral = accelerations[_LATERAL] - GRAVITY * roll
+        lateral_rates, lateral_displacements = np.empty_like(lateral), np.empty_like(lateral)
+        kernels.integrate_twice(lateral, dt, lateral_rates, lateral_displacements)
+        accelerations[_LATERAL], rates[_LATERAL] = lateral, lateral_rates
+        displacements[_LATERAL] = lateral_displacements
     own = slice(0, len(ACCELERATIONS))
     of_frame = [values[-1] for values in (accelerations, rates, displacements)]
     return IntegratedSegment(
@@ -183,19 +187,3 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
 ROLL_CUTOFF = 120.0  # m: of longer waves the roll is drift, which two more integrals would make grow beyond all filters
 _ROLL = ACCELERATIONS.index("roll_acceleration")
 _LATERAL = [ACCELERATIONS.index("lateral_acceleration"), ACCELERATIONS.index("mass_lateral_acceleration")]
-
-
-def _detrended_integrals(accelerations: FloatArray, dt: float) -> FloatArray:
-    """Return running integrals (m, n) without their mean and straight line."""
-    rates = _running_integrals(accelerations, dt)
-    t = np.arange(rates.shape[1])
-    centred = t - t.mean()
-    line = np.outer(rates @ centred / (centred @ centred), centred)
-    return np.asarray(rates - rates.mean(axis=1, keepdims=True) - line)
-
-
-def _running_integrals(values: FloatArray, dt: float) -> FloatArray:
-    """Return trapezoidal running integrals (m, n) along the last axis, starting at zero."""
-    result = np.zeros_like(values)
-    np.cumsum(0.5 * dt * (values[:, 1:] + values[:, :-1]), axis=1, out=result[:, 1:])
-    return result

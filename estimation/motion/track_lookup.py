@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import numpy as np
 from scipy import fft
-from scipy.interpolate import CubicSpline
 
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.filters.smoothing_spline import remove_wander
@@ -22,18 +21,15 @@ from estimation.motion.fusion_parameters import FusionParameters
 from estimation.motion.integration import IntegratedWindow, integrate
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_radius_difference import fuse, motion_signals
+from estimation.motion.spline_lookup import SampledCurve, at_places
 from estimation.values.arrays import FloatArray, frozen_array, runs
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
-FEWEST_POINTS = 4  # of a spline
-
 FULL_BAND_FACTOR = 2.0  # times the wavelength that is looked at: an alignment that reaches further holds it unchanged
 
 TRACKS = 16  # sections whose deconvolved alignment is kept: every window of a section needs it
-
-SPLINE_MARGIN = 20  # points of the stored alignment beyond the window, so that the spline's ends do not matter
 
 
 def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength: float) -> FloatArray:
@@ -48,24 +44,13 @@ def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength:
     cutoff_wavelength
         m, of the high-pass that the motion goes through.
     """
-    d = np.full(len(distance), np.nan)
-    with np.errstate(invalid="ignore"):
-        on_track = np.flatnonzero((distance >= track.s[0]) & (distance <= track.s[-1]))
-    if not len(on_track):
-        return d
-    at = distance[on_track]
-    first = max(int(np.searchsorted(track.s, at.min())) - SPLINE_MARGIN, 0)
-    last = int(np.searchsorted(track.s, at.max())) + SPLINE_MARGIN
-    whole = track.alignment if track.cutoff_wavelength >= FULL_BAND_FACTOR * cutoff_wavelength else deconvolved(track)
-    s, alignment = track.s[first:last], whole[first:last]
-    known = np.isfinite(alignment)
-    if known.sum() < FEWEST_POINTS:
-        return d
-    after = np.maximum(np.searchsorted(s, at), 1)
-    between = known[after - 1] & known[after]
-    spline = CubicSpline(s[known], alignment[known])
-    d[on_track[between]] = spline(at[between])
-    return d
+    as_it_is = track.cutoff_wavelength >= FULL_BAND_FACTOR * cutoff_wavelength
+    return at_places(_curve(track, as_it_is=as_it_is), distance)
+
+
+@lru_cache(maxsize=2 * TRACKS)
+def _curve(track: TrackAlignment, *, as_it_is: bool) -> SampledCurve:
+    return SampledCurve(track.s, track.alignment if as_it_is else deconvolved(track))
 
 
 REGULARISATION = 0.03  # e: where F leaves less than about this, less is undone

@@ -110,7 +110,7 @@ def _filtered(
     """Return the named signals of a motion, NaN outside the segments, and which samples of them count (n,)."""
     n, dt = len(d), integrated.window.sample_interval_s
     named = _FILTERED if integrated.window.frame_yaw_acceleration is None else (*_FILTERED, *OF_FRAME)
-    signals = {name: np.full(n, np.nan) for name in ("speed", *named)}
+    rows: FloatArray | None = None
     valid = np.zeros(n, dtype=np.bool_)
     trim, margin = round(parameters.trimmed_s / dt), round(parameters.gap_margin_s / dt)
     for segment in integrated.segments:
@@ -121,13 +121,19 @@ def _filtered(
             known,
             parameters.cutoff_wavelength,
             parameters.bridged_samples,
+            in_place=True,
         )
-        for name, values in zip(named, fast, strict=True):
-            signals[name][part] = values
+        if fast.shape[1] == n:
+            rows = fast
+        else:
+            rows = np.full((len(named), n), np.nan) if rows is None else rows
+            rows[:, part] = fast
         valid[part.start + trim : part.stop - trim] = known[trim : len(known) - trim]
         for first, behind in modelled_gaps(known, parameters.bridged_samples):
             valid[max(part.start + first - margin, 0) : part.start + behind + margin] = False
-    return signals, valid
+    rows = np.full((len(named), n), np.nan) if rows is None else rows
+    rows.flags.writeable = False  # so that nothing copies them
+    return dict(zip(named, rows, strict=True)), valid
 
 
 _FILTERED = (
