@@ -21,8 +21,8 @@ from estimation.estimators.interface import EstimatorParameters
 from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.paper_equations import PaperParameters, recursion_in_bins
 from estimation.filters.local_cubic import local_cubic_kernel
-from estimation.motion.smooth_sampling import sample_smoothed
 from estimation.filters.smoothing_spline import remove_wander
+from estimation.motion.smooth_sampling import sample_smoothed
 from estimation.tables.bin_table import BinParameters, fill_cells, group_of, init
 from estimation.tables.exact_sum import LARGEST, ExactSum, nothing
 from estimation.tables.least_squares import collect

@@ -113,7 +113,7 @@ class AssembledWindowStore:
         What that one has stored stays.
         """
         rows = [self._row(each, recorded_ns) for each in windows]
-        return not rows or insert_all_new(self.connection, WINDOWS, rows)
+        return insert_all_new(self.connection, WINDOWS, rows) == len(rows)
 
     def replace(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> None:
         """Replace windows without bin tables by what they are now; they wait to be estimated."""
