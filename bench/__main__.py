@@ -46,6 +46,7 @@ LONG = (
     "stored",
     "partitions",
     "new_window",
+    "trend_versions",
 )  # of many minutes, run where they are named
 TITLES = {
     "contact": "Contact geometry against EN 15302",
@@ -62,6 +63,7 @@ TITLES = {
     "stored": "Bytes of a wheelset and year",
     "partitions": "Bin tables as partitions by month",
     "new_window": "One new window after a year",
+    "trend_versions": "A trend with the versions of a year",
 }
 COLUMNS = ("what", "measured", "reach", "met")
 

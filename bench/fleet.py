@@ -7,7 +7,13 @@ import subprocess
 import sys
 from collections.abc import Sequence
 
-PARTS = (("decoding", "new_window", "stored"), ("workers",), ("chunks",))
+PARTS = (
+    ("decoding", "new_window", "stored", "trend_versions"),
+    ("pipeline",),
+    ("section_runs",),
+    ("workers",),
+    ("chunks",),
+)
 """Names of benches that run together, for what is printed as one table."""
 
 
