@@ -47,6 +47,7 @@ LONG = (
     "partitions",
     "new_window",
     "trend_versions",
+    "idle",
 )  # of many minutes, run where they are named
 TITLES = {
     "contact": "Contact geometry against EN 15302",
@@ -64,6 +65,7 @@ TITLES = {
     "partitions": "Bin tables as partitions by month",
     "new_window": "One new window after a year",
     "trend_versions": "A trend with the versions of a year",
+    "idle": "A run of all jobs with nothing new",
 }
 COLUMNS = ("what", "measured", "reach", "met")
 

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 
 PARTS = (
-    ("decoding", "new_window", "stored", "trend_versions"),
+    ("decoding", "new_window", "stored", "trend_versions", "idle"),
     ("pipeline",),
     ("section_runs",),
     ("workers",),

@@ -1,0 +1,160 @@
+"""What one run of all jobs costs where nothing is new: 1,000 vehicles, 4,000 wheelsets, 100 sections, 600,000 windows.
+
+The jobs have run before, until they found nothing to do. Processor time is that of the process that runs the jobs and,
+on PostgreSQL, of the server, too.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from statistics import median
+
+from sqlalchemy import Engine, event, func, select
+
+from api.factory import job_context, open_store, scheduled_jobs
+from api.settings import Settings
+from bench.idle_fleet import FleetSize, fill
+from bench.report import BenchRow
+from bench.wheelset_year import At
+from bench.worker_kinds import cpu_of
+from estimation.errors import TreadwatchError
+from estimation.jobs.job import Job, JobContext, run_job
+from estimation.values.runs import JobTrigger
+from fleet_db.migrate import upgrade
+from fleet_db.models import AlertRow, TrackSectionRow, WheelsetRow, WindowRow
+from fleet_db.rows import table_of
+from fleet_db.storage import SqlStorage
+from tests.postgres_server import SAFE, PostgresServer, stoppable_server
+
+ROUNDS = 5
+MOST_RUNS = 6
+"""After so many runs of all jobs there is nothing to do any more."""
+
+LATER_NS = 3_600_000_000_000
+REACH_S = 1.0
+STATE = {"wheelsets", "sections", "unchanged", "without_limit", "quarantined"}
+"""Counts of what is there; all others count what was done."""
+
+
+def rows(size: FleetSize | None = None) -> Iterator[BenchRow]:
+    """Yield processor time and statements of each job, on SQLite and on PostgreSQL.
+
+    Parameters
+    ----------
+    size
+        Of the fleet; by default that of the reach.
+    """
+    size = size or FleetSize()
+    with tempfile.TemporaryDirectory() as folder:
+        settings = Settings(data_dir=Path(folder), database_url=None, _env_file=None)
+        yield from _measured("SQLite", settings, size, lambda: 0.0)
+    with tempfile.TemporaryDirectory() as folder, stoppable_server(SAFE) as server:
+        settings = Settings(data_dir=Path(folder), database_url=server.url, _env_file=None)
+        yield from _measured("PostgreSQL", settings, size, lambda: _cpu_of_server(server))
+
+
+@dataclass(slots=True)
+class Spent:
+    """What a job costs in each of some runs."""
+
+    cpu_s: list[float] = field(default_factory=list)
+    statements: list[int] = field(default_factory=list)
+    writes: list[int] = field(default_factory=list)
+
+
+def _measured(name: str, settings: Settings, size: FleetSize, server_s: Callable[[], float]) -> Iterator[BenchRow]:
+    upgrade(settings.url)
+    with closing(open_store(settings)) as storage:
+        began = time.perf_counter()
+        context = job_context(settings, storage)
+        end_ns = fill(context, storage, settings, size)
+        filled_s = time.perf_counter() - began
+        at, jobs = replace(context, clock=At(end_ns + LATER_NS)), scheduled_jobs(settings)
+        runs = _settle(at, jobs)
+        yield BenchRow(
+            f"{name}: filled with", f"{_counts(storage)} ({filled_s:.0f} s; at rest after {runs} runs)", "", met=True
+        )
+        spent = {job.name: Spent() for job in jobs}
+        for _ in range(ROUNDS):
+            for job in jobs:
+                _run_counted(at, job, spent[job.name], server_s)
+    for job_name, one in spent.items():
+        shown = f"{median(one.cpu_s):.3f} CPU s, {median(one.statements):.0f} statements"
+        shown += f", {median(one.writes):.0f} transactions that write"
+        yield BenchRow(f"{name}: idle run of {job_name}, median of {ROUNDS}", shown, "", met=True)
+    whole_s = median(sum(each) for each in zip(*(one.cpu_s for one in spent.values()), strict=True))
+    shown = f"{whole_s:.2f} CPU s, {sum(median(one.statements) for one in spent.values()):.0f} statements"
+    yield BenchRow(f"{name}: idle run of all jobs", shown, f"< {REACH_S:.0f} CPU s", whole_s < REACH_S)
+
+
+def _settle(context: JobContext, jobs: tuple[Job, ...]) -> int:
+    """Run the jobs until none of them does anything; return how often they ran."""
+    for number in range(1, MOST_RUNS + 1):
+        done: Counter[str] = Counter()
+        for job in jobs:
+            done.update({name: count for name, count in _run(context, job).items() if name not in STATE})
+        if not +done:
+            return number
+    raise TreadwatchError(f"after {MOST_RUNS} runs the jobs still do something: {dict(+done)}")
+
+
+def _run(context: JobContext, job: Job) -> Mapping[str, int]:
+    run = run_job(job, context, JobTrigger.CLI)
+    if run.error is not None:
+        raise TreadwatchError(f"{run.job}: {run.error}")
+    return run.counts
+
+
+def _run_counted(context: JobContext, job: Job, spent: Spent, server_s: Callable[[], float]) -> None:
+    asked = Counter[str]()
+
+    def count(_connection: object, _cursor: object, statement: str, *_: object) -> None:
+        asked[statement.split(maxsplit=1)[0]] += 1
+
+    def begun(_connection: object) -> None:
+        asked["begun"] += 1
+
+    event.listen(Engine, "before_cursor_execute", count)
+    write = SqlStorage.write
+
+    def counted_write(self: SqlStorage):  # noqa: ANN202 - as the method
+        asked["write"] += 1
+        return write(self)
+
+    SqlStorage.write = counted_write  # type: ignore[method-assign]
+    try:
+        began_s = time.process_time() + server_s()
+        _run(context, job)
+        spent.cpu_s.append(time.process_time() + server_s() - began_s)
+    finally:
+        SqlStorage.write = write  # type: ignore[method-assign]
+        event.remove(Engine, "before_cursor_execute", count)
+    spent.writes.append(asked.pop("write", 0))
+    spent.statements.append(asked.total())
+
+
+def _counts(storage: SqlStorage) -> str:
+    with storage.read() as unit:
+        of = {
+            name: unit.connection.scalar(select(func.count()).select_from(table_of(row)))
+            for name, row in (
+                ("windows", WindowRow),
+                ("sections", TrackSectionRow),
+                ("wheelsets", WheelsetRow),
+                ("alerts", AlertRow),
+            )
+        }
+    return ", ".join(f"{count:,} {name}" for name, count in of.items())
+
+
+def _cpu_of_server(server: PostgresServer) -> float:
+    """Return processor time of the processes of a server, s."""
+    assert server.process is not None
+    children = Path(f"/proc/{server.process.pid}/task/{server.process.pid}/children")
+    return sum(cpu_of(pid) for pid in (server.process.pid, *map(int, children.read_text(encoding="ascii").split())))
