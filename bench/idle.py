@@ -76,7 +76,7 @@ def _measured(name: str, settings: Settings, size: FleetSize, server_s: Callable
         end_ns = fill(context, storage, settings, size)
         filled_s = time.perf_counter() - began
         at, jobs = replace(context, clock=At(end_ns + LATER_NS)), scheduled_jobs(settings)
-        runs = _settle(at, jobs)
+        runs = _run_until_nothing_is_done(at, jobs)
         yield BenchRow(
             f"{name}: filled with", f"{_counts(storage)} ({filled_s:.0f} s; at rest after {runs} runs)", "", met=True
         )
@@ -93,7 +93,7 @@ def _measured(name: str, settings: Settings, size: FleetSize, server_s: Callable
     yield BenchRow(f"{name}: idle run of all jobs", shown, f"< {REACH_S:.0f} CPU s", whole_s < REACH_S)
 
 
-def _settle(context: JobContext, jobs: tuple[Job, ...]) -> int:
+def _run_until_nothing_is_done(context: JobContext, jobs: tuple[Job, ...]) -> int:
     """Run the jobs until none of them does anything; return how often they ran."""
     for number in range(1, MOST_RUNS + 1):
         done: Counter[str] = Counter()

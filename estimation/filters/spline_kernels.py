@@ -19,7 +19,19 @@ LANES = 8  # partial sums of a long product
 
 @compiled(nogil=True)
 def place(distance: FloatArray, end: float, per_step: float, interval: IntArray, pieces: FloatArray, last: int) -> None:
-    """Write the knot interval (n,) of every place, and the four B-splines there (n, 4)."""
+    """Write the knot interval (n,) of every place, and the four B-splines there (n, 4).
+
+    Parameters
+    ----------
+    distance
+        (n,) m, of the samples.
+    end, per_step
+        m, to which the knots go, and knot intervals a metre.
+    interval, pieces
+        (n,) and (n, 4), written.
+    last
+        Number of the last interval.
+    """
     for i in range(len(distance)):
         at = min(distance[i], end) * per_step
         j = min(int(at), last) if at > 0.0 else 0  # of what is no number, too
@@ -34,7 +46,17 @@ def place(distance: FloatArray, end: float, per_step: float, interval: IntArray,
 
 @compiled(nogil=True)
 def add_band(weight: FloatArray, interval: IntArray, pieces: FloatArray, band: FloatArray) -> None:
-    """Add the weighted products of B-splines to the rows of the band (k, 4)."""
+    """Add the weighted products of B-splines to the rows of the band (k, 4).
+
+    Parameters
+    ----------
+    weight
+        (n,) of the samples.
+    interval, pieces
+        From :func:`place`.
+    band
+        (k, 4), added to.
+    """
     for i in range(len(weight)):
         j, w = interval[i], weight[i]
         b0, b1, b2, b3 = pieces[i, 0], pieces[i, 1], pieces[i, 2], pieces[i, 3]
@@ -63,7 +85,17 @@ def add_roughness(band: FloatArray, scale: float) -> None:
 
 @compiled(nogil=True)
 def project(rows: FloatArray, weight: FloatArray, interval: IntArray, pieces: FloatArray, sums: FloatArray) -> None:
-    """Add to ``sums`` (m, k) the weighted products of rows (m, n) with every B-spline."""
+    """Add to ``sums`` (m, k) the weighted products of rows (m, n) with every B-spline.
+
+    Parameters
+    ----------
+    rows, weight
+        (m, n) signals, and (n,) weights of the samples.
+    interval, pieces
+        From :func:`place`.
+    sums
+        (m, k), added to.
+    """
     n = len(weight)
     first = 0
     while first < n:
@@ -89,7 +121,17 @@ def project(rows: FloatArray, weight: FloatArray, interval: IntArray, pieces: Fl
 
 @compiled(nogil=True)
 def multiply(weighted: FloatArray, rows: FloatArray, products: FloatArray) -> None:
-    """Write the products (k, m) of weighted functions (k, n) with rows (m, n)."""
+    """Write the products (k, m) of weighted functions (k, n) with rows (m, n).
+
+    Parameters
+    ----------
+    weighted
+        (k, n) functions times the weights of the samples.
+    rows
+        (m, n) signals.
+    products
+        (k, m), written.
+    """
     n = weighted.shape[1]
     for p in range(len(weighted)):
         for r in range(len(rows)):
@@ -145,7 +187,21 @@ def subtract(
     shares: FloatArray,
     left: FloatArray,
 ) -> None:
-    """Write what splines of these coefficients (m, k) and shares (r, m) of functions (r, n) leave of rows (m, n)."""
+    """Write what splines of these coefficients (m, k) and shares (r, m) of functions (r, n) leave of rows (m, n).
+
+    Parameters
+    ----------
+    rows
+        (m, n) signals.
+    interval, pieces
+        From :func:`place`.
+    coefficients
+        (m, k) of the splines.
+    removed, shares
+        (r, n) functions that are taken out whole, and (r, m) how much of each.
+    left
+        (m, n), written.
+    """
     n = len(interval)
     first = 0
     while first < n:

@@ -21,7 +21,15 @@ def take_out_mean(rows: FloatArray) -> None:
 
 @compiled(nogil=True)
 def integrate_once(values: FloatArray, dt: float, integral: FloatArray) -> None:
-    """Write the running integral (n,) of values (n,)."""
+    """Write the running integral (n,) of values (n,).
+
+    Parameters
+    ----------
+    values, dt
+        (n,) in any unit, s apart.
+    integral
+        (n,), written.
+    """
     total, half = 0.0, 0.5 * dt
     integral[0] = 0.0
     for i in range(1, len(values)):
@@ -31,7 +39,15 @@ def integrate_once(values: FloatArray, dt: float, integral: FloatArray) -> None:
 
 @compiled(nogil=True)
 def integrate_twice(accelerations: FloatArray, dt: float, rates: FloatArray, displacements: FloatArray) -> None:
-    """Write running integrals (m, n) of the rows, less their mean and straight line, and the integrals of those."""
+    """Write running integrals (m, n) of the rows, less their mean and straight line, and the integrals of those.
+
+    Parameters
+    ----------
+    accelerations, dt
+        (m, n) in any unit, s apart.
+    rates, displacements
+        (m, n), written.
+    """
     n, half = accelerations.shape[1], 0.5 * dt
     middle = 0.5 * (n - 1)
     squares = n * (n * n - 1.0) / 12.0  # of the places around the middle

@@ -63,7 +63,15 @@ def _piece(curve: SampledCurve, first: int, last: int) -> tuple[FloatArray, Floa
 
 @compiled(nogil=True)
 def extent(places: FloatArray, first: float, last: float) -> tuple[float, float]:
-    """Return the lowest and the highest of the places in ``[first, last]``; the first is larger where there is none."""
+    """Return the lowest and the highest of the places in ``[first, last]``; the first is larger where there is none.
+
+    Parameters
+    ----------
+    places
+        (n,) m; what is no number is left out.
+    first, last
+        m, ends of the range.
+    """
     low, high = np.inf, -np.inf
     for place in places:
         if first <= place <= last:
@@ -73,7 +81,17 @@ def extent(places: FloatArray, first: float, last: float) -> tuple[float, float]
 
 @compiled(nogil=True)
 def evaluate(places: FloatArray, s: FloatArray, coefficients: FloatArray, found: FloatArray) -> None:
-    """Write the spline at places on the grid (m,); a place on a point of it belongs to the interval before."""
+    """Write the spline at places on the grid (m,); a place on a point of it belongs to the interval before.
+
+    Parameters
+    ----------
+    places
+        (n,) m.
+    s, coefficients
+        (m,) m and (m - 1, 4), of the spline in each interval.
+    found
+        (n,), written where the place is on the grid.
+    """
     last, per_step = len(coefficients) - 1, (len(s) - 1) / (s[-1] - s[0])
     for i in range(len(places)):
         at = places[i]

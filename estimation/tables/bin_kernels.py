@@ -34,7 +34,15 @@ def group(block: int, groups: int) -> int:
 
 @compiled(nogil=True)
 def write_groups(block: IntArray, groups: int, found: IntArray) -> None:
-    """Write the group (n,) of each block (n,)."""
+    """Write the group (n,) of each block (n,).
+
+    Parameters
+    ----------
+    block, groups
+        (n,) numbers of blocks, and how many groups there are.
+    found
+        (n,), written.
+    """
     for i in range(len(block)):
         found[i] = group(block[i], groups)
 
@@ -44,7 +52,19 @@ def assign(
     displacement: FloatArray, valid: BoolArray, block: IntArray, groups: int,
     first_edge: float, width: float, bins: int, cell: IntArray, u: FloatArray,
 ) -> int:  # fmt: skip
-    """Write the cell of each sample, or ``OUTSIDE``, and where in its bin it is; return how many have a cell."""
+    """Write the cell of each sample, or ``OUTSIDE``, and where in its bin it is; return how many have a cell.
+
+    Parameters
+    ----------
+    displacement, valid, block
+        (n,) y - d in m, whether it counts, and the block of each sample.
+    groups, bins
+        How many there are.
+    first_edge, width
+        m, of the bins.
+    cell, u
+        (n,), written.
+    """
     inside, last_block, first_cell = 0, -1, 0
     for i in range(len(displacement)):
         cell[i] = OUTSIDE
@@ -61,7 +81,17 @@ def assign(
 
 @compiled(nogil=True, error_model="numpy")
 def radius_difference(signals: Signals, k: Coefficients, cell: IntArray, difference: FloatArray) -> None:
-    """Write rL - rR by Eq. 2 with the other terms left out; NaN where a sample has no cell."""
+    """Write rL - rR by Eq. 2 with the other terms left out; NaN where a sample has no cell.
+
+    Parameters
+    ----------
+    signals, k
+        (n,) each, and the coefficients of Eq. 2.
+    cell
+        (n,) or ``OUTSIDE``.
+    difference
+        (n,) m, written.
+    """
     c = radius_factor(k)
     for i in range(len(cell)):
         difference[i] = np.nan
@@ -71,7 +101,17 @@ def radius_difference(signals: Signals, k: Coefficients, cell: IntArray, differe
 
 @compiled(nogil=True)
 def add_products(row: FloatArray, regressors: int, sums: FloatArray, at: int) -> None:
-    """Add to ``sums[at]`` (p + 1, m) the products of p regressors with the row (m,), and the measurement squared."""
+    """Add to ``sums[at]`` (p + 1, m) the products of p regressors with the row (m,), and the measurement squared.
+
+    Parameters
+    ----------
+    row
+        (m,) regressors, then measurement and further targets.
+    regressors
+        How many of them there are.
+    sums, at
+        (s, p + 1, m), added to at one slot.
+    """
     for a in range(regressors):
         x = row[a]
         for j in range(len(row)):
@@ -84,7 +124,21 @@ def add_samples(
     signals: Signals, k: Coefficients, noise: float, cell: IntArray, u: FloatArray, slot: IntArray,
     weight: FloatArray, lateral: FloatArray, yaw: FloatArray,
 ) -> None:  # fmt: skip
-    """Add every sample to the sums of its cell, which are in slot ``slot[cell]``; ``noise`` is the variance of R."""
+    """Add every sample to the sums of its cell, which are in slot ``slot[cell]``; ``noise`` is the variance of R.
+
+    Parameters
+    ----------
+    signals, k
+        (n,) each, and the coefficients of Eq. 1 and Eq. 2.
+    noise
+        m2, variance of R.
+    cell, u
+        From :func:`assign`.
+    slot
+        Of each cell, in the sums.
+    weight, lateral, yaw
+        (s,), (s, p + 1, m) and (s, q + 1, l), added to.
+    """
     equation, row, yaw_row = np.empty(9), np.empty(LATERAL_COLUMNS), np.empty(yaw.shape[2])
     regressors = yaw.shape[2] - YAW_TARGET_COLUMNS
     for i in range(len(cell)):

@@ -121,7 +121,15 @@ def coefficients_of(
 
 @compiled(nogil=True, error_model="numpy")
 def lateral_equation(signals: Signals, k: Coefficients, i: int, row: FloatArray) -> None:
-    """Write x1, x2 and the targets of Eq. 1 of sample ``i``."""
+    """Write x1, x2 and the targets of Eq. 1 of sample ``i``.
+
+    Parameters
+    ----------
+    signals, k, i
+        (n,) each, the coefficients, and the number of the sample.
+    row
+        (9,), written.
+    """
     speed, yaw, roll_rate = signals.speed[i], signals.yaw[i], signals.roll_rate[i]
     slip = signals.lateral_velocity[i] - speed * yaw  # without the roll term, which carries S
     inertia = k.wheelset_mass * signals.lateral_acceleration[i]
@@ -138,7 +146,13 @@ def lateral_equation(signals: Signals, k: Coefficients, i: int, row: FloatArray)
 
 @compiled(nogil=True, error_model="numpy")
 def yaw_moments(signals: Signals, k: Coefficients, i: int) -> tuple[float, float, float, float, float, float]:
-    """Return the moments of sample ``i`` that make z2, and first their sum: inertia, creep, spring, damper, spin."""
+    """Return the moments of sample ``i`` that make z2, and first their sum: inertia, creep, spring, damper, spin.
+
+    Parameters
+    ----------
+    signals, k, i
+        (n,) each, the coefficients, and the number of the sample.
+    """
     speed, yaw, yaw_rate, roll_rate = signals.speed[i], signals.yaw[i], signals.yaw_rate[i], signals.roll_rate[i]
     l, r0 = k.half_contact_distance, k.nominal_radius  # noqa: E741 - the paper's l
     deflection, deflection_rate = yaw, yaw_rate
@@ -156,7 +170,15 @@ def yaw_moments(signals: Signals, k: Coefficients, i: int) -> tuple[float, float
 
 @compiled(nogil=True, error_model="numpy")
 def yaw_targets(signals: Signals, k: Coefficients, i: int, row: FloatArray, at: int) -> None:
-    """Write c and behind it the targets of Eq. 2 of sample ``i``, from ``row[at]``."""
+    """Write c and behind it the targets of Eq. 2 of sample ``i``, from ``row[at]``.
+
+    Parameters
+    ----------
+    signals, k, i
+        (n,) each, the coefficients, and the number of the sample.
+    row, at
+        Written from this place on.
+    """
     z2, inertia, creep, spring, damper, spin = yaw_moments(signals, k, i)
     c = radius_factor(k)
     creep_moment = inertia + spring + damper  # what the creep forces hold up
@@ -182,7 +204,15 @@ def radius_factor(k: Coefficients) -> float:
 
 @compiled(nogil=True, error_model="numpy")
 def yaw_regressors(signals: Signals, k: Coefficients, i: int, row: FloatArray) -> int:
-    """Write the regressors of Eq. 2 before c of sample ``i``; return how many there are."""
+    """Write the regressors of Eq. 2 before c of sample ``i``; return how many there are.
+
+    Parameters
+    ----------
+    signals, k, i
+        (n,) each, the coefficients, and the number of the sample.
+    row
+        Written from its beginning.
+    """
     speed, yaw, roll_rate = signals.speed[i], signals.yaw[i], signals.roll_rate[i]
     if not k.in_bogie:
         row[0] = (k.half_contact_distance * k.load / 2) * yaw
@@ -199,7 +229,15 @@ def yaw_regressors(signals: Signals, k: Coefficients, i: int, row: FloatArray) -
 
 @compiled(nogil=True, error_model="numpy")
 def write_equations(signals: Signals, k: Coefficients, lateral: FloatArray, yaw: FloatArray) -> None:
-    """Write x1, x2 and targets of Eq. 1 (n, 9), regressors and targets of Eq. 2 (n, 2 or 4, and 7) of all samples."""
+    """Write x1, x2 and targets of Eq. 1 (n, 9), regressors and targets of Eq. 2 (n, 2 or 4, and 7) of all samples.
+
+    Parameters
+    ----------
+    signals, k
+        (n,) each, and the coefficients.
+    lateral, yaw
+        Written.
+    """
     for i in range(len(signals.speed)):
         lateral_equation(signals, k, i, lateral[i])
         before_c = yaw_regressors(signals, k, i, yaw[i])
