@@ -12,7 +12,7 @@ from contextlib import closing
 from dataclasses import dataclass, field
 
 from api.comparison.trial import Recorded, receive
-from api.factory import job_context, open_store
+from api.factory import job_context, open_store, raw_store
 from bench.chaos.part import ChaosSettings
 from bench.chaos.small_deployment import PASSWORD
 from bench.chaos.worker_faults import HERE, ON_DASK, ON_SERVER, Strike
@@ -125,7 +125,9 @@ def _round(half: _Half, settings: ChaosSettings, rng: random.Random, tally: _Tal
         tally.states.add(tuple(sorted(state.items())))
         tally.wrong += [name for name in state if state[name] != undisturbed[name]]
         tally.wrong += [
-            str(one) for one in check_deep(storage, lambda _done, _total: None).findings if not one.harmless
+            str(one)
+            for one in check_deep(storage, raw_store(deployed), lambda _done, _total: None).findings
+            if not one.harmless
         ]
         tally.twice += stored_twice(storage)
     shutil.rmtree(folder)
