@@ -24,7 +24,7 @@ from sqlalchemy import (
 )
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track_epochs import OPEN_NS, EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
+from estimation.values.track_epochs import EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.models import (
     TrackEpochRow,
@@ -62,9 +62,8 @@ BY_ALIGNMENT = (
 """Why a window may be refused on one version of an alignment and not on another."""
 
 _LAST = EPOCHS.alias("last_epochs")
-_CLOSED = or_(_LAST.c.horizon_ns < OPEN_NS, _LAST.c.survey_code.is_not(None))
 _NEWEST = (
-    select(_LAST.c.section, func.max(case((_CLOSED, _LAST.c.number), else_=0)).label("number"))
+    select(_LAST.c.section, func.max(_LAST.c.number).label("number"))
     .group_by(_LAST.c.section)
     .subquery("newest_epochs")
 )
@@ -78,7 +77,7 @@ _OF_VEHICLE = (
 _CHAIN = (
     MEMBERS.join(EPOCHS, OF_EPOCH)
     .join(_NEWEST, _NEWEST.c.section == MEMBERS.c.section)
-    .outerjoin(_FINAL, and_(_FINAL.c.section == _NEWEST.c.section, _FINAL.c.number == _NEWEST.c.number))
+    .join(_FINAL, and_(_FINAL.c.section == _NEWEST.c.section, _FINAL.c.number == _NEWEST.c.number))
 )
 
 
@@ -224,8 +223,7 @@ class EpochStore:
         """Return the version of the alignment that a window is estimated on; ``in_force`` where no epoch holds it.
 
         It is that of its epoch, or the oldest from which the last does not differ materially, if that is newer, or the
-        newest that holds what was found of its vehicle alone. The last is that of the last epoch that holds all its
-        windows: one that windows still come for is computed again and again. What it finds of a survey counts at once.
+        newest that holds what was found of its vehicle alone.
         """
         return self.alignment_versions([(wheelset, start_ns)]).get((wheelset, start_ns), in_force)
 

@@ -22,7 +22,6 @@ OF_THE_ALIGNMENT = (
     ReasonCode.OUTSIDE_BINS,
 )
 NOTHING = EpochNews(None, frozenset())
-CLOSED_NS = OPEN_NS - 1
 FIRST, SECOND, THIRD = (make.START + number * make.LENGTH for number in range(3))
 
 
@@ -33,13 +32,9 @@ def put_epoch(
     version: int | None,
     same_since: int | None,
     estimated_on: int | None = None,
-    *,
-    horizon_ns: int = CLOSED_NS,
-    survey: Reason | None = None,
 ) -> None:
-    after = FoldState(version, same_since, survey)
     epoch = TrackEpoch(
-        "S-7", number, "before", "digest", horizon_ns, len(starts), waits=False, after=after,
+        "S-7", number, "before", "digest", OPEN_NS, len(starts), waits=False, after=FoldState(version, same_since),
         estimated_on=estimated_on or version, report=1, recorded_ns=1,
     )  # fmt: skip
     with storage.write() as unit:
@@ -131,26 +126,6 @@ def test_windows_are_outdated_on_another_version_than_that_of_their_epoch_or_the
     assert outdated(epochs) == [("WS-1", FIRST), ("WS-1", THIRD)]
     with epochs.read() as unit:
         assert [unit.epochs.alignment_version("WS-1", at, 7) for at in (FIRST, SECOND, THIRD, 5)] == [2, 2, 2, 7]
-
-
-def test_an_epoch_that_windows_still_come_for_outdates_its_own_alone(epochs: SqlStorage) -> None:
-    for start_ns in (FIRST, SECOND, THIRD):
-        estimated(epochs, start_ns, 1)
-    put_epoch(epochs, 2, (THIRD,), 2, 2, horizon_ns=OPEN_NS)
-    assert outdated(epochs) == [("WS-1", THIRD)]
-    with epochs.read() as unit:
-        assert [unit.epochs.alignment_version("WS-1", at, 7) for at in (FIRST, SECOND, THIRD)] == [1, 1, 2]
-    put_epoch(epochs, 1, (FIRST, SECOND), 1, 1, horizon_ns=OPEN_NS)  # none holds all its windows
-    with epochs.read() as unit:
-        assert [unit.epochs.alignment_version("WS-1", at, 7) for at in (FIRST, SECOND, THIRD)] == [1, 1, 2]
-
-
-def test_what_an_epoch_finds_of_a_survey_counts_at_once(epochs: SqlStorage) -> None:
-    for start_ns in (FIRST, SECOND, THIRD):
-        estimated(epochs, start_ns, 1)
-    refused = Reason(ReasonCode.SURVEY_MIRRORED, "mirrored")
-    put_epoch(epochs, 2, (THIRD,), 2, 2, horizon_ns=OPEN_NS, survey=refused)
-    assert len(outdated(epochs)) == 3
 
 
 @pytest.mark.parametrize("code", [*OF_THE_ALIGNMENT, ReasonCode.FILE_DAMAGED])

@@ -13,7 +13,7 @@ from test_receiver import CountingClock, content, files_of
 from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
 
 from estimation.values.windows import WindowPosition, WindowState
-from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.assembled import AssembledWindowStore, StoredWindow
 from ingest.catalogue import default_catalogue
@@ -30,7 +30,9 @@ def registered(storage: SqlStorage) -> SqlStorage:
 
 
 def receiver_on(storage: SqlStorage, directory: Path) -> Receiver:
-    return Receiver(storage, RawStore(directory / "raw"), default_catalogue(), CountingClock(), window_length_s=10.0)
+    return Receiver(
+        storage, FileRawStore(directory / "raw"), default_catalogue(), CountingClock(), window_length_s=10.0
+    )
 
 
 @contextmanager
