@@ -72,8 +72,8 @@ def test_positions_and_alignment_converge_together() -> None:
 @pytest.mark.parametrize(
     ("limits", "named", "not_named"),
     [
-        ({"ratio_tolerance": 1e-9}, "stiffness ratios", "positions"),
-        ({"position_tolerance": 1e-9}, "positions", "stiffness ratios"),
+        ({"ratio_tolerance": 0.0}, "stiffness ratios", "positions"),
+        ({"position_tolerance": 0.0}, "positions", "stiffness ratios"),
     ],
 )
 def test_what_has_not_converged_makes_no_alignment_and_says_so(
