@@ -22,7 +22,9 @@ from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.paper_equations import PaperParameters, recursion_in_bins
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.filters.smoothing_spline import remove_wander
+from estimation.motion.integration_kernels import integrate_once, integrate_twice, take_out_mean
 from estimation.motion.smooth_sampling import sample_smoothed
+from estimation.motion.spline_lookup import evaluate, extent
 from estimation.tables.bin_table import BinParameters, fill_cells, group_of, init
 from estimation.tables.exact_sum import LARGEST, ExactSum, nothing
 from estimation.tables.least_squares import collect
@@ -270,6 +272,23 @@ def _passes() -> Iterator[FloatArray]:
     yield rows.astype(np.float64)
 
 
+def _integrals() -> Iterator[FloatArray]:
+    rows = np.random.default_rng(8).standard_normal((2, 12))
+    rates, displacements, run = np.empty_like(rows), np.empty_like(rows), np.empty(12)
+    take_out_mean(rows)
+    integrate_twice(rows, 0.1, rates, displacements)
+    integrate_once(rows[0], 0.1, run)
+    yield from (rates, displacements, run)
+    s, coefficients = np.linspace(0.0, 3.0, 4), np.arange(12.0).reshape(3, 4)
+    places = np.array([-1.0, 0.0, 1.0, 1.0 + 1e-16, 1.9, 2.5, 3.0, 4.0, np.nan])
+    found = np.full(len(places), -1.0)
+    evaluate(places, s, coefficients, found)
+    shifted = np.array([0.0, 1.4, 1.6, 3.0])  # whose points are off an even grid
+    uneven = np.full(len(places), -1.0)
+    evaluate(places, shifted, coefficients, uneven)
+    yield from (found, uneven, np.array(extent(places, 0.0, 3.0)))
+
+
 RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _contact,
     _conicity,
@@ -283,5 +302,6 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _simulator,
     _running_gears,
     _passes,
+    _integrals,
     *ingest_kernel_runs.RUNS,
 )
