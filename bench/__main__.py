@@ -34,6 +34,7 @@ WITH_OPTIONS = (
     "workers",
     "chunks",
     "pipeline",
+    "sustained",
     "section_runs",
     "fleet",
 )
@@ -48,6 +49,7 @@ LONG = (
     "new_window",
     "trend_versions",
     "idle",
+    "logs",
 )  # of many minutes, run where they are named
 TITLES = {
     "contact": "Contact geometry against EN 15302",
@@ -66,6 +68,7 @@ TITLES = {
     "new_window": "One new window after a year",
     "trend_versions": "A trend with the versions of a year",
     "idle": "A run of all jobs with nothing new",
+    "logs": "Log files to decoded arrays",
 }
 COLUMNS = ("what", "measured", "reach", "met")
 

@@ -8,11 +8,12 @@ import sys
 from collections.abc import Sequence
 
 PARTS = (
-    ("decoding", "new_window", "stored", "trend_versions", "idle"),
+    ("decoding", "logs", "new_window", "stored", "trend_versions", "idle"),
     ("pipeline",),
     ("section_runs",),
     ("workers",),
     ("chunks",),
+    ("sustained",),
 )
 """Names of benches that run together, for what is printed as one table."""
 

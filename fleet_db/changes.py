@@ -6,27 +6,30 @@ What the worklist shows of them is made again then, too (``fleet_db.stores.workl
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
-from sqlalchemy import Connection, update
+from sqlalchemy import Connection, Select, select, update
 
-from fleet_db.models import WheelsetChangeRow
+from fleet_db.models import SectionChangeRow, TrackEpochWindowRow, WheelsetChangeRow, WindowRow
 from fleet_db.rows import insert_new, table_of
 
-CHANGES = table_of(WheelsetChangeRow)
+CHANGES, OF_SECTIONS = table_of(WheelsetChangeRow), table_of(SectionChangeRow)
+MEMBERS, WINDOWS = table_of(TrackEpochWindowRow), table_of(WindowRow)
 
 
 @dataclass(slots=True)
 class Changes:
     """Serials whose geometry is behind what it is computed from, and those of which the worklist shows something.
 
-    They are written in the order of the serial at the end of the transaction, so that two transactions that touched
-    the same wheelsets wait for each other and never in a circle.
+    They are written in the order of the serial at the end of the transaction, and the sections behind them in the order
+    of their codes, so that two transactions that touched the same wait for each other and never in a circle.
     """
 
     connection: Connection
     noted: set[str] = field(default_factory=set)
     shown: set[str] = field(default_factory=set)
     touched: set[str] = field(default_factory=set)  # noted or shown since they were written last
+    sections: set[str] = field(default_factory=set)  # on which something has happened since they were written last
 
     def note(self, wheelset: str, *, shown: bool = True) -> None:
         """Something that the geometry of a wheelset is computed from has changed.
@@ -52,6 +55,27 @@ class Changes:
         """Something has happened to ``wheelset`` that jobs look at, and the worklist does not show."""
         self.touched.add(wheelset)
 
+    def on_section(self, section: str | None) -> None:
+        """Something has happened to windows, positions or epochs of a section; None is no section.
+
+        Jobs look again at a section only where this has been said, or what they compare is another.
+        """
+        self.sections.add(section or "")
+
+    def refile(self, wheelset: str) -> None:
+        """Something on file of ``wheelset`` has changed that its geometry, windows and epochs rest on."""
+        self.note(wheelset)
+        for table, column in ((WINDOWS, WINDOWS.c.track_section), (MEMBERS, MEMBERS.c.section)):
+            self._on_sections(select(column).where(table.c.wheelset == wheelset))
+
+    def refile_vehicle(self, vehicle: str) -> None:
+        """Something on file of ``vehicle`` has changed that its windows rest on."""
+        self._on_sections(select(WINDOWS.c.track_section).where(WINDOWS.c.vehicle == vehicle))
+
+    def _on_sections(self, found: Select[Any]) -> None:
+        for section in self.connection.scalars(found.distinct()):
+            self.on_section(section)
+
     def take_shown(self) -> list[str]:
         """Return the serials whose row of the worklist is to be made again, in their order; they are forgotten here."""
         taken = sorted(self.shown)
@@ -68,5 +92,12 @@ class Changes:
                 first = {"wheelset": wheelset, "change": more, "geometry_change": 0, "touched": 1}
                 if not insert_new(self.connection, CHANGES, first):
                     self.connection.execute(counted)
+        for section in sorted(self.sections):
+            counted = update(OF_SECTIONS).where(OF_SECTIONS.c.section == section)
+            counted = counted.values(touched=OF_SECTIONS.c.touched + 1)
+            known = self.connection.execute(counted.execution_options(preserve_rowcount=True)).rowcount
+            if not known and not insert_new(self.connection, OF_SECTIONS, {"section": section, "touched": 1}):
+                self.connection.execute(counted)
         self.noted.clear()
         self.touched.clear()
+        self.sections.clear()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Insert, Select, Table, Update, and_, bindparam, select, update
+from sqlalchemy import ColumnElement, Connection, Insert, Select, Table, Update, and_, bindparam, or_, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.reasons import Reason, ReasonCode
@@ -115,6 +115,20 @@ def insert_all_new(connection: Connection, table: Table, rows: Sequence[Mapping[
         By column, each with the whole primary key.
     """
     return connection.execute(_insert_new(table, connection.dialect.name), list(rows)).rowcount if rows else 0
+
+
+def on_sections(column: ColumnElement[str | None], sections: Collection[str]) -> ColumnElement[bool]:
+    """Return the condition that a column names one of some sections.
+
+    Parameters
+    ----------
+    column
+        Code of a section, or null.
+    sections
+        Codes; the empty text stands for null.
+    """
+    named = column.in_(sorted(set(sections) - {""}))
+    return or_(named, column.is_(None)) if "" in sections else named
 
 
 def null_if_nan(value: float | None) -> float | None:

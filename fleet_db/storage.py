@@ -39,6 +39,7 @@ from fleet_db.stores.recording_changes import RecordingChangeStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RegistryHistoryStore
 from fleet_db.stores.roll_ups import RollUpStore
+from fleet_db.stores.section_looks import SectionLookStore
 from fleet_db.stores.sensor_changes import SensorChangeStore
 from fleet_db.stores.settings import StoredSettingStore
 from fleet_db.stores.stale_spans import StaleSpanStore
@@ -98,6 +99,7 @@ class SqlUnitOfWork:
     api_keys: ApiKeyStore = field(init=False)
     audit: AuditStore = field(init=False)
     looks: LookStore = field(init=False)
+    section_looks: SectionLookStore = field(init=False)
     roll_ups: RollUpStore = field(init=False)
     webhooks: WebhookStore = field(init=False)
     work_claims: WorkClaimStore = field(init=False)
@@ -113,13 +115,13 @@ class SqlUnitOfWork:
         self.raw_scrubs = RawScrubStore(connection)
         self.recording_changes = RecordingChangeStore(connection)
         self.registry = RegistryStore(connection, self.changes, self.shipped)
-        self.tracks = TrackStore(connection)
+        self.tracks = TrackStore(connection, self.changes)
         self.registry_history = RegistryHistoryStore(connection)
         self.sensor_changes = SensorChangeStore(connection, self.changes)
         self.corrections = CorrectionStore(
             connection, self.changes, self.registry, self.tracks, self.registry_history, self.sensor_changes
         )
-        self.epochs = EpochStore(connection)
+        self.epochs = EpochStore(connection, self.changes)
         self.windows = WindowStore(connection, self.changes, self.files)
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)
@@ -137,6 +139,7 @@ class SqlUnitOfWork:
         self.api_keys = ApiKeyStore(connection)
         self.audit = AuditStore(connection)
         self.looks = LookStore(connection, self.changes)
+        self.section_looks = SectionLookStore(connection)
         self.roll_ups = RollUpStore(connection)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)

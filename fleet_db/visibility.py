@@ -167,7 +167,17 @@ SHARED = frozenset(
 )
 """Tables of no fleet. What a row of them says of a fleet's vehicles is left out by its representation."""
 HIDDEN = frozenset(
-    {"api_keys", "audit_entries", "raw_marks", "raw_scrubs", "webhook_secrets", "work_claims", "work_leases"}
+    {
+        "api_keys",
+        "audit_entries",
+        "raw_marks",
+        "raw_scrubs",
+        "section_changes",
+        "section_looks",
+        "webhook_secrets",
+        "work_claims",
+        "work_leases",
+    }
 )
 """Tables that a bound caller does not see at all."""
 

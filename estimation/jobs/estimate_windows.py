@@ -27,15 +27,14 @@ from estimation.jobs.steps.failed_windows import (
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.lost_windows import assemble_if_lost
 from estimation.jobs.steps.plausibility import judge_mileages
+from estimation.jobs.steps.requeued_windows import requeued
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.window_inputs import BatchInputs, WindowInputs, inputs_of_batch
 from estimation.jobs.steps.window_tracks import tracks_of_batch
 from estimation.motion.hunting import in_place_of_quality
-from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import cells_of_window
 from estimation.values.geometry import FilledCells, WindowTable
-from estimation.values.quantities import Status
 from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentRecord, AlignmentSource, Correction, TrackAlignment, TrackLayout
@@ -44,19 +43,15 @@ from estimation.values.windows import WindowKey, WindowMark, WindowPosition, Win
 
 def run(context: JobContext) -> Mapping[str, int]:
     """Estimate every pending window; each batch is claimed and committed together."""
-    settings = context.settings.estimation
     counts: Counter[str] = Counter(estimated=0, refused=0, changed_meanwhile=0)
     if judged := judge_mileages(context):
         counts["mileages_judged"] = judged
     isolation = Isolation(context, "estimate_windows")
     let_due_wait_again(context, isolation)
-    with context.storage.write() as unit:
-        known = {section.code: unit.tracks.in_force(section.code) for section in unit.tracks.sections()}
-        in_force = {code: record for code, record in known.items() if record is not None}
-        counts["requeued"], passed_over = _requeue(unit, settings, in_force)
-        if passed_over:
-            counts["passed_over"] = passed_over  # no samples any more: they stay as they are
-        total = unit.windows.counts().get(WindowState.PENDING, 0)
+    counts.update(requeued(context, STAGE.name))
+    with context.storage.read() as unit:
+        total, standing = unit.windows.pending_count(), unit.tracks.standings()
+    in_force = {code: one.in_force for code, one in standing.items() if one.in_force is not None}
     waiting = [code for code, record in in_force.items() if _waits_for_place(record)]
     counts["quarantined"] = isolation.quarantined
     _hand_out(context, waiting, total, counts)
@@ -191,36 +186,6 @@ def _store(unit: UnitOfWork, found: Sequence[_Outcome]) -> None:
     unit.tables.put_all(tables)
     unit.windows.mark_all(marks)
     unit.epochs.note_all_refused(refused)
-
-
-def _requeue(
-    unit: UnitOfWork, settings: EstimationSettings, in_force: Mapping[str, AlignmentRecord]
-) -> tuple[int, int]:
-    """Let windows wait again that an alignment or a class has come for, or whose table is of another or parameters.
-
-    A version that differs from the one of a table by less than that left unknown is none to estimate again for, nor is
-    a recording of the gauge alone. Return how many wait again, and how many cannot, for their samples were purged.
-    """
-    known = [code for code, one in in_force.items() if one.status is Status.ESTIMATED]
-    classes = ClassLookup(unit, settings)
-    outdated = {*unit.epochs.outdated(), *_made_otherwise(unit, classes)}
-    wait = sum(unit.windows.mark(*key, WindowState.PENDING) for key in sorted(outdated))
-    come = sum(unit.windows.requeue(code, NO_ALIGNMENT.code) for code in known)
-    return wait + come + _class_known(unit, classes), len(outdated) - wait
-
-
-def _made_otherwise(unit: UnitOfWork, classes: ClassLookup) -> Iterator[tuple[str, int]]:
-    """Yield (wheelset, start) of the windows whose table was made with other parameters than those in force."""
-    for key in unit.tables.parameter_keys():
-        if key.parameter_key != classes.table_key(key.vehicle, key.wheelset):
-            yield from unit.tables.made_with(key)
-
-
-def _class_known(unit: UnitOfWork, classes: ClassLookup) -> int:
-    """Let windows wait again whose vehicle has a class by now; return how many."""
-    waiting = unit.windows.refused_vehicles(ReasonCode.CLASS_UNKNOWN)
-    known = [vehicle for vehicle in waiting if not isinstance(classes.of_vehicle(vehicle), Reason)]
-    return sum(unit.windows.requeue_vehicle(vehicle, ReasonCode.CLASS_UNKNOWN) for vehicle in known)
 
 
 def _compute(

@@ -4,7 +4,7 @@ The windows of each section are divided into epochs, a function of the set of wi
 these and what was known after the epoch before become the next version. So what is known of a section does not depend
 on when its windows came. An epoch is computed again when one of its windows has changed, or what it started from; so a
 run costs its new windows and not the history. Windows of an epoch that identifies nothing are looked at again together
-with those of the next.
+with those of the next. A section on which nothing has happened is not read.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from estimation.jobs.job import Job, JobContext, Stage
 from estimation.jobs.steps.epoch_inputs import FileLookup, entries, given, input_digest
 from estimation.jobs.steps.epoch_passes import epoch_passes
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
+from estimation.jobs.steps.section_looks import note_sections, section_news
 from estimation.jobs.steps.store_alignment import (
     Computed,
     Due,
@@ -71,24 +72,7 @@ def run(context: JobContext) -> Mapping[str, int]:
     """Compute the epochs of every section that are new or have changed; each is committed on its own."""
     counts: Counter[str] = Counter(dict.fromkeys(_COUNTS, 0))
     isolation = Isolation(context, "refresh_alignment")
-    with context.storage.read() as unit:
-        sections = unit.tracks.sections()
-    due = []
-    for section in sections:
-        if isolation.waits(SubjectKind.SECTION, section.code):
-            continue
-        counts["sections"] += 1
-        try:
-            if _is_due(context, section):
-                due.append(section.code)
-                continue
-        except Exception as error:
-            if not fails_alone(error):
-                raise
-            isolation.keep(SubjectKind.SECTION, section.code, no_inputs(), error)
-        else:
-            counts["unchanged"] += 1
-            isolation.release(SubjectKind.SECTION, section.code)
+    due = _due_sections(context, isolation, counts)
     counts["quarantined"] = isolation.quarantined
     done = 0
 
@@ -99,6 +83,38 @@ def run(context: JobContext) -> Mapping[str, int]:
 
     counts.update(hand_out(context, STAGE, ((code,) for code in due), progress))
     return counts
+
+
+def _due_sections(context: JobContext, isolation: Isolation, counts: Counter[str]) -> list[str]:
+    """Return the sections with an epoch to look at; those on which nothing has happened are not even read."""
+    with context.storage.read() as unit:
+        sections, news = unit.tracks.sections(), section_news(unit, context, STAGE.name)
+    failed = {item.key for item in isolation.held(SubjectKind.SECTION)}
+    due, at_rest = [], {}
+    for section in sections:
+        code = section.code
+        if isolation.waits(SubjectKind.SECTION, code):
+            continue
+        counts["sections"] += 1
+        if code not in news and code not in failed:
+            counts["unchanged"] += 1
+            continue
+        try:
+            first = _first_due(context, section)
+            if first is not None and not first.later:
+                due.append(code)
+                continue
+        except Exception as error:
+            if not fails_alone(error):
+                raise
+            isolation.keep(SubjectKind.SECTION, code, no_inputs(), error)
+        else:
+            counts["unchanged"] += 1
+            isolation.release(SubjectKind.SECTION, code)
+            if code in news and first is None:  # an epoch that is left for later is looked at again
+                at_rest[code] = news[code]
+    note_sections(context, STAGE.name, at_rest)
+    return due
 
 
 def _work(context: JobContext, codes: Sequence[str]) -> Mapping[str, int]:
@@ -122,11 +138,11 @@ JOB = Job("refresh_alignment", "Find the alignment of sections and the positions
 STAGE = Stage(JOB.name, _work, _set_aside)
 
 
-def _is_due(context: JobContext, section: TrackSectionRecord) -> bool:
-    """Whether an epoch of a section has to be looked at; asked before the section is claimed, for that writes."""
+def _first_due(context: JobContext, section: TrackSectionRecord) -> Due | None:
+    """Return which epoch of a section has to be looked at; asked before the section is claimed, for that writes."""
     files_ns = _files_changed(context, section)
     with context.storage.read() as unit:
-        return _due(unit, section, context, 0, files_ns) is not None
+        return _due(unit, section, context, 0, files_ns)
 
 
 def _fold(context: JobContext, section: TrackSectionRecord, counts: Counter[str]) -> None:
@@ -136,7 +152,7 @@ def _fold(context: JobContext, section: TrackSectionRecord, counts: Counter[str]
     while True:
         with context.storage.read() as unit:
             due = _due(unit, section, context, visited, files_ns)
-        if due is None:
+        if due is None or due.later:
             break
         visited = due.number
         if not due.own:
@@ -217,7 +233,7 @@ def _due(
         group.horizon_ns,
     )
     if known and number == len(stored) and _leaves_for_later(context, known[0], due, group):
-        return None
+        return replace(due, later=True)
     same = known and number not in news.unplaced | again and _rests_on(known[0], due)
     return replace(due, same=replace(known[0], horizon_ns=group.horizon_ns, windows=len(own))) if same else due
 

@@ -24,3 +24,11 @@ class Look:
             Our time.
         """
         return self.inputs == inputs and (self.until_ns is None or now_ns < self.until_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class SectionLook:
+    """What a look at a track section is made from: the same again would find the same."""
+
+    inputs: str  # digest of settings, classes and what is on file of the section, 64 hexadecimal digits
+    touched: int  # how often something had happened to its windows, positions or epochs

@@ -173,6 +173,18 @@ class AlignmentRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class SectionStanding:
+    """Which versions a section has: what is in force, and what the operator registered last; None where there is none.
+
+    ``layout`` is the newest version of its layout.
+    """
+
+    in_force: AlignmentRecord | None = None
+    registered: int | None = None
+    layout: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class TrackReport:
     """What a run of the alignment job found of a section; ``version`` is the one in force afterwards, if any."""
 

@@ -19,6 +19,7 @@ from fleet_db.models.quarantine import QuarantineRow, RawMarkRow, RecordingChang
 from fleet_db.models.raw_scrubs import RawScrubRow
 from fleet_db.models.registry_history import RegistryEventRow
 from fleet_db.models.roll_ups import RollingSumsRow, RollUpRow, RollUpStateRow, TakenTableRow
+from fleet_db.models.section_looks import SectionChangeRow, SectionLookRow
 from fleet_db.models.sensor_changes import SensorChangeRow
 from fleet_db.models.settings import StoredSettingRow
 from fleet_db.models.stale_spans import StaleSpanRow
@@ -67,6 +68,8 @@ __all__ = [
     "RollUpRow",
     "RollUpStateRow",
     "RollingSumsRow",
+    "SectionChangeRow",
+    "SectionLookRow",
     "SensorChangeRow",
     "StaleSpanRow",
     "StoredSettingRow",

@@ -29,6 +29,7 @@ class TrendRow(Base):
         one_of("status", Status),
         CheckConstraint("baseline >= 0", name="baseline_counted"),
         Index(None, "wheelset", "trend_id"),
+        Index(None, "wheelset", "recorded_ns", "trend_id"),
         Index(None, "recorded_ns"),
         {"sqlite_autoincrement": True},
     )

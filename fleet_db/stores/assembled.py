@@ -120,17 +120,26 @@ class AssembledWindowStore:
         not_purged = {"judged": False, "samples_purged_ns": None, "passed_over": None}
         rows = [self._row(each, recorded_ns) | not_purged for each in windows]
         if rows:
+            self._touch([(each.window.wheelset, each.window.start_ns) for each in windows])
             replace_all(self.connection, WINDOWS, rows)
 
     def forget_positions(self, keys: Sequence[WindowKey]) -> None:
         """Let it be found again where windows were."""
         if keys:
+            self._touch(keys)
             same = tuple_(POSITIONS.c.wheelset, POSITIONS.c.start_ns).in_(keys)
             self.connection.execute(delete(POSITIONS).where(same))
+
+    def _touch(self, keys: Sequence[WindowKey]) -> None:
+        """Let jobs look again at the sections that windows are on as they are stored."""
+        same = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys)
+        for section in self.connection.scalars(select(WINDOWS.c.track_section).where(same).distinct()):
+            self.changes.on_section(section)
 
     def _row(self, each: AssembledWindow, recorded_ns: int) -> dict[str, object]:
         """Return the row of a window whose file is written here."""
         self.changes.show(each.window.wheelset)
+        self.changes.on_section(each.window.track_section)
         return window_values(each.window, each.mileage_km) | {
             "content_digest": each.digest,
             "sample_bytes": self.files.save(each.window, each.digest),
@@ -178,6 +187,7 @@ class AssembledWindowStore:
                 same = (table.c.wheelset == record.wheelset, table.c.start_ns == record.start_ns)
                 self.connection.execute(delete(table).where(*same))
             self.changes.note(record.wheelset)
+            self.changes.on_section(record.track_section)
         return removed
 
     def _stays(self, record: WindowRecord) -> bool:

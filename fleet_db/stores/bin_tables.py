@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, and_, or_, select
+from sqlalchemy import Connection, Row, Select, and_, select
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTable
@@ -17,14 +17,13 @@ from estimation.values.windows import WindowKey, WindowRecord
 from fleet_db.changes import Changes
 from fleet_db.models import WindowBinTableRow, WindowRow
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
-from fleet_db.rows import insert_all_new, replace, table_of
+from fleet_db.rows import insert_all_new, on_sections, replace, table_of
 from fleet_db.stores.taken_tables import take_back
 from fleet_db.stores.window_marks import keys_given
-from fleet_db.stores.windows import to_window_record
+from fleet_db.stores.windows import NOT_PASSED_OVER, to_window_record
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 SAME_WINDOW = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
-NOT_PASSED_OVER = or_(WINDOWS.c.samples_purged_ns.is_(None), WINDOWS.c.passed_over.is_(None))
 BATCH = 500  # rows fetched at once
 
 
@@ -55,7 +54,7 @@ class BinTableStore:
         NotFoundError, ConflictError
             As :meth:`put`.
         """
-        self._check([(one.key, one.window_digest) for one in tables])
+        windows = self._checked([(one.key, one.window_digest) for one in tables])
         values = {one.key: _values(one) for one in tables}
         stored = self._stored(list(values))
         new = [row for key, row in values.items() if key not in stored]
@@ -68,15 +67,18 @@ class BinTableStore:
                 take_back(self.connection, *key)
                 replace(self.connection, TABLES, row)
             self.changes.note(key[0], shown=False)  # its geometry follows
+            self.changes.on_section(windows[key].track_section)
 
-    def _check(self, expected: Sequence[tuple[WindowKey, str]]) -> None:
-        digests = self._by_key(_digests(), [key for key, _ in expected])
+    def _checked(self, expected: Sequence[tuple[WindowKey, str]]) -> Mapping[WindowKey, Row[Any]]:
+        """Return the sections that windows are on, once their contents are those expected."""
+        windows = self._by_key(_contents(), [key for key, _ in expected])
         for key, digest in expected:
             name = f"{key[0]}@{key[1]}"
-            if key not in digests:
+            if key not in windows:
                 raise NotFoundError("window", name)
-            if digests[key].content_digest != digest:
+            if windows[key].content_digest != digest:
                 raise ConflictError(f"window {name} was replaced while it was estimated", kind="window", key=name)
+        return windows
 
     def _stored(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, Row[Any]]:
         """Return by key what is compared of the tables that are there."""
@@ -89,10 +91,11 @@ class BinTableStore:
                 found[row.wheelset, row.start_ns] = row
         return found
 
-    def parameter_keys(self) -> Sequence[TableKey]:
-        """Return every combination of wheelset, vehicle and parameters of which there is a table."""
+    def parameter_keys(self, sections: Collection[str]) -> Sequence[TableKey]:
+        """Return every combination of wheelset, vehicle and parameters of which there is a table on some sections."""
         columns = (TABLES.c.wheelset, WINDOWS.c.vehicle, TABLES.c.parameter_key)
-        statement = select(*columns).join_from(WINDOWS, TABLES, SAME_WINDOW).distinct().order_by(*columns)
+        statement = select(*columns).join_from(WINDOWS, TABLES, SAME_WINDOW)
+        statement = statement.where(on_sections(WINDOWS.c.track_section, sections)).distinct().order_by(*columns)
         return [TableKey(*row) for row in self.connection.execute(statement)]
 
     def made_with(self, key: TableKey) -> Sequence[tuple[str, int]]:
@@ -221,8 +224,9 @@ def _values(one: WindowTable) -> dict[str, Any]:
 
 
 @cache
-def _digests() -> Select[Any]:
-    return select(WINDOWS.c.wheelset, WINDOWS.c.start_ns, WINDOWS.c.content_digest).where(keys_given(WINDOWS))
+def _contents() -> Select[Any]:
+    names = ("wheelset", "start_ns", "content_digest", "track_section")
+    return select(*(WINDOWS.c[name] for name in names)).where(keys_given(WINDOWS))
 
 
 @cache

@@ -163,7 +163,7 @@ class CorrectionStore:
             raise NotFoundError(key.kind.value, _name(key))
         table = REPROFILINGS if key.kind is RecordKind.REPROFILING else MEASURED
         self.connection.execute(delete(table).where(table.c.wheelset == key.subject, table.c.at_ns == key.at_ns))
-        self.changes.note(key.subject)
+        self.changes.refile(key.subject)
         return dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
 
     def _void_wheelset(self, key: RecordKey) -> _Values:
@@ -247,7 +247,7 @@ class CorrectionStore:
     def _restore_measurement(self, record: _Values, _recorded_ns: int | None) -> None:
         row = record | {"packed": base64.b64decode(record["packed"])}
         self.connection.execute(insert(MEASURED).values(**row))
-        self.changes.note(record["wheelset"])
+        self.changes.refile(record["wheelset"])
 
     def _restore_wheelset(self, record: _Values, _recorded_ns: int | None) -> None:
         """Nothing is to be put back: the decision itself ends that it is voided."""

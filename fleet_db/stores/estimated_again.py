@@ -120,14 +120,14 @@ class Again:
 
     def _restart(self, section: str) -> None:
         """Put the newest registered alignment of a section in force again; where there is none, none is known."""
-        tracks = TrackStore(self.connection)
+        tracks = TrackStore(self.connection, self.changes)
         now, before = tracks.alignment(section), tracks.in_force(section)
         assert now is not None
         assert before is not None
         recorded_ns = before.recorded_ns if self.recorded_ns is None else self.recorded_ns
         if recorded_ns is not None:  # a registered one is in force as it is
             tracks.add_alignment(self._registered(section) or _unknown(now), recorded_ns=recorded_ns)
-        EpochStore(self.connection).start_again(section)
+        EpochStore(self.connection, self.changes).start_again(section)
         self._wait(WINDOWS.c.track_section == section, PassedOver.SUPERSEDED)
 
     def _registered(self, section: str) -> TrackAlignment | None:
@@ -135,7 +135,7 @@ class Again:
         version = self.connection.scalar(
             select(func.max(ALIGNMENTS.c.version)).where(ALIGNMENTS.c.section == section, ~exists().where(same))
         )
-        return None if version is None else TrackStore(self.connection).alignment(section, version)
+        return None if version is None else TrackStore(self.connection, self.changes).alignment(section, version)
 
     def _wait(self, chosen: ColumnElement[bool], what: PassedOver) -> None:
         """Let windows wait again, and forget where they were; those without samples stay as they are."""
@@ -149,8 +149,10 @@ class Again:
         pass_over(self.connection, and_(chosen, ~with_samples), what)
 
     def _note(self, chosen: ColumnElement[bool]) -> None:
-        for wheelset in self.connection.scalars(select(WINDOWS.c.wheelset).where(chosen).distinct()):
+        of = select(WINDOWS.c.wheelset, WINDOWS.c.track_section).where(chosen).distinct()
+        for wheelset, section in self.connection.execute(of):
             self.changes.note(wheelset)
+            self.changes.on_section(section)
 
 
 def _unknown(alignment: TrackAlignment) -> TrackAlignment:

@@ -169,6 +169,12 @@ class RegistryStore:
         of_package = self.shipped(code)
         return None if of_package is None else ClassOnFile(of_package)
 
+    def classes_in_use(self) -> Sequence[str]:
+        """Return the codes of the classes that vehicles on file are of, in their order."""
+        return list(
+            self.connection.scalars(select(VEHICLES.c.vehicle_class).distinct().order_by(VEHICLES.c.vehicle_class))
+        )
+
     def vehicle_classes(self) -> Sequence[ClassOnFile]:
         """Return the newest version of every registered class, by code."""
         return newest_classes(self.connection)
@@ -214,6 +220,7 @@ class RegistryStore:
         RegistryHistoryStore(self.connection).note_return(key, values, self.decision)
         if upsert(self.connection, VEHICLES, values):
             self._show_mounted([record.code])
+            self.changes.refile_vehicle(record.code)
             self._note(key, None if was is None else _vehicle_values(was), values, recorded_ns)
         if was is not None and was.max_speed_m_s != record.max_speed_m_s:  # mileages are judged by it
             self.connection.execute(update(WINDOWS).where(WINDOWS.c.vehicle == record.code).values(judged=False))
@@ -252,7 +259,7 @@ class RegistryStore:
             )
             self.changes.show(record.serial)
         if upsert(self.connection, WHEELSETS, values):
-            self.changes.note(record.serial)
+            self.changes.refile(record.serial)
             self._note(key, row, values, recorded_ns)
         if record.mounting is not None:
             self.add_mounting(record.mounting)
@@ -310,7 +317,7 @@ class RegistryStore:
         """Let follow what rests on a mounting that has changed; None is one that there is not."""
         record = now or was
         assert record is not None
-        self.changes.note(record.wheelset)
+        self.changes.refile(record.wheelset)
         self.connection.execute(update(WINDOWS).where(WINDOWS.c.wheelset == record.wheelset).values(judged=False))
         for vehicle, from_ns, to_ns in changed_spans(was, now):
             StaleSpanStore(self.connection).add(vehicle, from_ns, to_ns, f"mounting of wheelset {record.wheelset}")
@@ -339,7 +346,7 @@ class RegistryStore:
         was = stored_reprofiling(self.connection, record.wheelset, record.at_ns)
         if not upsert(self.connection, REPROFILINGS, asdict(record)):
             return False
-        self.changes.note(record.wheelset)
+        self.changes.refile(record.wheelset)
         self._note(RecordKey(RecordKind.REPROFILING, record.wheelset, record.at_ns), was, asdict(record), recorded_ns)
         return True
 
@@ -358,7 +365,7 @@ class RegistryStore:
         was = stored_measurement(self.connection, record.wheelset, record.at_ns)
         if not store_measured_profiles(self.connection, record):
             return False
-        self.changes.note(record.wheelset)
+        self.changes.refile(record.wheelset)
         now = stored_measurement(self.connection, record.wheelset, record.at_ns)
         self._note(RecordKey(RecordKind.MEASUREMENT, record.wheelset, record.at_ns), was, now, recorded_ns)
         return True

@@ -26,6 +26,7 @@ from sqlalchemy import (
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track_epochs import EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
+from fleet_db.changes import Changes
 from fleet_db.models import (
     TrackEpochRow,
     TrackEpochVehicleRow,
@@ -105,6 +106,7 @@ class EpochStore:
     """Implements ``estimation.storage.Epochs``."""
 
     connection: Connection
+    changes: Changes
 
     def list(self, section: str) -> Sequence[TrackEpoch]:
         """Return the epochs of a section as they were computed last, in order."""
@@ -167,6 +169,7 @@ class EpochStore:
 
         Its windows count as placed where their positions are stored.
         """
+        self.changes.on_section(epoch.section)
         upsert(self.connection, EPOCHS, _values(epoch))
         of_epoch = and_(MEMBERS.c.section == epoch.section, MEMBERS.c.epoch == epoch.number)
         held = self.connection.execute(select(MEMBERS.c.wheelset, MEMBERS.c.start_ns).where(of_epoch))
@@ -182,6 +185,7 @@ class EpochStore:
 
     def put_found(self, section: str, number: int, found: FoundOfVehicles | None) -> None:
         """Store of which vehicles an epoch has found what matters for them alone, in the place of what was known."""
+        self.changes.on_section(section)
         of_epoch = (VEHICLES.c.section == section, VEHICLES.c.epoch == number)
         self.connection.execute(delete(VEHICLES).where(*of_epoch))
         if found is None:
@@ -214,6 +218,7 @@ class EpochStore:
 
         What they have made stays in force until then.
         """
+        self.changes.on_section(section)
         for table in (MEMBERS, VEHICLES):
             self.connection.execute(delete(table).where(table.c.section == section, table.c.epoch > number))
         behind = delete(EPOCHS).where(EPOCHS.c.section == section, EPOCHS.c.number > number)
@@ -245,8 +250,8 @@ class EpochStore:
         if rows:
             self.connection.execute(_refused(), rows)
 
-    def outdated(self) -> Sequence[tuple[str, int]]:
-        """Return (wheelset, start) of windows that were estimated on another version than they are to be."""
+    def outdated(self, sections: Collection[str]) -> Sequence[tuple[str, int]]:
+        """Return (wheelset, start) of windows on some sections that were estimated on another version than wanted."""
         table = and_(
             WINDOWS.c.state == WindowState.ESTIMATED.value,
             WINDOWS.c.table_purged_ns.is_(None),
@@ -260,6 +265,7 @@ class EpochStore:
         statement = (
             select(WINDOWS.c.wheelset, WINDOWS.c.start_ns)
             .select_from(_CHAIN.join(WINDOWS, and_(OF_WINDOW, SAME_CONTENT)).outerjoin(TABLES, OF_TABLE))
+            .where(MEMBERS.c.section.in_(sorted(sections)))
             .where(or_(table, refused), or_(WITH_SAMPLES, WINDOWS.c.passed_over.is_(None)))
             .order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns)
         )
@@ -280,6 +286,8 @@ class EpochStore:
             "placed": False,
         }
         if not insert_new(self.connection, MEMBERS, values):
+            same = (MEMBERS.c.wheelset == record.wheelset, MEMBERS.c.start_ns == record.start_ns)
+            self.changes.on_section(self.connection.scalar(select(MEMBERS.c.section).where(*same)))
             replace(self.connection, MEMBERS, values)
 
     def _changed_from(self, section: str) -> int | None:

@@ -15,12 +15,14 @@ from estimation.values.quantities import Status
 from estimation.values.track import (
     AlignmentRecord,
     AlignmentSource,
+    SectionStanding,
     TrackAlignment,
     TrackLayout,
     TrackReport,
     TrackSectionRecord,
 )
 from estimation.values.windows import WindowKey, WindowPosition
+from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import (
     TrackAlignmentRow,
@@ -68,6 +70,7 @@ class TrackStore:
     """Implements ``estimation.storage.Tracks``."""
 
     connection: Connection
+    changes: Changes
 
     def sections(self) -> Sequence[TrackSectionRecord]:
         """Return all sections by code; one that was voided has no number of a bus and is none."""
@@ -188,6 +191,24 @@ class TrackStore:
         row = self.connection.execute(statement).first()
         return None if row is None else _alignment_record(row)
 
+    def standings(self) -> Mapping[str, SectionStanding]:
+        """Return by code which versions each section has that has some: a few statements for all."""
+        newest = select(ALIGNMENTS.c.section, func.max(ALIGNMENTS.c.version).label("version"))
+        newest = newest.select_from(ALIGNMENTS.outerjoin(VERSIONS, SAME_VERSION)).group_by(ALIGNMENTS.c.section)
+        standing = newest.where(STANDS).subquery()
+        same = and_(standing.c.section == ALIGNMENTS.c.section, standing.c.version == ALIGNMENTS.c.version)
+        rows = self.connection.execute(RECORDS.where(exists().where(same)))
+        in_force = {row.section: _alignment_record(row) for row in rows}
+        registered = {
+            row.section: row.version for row in self.connection.execute(newest.where(VERSIONS.c.version.is_(None)))
+        }
+        latest = select(LAYOUTS.c.section, func.max(LAYOUTS.c.version).label("version")).group_by(LAYOUTS.c.section)
+        layouts = {row.section: row.version for row in self.connection.execute(latest)}
+        return {
+            code: SectionStanding(in_force.get(code), registered.get(code), layouts.get(code))
+            for code in sorted({*in_force, *registered, *layouts})
+        }
+
     def registered(self, section: str) -> int | None:
         """Return the newest version of the alignment of a section that the operator registered; None without one."""
         statement = (
@@ -269,6 +290,9 @@ class TrackStore:
 
     def forget_position(self, wheelset: str, start_ns: int) -> None:
         """Forget where a window was."""
+        of_window = (WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
+        for section in self.connection.scalars(select(WINDOWS.c.track_section).where(*of_window)):
+            self.changes.on_section(section)
         self.connection.execute(
             delete(POSITIONS).where(POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
         )
@@ -278,7 +302,7 @@ class TrackStore:
 
         Its epochs are computed again from the first.
         """
-        EpochStore(self.connection).start_again(section)
+        EpochStore(self.connection, self.changes).start_again(section)
         of_section = exists().where(
             WINDOWS.c.wheelset == POSITIONS.c.wheelset,
             WINDOWS.c.start_ns == POSITIONS.c.start_ns,

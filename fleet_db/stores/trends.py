@@ -17,6 +17,9 @@ from fleet_db.rows import null_if_nan, reason_columns, table_of
 
 TRENDS, GEOMETRIES = table_of(TrendRow), table_of(GeometryRow)
 NEWEST_FIRST = (TRENDS.c.trend_id.desc(),)  # in the order of commit; clocks go back
+LATEST_FIRST = (TRENDS.c.recorded_ns.desc(), *NEWEST_FIRST)
+"""The same order: none of a wheelset was recorded before the one that it follows. What was in force at a time is the
+first entry of an index from there on."""
 EVER_NS = 2**63 - 1
 
 
@@ -95,7 +98,7 @@ def _version() -> Select[Any]:
 @cache
 def _latest() -> Select[Any]:
     until = TRENDS.c.recorded_ns <= bindparam("as_of_ns")
-    return select(TRENDS).where(TRENDS.c.wheelset == bindparam("serial"), until).order_by(*NEWEST_FIRST).limit(1)
+    return select(TRENDS).where(TRENDS.c.wheelset == bindparam("serial"), until).order_by(*LATEST_FIRST).limit(1)
 
 
 def _values(record: TrendRecord) -> dict[str, Any]:

@@ -64,6 +64,7 @@ def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMar
             continue
         held.append(mark)
         if not same:
+            changes.on_section(before.track_section)
             changed.append({"wheelset": mark.wheelset, "start_ns": mark.start_ns, **after})
             if mark.state is WindowState.REFUSED:
                 gone.append(mark.key)
@@ -125,7 +126,7 @@ def _standing(connection: Connection, keys: Sequence[WindowKey]) -> dict[WindowK
 
 @cache
 def _states() -> Select[Any]:
-    names = ("wheelset", "start_ns", "state", "reason", "reason_code", "samples_purged_ns")
+    names = ("wheelset", "start_ns", "state", "reason", "reason_code", "samples_purged_ns", "track_section")
     return select(*(WINDOWS.c[name] for name in names)).where(keys_given(WINDOWS))
 
 

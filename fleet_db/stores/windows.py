@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import builtins
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -37,12 +37,14 @@ from estimation.values.windows import (
 )
 from fleet_db.changes import Changes
 from fleet_db.models import WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
+from fleet_db.models.windows import PENDING
 from fleet_db.rows import (
     insert_new,
     key_given,
     key_of,
     nan_if_null,
     null_if_nan,
+    on_sections,
     reason_columns,
     replace,
     stored_reason,
@@ -60,16 +62,18 @@ PLACED = exists().where(
     POSITIONS.c.content_digest == WINDOWS.c.content_digest,
 )
 PURGED = ("samples_purged_ns", "table_purged_ns")
+NOT_PASSED_OVER = or_(WINDOWS.c.samples_purged_ns.is_(None), WINDOWS.c.passed_over.is_(None))
 SAME = and_(WINDOWS.c.wheelset == WHEELSETS.c.serial, WINDOWS.c.start_ns == bindparam("start_ns"))
 STORED = (
-    select(*(WINDOWS.c[name] for name in ("content_digest", "sample_bytes", "mileage_km", *PURGED)))
+    select(*(WINDOWS.c[name] for name in ("content_digest", "sample_bytes", "mileage_km", "track_section", *PURGED)))
     .select_from(WHEELSETS.outerjoin(WINDOWS, SAME))
     .where(WHEELSETS.c.serial == bindparam("wheelset"))
 )
-STANDING = select(WINDOWS.c.state, WINDOWS.c.reason, WINDOWS.c.reason_code, WINDOWS.c.samples_purged_ns).where(
-    key_given(WINDOWS)
-)
-DIGEST = select(WINDOWS.c.content_digest, WINDOWS.c.samples_purged_ns).where(key_given(WINDOWS))
+STANDING = select(
+    *(WINDOWS.c[name] for name in ("state", "reason", "reason_code", "samples_purged_ns", "track_section"))
+).where(key_given(WINDOWS))
+IS_PENDING = and_(PENDING)  # word for word that of the index: a parameter would keep SQLite from it
+DIGEST = select(*(WINDOWS.c[name] for name in ("content_digest", "samples_purged_ns"))).where(key_given(WINDOWS))
 REALS = (
     "coverage",
     "longest_gap_s",
@@ -121,10 +125,12 @@ class WindowStore:
             "passed_over": None,
         }
         self.changes.show(window.wheelset)
+        self.changes.on_section(window.track_section)
         if found.content_digest is None:
             # another transaction may have stored it since the look-up
             return insert_new(self.connection, WINDOWS, values) or self.put(window, mileage_km, recorded_ns)
         replace(self.connection, WINDOWS, values)
+        self.changes.on_section(found.track_section)
         remove_tables(self.connection, self.changes, [(window.wheelset, window.start_ns)])
         return True
 
@@ -143,7 +149,7 @@ class WindowStore:
             Key behind which they are.
         """
         key = (WINDOWS.c.wheelset, WINDOWS.c.start_ns)
-        statement = select(WINDOWS).where(WINDOWS.c.state == WindowState.PENDING.value)
+        statement = select(WINDOWS).where(IS_PENDING)
         if waiting_sections:
             elsewhere = func.coalesce(WINDOWS.c.track_section, "").not_in(waiting_sections)
             statement = statement.where(or_(elsewhere, PLACED))
@@ -186,10 +192,19 @@ class WindowStore:
         found = self._records(select(WINDOWS).where(WINDOWS.c.track_section == track_section, *refused))
         return sum(self.mark(record.wheelset, record.start_ns, WindowState.PENDING) for record in found)
 
-    def refused_vehicles(self, code: ReasonCode) -> Sequence[str]:
-        """Return the vehicles of windows that were refused for a reason of this code, by code."""
+    def refused_sections(self, code: ReasonCode, sections: Collection[str]) -> Sequence[str]:
+        """Return those of some sections with windows that were refused for a reason of this code, by code."""
         refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code == code.value)
-        statement = select(WINDOWS.c.vehicle).where(*refused).distinct().order_by(WINDOWS.c.vehicle)
+        of_sections = on_sections(WINDOWS.c.track_section, sections)
+        statement = select(WINDOWS.c.track_section).where(*refused, of_sections, NOT_PASSED_OVER)
+        return list(self.connection.scalars(statement.distinct().order_by(WINDOWS.c.track_section)))
+
+    def refused_vehicles(self, code: ReasonCode, sections: Collection[str]) -> Sequence[str]:
+        """Return the vehicles of windows on some sections that were refused for a reason of this code, by code."""
+        refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code == code.value)
+        of_sections = on_sections(WINDOWS.c.track_section, sections)
+        statement = select(WINDOWS.c.vehicle).where(*refused, of_sections, NOT_PASSED_OVER)
+        statement = statement.distinct().order_by(WINDOWS.c.vehicle)
         return list(self.connection.scalars(statement))
 
     def requeue_vehicle(self, vehicle: str, code: ReasonCode) -> int:
@@ -215,6 +230,7 @@ class WindowStore:
             STANDING, key_of(WINDOWS, {"wheelset": wheelset, "start_ns": start_ns})
         ).one()
         same = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
+        self.changes.on_section(standing.track_section)
         if standing.state == WindowState.ESTIMATED.value:
             damaged = POSITIONS.c.reason_code == ReasonCode.FILE_DAMAGED.value
             self.connection.execute(delete(POSITIONS).where(*same, damaged))
@@ -326,6 +342,10 @@ class WindowStore:
             statement = statement.where(WINDOWS.c.start_ns > after_start_ns)
         return self._records(statement.order_by(WINDOWS.c.start_ns).limit(limit))
 
+    def pending_count(self) -> int:
+        """Return how many windows wait to be estimated."""
+        return self.connection.scalar(select(func.count()).select_from(WINDOWS).where(IS_PENDING)) or 0
+
     def counts(self) -> Mapping[str, int]:
         """Return how many windows are in each state."""
         statement = select(WINDOWS.c.state, func.count()).group_by(WINDOWS.c.state)
@@ -348,6 +368,7 @@ class WindowStore:
         """Let a window wait again, its position too; return whether it does."""
         waits = self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
         if waits:
+            self.changes.on_section(record.track_section)
             self._forget_position(record.wheelset, record.start_ns)
         return waits
 
@@ -361,6 +382,7 @@ class WindowStore:
         replace(self.connection, WINDOWS, values)
         take_back(self.connection, window.wheelset, window.start_ns)
         self.changes.note(window.wheelset)
+        self.changes.on_section(found.track_section)
         return True
 
     def _records(self, statement: Select[Any]) -> builtins.list[WindowRecord]:

@@ -46,7 +46,9 @@ def read_mf4(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
     buses: set[str] = set()
     with closing(MDF(path)) as mdf:
         for frames in merged([frames_of_group(mdf, *group) for group in bus_groups(mdf)]):
-            buses |= {library_channel_name(number) for number in np.unique(frames.channel).tolist() if number >= 0}
+            ends = int(frames.channel.min()), int(frames.channel.max())
+            numbers = [ends[0]] if ends[0] == ends[1] else np.unique(frames.channel).tolist()
+            buses |= {library_channel_name(number) for number in numbers if number >= 0}
             if len(buses) > 1:
                 raise LogFileError(f"holds several buses ({', '.join(sorted(buses))}): one file, one bus", file=path)
             bus = next(iter(buses), library_channel_name(None))

@@ -19,7 +19,7 @@ BUS_EVENT, BUS_SOURCE, CAN_BUS = 0x02, 2, 2
 
 DATA, ERROR, REMOTE = "CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame"
 KINDS = (DATA, ERROR, REMOTE)
-RECORDS = 65_536
+RECORDS = 131_072
 """That are read of a group at a time."""
 
 IDENTIFIER_BITS = 0x1FFF_FFFF
@@ -221,5 +221,6 @@ def _data(samples: npt.NDArray[Any], kind: str, length: IntArray) -> tuple[IntAr
     length = np.minimum(length, stored.shape[1])
     width = min(DATA_BYTES, stored.shape[1])
     data[:, :width] = stored[:, :width]
-    data[np.arange(DATA_BYTES) >= length[:, None]] = 0
+    if len(length) and int(length.min()) < DATA_BYTES:
+        data[np.arange(DATA_BYTES) >= length[:, None]] = 0
     return length, data

@@ -244,3 +244,23 @@ def test_sentences_of_an_earlier_version_get_codes(empty_url: str, engine: Engin
         assert found == [ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.OTHER, None, ReasonCode.CLIPPED]
         assert unit.windows.requeue("S", ReasonCode.ALIGNMENT_UNKNOWN) == 1
         assert [window.start_ns for window in unit.windows.ready(10, [])] == [0, 2]
+
+
+def test_no_trend_of_an_earlier_version_was_recorded_before_the_one_that_it_follows(
+    empty_url: str, engine: Engine
+) -> None:
+    config = Config()
+    config.set_main_option("script_location", str(SCRIPTS))
+    with engine.begin() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0038")
+        old_row(connection, "fleets", code="F")
+        for serial in ("W", "X"):
+            old_row(connection, "wheelsets", serial=serial, fleet="F")
+        times = [("W", 10), ("X", 5), ("W", 7), ("W", 9), ("X", 6), ("W", 11)]  # our clock went back at the third
+        for number, (serial, recorded_ns) in enumerate(times, start=1):
+            old_row(connection, "trends", trend_id=number, wheelset=serial, recorded_ns=recorded_ns, status="invalid")
+    assert upgrade(empty_url) == head()
+    with engine.connect() as connection:
+        found = connection.execute(sqlalchemy.text("SELECT wheelset, recorded_ns FROM trends ORDER BY trend_id")).all()
+    assert [tuple(row) for row in found] == [("W", 10), ("X", 5), ("W", 10), ("W", 10), ("X", 6), ("W", 11)]

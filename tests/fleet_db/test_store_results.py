@@ -16,6 +16,7 @@ from fleet_db.models import GeometryRow
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.trends import _latest
 
 DAY = 86_400 * 10**9
 HOUR = 3600 * 10**9
@@ -262,3 +263,12 @@ def test_answers_by_key(fleet: SqlStorage) -> None:
         assert unit.idempotency.get("k") == ("digest", 201, '{"a": 1}')
         with pytest.raises(ConflictError, match="another answer"):
             unit.idempotency.put("k", "other", 201, "{}", 3)
+
+
+def test_the_trend_as_of_a_time_is_the_first_entry_of_an_index(sqlite_storage: SqlStorage) -> None:
+    with sqlite_storage.read() as unit:
+        statement = str(_latest().compile(dialect=sqlite_storage.engine.dialect))
+        plan = unit.connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {statement}", ("WS-1", 1, 1, 0)).all()
+    assert [row.detail for row in plan] == [
+        "SEARCH trends USING INDEX ix_trends_wheelset_recorded_ns_trend_id (wheelset=? AND recorded_ns<?)"
+    ]

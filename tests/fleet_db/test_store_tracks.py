@@ -187,7 +187,8 @@ def test_tables_are_found_by_what_they_were_made_with(fleet: SqlStorage) -> None
             record = unit.windows.get("WS-1", window.start_ns)
             assert record is not None
             unit.tables.put("WS-1", window.start_ns, make.bin_table(), version, record.content_digest)
-        (key,) = unit.tables.parameter_keys()
+        (key,) = unit.tables.parameter_keys(["S-7"])
+        assert unit.tables.parameter_keys(["S-8", ""]) == []
         assert key == TableKey("WS-1", "V-1", make.bin_table().parameter_key)
         assert len(unit.tables.made_with(key)) == 3
         for other in (replace(key, wheelset="WS-2"), replace(key, vehicle="V-2"), replace(key, parameter_key="other")):

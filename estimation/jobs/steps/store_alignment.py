@@ -31,7 +31,8 @@ _UNDECIDED = {None, ReasonCode.SURVEY_NOT_ASSESSABLE, ReasonCode.MODEL_CONTRADIC
 class Due:
     """An epoch that has to be looked at, with the epochs as they were read.
 
-    Without windows of its own it and those behind it have none left. ``same`` is set where it rests on what it did.
+    Without windows of its own it and those behind it have none left. ``same`` is set where it rests on what it did,
+    and ``later`` where it stays as it is for now, and a later run looks at it although nothing has changed.
     """
 
     section: TrackSectionRecord
@@ -44,6 +45,7 @@ class Due:
     digest: str = ""
     horizon_ns: int = 0
     same: TrackEpoch | None = None
+    later: bool = False
 
     @property
     def old(self) -> TrackEpoch | None:
