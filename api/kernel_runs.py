@@ -22,6 +22,7 @@ from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.paper_equations import PaperParameters, recursion_in_bins
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.filters.smoothing_spline import remove_wander
+from estimation.motion import rolling_kernels
 from estimation.motion.integration_kernels import integrate_once, integrate_twice, take_out_mean
 from estimation.motion.smooth_sampling import sample_smoothed
 from estimation.motion.spline_lookup import evaluate, extent
@@ -30,7 +31,7 @@ from estimation.tables.exact_sum import LARGEST, ExactSum, nothing
 from estimation.tables.least_squares import collect
 from estimation.track.panel.pass_rows import add_filtered_hats
 from estimation.track.screening.correlations import cross_products, own_products
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.exact_table import HALF
 from estimation.values.geometry import FilledCells
 from estimation.values.motion import Motion
@@ -124,6 +125,24 @@ def _bin_tables() -> Iterator[FloatArray]:
         equations = regression(motion, parameters.vehicle)
         yield from (equations.lateral_targets, equations.yaw_targets)
     yield group_of(block, 16).astype(float)
+
+
+def _rolling_radius() -> Iterator[FloatArray]:
+    rng = np.random.default_rng(9)
+    speeds, part, starts = np.empty(2), np.arange(2), np.array([0, 20])
+    pieces, samples = np.empty((2, rolling_kernels.ROWS, 40)), rng.standard_normal((5, 60))
+    samples[4] += 20.0
+    taper = frozen_array(np.hanning(40), (40,), name="taper")
+    rolling_kernels.write_pieces(samples, starts, 0.02, taper, pieces, speeds)
+    equation = rolling_kernels.Equation(
+        7e6, 1e3, 2e5, 5e4, 1e4, 0.45, 9.81, yaw_is_gyroscope=False, roll_is_gyroscope=True
+    )
+    products, noise = np.zeros((2, 2, 6, 7, 7))
+    densities = np.full(4, 1e-6), np.full(4, 1e-8)
+    place = (0.02, 40, 1.0, equation, *densities, (2.5, 10.0))
+    rolling_kernels.add_spectra(np.fft.rfft(pieces), speeds, part, *place, products, noise)
+    rolling_kernels.mirror(products)
+    yield from (pieces, products, noise)
 
 
 def _smoothing_spline() -> Iterator[FloatArray]:
@@ -296,6 +315,7 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _stretches,
     _moments,
     _bin_tables,
+    _rolling_radius,
     _smoothing_spline,
     _exact_sums,
     _frames,

@@ -7,6 +7,7 @@ same value is the same blob: versions of a track are compared by it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from fleet_db.fields import fields_of, to_json, value_of
 from fleet_db.packing import Array, pack, unpack
 
 VERSION = 1
+ALIGNMENTS = 4  # that are kept unpacked, some megabytes each
 TREND, GEOMETRY, LAYOUT, BIN_TABLE = "wear_trend", "wheelset_geometry", "track_layout", "bin_table"
 WHEEL_PAIR, ALIGNMENT = "wheel_pair", "track_alignment"
 EXACT_TABLE, ROLLING_SUMS = "exact_table", "rolling_sums"
@@ -131,8 +133,9 @@ def pack_alignment(alignment: TrackAlignment) -> bytes:
     return pack(ALIGNMENT, ESTIMATED, scalars, arrays)
 
 
+@lru_cache(maxsize=ALIGNMENTS)
 def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment:
-    """Return the alignment as ``version``, bit for bit.
+    """Return the alignment as ``version``, bit for bit; the same again is the same object, and so is what it gives.
 
     Parameters
     ----------

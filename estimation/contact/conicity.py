@@ -27,6 +27,8 @@ from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 
 _ANGLES = 240  # midpoints of the substitution y = middle + amplitude sin(angle)
+_PLACES = [math.pi * ((j + 0.5) / _ANGLES - 0.5) for j in range(_ANGLES)]
+_SINES, _COSINES = np.array([math.sin(x) for x in _PLACES]), np.array([math.cos(x) for x in _PLACES])
 _HALVINGS = 60
 _REST = 1e-9  # share by which S is below its running maximum where a wheelset has come to rest before
 _MILLIMETRE = 1e-3
@@ -226,11 +228,17 @@ def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # no
 @compiled()
 def _from_travel(middle, amplitude, energy, points, values, potential):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return pi^2 / I^2 for the travel middle +- amplitude; 0 where the wheelset comes to rest on the way."""
-    total = 0.0
+    total, i, last = 0.0, 0, len(points) - 2
     for j in range(_ANGLES):
-        angle = math.pi * ((j + 0.5) / _ANGLES - 0.5)
-        left = energy - _potential_at(middle + amplitude * math.sin(angle), points, values, potential)
+        x = middle + amplitude * _SINES[j]
+        while i < last and points[i + 1] <= x:  # the places come in their order
+            i += 1
+        width, t = points[i + 1] - points[i], x - points[i]
+        here = potential[i]
+        if width > 0.0:
+            here += t * (values[i] + 0.5 * t * (values[i + 1] - values[i]) / width)
+        left = energy - here
         if left <= 0.0:
             return 0.0
-        total += amplitude * math.cos(angle) / math.sqrt(left)
+        total += amplitude * _COSINES[j] / math.sqrt(left)
     return (_ANGLES / total) ** 2

@@ -64,7 +64,8 @@ def subtract_smoothing_spline(
         The samples that count do not determine the wander.
     """
     spline = _spline(distance, known, cutoff_wavelength)
-    rows, removed = np.ascontiguousarray(signals), frozen_array(removed, removed.shape, name="removed")
+    rows = np.ascontiguousarray(signals) if in_place else np.array(signals)
+    removed = frozen_array(removed, removed.shape, name="removed")
     wander, of_removed = spline.projected(rows), spline.projected(removed)
     explained = spline.solved(of_removed)
     weighted = removed * spline.weight
@@ -74,9 +75,8 @@ def subtract_smoothing_spline(
     coefficients = spline.solved(wander)
     shares = _solved_definite(gram, _products(weighted, rows) - _products(of_removed, coefficients))
     coefficients -= shares.T @ explained
-    left = rows if in_place else np.empty_like(rows)
-    kernels.subtract(rows, spline.interval, spline.pieces, coefficients, removed, shares, left)
-    return left
+    kernels.subtract(rows, spline.interval, spline.pieces, coefficients, removed, shares)
+    return rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class _Spline:
 
     weight: FloatArray  # (n,) m, of each sample
     interval: IntArray  # (n,) between knots
-    pieces: FloatArray  # (n, PIECES) B-splines at each sample
+    pieces: FloatArray  # (PIECES, n) B-splines at each sample
     factor: FloatArray  # (k, PIECES) of the normal equations
 
     def projected(self, rows: FloatArray) -> FloatArray:
@@ -105,7 +105,7 @@ def _spline(distance: FloatArray, known: BoolArray, cutoff_wavelength: float) ->
     length = float(distance[-1])
     count = max(int(np.ceil(KNOTS_PER_CUT_OFF * length / cutoff_wavelength)), 1)
     step = length / count
-    interval, pieces = np.empty(len(distance), np.int64), np.empty((len(distance), PIECES))
+    interval, pieces = np.empty(len(distance), np.int64), np.empty((PIECES, len(distance)))
     kernels.place(distance, length * (1 - 1e-12), 1 / step, interval, pieces, count - 1)
     weight, band = np.where(known, np.gradient(distance), 0.0), np.zeros((count + PIECES - 1, PIECES))
     kernels.add_band(weight, interval, pieces, band)

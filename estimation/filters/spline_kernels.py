@@ -19,16 +19,16 @@ LANES = 8  # partial sums of a long product
 
 @compiled(nogil=True)
 def place(distance: FloatArray, end: float, per_step: float, interval: IntArray, pieces: FloatArray, last: int) -> None:
-    """Write the knot interval (n,) of every place, and the four B-splines there (n, 4).
+    """Write the knot interval (n,) of every place, and the four B-splines there (4, n).
 
     Parameters
     ----------
     distance
-        (n,) m, of the samples.
+        (n,) m, not decreasing.
     end, per_step
-        m, to which the knots go, and knot intervals a metre.
+        The largest place that is looked up, m, and knot intervals per m.
     interval, pieces
-        (n,) and (n, 4), written.
+        Written: (n,) and (4, n).
     last
         Number of the last interval.
     """
@@ -38,10 +38,10 @@ def place(distance: FloatArray, end: float, per_step: float, interval: IntArray,
         t = at - j
         s = 1.0 - t
         interval[i] = j
-        pieces[i, 0] = s * s * s / 6.0
-        pieces[i, 1] = (t * t * (3.0 * t - 6.0) + 4.0) / 6.0
-        pieces[i, 2] = (s * s * (3.0 * s - 6.0) + 4.0) / 6.0
-        pieces[i, 3] = t * t * t / 6.0
+        pieces[0, i] = s * s * s / 6.0
+        pieces[1, i] = (t * t * (3.0 * t - 6.0) + 4.0) / 6.0
+        pieces[2, i] = (s * s * (3.0 * s - 6.0) + 4.0) / 6.0
+        pieces[3, i] = t * t * t / 6.0
 
 
 @compiled(nogil=True)
@@ -51,7 +51,7 @@ def add_band(weight: FloatArray, interval: IntArray, pieces: FloatArray, band: F
     Parameters
     ----------
     weight
-        (n,) of the samples.
+        (n,) of each sample.
     interval, pieces
         From :func:`place`.
     band
@@ -59,7 +59,7 @@ def add_band(weight: FloatArray, interval: IntArray, pieces: FloatArray, band: F
     """
     for i in range(len(weight)):
         j, w = interval[i], weight[i]
-        b0, b1, b2, b3 = pieces[i, 0], pieces[i, 1], pieces[i, 2], pieces[i, 3]
+        b0, b1, b2, b3 = pieces[0, i], pieces[1, i], pieces[2, i], pieces[3, i]
         w0, w1, w2 = w * b0, w * b1, w * b2
         band[j, 0] += w0 * b0
         band[j, 1] += w0 * b1
@@ -90,7 +90,7 @@ def project(rows: FloatArray, weight: FloatArray, interval: IntArray, pieces: Fl
     Parameters
     ----------
     rows, weight
-        (m, n) signals, and (n,) weights of the samples.
+        (m, n) and (n,).
     interval, pieces
         From :func:`place`.
     sums
@@ -108,10 +108,10 @@ def project(rows: FloatArray, weight: FloatArray, interval: IntArray, pieces: Fl
             a0 = a1 = a2 = a3 = 0.0
             for i in range(first, behind):
                 v = weight[i] * row[i]
-                a0 += pieces[i, 0] * v
-                a1 += pieces[i, 1] * v
-                a2 += pieces[i, 2] * v
-                a3 += pieces[i, 3] * v
+                a0 += pieces[0, i] * v
+                a1 += pieces[1, i] * v
+                a2 += pieces[2, i] * v
+                a3 += pieces[3, i] * v
             sums[r, j] += a0
             sums[r, j + 1] += a1
             sums[r, j + 2] += a2
@@ -125,10 +125,8 @@ def multiply(weighted: FloatArray, rows: FloatArray, products: FloatArray) -> No
 
     Parameters
     ----------
-    weighted
-        (k, n) functions times the weights of the samples.
-    rows
-        (m, n) signals.
+    weighted, rows
+        (k, n) and (m, n).
     products
         (k, m), written.
     """
@@ -185,22 +183,19 @@ def subtract(
     coefficients: FloatArray,
     removed: FloatArray,
     shares: FloatArray,
-    left: FloatArray,
 ) -> None:
-    """Write what splines of these coefficients (m, k) and shares (r, m) of functions (r, n) leave of rows (m, n).
+    """Take splines of these coefficients (m, k), and shares (r, m) of functions (r, n), from rows (m, n).
 
     Parameters
     ----------
     rows
-        (m, n) signals.
+        (m, n), changed.
     interval, pieces
         From :func:`place`.
     coefficients
         (m, k) of the splines.
     removed, shares
-        (r, n) functions that are taken out whole, and (r, m) how much of each.
-    left
-        (m, n), written.
+        (r, n) functions, and (r, m) how much of each is taken out.
     """
     n = len(interval)
     first = 0
@@ -212,10 +207,9 @@ def subtract(
         for r in range(len(rows)):
             c0, c1, c2, c3 = coefficients[r, j], coefficients[r, j + 1], coefficients[r, j + 2], coefficients[r, j + 3]
             for i in range(first, behind):
-                spline = pieces[i, 0] * c0 + pieces[i, 1] * c1 + pieces[i, 2] * c2 + pieces[i, 3] * c3
-                left[r, i] = rows[r, i] - spline
+                rows[r, i] -= pieces[0, i] * c0 + pieces[1, i] * c1 + pieces[2, i] * c2 + pieces[3, i] * c3
             for q in range(len(removed)):
                 share = shares[q, r]
                 for i in range(first, behind):
-                    left[r, i] -= share * removed[q, i]
+                    rows[r, i] -= share * removed[q, i]
         first = behind

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 from scipy.special import ndtr
 
@@ -140,7 +141,7 @@ def _sharpen(
         return None
     free = np.append(True, theta[1:] > 0.0)
     solved = np.zeros((cells + 1, len(nodes)))
-    solved[free] = np.linalg.pinv(system[:, free])[:, : len(nodes)] * weight
+    solved[free] = _inverse(system[:, free])[:, : len(nodes)] * weight
     inside = slice(beyond, cells + 1 - beyond)
     integral = np.concatenate([np.zeros((1, len(nodes))), np.cumsum(step * solved[1:], axis=0)]) + solved[0]
     slope = least * step * np.arange(cells + 1)
@@ -151,6 +152,18 @@ def _sharpen(
         inverse=integral[inside],
         constant=(slope - integral @ base)[inside],
     )
+
+
+def _inverse(system: FloatArray) -> FloatArray:
+    """Return the pseudo-inverse (c, r) of a system (r, c); a tenth of the work where all of its columns count."""
+    q, r = np.linalg.qr(system)
+    size = np.abs(np.diag(r))
+    if not size.min(initial=np.inf) > LEAST_DIRECTION * size.max(initial=0.0):
+        return np.asarray(np.linalg.pinv(system))
+    return np.asarray(solve_triangular(r, q.T))
+
+
+LEAST_DIRECTION = 1e-9  # of the largest column: below, one is nearly in those before it
 
 
 def _non_negative(system: FloatArray, wanted: FloatArray, steps: int) -> FloatArray | None:

@@ -24,19 +24,22 @@ from estimation.jobs.steps.failed_windows import (
     refuse_failed,
     release_others,
 )
+from estimation.jobs.steps.likely_chosen import likely_chosen
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.lost_windows import assemble_if_lost
 from estimation.jobs.steps.plausibility import judge_mileages
 from estimation.jobs.steps.requeued_windows import requeued
-from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.jobs.steps.window_inputs import BatchInputs, WindowInputs, inputs_of_batch
 from estimation.jobs.steps.window_tracks import tracks_of_batch
 from estimation.motion.hunting import in_place_of_quality
+from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import cells_of_window
 from estimation.values.geometry import FilledCells, WindowTable
 from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.rolling_sums import RollingSums, WindowRollingSums
 from estimation.values.track import AlignmentRecord, AlignmentSource, Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import WindowKey, WindowMark, WindowPosition, WindowRecord, WindowState
 
@@ -139,7 +142,15 @@ class _Work:
         return self.inputs.mounting is not None and self.inputs.mounting.reversed
 
 
-_Outcome = tuple[_Work, FilledCells | Reason]
+@dataclass(frozen=True, slots=True)
+class _Estimated:
+    """What came of a window."""
+
+    cells: FilledCells  # of its bin table
+    rolling: tuple[RollingSums, ...] | None = None  # what it says of its rolling radius, where somebody will ask
+
+
+_Outcome = tuple[_Work, _Estimated | Reason]
 
 
 def _store_all(context: JobContext, found: Sequence[_Outcome], counts: Counter[str]) -> list[FailedWindow]:
@@ -172,7 +183,7 @@ def _changed(work: _Work, now: WindowRecord | None, inputs: BatchInputs) -> bool
 
 
 def _store(unit: UnitOfWork, found: Sequence[_Outcome]) -> None:
-    tables, marks, refused = [], [], {}
+    tables, marks, refused, rolling = [], [], {}, []
     for work, outcome in found:
         record, version = work.record, work.track.version if work.track is not None else None
         if isinstance(outcome, Reason):
@@ -181,11 +192,15 @@ def _store(unit: UnitOfWork, found: Sequence[_Outcome]) -> None:
             refused[record.key] = version
             assemble_if_lost(unit, record, outcome)
         else:
-            tables.append(WindowTable(*record.key, record.content_digest, outcome, version))
+            tables.append(WindowTable(*record.key, record.content_digest, outcome.cells, version))
+            if outcome.rolling is not None and isinstance(work.inputs.assumed, Assumed):
+                made_from = (record.content_digest, work.inputs.assumed.digest)
+                rolling.append(WindowRollingSums(*record.key, *made_from, outcome.rolling))
             marks.append(WindowMark(*record.key, WindowState.ESTIMATED))
     unit.tables.put_all(tables)
     unit.windows.mark_all(marks)
     unit.epochs.note_all_refused(refused)
+    unit.roll_ups.put_rolling(rolling)
 
 
 def _compute(
@@ -196,14 +211,14 @@ def _compute(
         records = sorted(unit.windows.pending(keys), key=_running_order)
         tracks = tracks_of_batch(unit, records)
         batch = inputs_of_batch(unit, records, ClassLookup(unit, settings))
-        loader = WindowLoader(unit, batch.vehicles, batch.records)
+        loader, chosen = WindowLoader(unit, batch.vehicles, batch.records), likely_chosen(unit, records)
 
         def computed(record: WindowRecord) -> _Outcome | None:
             inputs, now = batch.of(record.key), tracks.in_force(record)
             if now is not None and _waits_for_place(now) and not _placed(record, inputs.position):
                 return None  # its position has been taken back since it was handed out
             work = _Work(record, inputs, tracks.alignment(record), tracks.layout(record))
-            return work, _outcome(loader, work)
+            return work, _outcome(loader, work, rolls=record.key in chosen)
 
         found = [attempted(computed, record) for record in records]
     return [one for one in found if one is not None]
@@ -214,7 +229,7 @@ def _placed(record: WindowRecord, position: WindowPosition | None) -> bool:
     return position is not None and position.content_digest == record.content_digest
 
 
-def _outcome(loader: WindowLoader, work: _Work) -> FilledCells | Reason:
+def _outcome(loader: WindowLoader, work: _Work, *, rolls: bool) -> _Estimated | Reason:
     record, assumed, position = work.record, work.inputs.assumed, work.inputs.position
     if record.implausible is not None:
         return record.implausible
@@ -232,7 +247,7 @@ def _outcome(loader: WindowLoader, work: _Work) -> FilledCells | Reason:
     correction, misplaced = None, None
     if position is not None and _placed(record, position):
         correction, misplaced = Correction(position.offset_m, position.scale, position.middle_m), position.reason
-    return cells_of_window(
+    cells = cells_of_window(
         window,
         work.track,
         parameters,
@@ -241,3 +256,7 @@ def _outcome(loader: WindowLoader, work: _Work) -> FilledCells | Reason:
         mounted_reversed=work.mounted_reversed,
         layout=work.layout,
     )
+    if isinstance(cells, Reason):
+        return cells
+    rolling = rolling_sums(loader.stored(record), parameters.vehicle_class, parameters.signals) if rolls else None
+    return _Estimated(cells, rolling)

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from estimation.errors import ConflictError, TreadwatchError
 from estimation.estimators.catalogue import SHIPPED
 from estimation.jobs.hand_out import hand_out, unit_size
-from estimation.jobs.isolation import Isolation, inputs_of
+from estimation.jobs.isolation import Isolation, fails_alone, inputs_of
 from estimation.jobs.job import Job, JobContext, Stage
-from estimation.jobs.steps.membership import Membership, membership
-from estimation.jobs.steps.rolled_geometries import RolledGeometries
+from estimation.jobs.steps.membership import membership
+from estimation.jobs.steps.rolled_geometries import SUMS_IN_MEMORY, RolledGeometries
 from estimation.jobs.steps.rolling import Part, rolled
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
@@ -31,7 +32,7 @@ _BEING_MADE = RollUpState("", {}, {})  # of roll-ups that are made again, until 
 
 
 def run(context: JobContext) -> Mapping[str, int]:
-    """Refresh every wheelset whose windows changed; each wheelset is committed together."""
+    """Refresh every wheelset whose windows changed; each is committed as a whole."""
     counts: Counter[str] = Counter(wheelsets=0, geometries=0)
     isolation = Isolation(context, "refresh_geometry")
     with context.storage.read() as unit:
@@ -53,15 +54,55 @@ def run(context: JobContext) -> Mapping[str, int]:
 
 
 def _work(context: JobContext, serials: Sequence[str]) -> Mapping[str, int]:
-    """Refresh wheelsets; what fails at one of them is kept in quarantine."""
+    """Refresh wheelsets, a few in a transaction; what fails at one of them is kept in quarantine."""
     counts: Counter[str] = Counter()
     isolation = Isolation(context, "refresh_geometry")
-    for serial in serials:
-        with isolation.alone(SubjectKind.WHEELSET, serial, inputs_of(context, serial)):
-            counts["geometries"] += _refresh(context, serial)
-            counts["wheelsets"] += 1
+    for first in range(0, len(serials), STORED_TOGETHER):
+        found: dict[str, _Made] = {}
+        for serial in serials[first : first + STORED_TOGETHER]:
+            try:
+                found[serial] = _whole(context, serial)
+            except ConflictError:  # still stale
+                counts["wheelsets"] += 1
+                isolation.release(SubjectKind.WHEELSET, serial)
+            except Exception as error:
+                if not fails_alone(error):
+                    raise
+                isolation.keep(SubjectKind.WHEELSET, serial, inputs_of(context, serial)(), error)
+        counts.update(_stored(context, isolation, found))
     counts["quarantined"] = isolation.quarantined
     return counts
+
+
+def _stored(context: JobContext, isolation: Isolation, found: Mapping[str, _Made]) -> Mapping[str, int]:
+    """Store what was made of wheelsets in one transaction; where that fails, of each in its own."""
+    counts: Counter[str] = Counter()
+    try:
+        changed = _put(context, found)
+    except Exception as error:
+        if not fails_alone(error):
+            raise
+        for serial, made in found.items():
+            with isolation.alone(SubjectKind.WHEELSET, serial, inputs_of(context, serial)):
+                with suppress(ConflictError):  # another process has changed something meanwhile: it is still stale
+                    counts["geometries"] += _put(context, {serial: made})
+                counts["wheelsets"] += 1
+        return counts
+    for serial in found:
+        isolation.release(SubjectKind.WHEELSET, serial)
+    return {"geometries": changed, "wheelsets": len(found)}
+
+
+def _put(context: JobContext, found: Mapping[str, _Made]) -> int:
+    """Store roll-ups and geometries of wheelsets in one transaction; return how many geometries have changed."""
+    changed = 0
+    if found:
+        with context.storage.write() as unit:
+            for serial, made in found.items():
+                changed += sum(unit.geometries.put(record) for record in made.records)
+                _store(unit, serial, made)
+                unit.geometries.mark_current(serial, made.change)
+    return changed
 
 
 def _set_aside(context: JobContext, serial: str, error: TreadwatchError) -> None:
@@ -71,6 +112,7 @@ def _set_aside(context: JobContext, serial: str, error: TreadwatchError) -> None
 
 JOB = Job("refresh_geometry", "Merge bin tables into wheelset geometries", every_s=900.0, run=run)
 STAGE = Stage(JOB.name, _work, _set_aside)
+STORED_TOGETHER = 4  # wheelsets in a transaction, of each some sums of 3 MB
 _MOST_TOGETHER = 16  # wheelsets that are claimed together
 
 
@@ -94,20 +136,13 @@ def _seen(unit: UnitOfWork, serial: str, context: JobContext) -> RolledGeometrie
     return RolledGeometries(unit, rules, rolled(unit, rules), context)
 
 
-def _refresh(context: JobContext, serial: str) -> int:
-    """Store roll-ups and geometries of a wheelset; what another process changes meanwhile is left to the next run."""
-    try:
+def _whole(context: JobContext, serial: str) -> _Made:
+    """Return what is to be stored of a wheelset, once its roll-ups are in order."""
+    found = _made(context, serial)
+    if found.apart:
+        _roll_again(context, serial, found.seen)
         found = _made(context, serial)
-        if found.seen.rolled.again:
-            _roll_again(context, serial, found.seen)
-            found = _made(context, serial)
-        with context.storage.write() as unit:
-            changed = sum(unit.geometries.put(record) for record in found.records)
-            _store(unit, serial, found)
-            unit.geometries.mark_current(serial, found.change)
-    except ConflictError:
-        return 0  # still stale
-    return changed
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,16 +153,17 @@ class _Made:
     seen: RolledGeometries
     parts: list[RolledPart]
     records: list[GeometryRecord]
+    apart: bool = False  # so many roll-ups are to be made again that each is stored by itself, before the geometries
 
 
 def _made(context: JobContext, serial: str) -> _Made:
-    """Return what is to be stored of a wheelset; nothing but the roll-ups where all of these are to be made again."""
+    """Return what is to be stored of a wheelset; nothing but the roll-ups where many of these are to be made again."""
     with context.storage.read() as unit:
         change, seen = unit.geometries.change(serial), _seen(unit, serial, context)
-        if seen.rolled.again:
-            return _Made(change, seen, [], [])
+        changed = [part for part in seen.rolled.parts if _changed(part)] if seen.rolled.due else []
+        if seen.rolled.again and len(changed) > SUMS_IN_MEMORY:
+            return _Made(change, seen, [], [], apart=True)
         records = seen.records()
-        changed = [part for part in seen.rolled.parts if _changed(part)] if seen.rolled.due else ()
         parts = [_with_sums(seen, part) for part in changed]
         return _Made(change, seen, parts, records)
 
@@ -142,7 +178,7 @@ def _roll_again(context: JobContext, serial: str, seen: RolledGeometries) -> Non
     for part in seen.rolled.parts:
         if _changed(part):
             with context.storage.read() as unit:
-                whole = _with_sums(RolledGeometries(unit, _in(unit, seen.rules), seen.rolled, context), part)
+                whole = _with_sums(_seen_again(unit, seen), part)
             with context.storage.write() as unit:
                 unit.roll_ups.put(serial, [whole])
     with context.storage.write() as unit:
@@ -151,9 +187,10 @@ def _roll_again(context: JobContext, serial: str, seen: RolledGeometries) -> Non
         unit.roll_ups.put_state(serial, seen.rolled.state)
 
 
-def _in(unit: UnitOfWork, rules: Membership) -> Membership:
-    """Return the same rules, with classes looked up in another transaction."""
-    return replace(rules, classes=ClassLookup(unit, rules.classes.settings))
+def _seen_again(unit: UnitOfWork, seen: RolledGeometries) -> RolledGeometries:
+    """Return the same, read in another transaction."""
+    rules = replace(seen.rules, classes=ClassLookup(unit, seen.rules.classes.settings))
+    return RolledGeometries(unit, rules, seen.rolled, seen.context)
 
 
 def _changed(part: Part) -> bool:
@@ -174,7 +211,6 @@ def _store(unit: UnitOfWork, serial: str, found: _Made) -> None:
         unit.roll_ups.forget(serial, seen.forgotten())
     if seen.earlier is not None:
         unit.roll_ups.put_earlier(serial, *seen.earlier)
-    for one in seen.radius.fresh.values():
-        unit.roll_ups.put_rolling(serial, one.start_ns, one.window_digest, one.assumed, one.parts)
+    unit.roll_ups.put_rolling(list(seen.radius.fresh.values()))
     if seen.rolled.due:
         unit.roll_ups.keep_rolling(serial, [start for part in seen.rolled.parts for _, start in part.roll_up.chosen])

@@ -25,8 +25,10 @@ def integrate_once(values: FloatArray, dt: float, integral: FloatArray) -> None:
 
     Parameters
     ----------
-    values, dt
-        (n,) in any unit, s apart.
+    values
+        (n,) in any unit.
+    dt
+        Sampling interval, s.
     integral
         (n,), written.
     """
@@ -43,8 +45,10 @@ def integrate_twice(accelerations: FloatArray, dt: float, rates: FloatArray, dis
 
     Parameters
     ----------
-    accelerations, dt
-        (m, n) in any unit, s apart.
+    accelerations
+        (m, n) in any unit.
+    dt
+        Sampling interval, s.
     rates, displacements
         (m, n), written.
     """

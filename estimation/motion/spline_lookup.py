@@ -12,9 +12,9 @@ from estimation.compiled import compiled
 from estimation.values.arrays import FloatArray, frozen_array
 
 FEWEST_POINTS = 4  # of a spline
-POINTS = 512  # of the alignment between the places at which pieces begin and end
-SPLINE_MARGIN = 20  # points beyond the places that are looked up, so that the spline's ends do not matter
-PIECES = 32  # that are kept, some 100 kB each
+POINTS = 512  # of the alignment in a piece
+SPLINE_MARGIN = 20  # points beyond a piece, so that the ends of its spline do not matter
+PIECES = 256  # that are kept, 16 kB each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,26 +39,34 @@ def at_places(curve: SampledCurve, places: FloatArray) -> FloatArray:
     low, high = extent(places, float(curve.s[0]), float(curve.s[-1]))
     if low > high:
         return found
-    first = max(int(np.searchsorted(curve.s, low)) - SPLINE_MARGIN, 0) // POINTS * POINTS
-    last = -(-(int(np.searchsorted(curve.s, high)) + SPLINE_MARGIN) // POINTS) * POINTS
-    s, coefficients = _piece(curve, first, last)
+    last_point = len(curve.s) - 1
+    first = min(max(int(np.searchsorted(curve.s, low)) - 1, 0), last_point - 1) // POINTS
+    last = max(min(int(np.searchsorted(curve.s, high)), last_point) - 1, 0) // POINTS
+    pieces = [_piece(curve, number) for number in range(first, last + 1)]
+    coefficients = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+    s = curve.s[first * POINTS : first * POINTS + len(coefficients) + 1]
     if len(coefficients):
-        evaluate(frozen_array(places, (len(places),), name="places"), s, coefficients, found)
+        places, coefficients = (frozen_array(one, one.shape, name="places") for one in (places, coefficients))
+        evaluate(places, s, coefficients, found)
     return found
 
 
 @lru_cache(maxsize=PIECES)
-def _piece(curve: SampledCurve, first: int, last: int) -> tuple[FloatArray, FloatArray]:
-    """Return grid (m,) and coefficients (m - 1, 4) between its points, highest power first, NaN where not known."""
-    s, values = curve.s[first:last], curve.values[first:last]
-    known = np.flatnonzero(np.isfinite(values))
-    coefficients = np.zeros((0, 4))
+def _piece(curve: SampledCurve, number: int) -> FloatArray:
+    """Return the coefficients (m, 4) of the spline between the points of a piece, highest power first.
+
+    NaN where one of both points is not known.
+    """
+    begin, end = number * POINTS, min((number + 1) * POINTS, len(curve.s) - 1)
+    first = max(begin - SPLINE_MARGIN, 0)
+    values = curve.values[first : end + 1 + SPLINE_MARGIN]
+    known = first + np.flatnonzero(np.isfinite(values))
+    coefficients = np.full((max(end - begin, 0), 4), np.nan)
     if len(known) >= FEWEST_POINTS:
-        spline = CubicSpline(s[known], values[known])
-        coefficients = np.full((len(s) - 1, 4), np.nan)
-        beside = np.flatnonzero(np.diff(known) == 1)
-        coefficients[known[beside]] = spline.c[:, beside].T
-    return frozen_array(s, (len(s),), name="s"), frozen_array(coefficients, (None, 4), name="coefficients")
+        spline = CubicSpline(curve.s[known], curve.values[known])
+        beside = np.flatnonzero((np.diff(known) == 1) & (known[:-1] >= begin) & (known[:-1] < end))
+        coefficients[known[beside] - begin] = spline.c[:, beside].T
+    return frozen_array(coefficients, (None, 4), name="coefficients")
 
 
 @compiled(nogil=True)
@@ -68,9 +76,9 @@ def extent(places: FloatArray, first: float, last: float) -> tuple[float, float]
     Parameters
     ----------
     places
-        (n,) m; what is no number is left out.
+        (n,) m; NaN where not known.
     first, last
-        m, ends of the range.
+        Ends, m.
     """
     low, high = np.inf, -np.inf
     for place in places:
@@ -86,11 +94,11 @@ def evaluate(places: FloatArray, s: FloatArray, coefficients: FloatArray, found:
     Parameters
     ----------
     places
-        (n,) m.
+        (n,) m; NaN where not known.
     s, coefficients
-        (m,) m and (m - 1, 4), of the spline in each interval.
+        (m,) m, uniform, and (m - 1, 4) between its points.
     found
-        (n,), written where the place is on the grid.
+        (n,); what is off the grid stays as it is.
     """
     last, per_step = len(coefficients) - 1, (len(s) - 1) / (s[-1] - s[0])
     for i in range(len(places)):

@@ -39,7 +39,7 @@ def write_groups(block: IntArray, groups: int, found: IntArray) -> None:
     Parameters
     ----------
     block, groups
-        (n,) numbers of blocks, and how many groups there are.
+        (n,) blocks, and number of groups.
     found
         (n,), written.
     """
@@ -57,13 +57,13 @@ def assign(
     Parameters
     ----------
     displacement, valid, block
-        (n,) y - d in m, whether it counts, and the block of each sample.
-    groups, bins
-        How many there are.
-    first_edge, width
-        m, of the bins.
+        (n,) of the samples.
+    groups
+        Number of groups.
+    first_edge, width, bins
+        Of the bins, m, and their number.
     cell, u
-        (n,), written.
+        Written: (n,) cell, and place in the bin, -0.5 to 0.5.
     """
     inside, last_block, first_cell = 0, -1, 0
     for i in range(len(displacement)):
@@ -86,9 +86,9 @@ def radius_difference(signals: Signals, k: Coefficients, cell: IntArray, differe
     Parameters
     ----------
     signals, k
-        (n,) each, and the coefficients of Eq. 2.
+        Of the motion and the vehicle.
     cell
-        (n,) or ``OUTSIDE``.
+        (n,) from :func:`assign`.
     difference
         (n,) m, written.
     """
@@ -101,20 +101,20 @@ def radius_difference(signals: Signals, k: Coefficients, cell: IntArray, differe
 
 @compiled(nogil=True)
 def add_products(row: FloatArray, regressors: int, sums: FloatArray, at: int) -> None:
-    """Add to ``sums[at]`` (p + 1, m) the products of p regressors with the row (m,), and the measurement squared.
+    """Add to ``sums[at]`` (p + 1, m) the products of p regressors with what is not before them in the row (m,).
+
+    And the square of the measurement.
 
     Parameters
     ----------
-    row
-        (m,) regressors, then measurement and further targets.
-    regressors
-        How many of them there are.
+    row, regressors
+        (m,) of one sample, and how many of it are regressors; the measurement is behind them.
     sums, at
-        (s, p + 1, m), added to at one slot.
+        (c, p + 1, m), and which of them is added to.
     """
     for a in range(regressors):
         x = row[a]
-        for j in range(len(row)):
+        for j in range(a, len(row)):
             sums[at, a, j] += x * row[j]
     sums[at, regressors, 0] += row[regressors] * row[regressors]
 
@@ -129,15 +129,15 @@ def add_samples(
     Parameters
     ----------
     signals, k
-        (n,) each, and the coefficients of Eq. 1 and Eq. 2.
+        Of the motion and the vehicle.
     noise
-        m2, variance of R.
+        Variance of R by vibration, m2.
     cell, u
         From :func:`assign`.
     slot
-        Of each cell, in the sums.
+        Place of each cell in the sums.
     weight, lateral, yaw
-        (s,), (s, p + 1, m) and (s, q + 1, l), added to.
+        (c,), (c, p + 1, m) for each equation, added to.
     """
     equation, row, yaw_row = np.empty(9), np.empty(LATERAL_COLUMNS), np.empty(yaw.shape[2])
     regressors = yaw.shape[2] - YAW_TARGET_COLUMNS

@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -34,6 +35,7 @@ from estimation.vehicle.sensor_noise import difference_noise
 from estimation.vehicle.vehicle_class import VehicleClass
 
 TABLE_VERSION = 5
+KEYS = 256  # wheelsets whose keys are kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +72,13 @@ class BinParameters:
     @property
     def key(self) -> str:
         """Digest of the parameters; tables with different keys never merge."""
-        text = json.dumps({"version": TABLE_VERSION, **asdict(self)}, sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
+        return _key(self)
+
+
+@lru_cache(maxsize=KEYS)
+def _key(parameters: BinParameters) -> str:
+    text = json.dumps({"version": TABLE_VERSION, **asdict(parameters)}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def init(parameters: BinParameters) -> BinTable:

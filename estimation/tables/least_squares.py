@@ -150,11 +150,13 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
     scale = np.sqrt(np.einsum("cii->ci", gram))
     safe = np.where(scale > 0, scale, np.inf)
     scaled = gram / (safe[:, :, None] * safe[:, None, :])
-    values, vectors = np.linalg.eigh(scaled)
+    scaled_inverse = np.full_like(scaled, np.nan)
+    filled = np.all(scale > 0, axis=1)  # the others have directions that are not in the data
+    values, vectors = np.linalg.eigh(scaled[filled])
     ok = values[:, 0] > SMALLEST_EIGENVALUE
     inverse_values = np.full_like(values, np.nan)
     inverse_values[ok] = 1.0 / values[ok]
-    scaled_inverse = np.einsum("cij,cj,ckj->cik", vectors, inverse_values, vectors)
+    scaled_inverse[filled] = np.einsum("cij,cj,ckj->cik", vectors, inverse_values, vectors)
     inverse = scaled_inverse / (safe[:, :, None] * safe[:, None, :])
     theta = np.einsum("cij,cjt->cit", inverse, cross)
     first = theta[:, :, 0]

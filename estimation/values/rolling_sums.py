@@ -13,3 +13,14 @@ class RollingSums:
 
     products: FloatArray  # (BANDS, TERMS, TERMS)
     noise: FloatArray  # (BANDS, TERMS, TERMS), of ``products``: what the noise on file makes of it on average
+
+
+@dataclass(frozen=True, slots=True)
+class WindowRollingSums:
+    """What a window says of its rolling radius, part by part, and what that was made from."""
+
+    wheelset: str
+    start_ns: int
+    window_digest: str  # of its content
+    assumed: str  # digest of its class and parameters
+    parts: tuple[RollingSums, ...]

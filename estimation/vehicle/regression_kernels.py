@@ -125,8 +125,10 @@ def lateral_equation(signals: Signals, k: Coefficients, i: int, row: FloatArray)
 
     Parameters
     ----------
-    signals, k, i
-        (n,) each, the coefficients, and the number of the sample.
+    signals, k
+        Of the motion and the vehicle.
+    i
+        Number of the sample.
     row
         (9,), written.
     """
@@ -150,8 +152,10 @@ def yaw_moments(signals: Signals, k: Coefficients, i: int) -> tuple[float, float
 
     Parameters
     ----------
-    signals, k, i
-        (n,) each, the coefficients, and the number of the sample.
+    signals, k
+        Of the motion and the vehicle.
+    i
+        Number of the sample.
     """
     speed, yaw, yaw_rate, roll_rate = signals.speed[i], signals.yaw[i], signals.yaw_rate[i], signals.roll_rate[i]
     l, r0 = k.half_contact_distance, k.nominal_radius  # noqa: E741 - the paper's l
@@ -174,10 +178,12 @@ def yaw_targets(signals: Signals, k: Coefficients, i: int, row: FloatArray, at: 
 
     Parameters
     ----------
-    signals, k, i
-        (n,) each, the coefficients, and the number of the sample.
+    signals, k
+        Of the motion and the vehicle.
+    i
+        Number of the sample.
     row, at
-        Written from this place on.
+        Where c and the targets are written.
     """
     z2, inertia, creep, spring, damper, spin = yaw_moments(signals, k, i)
     c = radius_factor(k)
@@ -208,8 +214,10 @@ def yaw_regressors(signals: Signals, k: Coefficients, i: int, row: FloatArray) -
 
     Parameters
     ----------
-    signals, k, i
-        (n,) each, the coefficients, and the number of the sample.
+    signals, k
+        Of the motion and the vehicle.
+    i
+        Number of the sample.
     row
         Written from its beginning.
     """
@@ -234,7 +242,7 @@ def write_equations(signals: Signals, k: Coefficients, lateral: FloatArray, yaw:
     Parameters
     ----------
     signals, k
-        (n,) each, and the coefficients.
+        Of the motion and the vehicle.
     lateral, yaw
         Written.
     """

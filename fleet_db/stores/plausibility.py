@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, func, select, update
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.windows import MileageReading, PassedOver, WindowState
+from estimation.values.windows import MileageReading, PassedOver, WindowMark, WindowState
 from fleet_db.models import ChunkRow, WindowRow
 from fleet_db.receipts import ChunkState
-from fleet_db.rows import table_of
+from fleet_db.rows import replace_all, table_of
 from fleet_db.stores.windows import WindowStore, implausible_reason
 
 WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
@@ -98,8 +98,8 @@ class PlausibilityStore:
         """
         names = ("start_ns", "implausible", "implausible_code", "judged", "samples_purged_ns")
         standing = select(*(WINDOWS.c[name] for name in names))
-        changed = 0
         standing = standing.where(WINDOWS.c.wheelset == wheelset)
+        rows, marks = [], []
         for row in self.connection.execute(standing.where(~WINDOWS.c.judged) if new_only else standing).all():
             reason, before = implausible.get(row.start_ns), implausible_reason(row)
             if row.judged and reason == before:
@@ -107,18 +107,17 @@ class PlausibilityStore:
             if row.samples_purged_ns is not None and reason != before:
                 self.windows.pass_over(wheelset, row.start_ns, PassedOver.SUPERSEDED)
                 reason = before
-            of_window = update(WINDOWS).where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == row.start_ns)
             text, code = (None, None) if reason is None else (reason.text, reason.code.value)
-            self.connection.execute(of_window.values(implausible=text, implausible_code=code, judged=True))
-            if reason == before:
-                continue
-            if reason is not None:
-                self.windows.mark(wheelset, row.start_ns, WindowState.REFUSED, reason)
-            else:
-                self.windows.mark(wheelset, row.start_ns, WindowState.PENDING)
-            changed += 1
+            key = {"wheelset": wheelset, "start_ns": row.start_ns}
+            rows.append({**key, "implausible": text, "implausible_code": code, "judged": True})
+            if reason != before:
+                state = WindowState.PENDING if reason is None else WindowState.REFUSED
+                marks.append(WindowMark(wheelset, row.start_ns, state, reason))
+        replace_all(self.connection, WINDOWS, rows)
+        if marks:
+            self.windows.mark_all(marks)
             self.windows.changes.show(wheelset)  # its mileage is another now
-        return changed
+        return len(marks)
 
     def left_out(self, wheelset: str, from_ns: int) -> Mapping[ReasonCode, int]:
         """Return how many windows of a wheelset that start at or after a time are not believed, by code."""

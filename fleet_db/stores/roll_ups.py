@@ -9,13 +9,13 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, Update, bindparam, delete, insert, or_, select, update
+from sqlalchemy import Connection, Row, Update, bindparam, delete, func, insert, or_, select, update
 
 from estimation.errors import ConflictError
 from estimation.values.exact_table import ExactTable, RolledPart
 from estimation.values.geometry import BinTable
 from estimation.values.roll_up import Odometer, RollUp, RollUpKey, RollUpState, Side, TabledWindow, TakenTable
-from estimation.values.rolling_sums import RollingSums
+from estimation.values.rolling_sums import RollingSums, WindowRollingSums
 from fleet_db.models import RollingSumsRow, RollUpRow, RollUpStateRow, TakenTableRow, WindowBinTableRow
 from fleet_db.packed_values import (
     pack_bin_table,
@@ -26,7 +26,7 @@ from fleet_db.packed_values import (
     unpack_filled_cells,
     unpack_rolling_sums,
 )
-from fleet_db.rows import table_of, upsert
+from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
 
 ROLL_UPS, TAKEN, STATES = table_of(RollUpRow), table_of(TakenTableRow), table_of(RollUpStateRow)
 TABLES, ROLLING = table_of(WindowBinTableRow), table_of(RollingSumsRow)
@@ -127,12 +127,11 @@ class RollUpStore:
         ConflictError
             A roll-up or a table is another by now.
         """
+        notes = []
         for part in parts:
             number = self._put_sums(wheelset, part)
-            for member in part.added:
-                self._note(wheelset, member.window, number, member.mileage_km, member.line)
-        for window in outside:
-            self._note(wheelset, window, None, None, None)
+            notes += [_note(wheelset, one.window, number, one.mileage_km, one.line) for one in part.added]
+        self._note_all([*notes, *(_note(wheelset, window, None, None, None) for window in outside)])
 
     def put_state(self, wheelset: str, state: RollUpState) -> None:
         """Store what the roll-ups of a wheelset were made by.
@@ -198,22 +197,37 @@ class RollUpStore:
             if row.window_digest == windows[row.start_ns]
         }
 
-    def put_rolling(
-        self, wheelset: str, start_ns: int, window_digest: str, assumed: str, parts: Sequence[RollingSums]
-    ) -> None:
-        """Keep what a window says of its rolling radius.
+    def put_rolling(self, found: Sequence[WindowRollingSums]) -> None:
+        """Keep what windows say of their rolling radius, in the place of what was known of them."""
+        rows = [
+            {
+                "wheelset": one.wheelset,
+                "start_ns": one.start_ns,
+                "window_digest": one.window_digest,
+                "assumed": one.assumed,
+                "packed": pack_rolling_sums(one.parts),
+            }
+            for one in found
+        ]
+        if insert_all_new(self.connection, ROLLING, rows) < len(rows):
+            replace_all(self.connection, ROLLING, rows)
 
-        Parameters
-        ----------
-        wheelset, start_ns, window_digest
-            The window and its content.
-        assumed
-            Digest of its class and parameters.
-        parts
-            Of the window.
+    def newest_chosen(self, wheelsets: Sequence[str]) -> Mapping[str, Sequence[str]]:
+        """Return by wheelset the digests of the windows that stand for its newest roll-up.
+
+        With those of later windows of which it is kept what they say of their rolling radius.
         """
-        values = {"wheelset": wheelset, "start_ns": start_ns, "window_digest": window_digest, "assumed": assumed}
-        upsert(self.connection, ROLLING, values | {"packed": pack_rolling_sums(parts)})
+        newest = (
+            select(func.max(ROLL_UPS.c.number)).where(ROLL_UPS.c.wheelset.in_(wheelsets)).group_by(ROLL_UPS.c.wheelset)
+        )
+        statement = select(ROLL_UPS.c.wheelset, ROLL_UPS.c.summary).where(ROLL_UPS.c.number.in_(newest))
+        summaries = {row.wheelset: row.summary for row in self.connection.execute(statement)}
+        found = {wheelset: [digest for digest, _ in of["chosen"]] for wheelset, of in summaries.items()}
+        kept = select(ROLLING.c.wheelset, ROLLING.c.start_ns, ROLLING.c.window_digest)
+        for row in self.connection.execute(kept.where(ROLLING.c.wheelset.in_(wheelsets))):
+            if row.wheelset not in summaries or row.start_ns > summaries[row.wheelset]["last_ns"]:
+                found.setdefault(row.wheelset, []).append(row.window_digest)
+        return found
 
     def keep_rolling(self, wheelset: str, starts: Sequence[int]) -> None:
         """Forget what windows other than these say of their rolling radius."""
@@ -241,22 +255,28 @@ class RollUpStore:
             raise ConflictError(f"roll-up {roll_up.number} changed", kind="roll-up", key=str(roll_up.number))
         return roll_up.number
 
-    def _note(
-        self, wheelset: str, window: TabledWindow, number: int | None, km: float | None, line: str | None
-    ) -> None:
-        record = window.record
-        values = {
-            "of_wheelset": wheelset,
-            "of_start_ns": record.start_ns,
-            "of_window": record.content_digest,
-            "of_table": window.content_digest,
-            "roll_up": number,
-            "running_km": km,
-            "line": line,
-        }
-        if not self.connection.execute(_noted(), values).rowcount:
-            key = f"{wheelset}@{record.start_ns}"
-            raise ConflictError(f"the bin table of window {key} changed", kind="bin table", key=key)
+    def _note_all(self, notes: Sequence[Mapping[str, Any]]) -> None:
+        """Note of which roll-ups the tables of windows are."""
+        if not notes or self.connection.execute(_noted(), list(notes)).rowcount == len(notes):
+            return
+        for note in notes:  # the same again, to find the table that has changed
+            if not self.connection.execute(_noted(), note).rowcount:
+                key = f"{note['of_wheelset']}@{note['of_start_ns']}"
+                raise ConflictError(f"the bin table of window {key} changed", kind="bin table", key=key)
+
+
+def _note(
+    wheelset: str, window: TabledWindow, number: int | None, km: float | None, line: str | None
+) -> dict[str, Any]:
+    return {
+        "of_wheelset": wheelset,
+        "of_start_ns": window.record.start_ns,
+        "of_window": window.record.content_digest,
+        "of_table": window.content_digest,
+        "roll_up": number,
+        "running_km": km,
+        "line": line,
+    }
 
 
 @cache

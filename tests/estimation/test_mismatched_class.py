@@ -130,8 +130,10 @@ def test_windows_that_cannot_speak_of_the_radius_do_not_contradict_it(sqlite_sto
         assert reason is not None
         assert radius.contradicted(chosen[:1], assumed) is None
         assert radius.contradicted(lost, assumed) is None
-        assert radius.contradicted(lost, assumed, reason) == reason  # what was found remains when samples are gone
-        assert radius.contradicted(lost, assumed, Reason(ReasonCode.NO_CONICITY, "other")) is None
+        assert (
+            radius.contradicted(lost, assumed, lambda: reason) == reason
+        )  # what was found remains when samples are gone
+        assert radius.contradicted(lost, assumed, lambda: Reason(ReasonCode.NO_CONICITY, "other")) is None
 
 
 @pytest.mark.parametrize("estimator", ["bins", "cubic"])

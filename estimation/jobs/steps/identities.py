@@ -37,7 +37,7 @@ def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
     alerts = unit.alerts.page(
         fleet=None, wheelset=serial, kind=IDENTITY, condition=None, open_only=False, after_id=None, limit=_ALL
     )
-    mountings = unit.registry.mountings(serial)
+    mountings = unit.registry.mountings(serial) if alerts else ()
     return latest_identity_change([alert for alert in alerts if _still_there(alert, mountings)])
 
 

@@ -193,7 +193,7 @@ def membership(unit: UnitOfWork, serial: str, classes: ClassLookup) -> Membershi
     """
     return Membership(
         serial,
-        baselines(unit.registry.wheelset(serial)),
+        baselines(classes.wheelset(serial)),
         identity_change(unit, serial),
         [mounting for mounting in unit.registry.mountings(serial) if mounting.reversed],
         classes.settings.interval_km,

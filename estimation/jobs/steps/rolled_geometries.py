@@ -7,6 +7,7 @@ import json
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import JobContext
@@ -241,7 +242,9 @@ class RolledGeometries:
         forgotten_from = last.last_km if current else None
         geometry = estimated_geometry(table, used, lambda: self._motions(parts, assumed, forgotten_from))
         if geometry.status is not Status.MODEL_MISMATCH:
-            contradicted = against or self.radius.contradicted(_chosen(roll_ups), assumed, self._stored_reason(place))
+            contradicted = against or self.radius.contradicted(
+                _chosen(roll_ups), assumed, partial(self._stored_reason, place)
+            )
             if any(self._passed_over.contradicted(one) for one in roll_ups):
                 contradicted = CONTRADICTED
             geometry = geometry if contradicted is None else geometry.mismatched(contradicted)

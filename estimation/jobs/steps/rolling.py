@@ -141,7 +141,8 @@ def _made_again(unit: UnitOfWork, rules: Membership, stored: Sequence[RollUp]) -
         number = rules.baseline_of(one.last_ns).number
         if number not in odometers or odometers[number].seen_ns < one.last_ns:
             odometers[number] = _after(one)
-    taken = [one for one in unit.roll_ups.taken(rules.wheelset) if one.roll_up in stay]
+    all_taken = unit.roll_ups.taken(rules.wheelset)
+    taken = [one for one in all_taken if one.roll_up in stay]
     by_key = {one.key: one for one in stored}
     parts = [_in_place_of(by_key.get(part.roll_up.key), part) for part in _taken_away(unit, rules, at.closed(), taken)]
     kept = {part.roll_up.number for part in parts}
@@ -149,7 +150,7 @@ def _made_again(unit: UnitOfWork, rules: Membership, stored: Sequence[RollUp]) -
         RollUpState(rules.digest, _classes(rules, (one.record.vehicle for one in windows)), odometers),
         tuple(parts),
         tuple(at.outside),
-        tuple(one.number for one in unit.roll_ups.taken(rules.wheelset)),
+        tuple(one.number for one in all_taken),
         tuple(one.number for one in stored if one.number is not None and one.number not in kept),
         again=True,
     )

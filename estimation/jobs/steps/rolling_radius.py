@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from estimation.errors import DamagedError, NotFoundError
@@ -11,22 +11,14 @@ from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.rolling_sums import RollingSums
-
-
-@dataclass(frozen=True, slots=True)
-class FreshSums:
-    """What a window says of its rolling radius, computed just now: to be kept, for the next geometry asks again."""
-
-    start_ns: int
-    window_digest: str
-    assumed: str
-    parts: tuple[RollingSums, ...]
+from estimation.values.rolling_sums import RollingSums, WindowRollingSums
 
 
 @dataclass(frozen=True, slots=True)
 class RadiusOnFile:
-    """Looks at the windows of one wheelset that stand for many; each is read once in its life.
+    """Looks at the windows of one wheelset that stand for many.
+
+    What most of them say was computed when they were estimated; of the others the samples are read, once in their life.
 
     Attributes
     ----------
@@ -40,10 +32,12 @@ class RadiusOnFile:
 
     unit: UnitOfWork
     wheelset: str
-    fresh: dict[tuple[int, str], FreshSums] = field(default_factory=dict)
+    fresh: dict[tuple[int, str], WindowRollingSums] = field(default_factory=dict)
+    _known: dict[tuple[int, str, str], tuple[RollingSums, ...]] = field(default_factory=dict)
+    _checked: dict[tuple[str, ...], Reason | None] = field(default_factory=dict)
 
     def contradicted(
-        self, chosen: Sequence[tuple[str, int]], assumed: Assumed, stored: Reason | None = None
+        self, chosen: Sequence[tuple[str, int]], assumed: Assumed, stored: Callable[[], Reason | None] | None = None
     ) -> Reason | None:
         """Return that windows contradict the radius on file; None where they do not or are silent.
 
@@ -57,24 +51,34 @@ class RadiusOnFile:
         assumed
             Their class, with the radius on file.
         stored
-            Reason of the geometry that is stored.
+            Returns the reason of the geometry that is stored, where it is asked for.
         """
         found = self._sums({start_ns: digest for digest, start_ns in chosen}, assumed)
-        if not found and stored is not None and stored.code is ReasonCode.ROLLING_RADIUS_DIFFERS:
-            return stored
-        parts = [part for start_ns in sorted(found) for part in found[start_ns]]
-        return check_radius(parts, assumed.windows.vehicle_class.parameters.nominal_radius)
+        before = None if found or stored is None else stored()
+        if before is not None and before.code is ReasonCode.ROLLING_RADIUS_DIFFERS:
+            return before
+        same = (assumed.digest, *(f"{start_ns} {digest}" for digest, start_ns in chosen if start_ns in found))
+        if same not in self._checked:
+            parts = [part for start_ns in sorted(found) for part in found[start_ns]]
+            radius = assumed.windows.vehicle_class.parameters.nominal_radius
+            self._checked[same] = check_radius(parts, radius)
+        return self._checked[same]
 
     def _sums(self, chosen: Mapping[int, str], assumed: Assumed) -> dict[int, tuple[RollingSums, ...]]:
         """Return by start what the windows say that have samples, or had them when they were looked at."""
-        found = dict(self.unit.roll_ups.rolling(self.wheelset, chosen, assumed.digest))
+        unknown = {at: digest for at, digest in chosen.items() if (at, digest, assumed.digest) not in self._known}
+        if unknown:
+            stored = self.unit.roll_ups.rolling(self.wheelset, unknown, assumed.digest)
+            self._known.update({(at, unknown[at], assumed.digest): parts for at, parts in stored.items()})
+        keys = {at: (at, digest, assumed.digest) for at, digest in chosen.items()}
+        found = {at: self._known[key] for at, key in keys.items() if key in self._known}
         for start_ns in chosen.keys() - found.keys():
             key = (start_ns, assumed.digest)
             if key not in self.fresh:
                 parts = self._of_samples(start_ns, assumed)
                 if parts is None:
                     continue
-                self.fresh[key] = FreshSums(start_ns, chosen[start_ns], assumed.digest, parts)
+                self.fresh[key] = WindowRollingSums(self.wheelset, start_ns, chosen[start_ns], assumed.digest, parts)
             found[start_ns] = self.fresh[key].parts
         return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from estimation.jobs.settings import EstimationSettings
@@ -9,6 +10,7 @@ from estimation.motion.parameters import WindowParameters
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import bin_parameters
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import WheelsetRecord
 from estimation.vehicle.class_on_file import ClassOnFile
 
 
@@ -45,6 +47,31 @@ class ClassLookup:
     settings: EstimationSettings
     _classes: dict[str, ClassOnFile | Reason] = field(default_factory=dict)
     _assumed: dict[tuple[str, str], Assumed | Reason] = field(default_factory=dict)
+    _wheelsets: dict[str, WheelsetRecord] = field(default_factory=dict)
+
+    def wheelset(self, serial: str) -> WheelsetRecord:
+        """Return a wheelset.
+
+        Parameters
+        ----------
+        serial
+            Serial number.
+        """
+        if serial not in self._wheelsets:
+            self._wheelsets[serial] = self.unit.registry.wheelset(serial)
+        return self._wheelsets[serial]
+
+    def look_up(self, serials: Sequence[str]) -> None:
+        """Look up several wheelsets together.
+
+        Parameters
+        ----------
+        serials
+            Those that are not on file are looked up again when they are asked for.
+        """
+        missing = sorted(set(serials) - self._wheelsets.keys())
+        if missing:
+            self._wheelsets.update({one.serial: one for one in self.unit.registry.wheelsets_of(missing)})
 
     def of_vehicle(self, vehicle: str) -> ClassOnFile | Reason:
         """Return the class of a vehicle, or that it is not on file.
@@ -89,7 +116,7 @@ class ClassLookup:
         on_file = self.of_vehicle(vehicle)
         if isinstance(on_file, Reason):
             return on_file
-        windows = self.settings.windows(on_file.vehicle_class, self.unit.registry.wheelset(wheelset).nominal_radius_m)
+        windows = self.settings.windows(on_file.vehicle_class, self.wheelset(wheelset).nominal_radius_m)
         return Assumed(on_file, windows, bin_parameters(windows).key)
 
 

@@ -79,6 +79,7 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
     positions = unit.tracks.positions([record.key for record in records])
     sections = {record.track_section for record in records} - {None}
     layouts = {section: unit.tracks.layout_version(section) for section in sorted(filter(None, sections))}
+    classes.look_up([record.wheelset for record in records])
     assumed = {record.key: _assumed(classes, record) for record in records}
     partners = {record.key: _partner(vehicles, record, assumed[record.key]) for record in records}
     missing = sorted({key for key in partners.values() if key is not None} - {record.key for record in records})

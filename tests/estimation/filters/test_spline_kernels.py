@@ -67,12 +67,12 @@ def test_offsets_and_gaps_are_taken_out_as_by_the_sparse_matrices(gaps: tuple[tu
 
 
 def test_places_beyond_the_last_knot_are_in_the_last_interval() -> None:
-    interval, pieces = np.empty(4, np.int64), np.empty((4, PIECES))
+    interval, pieces = np.empty(4, np.int64), np.empty((PIECES, 4))
     place(np.array([0.0, 1.0, 1.5, 2.0]), 2.0 * (1 - 1e-12), 1.0, interval, pieces, 1)
     np.testing.assert_array_equal(interval, [0, 1, 1, 1])
-    np.testing.assert_allclose(pieces.sum(axis=1), 1.0, atol=1e-15)
-    np.testing.assert_allclose(pieces[0], [1 / 6, 4 / 6, 1 / 6, 0.0], atol=1e-15)
-    np.testing.assert_allclose(pieces[3], [0.0, 1 / 6, 4 / 6, 1 / 6], atol=1e-11)
+    np.testing.assert_allclose(pieces.sum(axis=0), 1.0, atol=1e-15)
+    np.testing.assert_allclose(pieces[:, 0], [1 / 6, 4 / 6, 1 / 6, 0.0], atol=1e-15)
+    np.testing.assert_allclose(pieces[:, 3], [0.0, 1 / 6, 4 / 6, 1 / 6], atol=1e-11)
 
 
 @settings(max_examples=20, deadline=None)

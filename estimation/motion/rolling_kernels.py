@@ -1,0 +1,226 @@
+"""Compiled sums of products that tell the rolling radius: see ``estimation.motion.rolling_sums``."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimation.compiled import compiled
+from estimation.values.arrays import FloatArray, IntArray
+from estimation.vehicle.linear_wheelset import ComplexArray
+
+ROWS = 4  # spectra: y'', V psi', phi'' and ym''
+TERMS = 7
+
+
+class Equation(NamedTuple):
+    """What the terms of the equation and their noise follow from."""
+
+    lateral_creep: float  # f22, N
+    mass: float  # kg
+    lateral_stiffness: float  # N/m
+    lateral_damping: float  # N s/m
+    load: float  # N
+    radius: float  # m
+    gravity: float  # m/s2 in the lateral sensors; 0 where it is not
+    yaw_is_gyroscope: bool
+    roll_is_gyroscope: bool
+
+
+@compiled(nogil=True)
+def level(row: FloatArray) -> None:
+    """Take mean and straight line from a row (n,)."""
+    n = len(row)
+    middle = 0.5 * (n - 1)
+    total, moment = 0.0, 0.0
+    for i in range(n):
+        total += row[i]
+        moment += row[i] * (i - middle)
+    mean, slope = total / n, moment / (n * (n * n - 1.0) / 12.0)
+    for i in range(n):
+        row[i] -= mean + slope * (i - middle)
+
+
+@compiled(nogil=True)
+def write_pieces(
+    samples: FloatArray, starts: IntArray, dt: float, taper: FloatArray, pieces: FloatArray, speeds: FloatArray
+) -> None:
+    """Write the rows of each piece (k, 4, n), level and tapered, and its mean speed, from accelerations and speed.
+
+    Parameters
+    ----------
+    samples
+        (5, m) accelerations and speed.
+    starts
+        (k,) first sample of each piece.
+    dt
+        Sampling interval, s.
+    taper
+        (n,) of a piece.
+    pieces, speeds
+        Written: (k, 4, n) and (k,) m/s.
+    """
+    n = len(taper)
+    yaw_rate = np.empty(n)
+    for k in range(len(starts)):
+        first = starts[k]
+        rate, speed = 0.0, 0.0
+        for i in range(n):
+            yaw = samples[1, first + i]
+            rate += yaw
+            yaw_rate[i] = rate - 0.5 * yaw
+            speed += samples[4, first + i]
+        speeds[k] = speed / n
+        level(yaw_rate)
+        for i in range(n):
+            pieces[k, 0, i] = samples[0, first + i]
+            pieces[k, 1, i] = samples[4, first + i] * dt * yaw_rate[i]
+            pieces[k, 2, i] = samples[2, first + i]
+            pieces[k, 3, i] = samples[3, first + i]
+        for r in range(ROWS):
+            level(pieces[k, r])
+            for i in range(n):
+                pieces[k, r, i] *= taper[i]
+
+
+@compiled(nogil=True)
+def write_terms(omega: float, speed: float, e: Equation, terms: ComplexArray) -> None:
+    """Write the terms (7, 4) of the equation per spectrum at an angular frequency; the others stay zero.
+
+    Parameters
+    ----------
+    omega
+        rad/s.
+    speed
+        m/s.
+    e
+        Coefficients of the equation.
+    terms
+        (7, 4), written.
+    """
+    compliance = speed / (2.0 * e.lateral_creep)
+    terms[0, 0], terms[0, 2] = 1.0, e.gravity / omega**2
+    terms[1, 1], terms[2, 2] = 1.0, -1.0
+    inertia = -compliance * e.mass * 1j * omega
+    terms[3, 0], terms[3, 2] = inertia * terms[0, 0], inertia * terms[0, 2]
+    suspension = -compliance * (e.lateral_stiffness / (1j * omega) + e.lateral_damping)
+    terms[4, 0], terms[4, 3] = suspension, -suspension
+    terms[5, 2] = -compliance * e.load / (1j * omega)
+    terms[6, 1] = 1j * omega / speed
+
+
+@compiled(nogil=True)
+def write_noise(
+    omega: float, speed: float, e: Equation, density: FloatArray, counting: FloatArray, noise: FloatArray
+) -> None:
+    """Write the squared noise densities (4,) of the spectra, of sensors and counting.
+
+    Parameters
+    ----------
+    omega
+        rad/s.
+    speed
+        m/s.
+    e
+        Which sensors are gyroscopes.
+    density, counting
+        (4,) squared noise densities, of the sensors and of what counting makes of them.
+    noise
+        (4,), written.
+    """
+    for j in range(ROWS):
+        rate = (j == 1 and e.yaw_is_gyroscope) or (j == 2 and e.roll_is_gyroscope)  # noqa: PLR2004 - the rows
+        noise[j] = density[j] * (omega**2 if rate else 1.0) + counting[j]
+    noise[1] *= (speed / omega) ** 2
+
+
+@compiled(nogil=True)
+def left_noise(terms: ComplexArray, noise: FloatArray, radius: float) -> float:
+    """Return the squared noise density of the equation at the parameters on file.
+
+    Parameters
+    ----------
+    terms
+        (7, 4) of the equation.
+    noise
+        (4,) squared noise densities of the spectra.
+    radius
+        On file, m.
+    """
+    total = 0.0
+    for j in range(ROWS):
+        left = terms[0, j] - terms[1, j] - radius * terms[2, j] - terms[3, j] - terms[4, j] - terms[5, j]
+        total += (left.real**2 + left.imag**2) * noise[j]
+    return total
+
+
+@compiled(nogil=True)
+def add_spectra(
+    spectra: ComplexArray, speeds: FloatArray, part: IntArray, dt: float, samples: int, unit: float, e: Equation,
+    density: FloatArray, counting: FloatArray, wavelengths: tuple[float, float],
+    products: FloatArray, of_noise: FloatArray,
+) -> None:  # fmt: skip
+    """Add the products of the terms of every piece to those of its part (parts, bands, 7, 7), and what noise makes.
+
+    Parameters
+    ----------
+    spectra, speeds
+        (k, 4, f) of the pieces, and (k,) their mean speeds, m/s.
+    part
+        (k,) to which a piece is added.
+    dt, samples
+        Sampling interval, s, and samples of a piece.
+    unit
+        Of a squared spectrum per squared noise density.
+    e
+        Coefficients of the equation.
+    density, counting
+        As :func:`write_noise` takes them.
+    wavelengths
+        The shortest and the longest that are looked at, m.
+    products, of_noise
+        (parts, bands, 7, 7), added to above their diagonals.
+    """
+    terms, noise = np.zeros((TERMS, ROWS), np.complex128), np.empty(ROWS)
+    values, moved = np.empty(TERMS, np.complex128), np.empty(ROWS, np.complex128)
+    bands = products.shape[1]
+    ratio = math.log(wavelengths[1] / wavelengths[0])
+    for k in range(len(spectra)):
+        longest, shortest = speeds[k] / wavelengths[1], speeds[k] / wavelengths[0]
+        for f in range(1, spectra.shape[2]):
+            frequency = f / (samples * dt)
+            if not longest <= frequency <= shortest:
+                continue
+            omega = 2.0 * math.pi * frequency
+            write_terms(omega, speeds[k], e, terms)
+            write_noise(omega, speeds[k], e, density, counting, noise)
+            for j in range(ROWS):
+                moved[j] = spectra[k, j, f]
+            moved[1] *= math.tan(0.5 * omega * dt) / (0.5 * omega * dt)  # the trapezoidal rule's shortfall
+            weight = 2.0 / left_noise(terms, noise, e.radius)
+            band = min(int(bands * math.log(frequency / longest) / ratio), bands - 1)
+            for a in range(TERMS):
+                values[a] = 0.0
+                for j in range(ROWS):
+                    values[a] += terms[a, j] * moved[j]
+            for a in range(TERMS):
+                for b in range(a, TERMS):
+                    product = values[a].real * values[b].real + values[a].imag * values[b].imag
+                    products[part[k], band, a, b] += weight / unit * product
+                    expected = 0.0
+                    for j in range(ROWS):
+                        one, other = terms[a, j], terms[b, j]
+                        expected += noise[j] * (one.real * other.real + one.imag * other.imag)
+                    of_noise[part[k], band, a, b] += weight * expected
+
+
+@compiled(nogil=True)
+def mirror(sums: FloatArray) -> None:
+    """Write below the diagonals of (parts, bands, 7, 7) what stands above them."""
+    for p in range(sums.shape[0]):
+        for band in range(sums.shape[1]):
+            for a in range(TERMS):
+                for b in range(a):
+                    sums[p, band, a, b] = sums[p, band, b, a]

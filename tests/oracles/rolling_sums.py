@@ -1,0 +1,137 @@
+"""The sums that tell the rolling radius, piece by piece in arrays over the frequencies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimation.motion.integration import segments
+from estimation.motion.parameters import SignalParameters
+from estimation.motion.rolling_sums import (
+    BANDS,
+    PART_S,
+    PIECE_S,
+    TERMS,
+    USUAL_ANGULAR,
+    USUAL_LATERAL,
+    USUAL_RATE,
+    WAVELENGTHS,
+)
+from estimation.motion.usable_samples import moving_samples
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.rolling_sums import RollingSums
+from estimation.values.windows import ACCELERATIONS, Window
+from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.linear_wheelset import ComplexArray
+from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
+
+
+def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalParameters) -> tuple[RollingSums, ...]:
+    """Return the sums of each part of a window, as the product's own does."""
+    dt = window.sample_interval_s
+    size, each = round(PIECE_S / dt), round(PART_S / dt)
+    parts: dict[int, list[RollingSums]] = {}
+    usable = moving_samples(window, signals)
+    for first, behind in segments(usable, window, signals):
+        samples = _bridged(window, usable, slice(first, behind))
+        for start in range(0, behind - first - size + 1, size // 2):
+            piece = _piece(samples[:, start : start + size], dt, _resolution_noise(window), vehicle_class)
+            parts.setdefault((first + start) // each, []).append(piece)
+    return tuple(
+        RollingSums(np.sum([one.products for one in pieces], axis=0), np.sum([one.noise for one in pieces], axis=0))
+        for _, pieces in sorted(parts.items())
+    )
+
+
+def _bridged(window: Window, usable: BoolArray, part: slice) -> FloatArray:
+    """Return accelerations and speed (5, m) of a part of a window, straight lines where samples are missing."""
+    known = np.flatnonzero(usable[part])
+    at = np.arange(part.stop - part.start)
+    rows = [getattr(window, name)[part] for name in (*ACCELERATIONS, "speed")]
+    return np.stack([np.interp(at, known, row[known]) for row in rows])
+
+
+def _resolution_noise(window: Window) -> FloatArray:
+    """Return the squared noise density (4,) that counting makes of the accelerations."""
+    return np.square(window.resolution) / 12.0 * 2.0 * window.sample_interval_s
+
+
+def _piece(samples: FloatArray, dt: float, counting: FloatArray, vehicle_class: VehicleClass) -> RollingSums:
+    """Return the sums of one piece, accelerations and speed (5, m)."""
+    n, speed = samples.shape[1], float(samples[4].mean())
+    frequency = np.asarray(np.fft.rfftfreq(n, dt), dtype=np.float64)
+    longest = speed / WAVELENGTHS[1]
+    used = (frequency >= longest) & (frequency <= speed / WAVELENGTHS[0])
+    omega = np.asarray(2.0 * np.pi * frequency[used])
+    window = np.hanning(n)
+    unit = 0.5 * n / dt * float(np.mean(window**2))  # of a squared spectrum per squared noise density
+    yaw_rate = np.cumsum(samples[1]) - 0.5 * samples[1]
+    rows = np.stack([samples[0], samples[4] * dt * _level(yaw_rate), samples[2], samples[3]])
+    moved = np.fft.rfft(_level(rows) * window)[:, used]
+    moved[1] *= np.tan(0.5 * omega * dt) / (0.5 * omega * dt)  # the trapezoidal rule's shortfall
+    terms = _terms(omega, speed, vehicle_class)
+    values = np.einsum("kjf,jf->kf", terms, moved)
+    noise = _noise(omega, speed, vehicle_class.sensors, counting)
+    weight = 2.0 / _left(terms, noise, vehicle_class.parameters.nominal_radius)
+    band = np.minimum((BANDS * np.log(frequency[used] / longest) / np.log(WAVELENGTHS[1] / WAVELENGTHS[0])), BANDS - 1)
+    share = weight * (band.astype(np.int64)[None, :] == np.arange(BANDS)[:, None])
+    measured = np.einsum("if,jf->fij", values.conj(), values).real
+    of_noise = np.einsum("iaf,jaf->fij", terms.conj() * noise, terms).real
+    return RollingSums(np.tensordot(share / unit, measured, axes=1), np.tensordot(share, of_noise, axes=1))
+
+
+def _densities(sensors: SensorLayout) -> FloatArray:
+    """Return the squared noise densities (4,) of the sensors: on file, or usual ones where none is."""
+    usual = (USUAL_LATERAL, USUAL_ANGULAR, USUAL_ANGULAR, USUAL_LATERAL)
+    rates = (False, sensors.yaw_is_gyroscope, sensors.roll_is_gyroscope, False)
+    return np.square(
+        [
+            one.noise_density or (USUAL_RATE if rate else density)
+            for one, density, rate in zip(sensors.channels.values(), usual, rates, strict=True)
+        ]
+    )
+
+
+def _per_density(omega: FloatArray, sensors: SensorLayout) -> FloatArray:
+    """Return the accelerations (4, f) that a sensor's unit makes: of gyroscopes omega, of accelerometers one."""
+    once, rate = np.ones_like(omega), np.maximum(omega, np.finfo(np.float64).tiny)
+    return np.stack(
+        [once, rate if sensors.yaw_is_gyroscope else once, rate if sensors.roll_is_gyroscope else once, once]
+    )
+
+
+def _level(values: FloatArray) -> FloatArray:
+    """Return rows (..., n) without their mean and straight line."""
+    n = values.shape[-1]
+    centred = np.arange(n) - 0.5 * (n - 1)
+    flat = values - values.mean(axis=-1, keepdims=True)
+    return np.asarray(flat - np.multiply.outer(flat @ centred / (centred @ centred), centred))
+
+
+def _terms(omega: FloatArray, speed: float, vehicle_class: VehicleClass) -> ComplexArray:
+    """Return the terms (TERMS, 4, f) of the equation per spectrum of y'', V psi', phi'' and ym''."""
+    p = vehicle_class.parameters
+    compliance = speed / (2.0 * p.lateral_creep_coefficient)
+    gravity = GRAVITY if vehicle_class.sensors.measures_gravity else 0.0
+    terms = np.zeros((TERMS, 4, len(omega)), dtype=np.complex128)
+    terms[0, 0], terms[0, 2] = 1.0, gravity / omega**2
+    terms[1, 1] = 1.0
+    terms[2, 2] = -1.0
+    terms[3] = -compliance * p.wheelset_mass * 1j * omega * terms[0]
+    suspension = -compliance * (p.lateral_stiffness / (1j * omega) + p.lateral_damping)
+    terms[4, 0], terms[4, 3] = suspension, -suspension
+    terms[5, 2] = -compliance * p.load / (1j * omega)
+    terms[6, 1] = 1j * omega / speed
+    return terms
+
+
+def _noise(omega: FloatArray, speed: float, sensors: SensorLayout, counting: FloatArray) -> FloatArray:
+    """Return the squared noise densities (4, f) of y'', V psi', phi'' and ym'', of sensors and counting."""
+    squared = _densities(sensors)[:, None] * _per_density(omega, sensors) ** 2 + counting[:, None]
+    squared[1] *= (speed / omega) ** 2
+    return np.asarray(squared)
+
+
+def _left(terms: ComplexArray, noise: FloatArray, radius: float) -> FloatArray:
+    """Return the squared noise density (f,) of the equation at the parameters on file."""
+    left = terms[0] - terms[1] - radius * terms[2] - terms[3] - terms[4] - terms[5]
+    return np.asarray(np.einsum("jf,jf->f", np.abs(left) ** 2, noise))
