@@ -35,6 +35,7 @@ WITH_OPTIONS = (
     "chunks",
     "pipeline",
     "sustained",
+    "fleet_sizes",
     "section_runs",
     "fleet",
 )

@@ -14,6 +14,7 @@ PARTS = (
     ("workers",),
     ("chunks",),
     ("sustained",),
+    ("fleet_sizes",),
 )
 """Names of benches that run together, for what is printed as one table."""
 

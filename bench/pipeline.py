@@ -10,6 +10,7 @@ positions, no refusals, no checks. It is timed on a share of the same frames.
 from __future__ import annotations
 
 import argparse
+import os
 import resource
 import tempfile
 import threading
@@ -24,9 +25,9 @@ from sqlalchemy import Engine, event
 
 from api.comparison.trial import Recorded, opened, receive
 from bench.pipeline_rival import rival_s_per_frame
+from bench.process_tree import cpu_of_tree, tree
 from bench.report import BenchRow
 from bench.results_page import markdown_table, write_page
-from bench.worker_kinds import TICKS
 from bench.worker_load import Workload, workload
 from estimation.errors import TreadwatchError
 from estimation.jobs.catalogue import ALL_JOBS
@@ -129,25 +130,25 @@ def _measured(load: Workload, folder: Path, chunks: Sequence[tuple[str, Path]]) 
         for job in ALL_JOBS:
             run_job(job, context, JobTrigger.CLI)
         peak = stack.enter_context(_peak_memory())
-        asked = stack.enter_context(_statements())
+        asked = stack.enter_context(statements())
         with storage.read() as unit:
             known = sum(unit.windows.counts().values())
-        begin_s, before = _cpu_s(), asked[0]
+        begin_s, before = cpu_of_tree(), asked[0]
         receive(Recorded(tuple(chunks), load.received.data_dir), settings)
-        found.cpu_s["ingest"], found.statements["ingest"] = _cpu_s() - begin_s, asked[0] - before
+        found.cpu_s["ingest"], found.statements["ingest"] = cpu_of_tree() - begin_s, asked[0] - before
         with storage.read() as unit:
             found.windows = sum(unit.windows.counts().values()) - known
         for job in ALL_JOBS:
-            begin_s, before = _cpu_s(), asked[0]
+            begin_s, before = cpu_of_tree(), asked[0]
             run = run_job(job, context, JobTrigger.CLI)
             if run.error is not None:
                 raise TreadwatchError(f"{run.job}: {run.error}")
-            found.cpu_s[job.name], found.statements[job.name] = _cpu_s() - begin_s, asked[0] - before
+            found.cpu_s[job.name], found.statements[job.name] = cpu_of_tree() - begin_s, asked[0] - before
     return found, peak[0]
 
 
 @contextmanager
-def _statements() -> Iterator[list[int]]:
+def statements() -> Iterator[list[int]]:
     """Yield the number of statements that every connection of this process has executed so far."""
     asked = [0]
 
@@ -161,30 +162,6 @@ def _statements() -> Iterator[list[int]]:
         event.remove(Engine, "before_cursor_execute", count)
 
 
-def _cpu_s() -> float:
-    """Return processor time of this process and of all that it started, s; those that they started and that ended too.
-
-    The processes that read logs are such: their server runs on.
-    """
-    own, ended = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return own.ru_utime + own.ru_stime + ended.ru_utime + ended.ru_stime + sum(map(_cpu_with_ended, _children()))
-
-
-def _cpu_with_ended(pid: int) -> float:
-    """Return the processor time of a process and of those that it started and that ended, s; 0 where it is gone."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(") ")[2].split()
-    except OSError:
-        return 0.0
-    return sum(map(int, fields[11:15])) / TICKS
-
-
-def _children() -> list[int]:
-    """Return the processes that this one started and that run."""
-    tasks = Path("/proc/self/task").glob("*/children")
-    return [int(pid) for task in tasks for pid in task.read_text(encoding="ascii").split()]
-
-
 @contextmanager
 def _peak_memory() -> Iterator[list[int]]:
     """Yield the largest sum of the resident memory of the processes so far, looked at every 50 ms, bytes."""
@@ -192,7 +169,7 @@ def _peak_memory() -> Iterator[list[int]]:
 
     def watch() -> None:
         while not ended.wait(0.05):
-            largest[0] = max(largest[0], sum(map(_resident, ["self", *map(str, _children())])))
+            largest[0] = max(largest[0], sum(map(_resident, tree(os.getpid()))))
 
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
@@ -203,7 +180,7 @@ def _peak_memory() -> Iterator[list[int]]:
         watcher.join()
 
 
-def _resident(pid: str) -> int:
+def _resident(pid: int) -> int:
     try:
         pages = Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]
     except OSError:

@@ -174,7 +174,9 @@ def iterate(
     return replace(_finished(setting, found), first_noise=first.noise)
 
 
-def first_rounds(setting: Setting, panel: Panel, corrections: Mapping[Journey, Correction]) -> IterationResult:
+def first_rounds(
+    setting: Setting, panel: Panel, corrections: Mapping[Journey, Correction], *, std: bool = True
+) -> IterationResult:
     """Return where the rounds without a gauge end; on a survey at positions by the regression of R.
 
     That search begins where the panel ends, which is within a metre or two. A gauge that varies is noise in that
@@ -188,19 +190,23 @@ def first_rounds(setting: Setting, panel: Panel, corrections: Mapping[Journey, C
         Without a gauge.
     corrections
         Of the positions, to begin with.
+    std
+        Whether to compute standard deviations.
     """
     prior = setting.prior
-    found = _rounds(setting, panel, corrections, {})
     if prior is None or not setting.anchored or not prior.surveyed:
-        return found
+        return _rounds(setting, panel, corrections, {}, std=std)
+    found = _rounds(setting, panel, corrections, {}, std=False)
     on_survey = positions_on_survey(found.placed, prior, panel.grid)
-    if on_survey is None:
-        return found
     varies = prior.gauge_known and bool(prior.gauge.any())
-    if varies and _mean_move(setting.grouped, found.corrections, on_survey) < setting.parameters.survey_tolerance:
-        return found
+    if on_survey is None or (varies and _hardly_moved(setting, found, on_survey)):
+        return _finished(setting, found) if std else found
     fixed = replace(setting, placed_on_survey=True)
-    return replace(_rounds(fixed, panel, on_survey, {}), placed_on_survey=True)
+    return replace(_rounds(fixed, panel, on_survey, {}, std=std), placed_on_survey=True)
+
+
+def _hardly_moved(setting: Setting, found: IterationResult, corrections: Mapping[Journey, Correction]) -> bool:
+    return _mean_move(setting.grouped, found.corrections, corrections) < setting.parameters.survey_tolerance
 
 
 def with_slope(found: IterationResult, prior: PriorAlignment | None, most_weight: float) -> IterationResult:
@@ -227,9 +233,14 @@ def with_slope(found: IterationResult, prior: PriorAlignment | None, most_weight
 
 
 def _rounds(
-    setting: Setting, panel: Panel, corrections: Mapping[Journey, Correction], ratios: dict[str, Ratio]
+    setting: Setting,
+    panel: Panel,
+    corrections: Mapping[Journey, Correction],
+    ratios: dict[str, Ratio],
+    *,
+    std: bool = True,
 ) -> IterationResult:
-    """Refine positions and stiffness ratios until neither moves."""
+    """Refine positions and stiffness ratios until neither moves; ``std`` of what that ends at where it is asked for."""
     p, noise = setting.parameters, setting.parameters.pass_std
     moved, changed, done = np.inf, np.inf, 0
     placed: Placed | None = None
@@ -239,11 +250,11 @@ def _rounds(
         passes = all_passes(placed)
         state = update(init(panel), passes)
         last = (moved < p.position_tolerance and changed < p.ratio_tolerance) or done >= p.rounds
-        solution = result(_state_with_prior(state, setting, noise), std=last)
+        solution = result(_state_with_prior(state, setting, noise), std=last and std)
         noise = max(residual_of_passes(state, solution), 0.1 * p.pass_std)
         explained = _explained(setting, state, solution, noise)
         if last:
-            known = with_ratio_std(ratios, passes, solution, panel, explained)
+            known = with_ratio_std(ratios, passes, solution, panel, explained) if std else ratios
             return IterationResult(panel, state, solution, placed, known, done, float(moved), float(changed), noise)
         better = refine_ratios(ratios, passes, solution, panel, explained)
         changed = _ratio_change(ratios, better)

@@ -64,5 +64,5 @@ def _placed(
     alone: Grouped = {journey: members}
     setting = Setting(alone, prior, anchored=True, parameters=p.iteration)
     start = correlate_positions(alone, panel.grid, p.positions, prior.alignment)
-    found = first_rounds(setting, panel, start)
+    found = first_rounds(setting, panel, start, std=False)
     return found.corrections[journey] if found.moved < p.iteration.position_tolerance else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,14 +74,15 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     p = state.panel.parameters
     n = state.panel.grid.points
     enough = state.passes >= p.least_passes
-    normal, right = _normal_equations(state, by_group=std)
+    parts = _normal_equations(state, by_group=std)
+    total = _sum_of(parts)
     share = np.zeros(n)
     share[enough] = 1.0 / state.passes[enough]
     reason = _too_little(state)
     curves_fixed = reason is not None and not state.has_alignment and bool(enough.any()) and bool(_measured(state))
-    curves = _curves(normal, right, state, curves_fixed=curves_fixed, std=std)
+    curves = _curves(total, parts if std else (), state, curves_fixed=curves_fixed)
     alignments = (state.displacement - _by_curves(curves, state)) * share
-    residual = _residual_rms(state, curves[0], normal, right)
+    residual = _residual_rms(state, curves[0], total)
     common = jackknife_std(alignments)
     certainty = np.hypot(common, residual * np.sqrt(share))
     separable = curves_fixed or reason is None
@@ -99,31 +101,44 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     )
 
 
-def _normal_equations(state: PanelState, *, by_group: bool) -> tuple[FloatArray, FloatArray]:
-    """Return normal matrices (g, w k, w k) and right sides (g, w k) of the curves, the alignment eliminated.
+@dataclass(frozen=True, slots=True)
+class _Equations:
+    """Normal matrix (w k, w k) and right side (w k,) of the curves, the alignment eliminated."""
 
-    One for each group of blocks along the section, or one of all.
-    """
+    normal: FloatArray
+    right: FloatArray
+
+
+def _normal_equations(state: PanelState, *, by_group: bool) -> list[_Equations]:
+    """Return the equations of each group of blocks along the section, or those of all."""
     group = groups_of(np.arange(state.panel.grid.points), state.panel)
     met = state.passes > 0
     if by_group:
-        parts = [
+        return [
             _reduced(state, gram, cross, np.flatnonzero(met & (group == g)))
             for g, (gram, cross) in enumerate(zip(state.gram, state.cross, strict=True))
         ]
-    else:
-        parts = [_reduced(state, state.gram.sum(axis=0), state.cross.sum(axis=0), np.flatnonzero(met))]
-    return np.stack([normal for normal, _ in parts]), np.stack([right for _, right in parts])
+    return [_reduced(state, state.gram.sum(axis=0), state.cross.sum(axis=0), np.flatnonzero(met))]
 
 
-def _reduced(state: PanelState, gram: FloatArray, cross: FloatArray, at: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return normal matrix (w k, w k) and right side (w k,) of the curves from what is at some grid points."""
+def _sum_of(parts: Sequence[_Equations]) -> _Equations:
+    if len(parts) == 1:
+        return parts[0]
+    normal, right = parts[0].normal.copy(), parts[0].right.copy()
+    for one in parts[1:]:
+        normal += one.normal
+        right += one.right
+    return _Equations(normal, right)
+
+
+def _reduced(state: PanelState, gram: FloatArray, cross: FloatArray, at: IntArray) -> _Equations:
+    """Return the equations from what is at some grid points."""
     where = as_slice(at)
     G = state.basis_sums.reshape(-1, state.panel.grid.points)[:, where]
     per_pass = 1.0 / state.passes[where]
     root = G * np.sqrt(per_pass).astype(np.float32)
     normal = linalg.block_diag(*gram) - root @ root.T
-    return normal, cross.ravel() - G @ (per_pass * state.displacement[where]).astype(np.float32)
+    return _Equations(normal, cross.ravel() - G @ (per_pass * state.displacement[where]).astype(np.float32))
 
 
 def curves_of_sum(state: PanelState, curves: FloatArray) -> FloatArray:
@@ -159,33 +174,28 @@ def _by_curves(curves: FloatArray, state: PanelState) -> FloatArray:
     return np.asarray(curves.reshape(len(curves), -1).astype(np.float32) @ summed, dtype=np.float64)
 
 
-def _curves(normal: FloatArray, right: FloatArray, state: PanelState, *, curves_fixed: bool, std: bool) -> FloatArray:
-    """Solve for all data and with each group left out; curves pass through zero at R = 0."""
+def _curves(whole: _Equations, groups: Sequence[_Equations], state: PanelState, *, curves_fixed: bool) -> FloatArray:
+    """Solve for all data and with each of some groups left out; curves pass through zero at R = 0."""
     w, p, c = len(state.lives), state.panel.parameters, state.panel.unknowns
     if w == 0:
-        return np.zeros((1 + len(normal), 0, 1))
-    total, total_right = normal.sum(axis=0), right.sum(axis=0)
-    size = float(np.diag(total).reshape(w, -1)[:, : p.basis_count].mean())
+        return np.zeros((1 + len(groups), 0, 1))
+    diagonal = np.diag(whole.normal)
+    size = float(diagonal.reshape(w, -1)[:, : p.basis_count].mean())
     prior = linalg.block_diag(
         *[_prior(size if size > 0.0 else 1.0, state.panel)] * w
     )  # all passes too short: nothing was met
-    prior += _no_common_shift(w, state.panel, 1e2 * float(np.diag(total).max(initial=0.0)))
+    prior += _no_common_shift(w, state.panel, 1e2 * float(diagonal.max(initial=0.0)))
     measured, measured_right = _prior_of_measured(state, FIXED_CURVE_WEIGHT * size if curves_fixed else None)
-    prior, total_right = prior + measured, total_right + measured_right
+    prior += measured
     if curves_fixed:  # the passes determine the stiffness as little as the curves: it is as assumed
-        stiffness = np.arange(c - 1, len(total), c)
-        prior[stiffness, stiffness] += FIXED_CURVE_WEIGHT * total[stiffness, stiffness]
-    curves = [
-        _solved(total - left_out + prior, total_right - left_right).reshape(w, c)
-        for left_out, left_right in zip(
-            [np.zeros_like(total), *(normal if std else ())],
-            [np.zeros_like(total_right), *(right if std else ())],
-            strict=True,
-        )
-    ]
-    for curve in curves:
-        curve[:, : p.basis_count] -= curve[:, [p.basis_count // 2]]
-    return np.stack(curves)
+        stiffness = np.arange(c - 1, w * c, c)
+        prior[stiffness, stiffness] += FIXED_CURVE_WEIGHT * diagonal[stiffness]
+    normal, right = whole.normal + prior, whole.right + measured_right
+    curves = [_solved(normal, right)]
+    curves += [_solved(normal - left.normal, right - left.right) for left in groups]
+    found = np.stack(curves).reshape(len(curves), w, c)
+    found[:, :, : p.basis_count] -= found[:, :, [p.basis_count // 2]]
+    return found
 
 
 def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
@@ -250,12 +260,12 @@ def _rough(k: int, roughness: float) -> FloatArray:
     return np.asarray(roughness * bend.T @ bend + 1e-9 * np.eye(k))
 
 
-def _residual_rms(state: PanelState, curve: FloatArray, normal: FloatArray, right: FloatArray) -> float:
+def _residual_rms(state: PanelState, curve: FloatArray, whole: _Equations) -> float:
     """Return the rms of y - d - h(R) over all passes, degrees of freedom taken off."""
     c = curve.reshape(-1)
     met = state.passes > 0
     within = state.square.sum() - (state.displacement[met] ** 2 / state.passes[met]).sum()
-    squares = within - 2 * c @ right.sum(axis=0) + c @ normal.sum(axis=0) @ c
+    squares = within - 2 * c @ whole.right + c @ whole.normal @ c
     freedom = max(float(np.maximum(state.passes[met] - 1, 0.0).sum()) - len(c), 1.0)
     return float(np.sqrt(max(squares, 0.0) / freedom))
 
