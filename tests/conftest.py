@@ -17,6 +17,7 @@ import psycopg
 import pytest
 import same_product  # noqa: F401 - before any process is started
 import sqlalchemy
+import usual_signals  # noqa: F401 - before any process is started
 from in_process_command import Run, command_line
 from postgres_server import running_server
 from psycopg import sql

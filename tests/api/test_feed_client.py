@@ -8,6 +8,8 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import api_fleet
@@ -31,6 +33,16 @@ def command(service: Service, *arguments: str) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         text=True,
     )
+
+
+@contextmanager
+def running(service: Service, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Yield the command; one that has not ended by then is killed, so that no test waits for it."""
+    with command(service, *arguments) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 class StoppedError(Exception):
@@ -63,7 +75,7 @@ def test_the_state_file_goes_on_where_the_last_line_was_printed(service: Service
 def test_follow_prints_what_is_committed_meanwhile_and_ends_on_a_signal(service: Service, tmp_path: Path) -> None:
     state = tmp_path / "cursor"
     arguments = ("--follow", "--after", "latest", "--state", str(state), "--kind", "suspension_change")
-    with command(service, *arguments) as following:
+    with running(service, *arguments) as following:
         assert following.stdout is not None
         try:
             while not state.exists():
