@@ -70,18 +70,17 @@ def test_a_killed_job_leaves_nothing_half_written_and_the_next_run_completes(
         deployed.receive(report.recordings[:3])
     killed(
         fleet, storage_url, "estimate_windows", 12
-    )  # its begin, mileages (2), queue, 2 x (claim, result, end), and the third
+    )  # its begin, mileages (2), sections, 2 x (claim, result, end), and the third
     said, tabled = estimated(fleet)
     assert said == tabled
     assert len(said) == 2
     succeeded(fleet, "estimate_windows")
-    killed(fleet, storage_url, "refresh_geometry", 8)  # until the second wheelset
+    killed(fleet, storage_url, "refresh_geometry", 3)  # its begin, claim, and what was made of both wheelsets
     with fleet.storage.read() as unit:
-        assert unit.geometries.stale(10) == [WORN]
-        assert unit.geometries.intervals(WORN) == []
-        assert unit.geometries.current(WORN) is None
-        assert len(unit.geometries.intervals(DEAD)) == 2
-        assert unit.geometries.current(DEAD) is not None
+        assert unit.geometries.stale(10) == [DEAD, WORN]
+        for serial in (DEAD, WORN):
+            assert unit.geometries.intervals(serial) == []
+            assert unit.geometries.current(serial) is None
         assert [found.outcome for found in unit.jobs.page("refresh_geometry", None, 10)] == ["running"]
     succeeded(fleet, "refresh_geometry")
     succeeded(second_fleet, "estimate_windows", "refresh_geometry")

@@ -93,7 +93,7 @@ from_campaign = 3
 """
 WINDOW_S = 30.0
 HOUR_NS = 3_600_000_000_000
-BOOK_KEEPING = ("job_runs",)
+BOOK_KEEPING = ("job_runs", "section_looks")
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def whole_history(found: Deployment, report: FleetReport) -> None:
 
 
 def rows(storage: SqlStorage) -> dict[str, list[tuple[Any, ...]]]:
-    """Return every row of every table, but for the record of the jobs' runs."""
+    """Return every row of every table, but for the record of what the jobs ran and looked at."""
     with storage.engine.connect() as connection:
         return {
             table.name: sorted((tuple(row) for row in connection.execute(select(table))), key=repr)
