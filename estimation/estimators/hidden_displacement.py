@@ -6,7 +6,7 @@ samples tell it, though: a contact jump shows in R at the moment at which it is 
 
 The hidden displacement is a Markov chain on a grid. Forward-backward smoothing gives its probabilities with a curve; R,
 averaged over what y - d then is expected to be, gives the next curve (expectation maximisation; Baum, Petrie, Soules
-and Weiss 1970). The curve is free in cells of ``CELL``; nothing makes it smooth or steep.
+and Weiss 1970). The curve is free in cells of ``CELL``; at the end contact jumps are set in one place each.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from estimation.contact.conicity import zero_crossing
 from estimation.errors import ParameterError
 from estimation.estimators import hidden_kernels as kernels
+from estimation.estimators.contact_jumps import stepped
 from estimation.estimators.coverage import CELLS, REACH, counted, covered_range, usable
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
@@ -34,7 +35,7 @@ from estimation.vehicle.regressors import YAW_TARGETS, regression
 CELL = 0.04e-3  # m of y - d
 FINE = round(2 * REACH / CELL)
 LEAST_IN_CELL = 20.0  # samples
-GRID = 0.02e-3 * np.arange(-15, 16)  # m, values of the hidden displacement
+GRID = frozen_array(0.02e-3 * np.arange(-15.0, 16.0), (31,), name="grid")  # m, values of the hidden displacement
 PRIOR_STD = 0.1e-3  # m, of the hidden displacement
 MOVE = 0.08  # probability of a step to a neighbour in a chunk
 CHUNK_S = 0.02
@@ -134,10 +135,12 @@ class HiddenDisplacement:
         total, number = sums.sum(axis=0), counts.sum(axis=0)
         present = np.flatnonzero(counts.any(axis=1))
         curve = total / number
-        left_out = np.array([_without(total - sums[g], number - counts[g], curve) for g in present])
-        shifted = curve + _systematic(middles, curve, state)
-        replicates = Replicates(middles, curve, left_out, shifted, samples, state.stretches)
-        return curve_estimate(replicates, state.parameters)
+        sharp = stepped(middles, curve)
+        x, R = sharp.displacement, sharp.difference
+        changes = [_without(total - sums[g], number - counts[g], curve) - curve for g in present]
+        left_out = R + np.array([np.interp(x, middles, change) for change in changes])
+        shifted = R + _systematic(x, R, state)
+        return curve_estimate(Replicates(x, R, left_out, shifted, samples, state.stretches), state.parameters)
 
     def _expected(self, state: HiddenState) -> tuple[FloatArray, FloatArray]:
         """Return sums of R and numbers of samples (g, FINE) by group and cell, after the last round."""
@@ -164,8 +167,8 @@ def _chunk(motion: Motion, parameters: EstimatorParameters) -> int:
 
 
 def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Return sums of R and numbers of samples (g, FINE) with the probabilities that a curve gives; None: as observed."""
-    grid = np.zeros(1) if curve is None else GRID
+    """Return sums of R and numbers of samples (g, FINE), as likely as a curve makes it; None: as observed."""
+    grid: FloatArray = np.zeros(1) if curve is None else GRID
     prior = np.exp(-0.5 * (grid / PRIOR_STD) ** 2)
     prior /= prior.sum()
     sums, counts = np.zeros((2, GROUPS, FINE))
@@ -190,7 +193,7 @@ def _filled(sums: FloatArray, counts: FloatArray) -> FloatArray:
     """Return the mean (FINE,) of every cell, interpolated where there are too few samples."""
     known = counts >= min(LEAST_IN_CELL, counts.max())
     x = _middles()
-    return np.interp(x, x[known], sums[known] / counts[known])
+    return np.asarray(np.interp(x, x[known], sums[known] / counts[known]))
 
 
 def _run(counts: FloatArray, span: tuple[float, float]) -> slice:

@@ -46,7 +46,7 @@ def weigh(
             total = 0.0
             for i in range(k * chunk, (k + 1) * chunk):
                 place = (displacement[i] + grid[s] - first) / width - 0.5
-                low = min(max(int(math.floor(place)), 0), len(curve) - 2)
+                low = min(max(math.floor(place), 0), len(curve) - 2)
                 part = min(max(place - low, 0.0), 1.0)
                 apart = (difference[i] - curve[low] - part * (curve[low + 1] - curve[low])) / noise
                 total -= math.log(1.0 + apart * apart / FREEDOM)
@@ -145,7 +145,7 @@ def add_expected(
             probability = posterior[k, s]
             if probability > LIKELY:
                 for i in range(k * chunk, (k + 1) * chunk):
-                    cell = int(math.floor((displacement[i] + grid[s] - first) / width))
+                    cell = math.floor((displacement[i] + grid[s] - first) / width)
                     if 0 <= cell < len(sums):
                         sums[cell] += weight * probability * difference[i]
                         counts[cell] += weight * probability

@@ -31,7 +31,7 @@ class Replicates:
     shifted: FloatArray  # (p, n) m
     samples: int
     stretches: int
-    own: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (q, n) m; none for an estimator that states none
+    own: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (q, n) m
 
 
 def nothing(reason: Reason, parameters: EstimatorParameters, samples: int, stretches: int) -> CurveEstimate:
