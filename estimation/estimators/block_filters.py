@@ -22,7 +22,7 @@ from estimation.errors import ParameterError
 from estimation.estimators.coverage import covered_range, usable
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
-from estimation.estimators.series import GROUPS, SPACING, Basis, SeriesState, added, empty, shifts
+from estimation.estimators.series import GROUPS, SPACING, Basis, SeriesState, added, empty, misfit, shifts
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array
@@ -32,7 +32,7 @@ from estimation.vehicle.regressors import regression
 
 STEP_S = 0.012  # between the samples that a filter takes
 SHORTEST = 100  # samples of a block that is filtered
-LARGEST_SQUARE = 4.0  # mean of squared innovations over their variances of a filter that follows
+LARGEST_SQUARE = 3.0  # mean of squared innovations over their variances of a filter that follows
 MOST_DIVERGED = 0.2  # share of blocks
 
 
@@ -221,6 +221,7 @@ def solved(state: FilterState, basis: Basis, prior: Prior) -> CurveEstimate:
         functions @ np.linalg.solve(precision - state.precision[g], information - state.information[g]) for g in present
     ]
     own = functions @ np.linalg.cholesky(np.linalg.inv(precision))
-    shifted = value + shifts(series, functions, ridge=1e-9)
+    unfollowed = value + misfit(series, x, value)
+    shifted = np.vstack([value + shifts(series, functions, ridge=1e-9), unfollowed])
     curve = Replicates(x, value, np.array(left_out), shifted, series.samples, series.stretches, own.T)
     return curve_estimate(curve, series.parameters)

@@ -19,7 +19,7 @@ from estimation.values.arrays import FloatArray
 
 MILLIMETRE = 1e-3
 ALIGNMENT = 1e-6  # m, intensity of d' per speed: slopes of 0.6 mm/m over 3 m
-YAW_RATE = 1e-7  # rad2/s, intensity of what psi' has besides: R is measured to 0.05 mm over some 0.05 s
+YAW_RATE = 3e-8  # rad2/s, intensity of what psi' has besides: R is measured to 0.03 mm over some 0.05 s
 YAW = 1e-5  # rad, std of psi
 RENEWED = (1e-3, 1e-3)  # m, rad, std of y - d and psi behind a gap
 
@@ -54,9 +54,18 @@ def correct(mean: FloatArray, P: FloatArray, part: int, measured: float, varianc
         Which part, its measured value, and the variance of that.
     """
     innovation, total = measured - mean[part], P[part, part] + variance
-    gain = P[:, part] / total
-    mean += gain * innovation
-    P -= np.outer(gain, gain) * total
+    size = len(mean)
+    for a in range(size):
+        mean[a] += P[a, part] / total * innovation
+    for a in range(size):
+        for b in range(size if a != part else 0):
+            if b != part:
+                P[a, b] -= P[a, part] * P[part, b] / total
+    left = variance / total
+    for a in range(size):
+        P[a, part] *= left
+        if a != part:
+            P[part, a] *= left
     return innovation, total
 
 
@@ -90,21 +99,24 @@ def extended(
         V, u = 0.5 * (speed[i] + speed[i - 1]), mean[0] / MILLIMETRE
         R, slope, power = 0.0, 0.0, 1.0
         turn = -dt * V / lever
-        row = P[1].copy()
         for j in range(2, size):
             R += mean[j] * power
-            row += turn * power * P[j]
             if j + 1 < size:
                 slope += (j - 1) * power * mean[j + 1] / MILLIMETRE
             power *= u
-        row += turn * slope * P[0]
-        variance, power = row[1] + turn * slope * row[0], 1.0
-        for j in range(2, size):
-            variance += turn * power * row[j]
-            power *= u
-        P[1, :] = row
-        P[:, 1] = row
-        P[1, 1] = variance + YAW_RATE * dt
+        for b in range(size):
+            P[1, b] += turn * slope * P[0, b]
+            power = turn
+            for j in range(2, size):
+                P[1, b] += power * P[j, b]
+                power *= u
+        for b in range(size):
+            P[b, 1] += turn * slope * P[b, 0]
+            power = turn
+            for j in range(2, size):
+                P[b, 1] += power * P[b, j]
+                power *= u
+        P[1, 1] += YAW_RATE * dt
         mean[1] += turn * R + dt * 0.5 * (known_rate[i] + known_rate[i - 1])
         run_on(mean, P, dt, V, 0.5 * (lateral_rate[i] + lateral_rate[i - 1]))
         innovation, total = correct(mean, P, 1, yaw[i], YAW * YAW)
@@ -126,11 +138,11 @@ def run_on(mean: FloatArray, P: FloatArray, dt: float, V: float, lateral_rate: f
         s, m/s, m/s.
     """
     mean[0] += dt * (V * mean[1] + lateral_rate)
-    row = P[0] + dt * V * P[1]
-    first = row[0] + dt * V * row[1]
-    P[0, :] = row
-    P[:, 0] = row
-    P[0, 0] = first + ALIGNMENT * V * dt
+    for b in range(len(mean)):
+        P[0, b] += dt * V * P[1, b]
+    for b in range(len(mean)):
+        P[b, 0] += dt * V * P[b, 1]
+    P[0, 0] += ALIGNMENT * V * dt
 
 
 @compiled(nogil=True, error_model="numpy")
@@ -204,11 +216,11 @@ def one_particle(
     displacement, yaw, noise
         As measured, and the std of y - d.
     """
-    row = P[1] + turn * (slope * P[0] + P[2])
-    variance = row[1] + turn * (slope * row[0] + row[2])
-    P[1, :] = row
-    P[:, 1] = row
-    P[1, 1] = variance + YAW_RATE * dt
+    for b in range(len(mean)):
+        P[1, b] += turn * (slope * P[0, b] + P[2, b])
+    for b in range(len(mean)):
+        P[b, 1] += turn * (slope * P[b, 0] + P[b, 2])
+    P[1, 1] += YAW_RATE * dt
     mean[1] += turn * (slope * mean[0] + mean[2]) + known
     run_on(mean, P, dt, V, lateral)
     of_yaw, total_yaw = correct(mean, P, 1, yaw, YAW * YAW)

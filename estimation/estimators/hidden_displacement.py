@@ -77,7 +77,7 @@ class HiddenState:
 class HiddenDisplacement:
     """Expectation maximisation of the curve, ``rounds`` times; none where y - d has lost nothing."""
 
-    rounds: int = 8
+    rounds: int = 6
     name: str = "hidden"
     title: str = "hidden slow displacement"
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.estimators.coverage import CELLS, counted, covered_range, usable
+from estimation.estimators.coverage import CELLS, beside, counted, covered_range, usable
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.estimators.series import GROUPS, SPACING
@@ -42,6 +42,7 @@ class RecursionState:
     gram: FloatArray  # (g, 3, 3)
     cross: FloatArray  # (g, 3, 5) with the moments and their derivatives, N m
     squares: float  # N2 m2, weighted
+    sums: FloatArray  # (2, CELLS) N m and m, weighted sums of the moments and of 2 l^2 psi'/V, by displacement
     counts: FloatArray  # (CELLS,)
     samples: int
     stretches: int
@@ -50,6 +51,7 @@ class RecursionState:
         g = len(self.gram)
         object.__setattr__(self, "gram", frozen_array(self.gram, (g, UNKNOWNS, UNKNOWNS), name="gram"))
         object.__setattr__(self, "cross", frozen_array(self.cross, (g, UNKNOWNS, 1 + len(TARGETS)), name="cross"))
+        object.__setattr__(self, "sums", frozen_array(self.sums, (2, CELLS), name="sums"))
         object.__setattr__(self, "counts", frozen_array(self.counts, (CELLS,), name="counts"))
 
 
@@ -63,14 +65,15 @@ class KnownIrregularity:
     def init(self, parameters: EstimatorParameters) -> RecursionState:
         """Return the empty sums."""
         gram, cross = np.zeros((GROUPS, UNKNOWNS, UNKNOWNS)), np.zeros((GROUPS, UNKNOWNS, 1 + len(TARGETS)))
-        return RecursionState(parameters, gram, cross, 0.0, np.zeros(CELLS), 0, 0)
+        return RecursionState(parameters, gram, cross, 0.0, np.zeros((2, CELLS)), np.zeros(CELLS), 0, 0)
 
     def update(self, state: RecursionState, motion: Motion, weight: float = 1.0) -> RecursionState:
         """Return the state with ``motion`` added, ``weight`` times."""
         keep = usable(motion)
         features, targets = equations(motion, state.parameters.vehicle)
         groups = group_of(motion.block[keep], GROUPS)
-        features, targets = features[keep], targets[keep]
+        features, targets, x = features[keep], targets[keep], motion.displacement[keep]
+        sums = np.array([counted(x, targets[:, 0]), counted(x, -features[:, 0])])
         gram, cross = state.gram.copy(), state.cross.copy()
         for group in np.unique(groups):
             in_group = groups == group
@@ -82,7 +85,8 @@ class KnownIrregularity:
             gram=gram,
             cross=cross,
             squares=state.squares + weight * float(targets[:, 0] @ targets[:, 0]),
-            counts=state.counts + weight * counted(motion.displacement[keep]),
+            sums=state.sums + weight * sums,
+            counts=state.counts + weight * counted(x),
             samples=state.samples + int(keep.sum()),
             stretches=state.stretches + 1,
         )
@@ -104,7 +108,10 @@ class KnownIrregularity:
         variance = (state.squares - theta[:, 0] @ cross[:, 0]) / max(state.counts.sum() - UNKNOWNS, 1.0)
         own = np.linalg.cholesky(np.linalg.inv(gram)) * np.sqrt(max(variance, 0.0))
         scaled = value * (1.0 + state.parameters.uncertainty.scale)
-        shifted = np.array([*(_line(x, theta[:, 0] + change) for change in changes.T), scaled])
+        moment, rate = state.sums
+        of_cell = -(moment / theta[0, 0] + rate) / _lever(state.parameters.vehicle)
+        unfollowed = value + beside(x, value, of_cell, state.counts)
+        shifted = np.array([*(_line(x, theta[:, 0] + change) for change in changes.T), scaled, unfollowed])
         return curve_estimate(
             Replicates(
                 x,
@@ -156,6 +163,11 @@ def _refusal(state: RecursionState, uncovered: bool, groups: int) -> Reason | No
         text = f"the creep coefficient comes out as {share:.2f} times that on file"
         return Reason(ReasonCode.DIVERGED, text)
     return None
+
+
+def _lever(vehicle: VehicleParameters) -> float:
+    """Return l/r0."""
+    return vehicle.half_contact_distance / vehicle.nominal_radius
 
 
 def _line(x: FloatArray, theta: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.estimators.coverage import CELLS, counted, covered_range, usable
+from estimation.estimators.coverage import CELLS, beside, counted, covered_range, usable
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.geometry.conicity import too_few_blocks
@@ -35,6 +35,7 @@ class SeriesState:
     gram: FloatArray  # (g, m, m)
     cross: FloatArray  # (g, m, 7) with R and its derivatives by the logarithms of the parameters, m
     squares: float  # m2, weighted sum of R^2
+    sums: FloatArray  # (CELLS,) m, weighted sum of R by displacement
     counts: FloatArray  # (CELLS,) effective samples by displacement
     samples: int
     stretches: int
@@ -43,6 +44,7 @@ class SeriesState:
         g, m = self.gram.shape[:2]
         object.__setattr__(self, "gram", frozen_array(self.gram, (g, m, m), name="gram"))
         object.__setattr__(self, "cross", frozen_array(self.cross, (g, m, len(YAW_TARGETS)), name="cross"))
+        object.__setattr__(self, "sums", frozen_array(self.sums, (CELLS,), name="sums"))
         object.__setattr__(self, "counts", frozen_array(self.counts, (CELLS,), name="counts"))
 
 
@@ -53,6 +55,7 @@ def empty(parameters: EstimatorParameters, functions: int) -> SeriesState:
         np.zeros((GROUPS, functions, functions)),
         np.zeros((GROUPS, functions, len(YAW_TARGETS))),
         0.0,
+        np.zeros(CELLS),
         np.zeros(CELLS),
         0,
         0,
@@ -89,6 +92,7 @@ def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> Se
         gram=gram,
         cross=cross,
         squares=state.squares + weight * float(targets[:, 0] @ targets[:, 0]),
+        sums=state.sums + weight * counted(motion.displacement[keep], targets[:, 0]),
         counts=state.counts + weight * counted(motion.displacement[keep]),
         samples=state.samples + int(keep.sum()),
         stretches=state.stretches + 1,
@@ -128,7 +132,7 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
             x,
             value,
             np.array(left_out) @ functions.T,
-            value + shifts(state, functions, ridge),
+            np.vstack([value + shifts(state, functions, ridge), value + misfit(state, x, value)]),
             state.samples,
             state.stretches,
             own.T,
@@ -152,6 +156,19 @@ def shifts(state: SeriesState, functions: FloatArray, ridge: float) -> FloatArra
     gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
     theta = np.linalg.solve(gram + _small(gram, ridge), cross[:, 1:])
     return np.asarray((functions @ theta).T * state.parameters.uncertainty.yaw()[:, None])
+
+
+def misfit(state: SeriesState, x: FloatArray, value: FloatArray) -> FloatArray:
+    """Return what the curve cannot follow (n,), m: by how much the mean of R is above it, cell by cell.
+
+    Parameters
+    ----------
+    state
+        Sums over all windows.
+    x, value
+        (n,) m, the curve.
+    """
+    return beside(x, value, state.sums, state.counts)
 
 
 def _small(gram: FloatArray, ridge: float) -> FloatArray:
