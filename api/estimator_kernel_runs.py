@@ -30,7 +30,7 @@ def _filters() -> Iterator[FloatArray]:
     yield from (slope, means)
     uneven = np.zeros(q)
     uneven[3] = 1.0
-    filter_kernels.resample(uneven, slope, means, covariances, draws[0])
+    filter_kernels.resample(uneven, slope, means, covariances, draws[0], 0.1)
     yield slope
 
 

@@ -58,8 +58,8 @@ def _run(options: argparse.Namespace, found: list[dict[str, Any]], console: Cons
             with tempfile.TemporaryDirectory(prefix="treadwatch-rivals-") as folder:
                 cache = options.keep or Path(folder) / "recordings"
                 scenario = fleet(family, seed, options.vehicles, cache / "wheels")
-                for one in scores(scenario, family, tracks, cache, Path(folder) / "data", options.wheelsets):
-                    found.append(one.as_json())
+                case = scores(scenario, family, tracks, cache, Path(folder) / "data", options.wheelsets)
+                found.extend(one.as_json() for one in case)
             options.out.write_text(json.dumps(found), encoding="utf-8")
             console.print(f"{family} seed {seed}: done", highlight=False)
 

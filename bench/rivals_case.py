@@ -15,6 +15,7 @@ from api.comparison.truth import TrueWheelset, read_truth
 from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import estimators
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.replicates import nothing
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.membership import membership
@@ -25,6 +26,8 @@ from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.intervals import NORMAL_95
 from estimation.values.motion import Motion
+from estimation.values.quantities import Status
+from estimation.values.reasons import Reason
 from ingest.simulator.axle_motion import contact_of
 from ingest.simulator.campaign import scenario_track
 from ingest.simulator.scenario import Scenario
@@ -120,21 +123,31 @@ def motions_of(unit: UnitOfWork, serial: str, context: JobContext) -> tuple[Esti
         alignments = [unit.tracks.alignment(code) for code in sections if code is not None]
         known = [one for one in alignments if one is not None]
         unknown = ParameterUncertainty.of(assumed.on_file.vehicle_class).on(known, serial)
-        source = settings.signals.source
-        parameters = EstimatorParameters(assumed.windows.vehicle, unknown, settings.geometry.curve, source, True)
+        vehicle, curve, source = assumed.windows.vehicle, settings.geometry.curve, settings.signals.source
+        parameters = EstimatorParameters(vehicle, unknown, curve, source, band_limited=True)
     return parameters, motions
 
 
 def _estimated(
     parameters: EstimatorParameters, motions: Sequence[Motion]
 ) -> Iterator[tuple[str, CurveEstimate, float, int]]:
+    """Yield name, result, processor time and bytes; where the first one says mismatch nothing else is published.
+
+    The jobs do so: whatever the estimator, the data then do not follow the class of the vehicle.
+    """
+    mismatch: Reason | None = None
     for estimator in estimators():
         began = time.process_time()
         state = estimator.init(parameters)
         for motion in motions:
             state = estimator.update(state, motion)
         found = estimator.result(state)
-        yield estimator.name, found, time.process_time() - began, _bytes(state)
+        cpu_s = time.process_time() - began
+        if found.status is Status.MODEL_MISMATCH:
+            mismatch = found.reason
+        if mismatch is not None:
+            found = nothing(mismatch, parameters, found.samples, found.stretches)
+        yield estimator.name, found, cpu_s, _bytes(state)
 
 
 def _bytes(value: object) -> int:

@@ -173,7 +173,7 @@ def particles(
     """
     q, squares, count, resampled = len(slope), 0.0, 0, 0
     weight, likelihood = np.full(q, 1.0 / q), np.empty(q)
-    square = np.empty(q)
+    square, apart = np.empty(q), slope[1] - slope[0] if q > 1 else 0.0
     for i in range(len(step_s)):
         dt = step_s[i]
         if dt == 0.0:
@@ -192,9 +192,9 @@ def particles(
         squares += (weight * square).sum()
         count += 1
         if (weight * weight).sum() * q > 2.0:  # fewer than half of them count  # noqa: PLR2004 - the usual half
-            resample(weight, slope, mean, P, draws[resampled % len(draws)])
+            resample(weight, slope, mean, P, draws[resampled % len(draws)], apart / (1.0 + COOLING * resampled))
             resampled += 1
-    resample(weight, slope, mean, P, draws[resampled % len(draws)])
+    resample(weight, slope, mean, P, draws[resampled % len(draws)], 0.0)
     return squares / max(count, 1)
 
 
@@ -230,7 +230,9 @@ def one_particle(
 
 
 @compiled(nogil=True, error_model="numpy")
-def resample(weight: FloatArray, slope: FloatArray, mean: FloatArray, P: FloatArray, draw: FloatArray) -> None:
+def resample(
+    weight: FloatArray, slope: FloatArray, mean: FloatArray, P: FloatArray, draw: FloatArray, least: float
+) -> None:
     """Replace particles by copies as their weights say, all of one weight then.
 
     Parameters
@@ -239,10 +241,12 @@ def resample(weight: FloatArray, slope: FloatArray, mean: FloatArray, P: FloatAr
         (q,), (q,), (q, 3), (q, 3, 3), changed.
     draw
         (1 + q,) a number between 0 and 1, and normal ones.
+    least
+        Spread of the slope that copies have at least, which otherwise would stay at one that is not quite right.
     """
     q = len(weight)
     middle = (weight * slope).sum()
-    spread = math.sqrt((weight * (slope - middle) ** 2).sum())
+    spread = max(math.sqrt((weight * (slope - middle) ** 2).sum()), least)
     old_slope, old_mean, old_P = slope.copy(), mean.copy(), P.copy()
     total, source = weight[0], 0
     for j in range(q):
@@ -255,4 +259,5 @@ def resample(weight: FloatArray, slope: FloatArray, mean: FloatArray, P: FloatAr
 
 
 MOVED = 0.3  # of the spread of the particles, std by which copies are moved
+COOLING = 0.25  # of the spread that copies have at least, with every time that they are made
 KEPT = math.sqrt(1.0 - MOVED * MOVED)  # so that the spread stays what it is (Liu and West 2001)

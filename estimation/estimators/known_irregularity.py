@@ -5,8 +5,9 @@ Of the linear Eq. 2 both the conicity and the creep coefficient are unknown here
 
     I psi'' + (moments without longitudinal creep) = -f11 (2 l^2/V) psi' - f11 (l/r0) (R0 + 2 lambda (y - d))
 
-so that the conicity does not rest on a creep coefficient on file, but on the yaw stiffness alone. Least squares without
-forgetting is kept as its sums (docs/estimation.md), which equal the recursion of Eq. 10 to 14.
+so that the conicity does not rest on a creep coefficient on file, but on the yaw stiffness alone. By how much the
+coefficient found differs from that on file is in the interval: what a line cannot follow, it takes for creep. Least
+squares without forgetting is kept as its sums (docs/estimation.md), which equal the recursion of Eq. 10 to 14.
 """
 
 from __future__ import annotations
@@ -111,7 +112,10 @@ class KnownIrregularity:
         moment, rate = state.sums
         of_cell = -(moment / theta[0, 0] + rate) / _lever(state.parameters.vehicle)
         unfollowed = value + beside(x, value, of_cell, state.counts)
-        shifted = np.array([*(_line(x, theta[:, 0] + change) for change in changes.T), scaled, unfollowed])
+        on_file = state.parameters.vehicle.longitudinal_creep_coefficient
+        creep_differs = value * (theta[0, 0] / on_file)
+        rows = [_line(x, theta[:, 0] + change) for change in changes.T]
+        shifted = np.array([*rows, scaled, unfollowed, creep_differs])
         return curve_estimate(
             Replicates(
                 x,

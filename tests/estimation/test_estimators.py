@@ -57,7 +57,8 @@ def test_the_catalogue_names_each_once_and_the_product_first() -> None:
     assert len(set(names)) == len(names)
 
 
-NEAR = {"bins": 0.002, "paper": 0.004, "cubic": 0.002, "extended_kalman": 0.004, "hidden": 0.002}  # error of the conicity at most; coarser ones 0.03
+# error of the conicity at most; coarser ones 0.03
+NEAR = {"bins": 0.002, "paper": 0.004, "cubic": 0.002, "extended_kalman": 0.004, "hidden": 0.002}
 
 
 @pytest.mark.parametrize("estimator", estimators(), ids=lambda item: item.name)
