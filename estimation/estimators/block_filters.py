@@ -37,7 +37,7 @@ MOST_DIVERGED = 0.2  # share of blocks
 
 
 class Inputs(NamedTuple):
-    """What a filter takes of a block, (n,) each; a gap is where ``step_s`` is 0: the linear states begin anew."""
+    """What a filter takes of a block, (n,) each; a gap is where ``step_s`` is 0: the linear states begin again."""
 
     step_s: FloatArray  # since the sample before
     speed: FloatArray  # m/s

@@ -26,7 +26,7 @@ RENEWED = (1e-3, 1e-3)  # m, rad, std of y - d and psi behind a gap
 
 @compiled(nogil=True, error_model="numpy")
 def renew(mean: FloatArray, P: FloatArray, displacement: float, yaw: float) -> None:
-    """Begin y - d and psi anew from what is measured, and keep the rest.
+    """Begin y - d and psi again from what is measured, and keep the rest.
 
     Parameters
     ----------

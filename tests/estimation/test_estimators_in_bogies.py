@@ -64,9 +64,7 @@ def test_each_comes_near_both_wheelsets(estimator: Estimator[Any], yaw_stiffness
 
 @pytest.mark.parametrize("axle", [1, 2])
 @pytest.mark.parametrize("estimator", OTHERS, ids=lambda item: item.name)
-def test_without_the_yaw_of_the_frame_a_stiff_bogie_gives_another_curve_or_none(
-    estimator: Estimator[Any], axle: int
-) -> None:
+def test_without_the_yaw_of_the_frame_a_stiff_bogie_gives_another_curve(estimator: Estimator[Any], axle: int) -> None:
     found = estimated(estimator, COACH, without_frame(ideal_in_bogie(motions(COACH)[axle - 1])))
     if estimator.name in WITH_INNOVATIONS:
         assert found.reason is not None
