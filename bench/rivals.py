@@ -21,6 +21,7 @@ from bench.rivals_case import scores
 from bench.rivals_fleets import FAMILIES, fleet
 from bench.rivals_table import TITLE, bench_rows, page_body, summary_lines
 from bench.world import seed_range
+from estimation.estimators.catalogue import estimators
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -58,7 +59,9 @@ def _run(options: argparse.Namespace, found: list[dict[str, Any]], console: Cons
             with tempfile.TemporaryDirectory(prefix="treadwatch-rivals-") as folder:
                 cache = options.keep or Path(folder) / "recordings"
                 scenario = fleet(family, seed, options.vehicles, cache / "wheels")
-                case = scores(scenario, family, tracks, cache, Path(folder) / "data", options.wheelsets)
+                case = scores(
+                    scenario, family, tracks, cache, Path(folder) / "data", options.wheelsets, options.estimators
+                )
                 found.extend(one.as_json() for one in case)
             options.out.write_text(json.dumps(found), encoding="utf-8")
             console.print(f"{family} seed {seed}: done", highlight=False)
@@ -70,6 +73,8 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--families", type=_of(FAMILIES), default=list(FAMILIES), help=", ".join(FAMILIES))
     names = [track.value for track in TrackInformation]
     parser.add_argument("--tracks", type=_tracks, default=list(TrackInformation), help=", ".join(names))
+    every = [item.name for item in estimators()]
+    parser.add_argument("--estimators", type=_of(every), default=every, help="names; the shipped one always runs")
     parser.add_argument("--vehicles", type=int, default=4, help="of four wheelsets (4)")
     parser.add_argument("--wheelsets", type=int, default=16, help="that are scored, spread over the fleet (16)")
     parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings")

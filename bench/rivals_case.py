@@ -57,7 +57,13 @@ class RivalScore:
 
 
 def scores(
-    scenario: Scenario, family: str, tracks: Sequence[TrackInformation], cache: Path, folder: Path, most: int
+    scenario: Scenario,
+    family: str,
+    tracks: Sequence[TrackInformation],
+    cache: Path,
+    folder: Path,
+    most: int,
+    named: Sequence[str],
 ) -> Iterator[RivalScore]:
     """Yield the score of every estimator on every wheelset.
 
@@ -75,6 +81,8 @@ def scores(
         For the data of deployments; empty.
     most
         Wheelsets that are scored, spread over the fleet.
+    named
+        Estimators; the first of the catalogue always runs.
     """
     recorded = record(scenario, cache, workers=1)
     truths = read_truth(recorded.truth)
@@ -90,7 +98,7 @@ def scores(
             for truth in shown:
                 with storage.read() as unit:
                     parameters, motions = motions_of(unit, truth.serial, context)
-                for name, found, cpu_s, size in _estimated(parameters, motions):
+                for name, found, cpu_s, size in _estimated(parameters, motions, named):
                     running_s = sum(float(motion.valid.sum()) * motion.sample_interval_s for motion in motions)
                     of = (family, scenario.seed, track.value, name)
                     yield _score(of, truth, as_run[truth.serial], found, (cpu_s, running_s, size))
@@ -129,14 +137,15 @@ def motions_of(unit: UnitOfWork, serial: str, context: JobContext) -> tuple[Esti
 
 
 def _estimated(
-    parameters: EstimatorParameters, motions: Sequence[Motion]
+    parameters: EstimatorParameters, motions: Sequence[Motion], named: Sequence[str]
 ) -> Iterator[tuple[str, CurveEstimate, float, int]]:
     """Yield name, result, processor time and bytes; where the first one says mismatch nothing else is published.
 
     The jobs do so: whatever the estimator, the data then do not follow the class of the vehicle.
     """
     mismatch: Reason | None = None
-    for estimator in estimators():
+    first, *others = estimators()
+    for estimator in (first, *(one for one in others if one.name in named)):
         began = time.process_time()
         state = estimator.init(parameters)
         for motion in motions:

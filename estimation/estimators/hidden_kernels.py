@@ -43,14 +43,14 @@ def weigh(
     for k in range(len(likelihood)):
         most = -math.inf
         for s in range(len(grid)):
-            total = 0.0
+            total = 1.0  # product over the chunk: one logarithm for all
             for i in range(k * chunk, (k + 1) * chunk):
                 place = (displacement[i] + grid[s] - first) / width - 0.5
                 low = min(max(math.floor(place), 0), len(curve) - 2)
                 part = min(max(place - low, 0.0), 1.0)
                 apart = (difference[i] - curve[low] - part * (curve[low + 1] - curve[low])) / noise
-                total -= math.log(1.0 + apart * apart / FREEDOM)
-            likelihood[k, s] = 0.5 * share * (FREEDOM + 1.0) * total
+                total *= 1.0 + apart * apart / FREEDOM
+            likelihood[k, s] = -0.5 * share * (FREEDOM + 1.0) * math.log(total)
             most = max(most, likelihood[k, s])
         left_out += most
         for s in range(len(grid)):
