@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from api import ingest_kernel_runs
+from api import estimator_kernel_runs, ingest_kernel_runs
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
@@ -323,5 +323,6 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _running_gears,
     _passes,
     _integrals,
+    *estimator_kernel_runs.RUNS,
     *ingest_kernel_runs.RUNS,
 )

@@ -36,6 +36,7 @@ WITH_OPTIONS = (
     "pipeline",
     "sustained",
     "fleet_sizes",
+    "rivals",
     "section_runs",
     "fleet",
 )

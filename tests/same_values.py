@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import is_dataclass
+
 import numpy as np
 
 
@@ -14,6 +16,9 @@ def same_values(first: object, second: object) -> bool:
         a, b = getattr(first, name), getattr(second, name)
         if isinstance(a, np.ndarray):
             if not (a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()):
+                return False
+        elif is_dataclass(a):
+            if not same_values(a, b):
                 return False
         elif a != b and not (a != a and b != b):  # noqa: PLR0124 - NaN is the value unequal to itself
             return False

@@ -45,12 +45,15 @@ class CurveEstimate:
     stretches: int  # windows of motion added
     status: Status
     reason: Reason | None = None
+    own_std: FloatArray | None = None  # (k,) of the conicity, by the covariance that the estimator itself states
 
     def __post_init__(self) -> None:
         n, k = len(self.displacement), len(self.conicity)
         for name in ("displacement", "difference", "difference_std"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
         object.__setattr__(self, "amplitude", frozen_array(self.amplitude, (k,), name="amplitude"))
+        if self.own_std is not None:
+            object.__setattr__(self, "own_std", frozen_array(self.own_std, (k,), name="own_std"))
 
 
 State = TypeVar("State")

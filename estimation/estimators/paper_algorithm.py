@@ -128,7 +128,7 @@ class PaperAlgorithm:
         std = abs(per_unit) * np.sqrt(variance * state.covariance[run, 2, 2]) / SCALE[2]
         x = (np.arange(run.start, run.stop) - self._half) * self.width
         left_out = np.empty((0, len(x)))
-        curve = Replicates(x, R, left_out, R + np.diag(std), samples, state.stretches)
+        curve = Replicates(x, R, left_out, R + np.diag(std), samples, state.stretches, np.diag(std))
         return curve_estimate(curve, state.parameters)
 
     @property

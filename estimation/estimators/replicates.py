@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,6 +22,7 @@ class Replicates:
     """A curve over ``displacement``: from all data, with each group left out, shifted by each uncertainty.
 
     An estimator without groups gives none: then all that is uncertain is in ``shifted``, one standard deviation each.
+    ``own`` is a root of the covariance that the estimator itself states; it takes no part in the published intervals.
     """
 
     displacement: FloatArray  # (n,) m
@@ -30,6 +31,7 @@ class Replicates:
     shifted: FloatArray  # (p, n) m
     samples: int
     stretches: int
+    own: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (q, n) m
 
 
 def nothing(reason: Reason, parameters: EstimatorParameters, samples: int, stretches: int) -> CurveEstimate:
@@ -61,6 +63,7 @@ def nothing(reason: Reason, parameters: EstimatorParameters, samples: int, stret
         stretches=stretches,
         status=Status.UNESTIMATED,
         reason=reason,
+        own_std=np.full(len(amplitude), np.nan),
     )
 
 
@@ -96,7 +99,16 @@ def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveE
         stretches=curve.stretches,
         status=Status.ESTIMATED if known else Status.UNESTIMATED,
         reason=None if known else NO_AMPLITUDE,
+        own_std=_own_std(curve, values[0], amplitude),
     )
+
+
+def _own_std(curve: Replicates, conicity: FloatArray, amplitude: FloatArray) -> FloatArray:
+    """Return the std (k,) of the conicity by the covariance that the estimator itself states; NaN without one."""
+    if not len(curve.own):
+        return np.full(len(amplitude), np.nan)
+    changed = [equivalent_conicity(curve.displacement, curve.all_data + row, amplitude) for row in curve.own]
+    return np.asarray(np.linalg.norm(np.array(changed) - conicity, axis=0))
 
 
 def estimate_of(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.estimators.coverage import CELLS, counted, covered_range, usable
+from estimation.estimators.coverage import CELLS, beside, counted, covered_range, usable
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.geometry.conicity import too_few_blocks
@@ -22,6 +22,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 
 GROUPS = 16
+SMALLEST_VARIANCE = 1e-18  # m2
 SPACING = 0.05e-3  # m of y - d at which the curve is given
 Basis = Callable[[FloatArray], FloatArray]  # y - d (n,) to functions (n, m)
 
@@ -32,7 +33,9 @@ class SeriesState:
 
     parameters: EstimatorParameters
     gram: FloatArray  # (g, m, m)
-    cross: FloatArray  # (g, m, 5) with R and its derivatives by the logarithms of the parameters, m
+    cross: FloatArray  # (g, m, 7) with R and its derivatives by the logarithms of the parameters, m
+    squares: float  # m2, weighted sum of R^2
+    sums: FloatArray  # (CELLS,) m, weighted sum of R by displacement
     counts: FloatArray  # (CELLS,) effective samples by displacement
     samples: int
     stretches: int
@@ -41,6 +44,7 @@ class SeriesState:
         g, m = self.gram.shape[:2]
         object.__setattr__(self, "gram", frozen_array(self.gram, (g, m, m), name="gram"))
         object.__setattr__(self, "cross", frozen_array(self.cross, (g, m, len(YAW_TARGETS)), name="cross"))
+        object.__setattr__(self, "sums", frozen_array(self.sums, (CELLS,), name="sums"))
         object.__setattr__(self, "counts", frozen_array(self.counts, (CELLS,), name="counts"))
 
 
@@ -50,6 +54,8 @@ def empty(parameters: EstimatorParameters, functions: int) -> SeriesState:
         parameters,
         np.zeros((GROUPS, functions, functions)),
         np.zeros((GROUPS, functions, len(YAW_TARGETS))),
+        0.0,
+        np.zeros(CELLS),
         np.zeros(CELLS),
         0,
         0,
@@ -85,6 +91,8 @@ def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> Se
         state,
         gram=gram,
         cross=cross,
+        squares=state.squares + weight * float(targets[:, 0] @ targets[:, 0]),
+        sums=state.sums + weight * counted(motion.displacement[keep], targets[:, 0]),
         counts=state.counts + weight * counted(motion.displacement[keep]),
         samples=state.samples + int(keep.sum()),
         stretches=state.stretches + 1,
@@ -113,13 +121,64 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
     low, high = span
     x = np.linspace(low, high, round((high - low) / SPACING) + 1)
     gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
-    small = ridge * np.trace(gram) / len(gram) * np.eye(len(gram))
-    theta = np.linalg.solve(gram + small, cross)
-    left_out = [np.linalg.solve(gram - state.gram[g] + small, cross - state.cross[g])[:, 0] for g in present]
+    small = _small(gram, ridge)
+    theta = np.linalg.solve(gram + small, cross[:, 0])
+    left_out = [np.linalg.solve(gram - state.gram[g] + small, cross[:, 0] - state.cross[g, :, 0]) for g in present]
     functions = basis(x)
-    value = functions @ theta[:, 0]
-    shifts = (functions @ theta[:, 1:]).T * state.parameters.uncertainty.yaw()[:, None]
+    value = functions @ theta
+    own = functions @ np.linalg.cholesky(_own_covariance(state, theta, gram + small))
     return curve_estimate(
-        Replicates(x, value, np.array(left_out) @ functions.T, value + shifts, state.samples, state.stretches),
+        Replicates(
+            x,
+            value,
+            np.array(left_out) @ functions.T,
+            np.vstack([value + shifts(state, functions, ridge), value + misfit(state, x, value)]),
+            state.samples,
+            state.stretches,
+            own.T,
+        ),
         state.parameters,
     )
+
+
+def shifts(state: SeriesState, functions: FloatArray, ridge: float) -> FloatArray:
+    """Return what one std of each uncertain parameter changes of the curve (6, n), m.
+
+    Parameters
+    ----------
+    state
+        Sums over all windows.
+    functions
+        (n, m) the basis functions where the curve is given.
+    ridge
+        As :func:`solved` takes it.
+    """
+    gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
+    theta = np.linalg.solve(gram + _small(gram, ridge), cross[:, 1:])
+    return np.asarray((functions @ theta).T * state.parameters.uncertainty.yaw()[:, None])
+
+
+def misfit(state: SeriesState, x: FloatArray, value: FloatArray) -> FloatArray:
+    """Return what the curve cannot follow (n,), m: by how much the mean of R is above it, cell by cell.
+
+    Parameters
+    ----------
+    state
+        Sums over all windows.
+    x, value
+        (n,) m, the curve.
+    """
+    return beside(x, value, state.sums, state.counts)
+
+
+def _small(gram: FloatArray, ridge: float) -> FloatArray:
+    return np.asarray(ridge * np.trace(gram) / len(gram) * np.eye(len(gram)))
+
+
+def _own_covariance(state: SeriesState, theta: FloatArray, gram: FloatArray) -> FloatArray:
+    """Return the covariance (m, m) of least squares that takes every residual for independent."""
+    cross = state.cross.sum(axis=0)[:, 0]
+    squares = max(float(state.squares - theta @ cross), 0.0)
+    count = max(float(state.counts.sum()) - len(theta), 1.0)
+    inverse = np.linalg.inv(gram)
+    return np.asarray(0.5 * (inverse + inverse.T) * max(squares / count, SMALLEST_VARIANCE))

@@ -89,7 +89,7 @@ def motion(
     block = np.floor(seconds / parameters.block_s).astype(np.int64)
     signals["speed"] = np.where(window.speed > 0, window.speed, np.nan)
     ratio = 1.0 if track.findings is None else track.findings.stiffness_ratio.get(window.vehicle, 1.0)
-    return Motion(**signals, valid=valid, block=block, band_limited=True, stiffness_ratio=ratio)
+    return Motion(**signals, valid=valid, block=block, band_limited=True, stiffness_ratio=ratio, sample_interval_s=dt)
 
 
 def _unusable(

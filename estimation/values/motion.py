@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 
 OF_FRAME = ("frame_yaw", "frame_yaw_rate", "frame_displacement")
-NOT_SIGNALS = frozenset({"valid", "block", "band_limited", "stiffness_ratio", *OF_FRAME})
+NOT_SIGNALS = frozenset({"valid", "block", "band_limited", "stiffness_ratio", "sample_interval_s", *OF_FRAME})
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +45,7 @@ class Motion:
     frame_yaw: FloatArray | None = None  # (n,) rad, of the bogie frame; None without a bogie
     frame_yaw_rate: FloatArray | None = None  # (n,) rad/s
     frame_displacement: FloatArray | None = None  # (n,) m, lateral, of the frame above the axle
+    sample_interval_s: float = math.nan  # between samples; what filters over time needs it
 
     def __post_init__(self) -> None:
         n = len(self.valid)

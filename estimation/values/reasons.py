@@ -141,6 +141,10 @@ class ReasonCode(StrEnum):
     AMPLITUDE_NOT_COVERED = "amplitude_not_covered", "The wheelset has not moved as far as this amplitude."
     OFFSET_NOT_OBSERVABLE = "offset_not_observable", "Band-limited signals carry no constant offset."
     NO_ZERO_CROSSING = "no_zero_crossing", "rL - rR has no zero in the range covered."
+    DIVERGED = (
+        "diverged",
+        "The filter does not follow the motion: its innovations contradict its covariance. Use another estimator.",
+    )
     NOT_FINITE = "not_finite", "The calculation gave no finite number."
     # trend
     NO_GEOMETRY = "no_geometry", "There is no geometry yet."

@@ -86,6 +86,7 @@ def ideal(m: WheelsetMotion, block_s: float = 20.0) -> Motion:
         valid=np.ones(len(m), dtype=bool),
         block=(m.t / block_s).astype(np.int64),
         band_limited=False,
+        sample_interval_s=1e-3,
     )
 
 

@@ -17,10 +17,21 @@ from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorP
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.motion import Motion
 from estimation.values.quantities import Status
+from estimation.values.reasons import ReasonCode
 
 CERTAIN = ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0)
 CONES = {1: 0.1, 2: 0.14}  # of the front and the rear wheelset
-NEAR = {"linear": 0.01, "paper": 0.007, "cubic": 0.0005}  # error of the conicity at most
+# error of the conicity at most
+NEAR = {
+    "linear": 0.01,
+    "paper": 0.007,
+    "cubic": 0.0005,
+    "extended_kalman": 0.001,
+    "particles": 0.012,
+    "known_irregularity": 0.01,
+    "hidden": 0.0005,
+}
+WITH_INNOVATIONS = ("extended_kalman", "particles", "known_irregularity")
 OTHERS = [item for item in estimators() if item.name != SHIPPED]
 
 
@@ -54,8 +65,12 @@ def test_each_comes_near_both_wheelsets(estimator: Estimator[Any], yaw_stiffness
 @pytest.mark.parametrize("axle", [1, 2])
 @pytest.mark.parametrize("estimator", OTHERS, ids=lambda item: item.name)
 def test_without_the_yaw_of_the_frame_a_stiff_bogie_gives_another_curve(estimator: Estimator[Any], axle: int) -> None:
-    motion = ideal_in_bogie(motions(COACH)[axle - 1])
-    assert largest_error(estimated(estimator, COACH, without_frame(motion)), axle) > 0.05
+    found = estimated(estimator, COACH, without_frame(ideal_in_bogie(motions(COACH)[axle - 1])))
+    if estimator.name in WITH_INNOVATIONS:
+        assert found.reason is not None
+        assert found.reason.code is ReasonCode.DIVERGED
+    else:
+        assert largest_error(found, axle) > 0.05
 
 
 @pytest.mark.parametrize("axle", [1, 2])

@@ -1,0 +1,227 @@
+"""Estimators that filter each block of running by itself: what the blocks tell of some coefficients is added up.
+
+Every block starts a filter from the same prior. What its posterior tells beyond the prior, precision and precision
+times mean, adds up over blocks in any order, by weight, and with any group of blocks left out. So a filter has two
+intervals: of its own covariance, and from groups of blocks left out, which is published.
+
+A filter is tested by its innovations: their squares over their variances are 1 on average where the filter follows
+(Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 5.4). A block
+where they are not, or where a covariance is no more one, has diverged and is left out; where too many have, nothing is
+published.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from estimation.errors import ParameterError
+from estimation.estimators.coverage import covered_range, usable
+from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
+from estimation.estimators.series import GROUPS, SPACING, Basis, SeriesState, added, empty, misfit, shifts
+from estimation.geometry.conicity import too_few_blocks
+from estimation.tables.bin_table import group_of
+from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.motion import Motion
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.vehicle.regressors import regression
+
+STEP_S = 0.012  # between the samples that a filter takes
+SHORTEST = 100  # samples of a block that is filtered
+LARGEST_SQUARE = 3.0  # mean of squared innovations over their variances of a filter that follows
+MOST_DIVERGED = 0.2  # share of blocks
+
+
+class Inputs(NamedTuple):
+    """What a filter takes of a block, (n,) each; a gap is where ``step_s`` is 0: the linear states begin again."""
+
+    step_s: FloatArray  # since the sample before
+    speed: FloatArray  # m/s
+    displacement: FloatArray  # m, y - d
+    yaw: FloatArray  # rad
+    known_rate: FloatArray  # rad/s, yaw rate without R
+    lateral_rate: FloatArray  # m/s, rate of y - d beside V psi that the lateral forces make
+
+
+class Posterior(NamedTuple):
+    """What a filter tells of its m coefficients after a block."""
+
+    mean: FloatArray  # (m,)
+    covariance: FloatArray  # (m, m)
+    square: float  # mean of squared innovations over their variances
+
+
+BlockFilter = Callable[[Inputs, float], Posterior]  # of a block, and the std of y - d, m
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Mean (m,) and std (m,) of the coefficients before a block."""
+
+    mean: FloatArray
+    std: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class FilterState:
+    """What the blocks tell, by group; states add up in any order."""
+
+    series: SeriesState  # counts, and the derivatives by the parameters
+    precision: FloatArray  # (g, m, m)
+    information: FloatArray  # (g, m) precision times mean
+    blocks: int
+    diverged: int
+
+    def __post_init__(self) -> None:
+        g, m = self.information.shape
+        object.__setattr__(self, "precision", frozen_array(self.precision, (g, m, m), name="precision"))
+        object.__setattr__(self, "information", frozen_array(self.information, (g, m), name="information"))
+
+
+def start(parameters: EstimatorParameters, coefficients: int) -> FilterState:
+    """Return the state before any block."""
+    m = coefficients
+    return FilterState(empty(parameters, m), np.zeros((GROUPS, m, m)), np.zeros((GROUPS, m)), 0, 0)
+
+
+def filtered(
+    state: FilterState, motion: Motion, basis: Basis, prior: Prior, block_filter: BlockFilter, weight: float
+) -> FilterState:
+    """Return the state with the blocks of ``motion`` added.
+
+    Parameters
+    ----------
+    state
+        The state so far.
+    motion
+        Motion of the wheelset relative to the track over one window.
+    basis
+        Functions of y - d in m whose coefficients are estimated.
+    prior
+        Of the coefficients.
+    block_filter
+        Filters one block.
+    weight
+        Of what each block tells.
+
+    Raises
+    ------
+    ParameterError
+        The interval between samples is not known.
+    """
+    if not motion.sample_interval_s > 0.0:
+        raise ParameterError("the interval between samples is not known", field="sample_interval_s")
+    keep = usable(motion)
+    precision, information = state.precision.copy(), state.information.copy()
+    blocks, diverged = state.blocks, state.diverged
+    parameters = state.series.parameters
+    noise = max(parameters.uncertainty.expected_noise, LEAST_NOISE)
+    before = np.diag(prior.std**-2.0)
+    for block in np.unique(motion.block[keep]):
+        inputs = _inputs(motion, parameters, keep & (motion.block == block))
+        if len(inputs.yaw) < SHORTEST:
+            continue
+        found = block_filter(inputs, noise)
+        blocks += 1
+        if not follows(found):
+            diverged += 1
+            continue
+        group = int(group_of(np.array([block]), GROUPS)[0])
+        after = np.linalg.inv(found.covariance)
+        precision[group] += weight * (after - before)
+        information[group] += weight * (after @ found.mean - before @ prior.mean)
+    return replace(
+        state,
+        series=added(state.series, motion, basis, weight),
+        precision=precision,
+        information=information,
+        blocks=blocks,
+        diverged=diverged,
+    )
+
+
+LEAST_NOISE = 0.03e-3  # m, std of y - d
+
+
+def follows(found: Posterior) -> bool:
+    """Return whether a filter has followed the motion of a block: by its innovations, and by its covariance.
+
+    Parameters
+    ----------
+    found
+        After the block.
+    """
+    finite = np.isfinite(found.mean).all() and np.isfinite(found.covariance).all() and np.isfinite(found.square)
+    if not finite or found.square > LARGEST_SQUARE:
+        return False
+    return bool(np.linalg.eigvalsh(found.covariance)[0] > 0.0)
+
+
+def _inputs(motion: Motion, parameters: EstimatorParameters, keep: BoolArray) -> Inputs:
+    """Return what a filter takes of the samples that are kept, every ``STEP_S``."""
+    stride = max(round(STEP_S / motion.sample_interval_s), 1)
+    at = np.flatnonzero(keep)
+    run = np.cumsum(np.append(0, np.diff(at) > 1))
+    within = np.arange(len(at)) - np.searchsorted(run, run)
+    at, run = at[within % stride == 0], run[within % stride == 0]
+    p, V = parameters.vehicle, motion.speed[at]
+    r0, half = p.nominal_radius, p.half_contact_distance
+    equations = regression(motion, p)
+    R = equations.yaw_targets[at, 0] / equations.yaw[at, -1]
+    rate = motion.yaw_rate[at]
+    lateral = -r0 * motion.roll_rate[at] + _slip(motion, parameters)[at]
+    step = np.where(np.append(True, np.diff(run) > 0), 0.0, stride * motion.sample_interval_s)
+    return Inputs(step, V, motion.displacement[at], motion.yaw[at], rate + V / (2 * half * r0) * R, lateral)
+
+
+def _slip(motion: Motion, parameters: EstimatorParameters) -> FloatArray:
+    """Return the lateral creep velocity (n,), m/s, that the lateral forces need (Eq. 1 at S = 2 r0, D = 0)."""
+    p, V = parameters.vehicle, motion.speed
+    spring = p.lateral_stiffness * motion.suspension_deflection + p.lateral_damping * motion.suspension_deflection_rate
+    spin = 2 * p.lateral_spin_creep_coefficient / V * motion.yaw_rate
+    force = spring - p.wheelset_mass * motion.lateral_acceleration - p.load * motion.roll - spin
+    return np.asarray(V / (2 * p.lateral_creep_coefficient) * force)
+
+
+def solved(state: FilterState, basis: Basis, prior: Prior) -> CurveEstimate:
+    """Return the curve that all blocks tell; nothing where too many have diverged.
+
+    Parameters
+    ----------
+    state
+        After all windows.
+    basis
+        Functions of y - d in m.
+    prior
+        Of the coefficients; it counts once.
+    """
+    series = state.series
+    span = covered_range(series.counts)
+    if span is None:
+        reason = Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
+        return nothing(reason, series.parameters, series.samples, series.stretches)
+    if state.diverged > MOST_DIVERGED * state.blocks:
+        text = f"the filter has diverged in {state.diverged} of {state.blocks} blocks of running"
+        reason = Reason(ReasonCode.DIVERGED, text)
+        return nothing(reason, series.parameters, series.samples, series.stretches)
+    present = np.flatnonzero(np.trace(state.precision, axis1=1, axis2=2) != 0.0)
+    if len(present) < FEWEST_GROUPS:
+        return nothing(too_few_blocks(len(present)), series.parameters, series.samples, series.stretches)
+    before = np.diag(prior.std**-2.0)
+    precision = before + state.precision.sum(axis=0)
+    information = before @ prior.mean + state.information.sum(axis=0)
+    x = np.linspace(*span, round((span[1] - span[0]) / SPACING) + 1)
+    functions = basis(x)
+    value = functions @ np.linalg.solve(precision, information)
+    left_out = [
+        functions @ np.linalg.solve(precision - state.precision[g], information - state.information[g]) for g in present
+    ]
+    own = functions @ np.linalg.cholesky(np.linalg.inv(precision))
+    unfollowed = value + misfit(series, x, value)
+    shifted = np.vstack([value + shifts(series, functions, ridge=1e-9), unfollowed])
+    curve = Replicates(x, value, np.array(left_out), shifted, series.samples, series.stretches, own.T)
+    return curve_estimate(curve, series.parameters)

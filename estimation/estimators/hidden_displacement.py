@@ -1,0 +1,228 @@
+"""R over y - d with the slow part of y - d, which the high-pass takes away, as a hidden state.
+
+A wheelset whose contact jumps lie unlike on both sides runs off the centre as its amplitude grows. That slow part of
+y - d is lost with the drift of the sensors: some 0.06 mm (1 std), by which contact jumps are blurred and moved. The
+samples tell it, though: a contact jump shows in R at the moment at which it is passed.
+
+The hidden displacement is a Markov chain on a grid. Forward-backward smoothing gives its probabilities with a curve; R,
+averaged over what y - d then is expected to be, gives the next curve (expectation maximisation; Baum, Petrie, Soules
+and Weiss 1970). The curve is free in cells of ``CELL``; at the end contact jumps are set in one place each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.contact.conicity import zero_crossing
+from estimation.errors import ParameterError
+from estimation.estimators import hidden_kernels as kernels
+from estimation.estimators.contact_jumps import stepped
+from estimation.estimators.coverage import CELLS, REACH, counted, covered_range, usable
+from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
+from estimation.estimators.series import GROUPS
+from estimation.geometry.conicity import too_few_blocks
+from estimation.geometry.sharpening import jumps_displaced
+from estimation.geometry.uncertainty import SCALE_UNCERTAINTY
+from estimation.tables.bin_table import group_of
+from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.motion import Motion
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.vehicle.regressors import YAW_TARGETS, regression
+
+CELL = 0.04e-3  # m of y - d
+FINE = round(2 * REACH / CELL)
+LEAST_IN_CELL = 20.0  # samples
+GRID = frozen_array(0.02e-3 * np.arange(-15.0, 16.0), (31,), name="grid")  # m, values of the hidden displacement
+PRIOR_STD = 0.1e-3  # m, of the hidden displacement
+MOVE = 0.08  # probability of a step to a neighbour in a chunk
+CHUNK_S = 0.02
+NOISE = 0.06e-3  # m, std of R about the curve
+SHARE = 0.5  # how much one of neighbouring samples counts
+JUMP_PLACE = 0.012e-3  # m, std of where a contact jump is found
+JUMP_SHARE = 0.3  # of the std that the gauge moves contact jumps by
+
+
+@dataclass(frozen=True, slots=True)
+class HiddenState:
+    """All samples, in runs within one block each; runs of several states are set behind each other."""
+
+    parameters: EstimatorParameters
+    displacement: FloatArray  # (n,) m
+    difference: FloatArray  # (n,) m, R
+    start: IntArray  # (r + 1,) first sample of each run, and n
+    group: IntArray  # (r,)
+    chunk: IntArray  # (r,) samples
+    weight: FloatArray  # (r,)
+    derivatives: FloatArray  # (CELLS, 6) m, sums of the derivatives of R by the logarithms of the parameters
+    counts: FloatArray  # (CELLS,) effective samples by displacement
+    stretches: int
+
+    def __post_init__(self) -> None:
+        n, r = len(self.displacement), len(self.weight)
+        object.__setattr__(self, "displacement", frozen_array(self.displacement, (n,), name="displacement"))
+        object.__setattr__(self, "difference", frozen_array(self.difference, (n,), name="difference"))
+        object.__setattr__(self, "start", frozen_array(self.start, (r + 1,), np.int64, name="start"))
+        object.__setattr__(self, "group", frozen_array(self.group, (r,), np.int64, name="group"))
+        object.__setattr__(self, "chunk", frozen_array(self.chunk, (r,), np.int64, name="chunk"))
+        object.__setattr__(self, "weight", frozen_array(self.weight, (r,), name="weight"))
+        shape = (CELLS, len(YAW_TARGETS) - 1)
+        object.__setattr__(self, "derivatives", frozen_array(self.derivatives, shape, name="derivatives"))
+        object.__setattr__(self, "counts", frozen_array(self.counts, (CELLS,), name="counts"))
+
+
+@dataclass(frozen=True, slots=True)
+class HiddenDisplacement:
+    """Expectation maximisation of the curve, ``rounds`` times; none where y - d has lost nothing."""
+
+    rounds: int = 6
+    name: str = "hidden"
+    title: str = "hidden slow displacement"
+
+    def __post_init__(self) -> None:
+        if self.rounds < 1:
+            raise ParameterError(f"{self.rounds} rounds give no curve", field="rounds")
+
+    def init(self, parameters: EstimatorParameters) -> HiddenState:
+        """Return the state without samples."""
+        none, no_run = np.zeros(0), np.zeros(0, np.int64)
+        derivatives = np.zeros((CELLS, len(YAW_TARGETS) - 1))
+        start = np.zeros(1, np.int64)
+        return HiddenState(
+            parameters, none, none, start, no_run, no_run, none, derivatives, np.zeros(CELLS), 0
+        )  # fmt: skip
+
+    def update(self, state: HiddenState, motion: Motion, weight: float = 1.0) -> HiddenState:
+        """Return the state with the samples of ``motion`` set behind its own, ``weight`` times each."""
+        keep = usable(motion)
+        if not keep.any():
+            return replace(state, stretches=state.stretches + 1)
+        equations = regression(motion, state.parameters.vehicle)
+        R = equations.yaw_targets[keep] / equations.yaw[keep, -1:]
+        x = motion.displacement[keep]
+        first = np.flatnonzero(_begins(motion, keep))
+        cell = np.floor((x + REACH) / (2 * REACH / CELLS)).astype(np.int64)
+        derivatives = np.column_stack([np.bincount(cell, column, CELLS) for column in R[:, 1:].T])
+        return HiddenState(
+            state.parameters,
+            np.append(state.displacement, x),
+            np.append(state.difference, R[:, 0]),
+            np.concatenate([state.start[:-1], len(state.displacement) + np.append(first, len(x))]),
+            np.append(state.group, group_of(motion.block[keep][first], GROUPS)),
+            np.append(state.chunk, np.full(len(first), _chunk(motion, state.parameters))),
+            np.append(state.weight, np.full(len(first), weight)),
+            state.derivatives + weight * derivatives,
+            state.counts + weight * counted(x),
+            state.stretches + 1,
+        )
+
+    def result(self, state: HiddenState) -> CurveEstimate:
+        """Return the last curve, its intervals from groups left out and from what is systematic."""
+        samples = len(state.displacement)
+        span = covered_range(state.counts)
+        if span is None:
+            reason = Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
+            return nothing(reason, state.parameters, samples, state.stretches)
+        if len(np.unique(state.group)) < FEWEST_GROUPS:
+            reason = too_few_blocks(len(np.unique(state.group)))
+            return nothing(reason, state.parameters, samples, state.stretches)
+        sums, counts = self._expected(state)
+        inside = _run(counts.sum(axis=0), span)
+        middles = _middles()[inside]
+        sums, counts = sums[:, inside], counts[:, inside]
+        total, number = sums.sum(axis=0), counts.sum(axis=0)
+        present = np.flatnonzero(counts.any(axis=1))
+        curve = total / number
+        sharp = stepped(middles, curve)
+        x, R = sharp.displacement, sharp.difference
+        changes = [_without(total - sums[g], number - counts[g], curve) - curve for g in present]
+        left_out = R + np.array([np.interp(x, middles, change) for change in changes])
+        shifted = R + _systematic(x, R, state)
+        return curve_estimate(Replicates(x, R, left_out, shifted, samples, state.stretches), state.parameters)
+
+    def _expected(self, state: HiddenState) -> tuple[FloatArray, FloatArray]:
+        """Return sums of R and numbers of samples (g, FINE) by group and cell, after the last round."""
+        sums, counts = _expectation(state, None)
+        if state.parameters.band_limited:
+            for _ in range(self.rounds):
+                sums, counts = _expectation(state, _filled(sums.sum(axis=0), counts.sum(axis=0)))
+        return sums, counts
+
+
+def _begins(motion: Motion, keep: BoolArray) -> BoolArray:
+    """Return at which of the samples that are kept a run begins: behind a gap, and with every block."""
+    at, block = np.flatnonzero(keep), motion.block[keep]
+    return np.append(True, (np.diff(at) > 1) | (np.diff(block) != 0))
+
+
+def _chunk(motion: Motion, parameters: EstimatorParameters) -> int:
+    """Return how many samples make a chunk; one where nothing is hidden."""
+    if not parameters.band_limited:
+        return 1
+    if not motion.sample_interval_s > 0.0:
+        raise ParameterError("the interval between samples is not known", field="sample_interval_s")
+    return max(round(CHUNK_S / motion.sample_interval_s), 1)
+
+
+def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Return sums of R and numbers of samples (g, FINE), as likely as a curve makes it; None: as observed."""
+    grid: FloatArray = np.zeros(1) if curve is None else GRID
+    prior = np.exp(-0.5 * (grid / PRIOR_STD) ** 2)
+    prior /= prior.sum()
+    sums, counts = np.zeros((2, GROUPS, FINE))
+    for run in range(len(state.weight)):
+        part = slice(state.start[run], state.start[run + 1])
+        x, R, chunk = state.displacement[part], state.difference[part], int(state.chunk[run])
+        posterior = np.ones((len(x) // chunk, len(grid)))
+        if curve is not None:
+            likelihood = np.empty_like(posterior)
+            kernels.weigh(x, R, chunk, curve, -REACH, CELL, grid, NOISE, SHARE, likelihood)
+            kernels.smooth(likelihood, prior, MOVE, posterior)
+        group, weight = state.group[run], float(state.weight[run])
+        kernels.add_expected(x, R, chunk, posterior, grid, -REACH, CELL, weight, sums[group], counts[group])
+    return sums, counts
+
+
+def _middles() -> FloatArray:
+    return np.asarray((np.arange(FINE) + 0.5) * CELL - REACH)
+
+
+def _filled(sums: FloatArray, counts: FloatArray) -> FloatArray:
+    """Return the mean (FINE,) of every cell, interpolated where there are too few samples."""
+    known = counts >= min(LEAST_IN_CELL, counts.max())
+    x = _middles()
+    return np.asarray(np.interp(x, x[known], sums[known] / counts[known]))
+
+
+def _run(counts: FloatArray, span: tuple[float, float]) -> slice:
+    """Return the cells around the centre, without a break inside ``span``, that have enough samples."""
+    x = _middles()
+    enough = (counts >= LEAST_IN_CELL) & (x > span[0]) & (x < span[1])
+    middle = FINE // 2
+    right = middle + int(np.argmin(np.append(enough[middle:], False)))
+    left = middle - int(np.argmin(np.append(enough[:middle][::-1], False)))
+    return slice(left, right)
+
+
+def _without(sums: FloatArray, counts: FloatArray, curve: FloatArray) -> FloatArray:
+    """Return the curve without a group; that of all data where nothing else is left."""
+    return np.where(counts > 0, sums / np.where(counts > 0, counts, 1.0), curve)
+
+
+def _systematic(x: FloatArray, curve: FloatArray, state: HiddenState) -> FloatArray:
+    """Return what one std of each systematic error changes of the curve (p, n), m."""
+    unknown = state.parameters.uncertainty
+    coarse = 2 * REACH / CELLS * (np.arange(CELLS) + 0.5) - REACH
+    seen = state.counts > 0
+    means = state.derivatives[seen] / state.counts[seen, None]
+    rows = [std * np.interp(x, coarse[seen], column) for std, column in zip(unknown.yaw(), means.T, strict=True)]
+    stretch = float(np.hypot(SCALE_UNCERTAINTY if state.parameters.band_limited else 0.0, unknown.displacement))
+    rows += [unknown.scale * curve, np.interp(x / (1.0 + stretch), x, curve) - curve]
+    middle = zero_crossing(x, curve)
+    if state.parameters.band_limited and np.isfinite(middle):
+        of_gauge = JUMP_SHARE * unknown.jump_position_std
+        place = float(np.linalg.norm([JUMP_PLACE, unknown.jump_mean_std, of_gauge]))
+        rows += [jumps_displaced(x, curve, middle, by) - curve for by in (place, -place)]
+    return np.array(rows)
