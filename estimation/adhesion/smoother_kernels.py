@@ -1,0 +1,87 @@
+"""A stationary filter over the samples of a window, and its smoother back, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimation.compiled import compiled
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
+
+
+@compiled(nogil=True)
+def filter_forward(
+    transition: FloatArray,
+    measured: FloatArray,
+    gain: FloatArray,
+    measurements: FloatArray,
+    known: BoolArray,
+    varying: IntArray,
+    excess: FloatArray,
+    predicted: FloatArray,
+    filtered: FloatArray,
+    innovations: FloatArray,
+) -> None:
+    """Write states before (s, n) and after (s, n) each sample, and innovations (s, m); begin at zero.
+
+    Parameters
+    ----------
+    transition, measured, gain
+        (n, n), (m, n) and (n, m) of the filter.
+    measurements
+        (s, m).
+    known
+        (s,) samples that were measured; over the others the state runs on, and the innovation is zero.
+    varying
+        (a,) states by which the last a measurements vary from sample to sample.
+    excess
+        (s,) what is added to their rows there, of a scaled state.
+    predicted, filtered, innovations
+        Written: (s, n), (s, n) and (s, m).
+    """
+    samples, n = predicted.shape
+    m = measurements.shape[1]
+    state = np.zeros(n)
+    for i in range(samples):
+        for k in range(n):
+            predicted[i, k] = state[k]
+            filtered[i, k] = state[k]
+        for j in range(m):
+            innovations[i, j] = 0.0
+        if known[i]:
+            for j in range(m):
+                left = measurements[i, j]
+                for k in range(n):
+                    left -= measured[j, k] * state[k]
+                if j >= m - len(varying):
+                    left -= excess[i] * state[varying[j - m + len(varying)]]
+                innovations[i, j] = left
+                for k in range(n):
+                    filtered[i, k] += gain[k, j] * left
+        for k in range(n):
+            total = 0.0
+            for j in range(n):
+                total += transition[k, j] * filtered[i, j]
+            state[k] = total
+
+
+@compiled(nogil=True)
+def smooth_back(back: FloatArray, predicted: FloatArray, filtered: FloatArray) -> None:
+    """Change filtered states (s, n) to what all samples together give.
+
+    Parameters
+    ----------
+    back
+        (n, n) of the smoother.
+    predicted
+        (s, n) states before each sample.
+    filtered
+        (s, n) states after each sample; changed.
+    """
+    samples, n = filtered.shape
+    gained = np.zeros(n)
+    for i in range(samples - 2, -1, -1):
+        for k in range(n):
+            gained[k] = filtered[i + 1, k] - predicted[i + 1, k]
+        for k in range(n):
+            for j in range(n):
+                filtered[i, k] += back[k, j] * gained[j]
