@@ -1,7 +1,7 @@
 """The friction along a section from the sums of its passes, pooled over the fleet: pure functions.
 
-Over all passes v of a place c the sum of squares of e - b_v q - g(mu_c) is least. b_v, common to all places of a
-vehicle, is by how much its linear creep differs from that of its class: known beforehand with the std of creep
+Over all passes of a place c the sum of squares of e - a_w x - b_v q - g(mu_c) is least. a_w is what the slope of the
+curve of a wheelset is off by; b_v, common to all places of a vehicle, is by how much its linear creep differs from that of its class: known beforehand with the std of creep
 coefficient and yaw spring, and of what the filter makes of the moment. What no b explains is saturation, whose share of
 the creep grows with the force. Of a place 1/mu is known beforehand as ``usual`` with a wide std: on the whole the rails
 are as rails are, which is what b is measured against.
@@ -16,12 +16,13 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, SectionAdhesion, WindowAdhesion
-from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.intervals import NORMAL_95
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 
 
+TINY = np.finfo(float).tiny
 MEDIAN_SQUARE = 0.4549  # of a standard normal variable
 
 
@@ -37,7 +38,7 @@ class FrictionParameters:
     usual_std: float = 3.0  # of it
     most_usual: float = 5.0  # 1/mu of places that show b: where creep is far from linear its law matters more
     law_std: float = 0.1  # of 1/mu, relative: creep laws differ
-    track_std: float = 0.4  # of 1/mu: the error of the alignment is the same in all passes
+    track_std: float = 0.8  # of 1/mu: the error of the alignment is the same in all passes
     least_upper: float = 0.6  # an interval that reaches beyond says no more than a lower bound
     rounds: int = 12
 
@@ -46,10 +47,11 @@ class FrictionParameters:
 class _Stack:
     """Sums of all passes in arrays: p of them in every place of c."""
 
-    squares: FloatArray  # (p, c, 3)
-    saturated: FloatArray  # (p, c, 3, k)
-    samples: FloatArray  # (p, c)
+    squares: FloatArray  # (p, c, 6)
+    saturated: FloatArray  # (p, c, 4, k)
+    there: BoolArray  # (p, c)
     vehicle: IntArray  # (p,)
+    wheelset: IntArray  # (p,)
     cells: IntArray  # (c,)
 
 
@@ -68,11 +70,10 @@ def section_friction(passes: Sequence[WindowAdhesion], parameters: FrictionParam
         return ()
     stack = _stacked(known)
     found = _solved(stack, parameters)
-    misfits = _misfits(stack, found.creep, found.noise, parameters)
+    misfits = _misfits(stack, found.creep, found.slope, found.noise, parameters)
     by_creep = found.creep_std * _slope(stack, found.inverse)
-    there = stack.samples > 0.0
     return tuple(
-        _cell(int(cell), float(found.inverse[c]), misfits[there[:, c], c], by_creep[c], parameters)
+        _cell(int(cell), float(found.inverse[c]), misfits[stack.there[:, c], c], by_creep[c], parameters)
         for c, cell in enumerate(stack.cells)
     )
 
@@ -80,13 +81,21 @@ def section_friction(passes: Sequence[WindowAdhesion], parameters: FrictionParam
 def _stacked(passes: Sequence[WindowAdhesion]) -> _Stack:
     sums = [one.sums for one in passes if one.sums is not None]
     cells = np.unique(np.concatenate([one.cells for one in sums]))
-    p, c, k = len(sums), len(cells), len(INVERSE)
-    squares, saturated, samples = np.zeros((p, c, 3)), np.zeros((p, c, 3, k)), np.zeros((p, c))
+    p, c = len(sums), len(cells)
+    squares, saturated = np.zeros((p, c, 6)), np.zeros((p, c, 4, len(INVERSE)))
+    there = np.zeros((p, c), np.bool_)
     for i, one in enumerate(sums):
         at = np.searchsorted(cells, one.cells)
-        squares[i, at], saturated[i, at], samples[i, at] = one.squares, one.saturated, one.samples
-    vehicles = sorted({one.vehicle for one in passes})
-    return _Stack(squares, saturated, samples, np.array([vehicles.index(one.vehicle) for one in passes]), cells)
+        squares[i, at], saturated[i, at], there[i, at] = one.squares, one.saturated, True
+    return _Stack(squares, saturated, there, *(_numbers(names) for names in _names(passes)), cells)
+
+
+def _names(passes: Sequence[WindowAdhesion]) -> tuple[list[str], list[str]]:
+    return [one.vehicle for one in passes], [one.wheelset for one in passes]
+
+
+def _numbers(names: Sequence[str]) -> IntArray:
+    return np.unique(np.array(names), return_inverse=True)[1].astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,62 +104,73 @@ class _Solution:
 
     inverse: FloatArray  # (c,) 1/mu
     creep: FloatArray  # (v,) b
+    slope: FloatArray  # (w,) a
     noise: float  # m2: variance of e times the samples that say as much as one
     creep_std: float  # that a b of all vehicles is left
 
 
 def _solved(stack: _Stack, parameters: FrictionParameters) -> _Solution:
-    """Return 1/mu of the places, b of the vehicles, and the noise, in turn until they hold."""
-    creep = np.zeros(int(stack.vehicle.max()) + 1)
+    """Return 1/mu of the places, b of the vehicles, a of the wheelsets, and the noise, in turn until they hold."""
+    creep, slope = np.zeros(int(stack.vehicle.max()) + 1), np.zeros(int(stack.wheelset.max()) + 1)
     inverse = np.full(len(stack.cells), parameters.usual)
-    noise = stack.squares[..., 0].sum() / max(stack.samples.sum(), 1.0)
+    noise = stack.squares[..., 0].sum() / max(int(stack.there.sum()), 1)
     for _ in range(parameters.rounds):
-        misfits = _misfits(stack, creep, noise, parameters)
+        misfits = _misfits(stack, creep, slope, noise, parameters)
         inverse = np.array([_least(misfit) for misfit in misfits.sum(axis=0)])
-        noise = _noise(stack, inverse, creep)
+        at = _at(stack, inverse)
+        noise = _noise(stack, at, creep, slope)
         prior = noise / parameters.creep_error_std**2
         usual = inverse < parameters.most_usual
-        for v in range(len(creep)):
-            of = stack.vehicle == v
-            explained = _interpolated(stack.saturated[of, :, 2].sum(axis=0), inverse)[usual].sum()
-            squares = stack.squares[of][:, usual].sum(axis=(0, 1))
-            creep[v] = (squares[1] - explained) / (squares[2] + prior)
-    return _Solution(inverse, creep, noise, _creep_std(stack, inverse, noise, parameters))
+        b, a = creep[stack.vehicle][:, None], slope[stack.wheelset][:, None]
+        left = (stack.squares[..., 1] - at[2] - a * stack.squares[..., 4])[:, usual].sum(axis=1)
+        own = stack.squares[:, usual, 2].sum(axis=1)
+        creep = np.bincount(stack.vehicle, left) / (np.bincount(stack.vehicle, own) + prior)
+        left = (stack.squares[..., 3] - at[3] - b * stack.squares[..., 4]).sum(axis=1)
+        own = stack.squares[..., 5].sum(axis=1)
+        slope = np.bincount(stack.wheelset, left) / (np.bincount(stack.wheelset, own) + TINY)
+    return _Solution(inverse, creep, slope, noise, _creep_std(stack, inverse, noise, parameters))
 
 
-def _noise(stack: _Stack, inverse: FloatArray, creep: FloatArray) -> float:
+def _at(stack: _Stack, inverse: FloatArray) -> FloatArray:
+    """Return the saturated sums (4, p, c) at 1/mu (c,) of the places, linear between those that are kept."""
+    high = np.clip(np.searchsorted(INVERSE, inverse), 1, len(INVERSE) - 1)
+    part = (inverse - INVERSE[high - 1]) / (INVERSE[high] - INVERSE[high - 1])
+    places = np.arange(len(inverse))
+    low_values, high_values = stack.saturated[:, places, :, high - 1], stack.saturated[:, places, :, high]
+    return np.asarray(np.moveaxis(low_values + part[:, None, None] * (high_values - low_values), (0, 2), (2, 0)))
+
+
+def _noise(stack: _Stack, at: FloatArray, creep: FloatArray, slope: FloatArray) -> float:
     """Return the variance of e that the scatter of the passes about their common 1/mu shows, m2.
 
     The product of what is left of a pass with g has the variance of e, times its correlated samples, times g g.
     """
-    at = np.stack([[np.interp(x, INVERSE, row) for x, row in zip(inverse, rows, strict=True)]
-                   for rows in np.moveaxis(stack.saturated, 2, 0).reshape(-1, len(inverse), len(INVERSE))])
-    ge, gg, gq = at.reshape(3, -1, len(inverse))
-    left = ge - gg - creep[stack.vehicle][:, None] * gq
+    ge, gg, gq, gx = at
+    left = ge - gg - creep[stack.vehicle][:, None] * gq - slope[stack.wheelset][:, None] * gx
     there = gg > 0.0
     return float(np.median(left[there] ** 2 / gg[there]) / MEDIAN_SQUARE) if there.any() else 0.0
 
 
 def _creep_std(stack: _Stack, inverse: FloatArray, noise: float, parameters: FrictionParameters) -> float:
     """Return the std of a b that all vehicles share, every 1/mu unknown: about 1/mu, g is in proportion to it."""
-    sums = stack.saturated.sum(axis=0)
-    gg, gq = (_interpolated(sums[:, row], inverse) for row in (1, 2))
+    _, gg, gq, _ = _at(stack, inverse).sum(axis=1)
     own = gg / inverse**2 + noise / parameters.usual_std**2
     left = stack.squares[..., 2].sum() - ((gq / inverse) ** 2 / own).sum()
     return float(1.0 / np.sqrt(max(left, 0.0) / noise + 1.0 / parameters.creep_error_std**2))
 
 
-def _misfits(stack: _Stack, creep: FloatArray, noise: float, parameters: FrictionParameters) -> FloatArray:
+def _misfits(
+    stack: _Stack, creep: FloatArray, slope: FloatArray, noise: float, parameters: FrictionParameters
+) -> FloatArray:
     """Return the sums of squares (p, c, k) that every friction leaves of the passes of a place, but for a constant.
 
     What is known of it beforehand is spread over the passes.
     """
-    b = creep[stack.vehicle][:, None, None]
-    ge, gg, gq = (stack.saturated[:, :, row] for row in range(3))
-    there = stack.samples > 0.0
+    b, a = creep[stack.vehicle][:, None, None], slope[stack.wheelset][:, None, None]
+    ge, gg, gq, gx = (stack.saturated[:, :, row] for row in range(4))
     known = noise * ((INVERSE - parameters.usual) / parameters.usual_std) ** 2
-    shared = known / np.maximum(there.sum(axis=0), 1)[:, None]
-    return np.asarray(gg - 2.0 * ge + 2.0 * b * gq + there[:, :, None] * shared)
+    shared = known / np.maximum(stack.there.sum(axis=0), 1)[:, None]
+    return np.asarray(gg - 2.0 * ge + 2.0 * b * gq + 2.0 * a * gx + stack.there[:, :, None] * shared)
 
 
 def _least(misfit: FloatArray) -> float:
@@ -166,16 +186,10 @@ def _least(misfit: FloatArray) -> float:
     return float(np.clip(0.5 * (x[0] + x[1]) - 0.5 * left / bend, x[0], x[2]))
 
 
-def _interpolated(rows: FloatArray, inverse: FloatArray) -> FloatArray:
-    """Return the values (c,) of rows (c, k) over ``INVERSE`` at 1/mu (c,)."""
-    return np.array([np.interp(x, INVERSE, row) for x, row in zip(inverse, rows, strict=True)])
-
-
 def _slope(stack: _Stack, inverse: FloatArray) -> FloatArray:
     """Return by how much 1/mu (c,) falls as b of all vehicles rises."""
-    sums = stack.saturated.sum(axis=0)
-    gg, gq = (_interpolated(sums[:, row], inverse) for row in (1, 2))
-    return np.asarray(inverse * gq / np.maximum(gg, np.finfo(float).tiny))
+    _, gg, gq, _ = _at(stack, inverse).sum(axis=1)
+    return np.asarray(inverse * gq / np.maximum(gg, TINY))
 
 
 def _cell(

@@ -6,7 +6,7 @@ By Eq. 2 with linear creep the yaw moment M of the creep forces and the yaw rate
 
 Where friction bounds the forces, more creepage is needed for the same moment: R exceeds R_lin by q (1/share - 1), with
 q = -(r0/(l f11)) M and 1/share - 1 of ``saturation``. The wheelset's own curve h(y - d) says what R is. M is in phase
-with the yaw angle, y - d a quarter of a wave behind: an error of the curve does not look like q.
+with the yaw angle, y - d some quarter of a wave behind: an error of the curve's slope is estimated beside.
 """
 
 from __future__ import annotations
@@ -138,12 +138,13 @@ def friction_sums(
     good = np.flatnonzero(signals.valid & np.isfinite(e) & np.isfinite(used) & np.isfinite(distance))
     place = np.floor(distance[good] / CELL_LENGTH).astype(np.int64)
     cells, index, counts = np.unique(place, return_inverse=True, return_counts=True)
-    e, q, used = e[good], q[good], used[good]
-    squares = np.stack([_summed(values, index, len(cells)) for values in (e * e, q * e, q * q)], axis=1)
-    saturated = np.zeros((len(cells), 3, len(INVERSE)))
+    e, q, used, x = e[good], q[good], used[good], motion.displacement[good]
+    products = (e * e, e * q, q * q, e * x, q * x, x * x)
+    squares = np.stack([_summed(values, index, len(cells)) for values in products], axis=1)
+    saturated = np.zeros((len(cells), 4, len(INVERSE)))
     for k, inverse in enumerate(INVERSE):
         g = q * creep_excess(used * inverse)
-        for row, other in enumerate((e, g, q)):
+        for row, other in enumerate((e, g, q, x)):
             saturated[:, row, k] = _summed(g * other, index, len(cells))
     kept = counts >= FEWEST_SAMPLES
     return FrictionSums(cells[kept], counts[kept].astype(float), squares[kept], saturated[kept])

@@ -13,7 +13,7 @@ from estimation.values.reasons import Reason
 from estimation.values.windows import WindowKey
 
 CELL_LENGTH = 50.0  # m, of the places at which friction is told apart
-FRICTIONS = (0.8, 0.6, 0.45, 0.35, 0.28, 0.22, 0.18, 0.15, 0.125, 0.1, 0.08, 0.065, 0.05, 0.035)
+FRICTIONS = (4.0, 1.5, 0.8, 0.6, 0.45, 0.35, 0.28, 0.22, 0.18, 0.15, 0.125, 0.1, 0.08, 0.065, 0.05, 0.035)
 """Coefficients of friction at which sums are kept; between them the sums are interpolated over the inverse."""
 
 INVERSE = frozen_array(1.0 / np.array(FRICTIONS), (len(FRICTIONS),), name="INVERSE")
@@ -25,20 +25,20 @@ class FrictionSums:
     """Sums over the samples of c places of a section, mergeable: the regression of e = h(y - d) - R on saturation.
 
     e is by how much the rolling radius difference of linear creep falls short of the wheelset's curve, q the part of
-    R that its creep moment makes, g_k = q (1/share - 1) what e would be at the friction 1/``INVERSE``[k].
+    R that its creep moment makes, x the displacement, g_k = q (1/share - 1) what e would be at 1/``INVERSE``[k].
     """
 
     cells: IntArray  # (c,) place: distance along the section over ``CELL_LENGTH``, rounded down
     samples: FloatArray  # (c,)
-    squares: FloatArray  # (c, 3) sums of e e, q e and q q, m2
-    saturated: FloatArray  # (c, 3, k) sums of g_k e, g_k g_k and g_k q, m2
+    squares: FloatArray  # (c, 6) sums of e e, e q, q q, e x, q x and x x, m2
+    saturated: FloatArray  # (c, 4, k) sums of g_k e, g_k g_k, g_k q and g_k x, m2
 
     def __post_init__(self) -> None:
         c, k = len(self.cells), len(INVERSE)
         object.__setattr__(self, "cells", frozen_array(self.cells, (c,), np.int64, name="cells"))
         object.__setattr__(self, "samples", frozen_array(self.samples, (c,), name="samples"))
-        object.__setattr__(self, "squares", frozen_array(self.squares, (c, 3), name="squares"))
-        object.__setattr__(self, "saturated", frozen_array(self.saturated, (c, 3, k), name="saturated"))
+        object.__setattr__(self, "squares", frozen_array(self.squares, (c, 6), name="squares"))
+        object.__setattr__(self, "saturated", frozen_array(self.saturated, (c, 4, k), name="saturated"))
 
 
 @dataclass(frozen=True, slots=True)
