@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.adhesion.creep_forces import ContactForces
-from estimation.adhesion.gravity import AngleDifference
+from estimation.adhesion.gravity import ContactAngles
 from estimation.adhesion.saturation import creep_excess
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, FrictionSums
@@ -24,6 +24,7 @@ from estimation.values.arrays import BoolArray, FloatArray, frozen_array, runs
 from estimation.values.motion import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
+SHARE_ROUNDS = 3  # of spin and saturation, each of which decides on the other
 FEWEST_SAMPLES = 100  # of a place
 SHORTEST_S = 5.0  # of a stretch of samples
 TRIMMED_S = 1.0  # at each of its ends
@@ -37,23 +38,44 @@ class CreepSignals:
     contact: FloatArray  # (n,) N, with gravitational stiffness
     moment: FloatArray  # (n,) N m
     linear_difference: FloatArray  # (n,) R by linear creep, m
+    spin: FloatArray  # (n,) N, lateral force of a wheel by the spin of its inclined contact, the other's reversed
     valid: BoolArray  # (n,)
 
     def __post_init__(self) -> None:
         n = len(self.valid)
-        for name in ("lateral", "contact", "moment", "linear_difference"):
+        for name in ("lateral", "contact", "moment", "linear_difference", "spin"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
         object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
 
-    def resultant(self, half_contact_distance: float) -> FloatArray:
-        """Return the resultant creep force of a wheel (n,), N.
+    def resultants(self, half_contact_distance: float, share: float | FloatArray = 1.0) -> FloatArray:
+        """Return the resultant creep force of left and right wheel (2, n), N.
 
         Parameters
         ----------
         half_contact_distance
             l, m.
+        share
+            Of its linear creep force that a wheel transmits, (n,) or one number: spin is known as a linear force.
         """
-        return np.asarray(0.5 * np.hypot(self.moment / half_contact_distance, self.lateral))
+        spin = share * self.spin
+        lateral = np.stack([0.5 * self.lateral + spin, 0.5 * self.lateral - spin])
+        return np.asarray(np.hypot(0.5 * self.moment / half_contact_distance, lateral))
+
+    def excess(self, half_contact_distance: float, bound: float) -> FloatArray:
+        """Return linear over true creep force less 1, the mean of both wheels (n,).
+
+        Parameters
+        ----------
+        half_contact_distance
+            l, m.
+        bound
+            mu N of a wheel, N.
+        """
+        found = np.zeros(len(self.valid))
+        for _ in range(SHARE_ROUNDS):
+            utilisation = self.resultants(half_contact_distance, 1.0 / (1.0 + found)) / bound
+            found = creep_excess(utilisation).mean(axis=0)
+        return found
 
 
 def creep_signals(
@@ -62,7 +84,7 @@ def creep_signals(
     vehicle: VehicleParameters,
     sample_interval_s: float,
     cutoff_wavelength: float,
-    angles: AngleDifference | None,
+    angles: ContactAngles | None,
     *,
     mounted_reversed: bool = False,
 ) -> CreepSignals:
@@ -102,9 +124,11 @@ def creep_signals(
         passed[:, part] = remove_wander(rows[:, part], run, np.asarray(forces.known[part]), cutoff_wavelength)
         valid[start + trim : stop - trim] = True
     contact, moment, R, roll = passed
-    angle = np.full(len(V), np.nan) if angles is None else angles.at(R)
-    lateral = contact + p.load * (0.5 * angle + roll)
-    return CreepSignals(lateral, contact, moment, R, valid & motion.valid & forces.known)
+    none = np.full(len(V), np.nan)
+    D, A = (none, none) if angles is None else (angles.difference_at(R), angles.sum_at(R))
+    lateral = contact + p.load * (0.5 * D + roll)
+    spin = 0.5 * p.lateral_spin_creep_coefficient / p.nominal_radius * A
+    return CreepSignals(lateral, contact, moment, R, spin, valid & motion.valid & forces.known)
 
 
 def friction_sums(
@@ -134,16 +158,15 @@ def friction_sums(
     f11 = p.longitudinal_creep_coefficient / motion.stiffness_ratio
     q = -p.nominal_radius / (p.half_contact_distance * f11) * signals.moment
     e = expected - signals.linear_difference
-    used = signals.resultant(p.half_contact_distance) / (0.5 * p.load)
-    good = np.flatnonzero(signals.valid & np.isfinite(e) & np.isfinite(used) & np.isfinite(distance))
+    good = np.flatnonzero(signals.valid & np.isfinite(e) & np.isfinite(signals.lateral) & np.isfinite(distance))
     place = np.floor(distance[good] / CELL_LENGTH).astype(np.int64)
     cells, index, counts = np.unique(place, return_inverse=True, return_counts=True)
-    e, q, used, x = e[good], q[good], used[good], motion.displacement[good]
+    e, q, x = e[good], q[good], motion.displacement[good]
     products = (e * e, e * q, q * q, e * x, q * x, x * x)
     squares = np.stack([_summed(values, index, len(cells)) for values in products], axis=1)
     saturated = np.zeros((len(cells), 4, len(INVERSE)))
     for k, inverse in enumerate(INVERSE):
-        g = q * creep_excess(used * inverse)
+        g = q * signals.excess(p.half_contact_distance, 0.5 * p.load / inverse)[good]
         for row, other in enumerate((e, g, q, x)):
             saturated[:, row, k] = _summed(g * other, index, len(cells))
     kept = counts >= FEWEST_SAMPLES

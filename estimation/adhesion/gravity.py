@@ -32,18 +32,19 @@ KEPT = 64
 
 
 @dataclass(frozen=True, slots=True)
-class AngleDifference:
-    """D over R of one wheelset on one rail; linear between."""
+class ContactAngles:
+    """Contact angles over R of one wheelset on one rail; linear between."""
 
     difference: FloatArray  # (n,) rL - rR, m, increasing
-    angle: FloatArray  # (n,) dL - dR, rad
+    angle_difference: FloatArray  # (n,) dL - dR, rad
+    angle_sum: FloatArray  # (n,) dL + dR, rad
     misfit: float  # m, rms of rL - rR against the estimate
 
     def __post_init__(self) -> None:
-        for name in ("difference", "angle"):
+        for name in ("difference", "angle_difference", "angle_sum"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (len(self.difference),), name=name))
 
-    def at(self, difference: FloatArray) -> FloatArray:
+    def difference_at(self, difference: FloatArray) -> FloatArray:
         """Return dL - dR (n,), rad, at rL - rR (n,), m; beyond the table its last values.
 
         Parameters
@@ -51,13 +52,23 @@ class AngleDifference:
         difference
             (n,) m.
         """
-        return np.asarray(np.interp(difference, self.difference, self.angle))
+        return np.asarray(np.interp(difference, self.difference, self.angle_difference))
+
+    def sum_at(self, difference: FloatArray) -> FloatArray:
+        """Return dL + dR (n,), rad, at rL - rR (n,), m; beyond the table its last values.
+
+        Parameters
+        ----------
+        difference
+            (n,) m.
+        """
+        return np.asarray(np.interp(difference, self.difference, self.angle_sum))
 
 
-def angle_difference(
+def contact_angles(
     displacement: FloatArray, difference: FloatArray, wheel: str, section: TrackSectionRecord, radius: float
-) -> AngleDifference | Reason:
-    """Return D over R of the wear that meets an estimated curve best, or why the profiles on file do not.
+) -> ContactAngles | Reason:
+    """Return the angles over R of the wear that meets an estimated curve best, or why the profiles on file do not.
 
     Parameters
     ----------
@@ -81,7 +92,7 @@ def angle_difference(
     family = _family(wheel, *rail, round(radius, 4))
     if family is None:
         return Reason(ReasonCode.PROFILES_UNKNOWN, f"{wheel} on {section.rail_profile} have no contact geometry")
-    curves, angles = family
+    curves, differences, sums = family
     expected = np.stack([np.interp(displacement[known], DISPLACEMENT, curve) for curve in curves])
     left = expected - difference[known]
     misfit = np.sqrt(((left - left.mean(axis=1, keepdims=True)) ** 2).mean(axis=1))  # a diameter difference is no wear
@@ -93,24 +104,25 @@ def angle_difference(
             f" {1e3 * misfit[best]:.2f} mm, at most {1e3 * MOST_MISFIT:.2f} mm are wear",
         )
     order = np.argsort(curves[best], kind="stable")
-    return AngleDifference(curves[best][order], angles[best][order], float(misfit[best]))
+    return ContactAngles(curves[best][order], differences[best][order], sums[best][order], float(misfit[best]))
 
 
 @lru_cache(maxsize=KEPT)
 def _family(
     wheel: str, rail: str, inclination: float, gauge: float, radius: float
-) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]] | None:
-    """Return R and D over ``DISPLACEMENT`` of a wheel profile worn more and more; None where it never touches."""
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return R, D and dL + dR (9, n) over ``DISPLACEMENT`` of a wheel profile worn more and more; None where it never touches."""
     centre, half_width = next((hollow for name, *hollow in WHEELS if name == wheel), USUAL_HOLLOW)
-    curves, angles = [], []
+    found = []
     try:
         on = rail_profile(rail)
         for depth in DEPTHS:
             worn_wheel = worn(wheel_profile(wheel), TreadWear(float(depth), centre, half_width, float(depth)))
             pair = WheelsetOnTrack.symmetric(worn_wheel, on, inclination, gauge, radius=radius)
             table = contact_table(pair, DISPLACEMENT, outside="hold")
-            curves.append(table.rolling_radius_difference[:, 0])
-            angles.append((table.contact_angle_left - table.contact_angle_right)[:, 0])
+            left, right = table.contact_angle_left[:, 0], table.contact_angle_right[:, 0]
+            found.append((table.rolling_radius_difference[:, 0], left - right, left + right))
     except (ContactError, ProfileError):
         return None
-    return tuple(curves), tuple(angles)
+    curves, differences, sums = np.moveaxis(np.array(found), 1, 0)
+    return curves, differences, sums
