@@ -32,7 +32,7 @@ from ingest.simulator.survey import surveyed
 from ingest.simulator.track import TrackTruth
 
 WINDOW_S = 60.0
-TAPS, PASSED = 32, 0.9  # of the filter before decimation: per sample of the node, and its corner over the Nyquist frequency
+TAPS, PASSED = 32, 0.9  # of the filter before decimation: per sample, and its corner over the Nyquist frequency
 GOOD = WindowQuality(1.0, 0.0, 0, 0.0, 0.0, 5.0, 40.0, 1.0, sensor_fault=False)
 
 
@@ -89,7 +89,10 @@ def class_of(scenario: Scenario) -> VehicleClass:
         parameters=scenario.parameters,
         bogie=scenario.bogie,
         sensors=SensorLayout(
-            *(_channel(channel) for channel in sensors.channels),
+            _channel(sensors.lateral),
+            _channel(sensors.yaw),
+            _channel(sensors.roll),
+            _channel(sensors.mass_lateral),
             measures_gravity=sensors.measures_gravity,
             rate_hz=float(sensors.rate_hz),
         ),
@@ -169,15 +172,22 @@ def true_forces(p: VehicleParameters, motion: WheelsetMotion, friction: FloatArr
 def _sampled(forces: TrueForces, stride: int) -> TrueForces:
     """Return the forces at the samples of a node, without what its anti-alias filter takes out of every signal."""
     taps = firwin(TAPS * stride + 1, PASSED / stride)
-    named = ("lateral_creep", "yaw_creep", "contact")
-    passed = [np.convolve(getattr(forces, name), taps, mode="same")[::stride] for name in named]
-    return TrueForces(*passed, forces.friction[::stride])
+
+    def passed(values: FloatArray) -> FloatArray:
+        return np.convolve(values, taps, mode="same")[::stride]
+
+    creep, moment, contact = (passed(values) for values in (forces.lateral_creep, forces.yaw_creep, forces.contact))
+    return TrueForces(creep, moment, contact, forces.friction[::stride])
 
 
 def _part(forces: TrueForces, number: int, n: int) -> TrueForces:
     part = slice(number * n, (number + 1) * n)
-    named = ("lateral_creep", "yaw_creep", "contact", "friction")
-    return TrueForces(*(getattr(forces, name)[part].copy() for name in named))
+    return TrueForces(
+        forces.lateral_creep[part].copy(),
+        forces.yaw_creep[part].copy(),
+        forces.contact[part].copy(),
+        forces.friction[part].copy(),
+    )
 
 
 def _cut(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> Iterator[Window]:
@@ -187,7 +197,8 @@ def _cut(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion)
     reported = run.reported - run.distance + motion.distance
     for k in range(len(record.t) // n):
         part = slice(k * n, (k + 1) * n)
-        sampled = slice(part.start * scenario.sensors.stride, part.stop * scenario.sensors.stride, scenario.sensors.stride)
+        stride = scenario.sensors.stride
+        sampled = slice(part.start * stride, part.stop * stride, stride)
         lateral, yaw, roll, mass = record.values[part].T
         yield Window(
             wheelset=run.vehicle.wheelsets[axle].serial,
@@ -202,7 +213,7 @@ def _cut(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion)
             mass_lateral_acceleration=mass,
             speed=motion.speed[sampled],
             distance=reported[sampled],
-            valid=~record.clipped[part].any(axis=1),
+            valid=np.asarray(~record.clipped[part].any(axis=1)),
             resolution=(1e-4, 1e-4, 1e-4, 1e-4),
             track_section=scenario.section.code,
             odometer_m=run.odometer,

@@ -104,7 +104,9 @@ def contact_forces(
             f"the innovations of the filter are {np.sqrt(worst):.1f} times what the vehicle's class lets expect, at"
             f" most {np.sqrt(parameters.most_innovation):.1f} times are believed; check class and sensors",
         )
-    return tuple(ContactForces(*rows, usable, worst) for rows in values)
+    return tuple(
+        ContactForces(contact, moment, yaw_rate, roll, usable, worst) for contact, moment, yaw_rate, roll in values
+    )
 
 
 _NAMED = ("contact", "moment", "yaw_rate", "roll")
@@ -124,9 +126,7 @@ def _smoothed(
     measurements[:, -made.axles :] = p.nominal_radius * np.stack(roll_rates, axis=1) / first.speed[:, None]
     states, innovations = smoothed_states(made, measurements, first.known, first.speed)
     squares = (innovations[first.known, : made.accelerations] / made.innovation_std[: made.accelerations]) ** 2
-    named = [
-        _named(made, states, axle, one, rolls[axle], roll_rates[axle], p) for axle, one in enumerate(parts)
-    ]
+    named = [_named(made, states, axle, one, rolls[axle], roll_rates[axle], p) for axle, one in enumerate(parts)]
     return np.stack(named), float(squares.mean(axis=0).max())
 
 

@@ -1,10 +1,10 @@
 """The friction along a section from the sums of its passes, pooled over the fleet: pure functions.
 
 Over all passes of a place c the sum of squares of e - a_w x - b_v q - g(mu_c) is least. a_w is what the slope of the
-curve of a wheelset is off by; b_v, common to all places of a vehicle, is by how much its linear creep differs from that of its class: known beforehand with the std of creep
-coefficient and yaw spring, and of what the filter makes of the moment. What no b explains is saturation, whose share of
-the creep grows with the force. Of a place 1/mu is known beforehand as ``usual`` with a wide std: on the whole the rails
-are as rails are, which is what b is measured against.
+curve of a wheelset is off by; b_v, common to all places of a vehicle, is by how much its linear creep differs from that
+of its class: known beforehand with the std of creep coefficient and yaw spring, and of what the filter makes of the
+moment. What no b explains is saturation, whose share of the creep grows with the force. Of a place 1/mu is known
+beforehand as ``usual`` with a wide std: on the whole the rails are as rails are, which is what b is measured against.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from estimation.values.intervals import NORMAL_95
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 
-
 TINY = np.finfo(float).tiny
 MEDIAN_SQUARE = 0.4549  # of a standard normal variable
 
@@ -31,7 +30,7 @@ class FrictionParameters:
     """When friction is published, and when it is low."""
 
     low: float = 0.15  # limit of low adhesion
-    likely: float = 0.9  # probability of a friction below the limit from which a place has low adhesion
+    likely: float = 0.5  # probability of a friction below the limit from which a place has low adhesion
     fewest_passes: int = 3  # of wheelsets
     creep_error_std: float = 0.1  # of b, relative
     usual: float = 3.3  # 1/mu of rails that nothing is known of: a friction of 0.3
@@ -53,6 +52,29 @@ class _Stack:
     vehicle: IntArray  # (p,)
     wheelset: IntArray  # (p,)
     cells: IntArray  # (c,)
+
+
+def section_adhesion(
+    track_section: str, passes: Sequence[WindowAdhesion], parameters: FrictionParameters
+) -> SectionAdhesion | None:
+    """Return the friction along a section and where it is low; None where no pass says anything.
+
+    Parameters
+    ----------
+    track_section
+        Code of the section.
+    passes
+        Of it, over the time that is pooled, in any order.
+    parameters
+        Limits and what is known beforehand.
+    """
+    known = [one for one in passes if one.sums is not None and len(one.sums.cells)]
+    if not known:
+        return None
+    cells = section_friction(known, parameters)
+    starts = [one.start_ns for one in known]
+    stretches = low_stretches(cells, parameters)
+    return SectionAdhesion(track_section, min(starts), max(starts), len(known), cells, stretches)
 
 
 def section_friction(passes: Sequence[WindowAdhesion], parameters: FrictionParameters) -> tuple[CellFriction, ...]:
@@ -87,11 +109,8 @@ def _stacked(passes: Sequence[WindowAdhesion]) -> _Stack:
     for i, one in enumerate(sums):
         at = np.searchsorted(cells, one.cells)
         squares[i, at], saturated[i, at], there[i, at] = one.squares, one.saturated, True
-    return _Stack(squares, saturated, there, *(_numbers(names) for names in _names(passes)), cells)
-
-
-def _names(passes: Sequence[WindowAdhesion]) -> tuple[list[str], list[str]]:
-    return [one.vehicle for one in passes], [one.wheelset for one in passes]
+    vehicle, wheelset = _numbers([one.vehicle for one in passes]), _numbers([one.wheelset for one in passes])
+    return _Stack(squares, saturated, there, vehicle, wheelset, cells)
 
 
 def _numbers(names: Sequence[str]) -> IntArray:
@@ -226,7 +245,7 @@ def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters)
     """
     found: list[tuple[float, float]] = []
     for one in cells:
-        if one.low_probability < parameters.likely:
+        if one.friction.value is None or one.low_probability < parameters.likely:
             continue
         if found and one.from_m - found[-1][1] <= CELL_LENGTH:
             found[-1] = (found[-1][0], one.to_m)

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from estimation.adhesion.creep_forces import ContactForces
 from estimation.adhesion.gravity import ContactAngles
@@ -173,8 +174,8 @@ def friction_sums(
     return FrictionSums(cells[kept], counts[kept].astype(float), squares[kept], saturated[kept])
 
 
-def _summed(values: FloatArray, index: FloatArray, count: int) -> FloatArray:
-    return np.bincount(index, weights=values, minlength=count)
+def _summed(values: FloatArray, index: npt.NDArray[np.intp], count: int) -> FloatArray:
+    return np.asarray(np.bincount(index, weights=values, minlength=count), np.float64)
 
 
 def _on_curve(displacement: FloatArray, centres: FloatArray, values: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Newton's equations of a running gear as linear equations of states, with the forces at the contacts as unknown inputs.
+"""Newton's equations of a running gear as linear equations of states, the forces at the contacts their inputs.
 
 Of each wheelset: what the rails do to it laterally, F (N), and the moment that they do about the vertical, M (N m).
 With (x_i) the place of an axle ahead of the middle of its bogie's frame (y_f, psi_f), and y_b the body::

@@ -111,7 +111,7 @@ def contact_angles(
 def _family(
     wheel: str, rail: str, inclination: float, gauge: float, radius: float
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return R, D and dL + dR (9, n) over ``DISPLACEMENT`` of a wheel profile worn more and more; None where it never touches."""
+    """Return R, D and dL + dR (9, n) of a wheel worn more and more; None where it never touches the rail."""
     centre, half_width = next((hollow for name, *hollow in WHEELS if name == wheel), USUAL_HOLLOW)
     found = []
     try:

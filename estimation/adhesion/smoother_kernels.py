@@ -9,7 +9,7 @@ from estimation.values.arrays import BoolArray, FloatArray, IntArray
 
 
 @compiled(nogil=True)
-def filter_forward(
+def filter_forward(  # noqa: C901 - loops over states, without a branch but for gaps
     transition: FloatArray,
     measured: FloatArray,
     gain: FloatArray,
@@ -52,11 +52,12 @@ def filter_forward(
                 left = measurements[i, j]
                 for k in range(n):
                     left -= measured[j, k] * state[k]
-                if j >= m - len(varying):
-                    left -= excess[i] * state[varying[j - m + len(varying)]]
                 innovations[i, j] = left
+            for a in range(len(varying)):
+                innovations[i, m - len(varying) + a] -= excess[i] * state[varying[a]]
+            for j in range(m):
                 for k in range(n):
-                    filtered[i, k] += gain[k, j] * left
+                    filtered[i, k] += gain[k, j] * innovations[i, j]
         for k in range(n):
             total = 0.0
             for j in range(n):

@@ -1,7 +1,7 @@
 """The stationary Kalman-Bucy filter of a running gear: which forces at the contacts its accelerations show.
 
-Unknown forces are states beside those of ``gear_equations``. Each is a Matern process of order 3/2: it has a derivative,
-a standard deviation and a time of change, and is zero on average. Of the motion three things are measured:
+Unknown forces are states beside those of ``gear_equations``. Each is a Matern process of order 3/2: it has a
+derivative, a standard deviation and a time of change, and is zero on average. Of the motion three things are measured:
 
 - accelerations, with the noise density on file;
 - that displacements and angles stay near the track: each is zero but for white noise, whose density puts the corner
@@ -135,8 +135,8 @@ def _filter(
     return StationaryFilter(
         transition=transition,
         measured=rows,
-        gain=gain,
-        back=np.linalg.solve(predicted, transition @ filtered).T,
+        gain=np.asarray(gain, np.float64),
+        back=np.asarray(np.linalg.solve(predicted, transition @ filtered).T, np.float64),
         innovation_std=np.sqrt(np.diag(innovation)),
         scale=scale,
         axles=gear.axles,
@@ -144,7 +144,9 @@ def _filter(
     )
 
 
-def _with_inputs(gear: GearEquations, load: float, known: FilterParameters) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _with_inputs(
+    gear: GearEquations, load: float, known: FilterParameters
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return rates (n, n), noise intensity (n, n) and scale (n,) of states, forces, their derivatives and creepages."""
     own, forces = len(gear.rates), 2 * gear.axles
     n = own + 2 * forces + gear.axles

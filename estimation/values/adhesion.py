@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,13 +106,8 @@ class SectionAdhesion:
     """The friction along a section over some hours, pooled over the fleet."""
 
     track_section: str
-    from_ns: int  # vehicle time, of the first window
-    to_ns: int  # of the last
-    cells: tuple[CellFriction, ...]
-    creep_error: Mapping[str, float]  # by vehicle: linear creep beyond that of its class, relative
-    low_stretches: tuple[tuple[float, float], ...]  # m, where friction is low
-
-    @property
-    def windows_from_ns(self) -> int:
-        """Where the hours begin."""
-        return self.from_ns
+    from_ns: int  # vehicle time, start of the first window
+    to_ns: int  # start of the last
+    windows: int  # behind it
+    cells: tuple[CellFriction, ...]  # places that were passed, in order of distance
+    low_stretches: tuple[tuple[float, float], ...]  # m, begin and end of where friction is low

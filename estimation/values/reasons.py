@@ -132,7 +132,7 @@ class ReasonCode(StrEnum):
         "profiles_unknown",
         "The profiles on file do not have the rolling radius difference that was measured. Check wheel and rail.",
     )
-    NO_CREEP_CURVE = "no_creep_curve", "The rolling radius difference of the wheelset is not known yet; it waits for it."
+    NO_CREEP_CURVE = "no_creep_curve", "The rolling radius difference of the wheelset is not known well enough yet."
     # geometry
     TOO_FEW_BLOCKS = "too_few_blocks", "Too few blocks of running time for an interval."
     TOO_FEW_BINS = "too_few_bins", "Too few bins around the centre have samples."

@@ -1,0 +1,135 @@
+"""The tables of the adhesion bench from its cases."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.report import BenchRow
+
+LOW = 0.15
+FRICTION_COLUMNS = (
+    "row",
+    "seeds",
+    "lateral creep",
+    "yaw moment",
+    "stretches below 0.15 found",
+    "alarms without",
+    "vehicle-km",
+    "places with an interval",
+    "of those covered",
+    "lower bounds that hold",
+    "conicity error, all samples",
+    "without low friction",
+)
+JUDGED = "low"  # the row of the wanted numbers
+
+
+def summary(cases: Sequence[dict[str, Any]]) -> list[BenchRow]:
+    """Return what was measured beside what is to be reached."""
+    judged = [case for case in cases if case["row"] == JUDGED]
+    if not judged:
+        return []
+    seeds = f"{len(judged)} seeds"
+    lateral, moment = _share(judged, "lateral"), _share(judged, "moment")
+    found, alarms = _found(judged), _false(cases)
+    km = sum(case["vehicle_km"] for case in cases if case["cells"])
+    speed = sum(case["wheelset_seconds"] for case in judged) / sum(case["force_seconds"] for case in judged)
+    rows = [
+        BenchRow(f"lateral creep force, rms error over rms, {seeds}", _percent(lateral), "10 %", lateral <= 0.10),
+        BenchRow(f"yaw moment of creep, rms error over rms, {seeds}", _percent(moment), "10 %", moment <= 0.10),
+        BenchRow(
+            f"the same by integrals in Newton's equations, contact force and yaw moment, {seeds}",
+            f"{_percent(_share(judged, 'newton_contact'))}, {_percent(_share(judged, 'newton_moment'))}"
+            f" (filter: {_percent(_share(judged, 'contact'))}, {_percent(moment)})",
+            "the filter is better",
+            _share(judged, "contact") < _share(judged, "newton_contact"),
+        ),
+        BenchRow(
+            f"stretches of friction < 0.15 found within 200 m of their start, {seeds}",
+            f"{_percent(np.mean(found))} of {len(found)}",
+            ">= 95 %",
+            bool(np.mean(found) >= 0.95),
+        ),
+        BenchRow(
+            "alarms without friction < 0.15 in them, all rows with friction",
+            f"{alarms} in {km:.0f} vehicle-km: {1e3 * alarms / max(km, 1.0):.1f} per 1,000 km",
+            "< 1 per 1,000 km",
+            alarms < 1e-3 * km,
+        ),
+        BenchRow(
+            "speed of the filter, per wheelset and core",
+            f"{speed:.0f} times real time",
+            ">= 1,000",
+            speed >= 1000.0,
+        ),
+    ]
+    left, kept = (_errors(judged, name) for name in ("conicity_left_out", "conicity_all"))
+    if len(left):
+        better = float(np.mean(np.abs(left))) < float(np.mean(np.abs(kept)))
+        rows.append(
+            BenchRow(
+                f"conicity beside low friction, mean and mean absolute error, {seeds}",
+                f"{_error(kept)} with every sample, {_error(left)} without those on low friction",
+                "less",
+                better,
+            )
+        )
+    return rows
+
+
+def friction_rows(cases: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """Return a row of cells for every row of the bench."""
+    rows: list[tuple[str, ...]] = []
+    for name in sorted({case["row"] for case in cases}):
+        of = [case for case in cases if case["row"] == name]
+        cells = [cell for case in of for cell in case["cells"]]
+        valued = [cell for cell in cells if cell["value"] is not None]
+        covered = [cell["low"] <= cell["mean"] <= cell["high"] for cell in valued]
+        bounded = [cell["at_least"] <= cell["mean"] for cell in cells if cell["at_least"]]
+        found = _found(of)
+        rows.append(
+            (
+                name,
+                str(len(of)),
+                _percent(_share(of, "lateral")),
+                _percent(_share(of, "moment")),
+                f"{sum(found)} of {len(found)}" if cells else "",
+                str(_false(of)) if cells else "",
+                f"{sum(case['vehicle_km'] for case in of):.0f}",
+                f"{len(valued)} of {len(cells)}" if cells else "",
+                _percent(np.mean(covered)) if covered else "",
+                _percent(np.mean(bounded)) if bounded else "",
+                _error(_errors(of, "conicity_all")),
+                _error(_errors(of, "conicity_left_out")),
+            )
+        )
+    return rows
+
+
+def _share(cases: Iterable[dict[str, Any]], name: str) -> float:
+    squares = [case[name] for case in cases]
+    force = sum(one["force"] for one in squares)
+    return float(np.sqrt(sum(one["error"] for one in squares) / force)) if force else float("nan")
+
+
+def _found(cases: Iterable[dict[str, Any]]) -> list[bool]:
+    return [one for case in cases for one in case["found"]]
+
+
+def _false(cases: Iterable[dict[str, Any]]) -> int:
+    return sum(least >= LOW for case in cases for _, _, least in case["alarms"])
+
+
+def _errors(cases: Iterable[dict[str, Any]], name: str) -> np.ndarray:
+    return np.array([error for case in cases for error in case[name]])
+
+
+def _percent(share: float | np.floating[Any]) -> str:
+    return f"{100.0 * share:.1f} %"
+
+
+def _error(errors: np.ndarray) -> str:
+    return f"{errors.mean():+.4f}, {np.abs(errors).mean():.4f}" if len(errors) else ""
