@@ -235,7 +235,8 @@ def _score_forces(
 def _score_stretches(fleet: Fleet, done: AdhesionScore, flagged: Sequence[tuple[float, float]]) -> None:
     """Compare the stretches of low friction that are found with the true ones, where the fleet passed."""
     passed = [float(cell["from"] or 0.0) for cell in done.cells if cell["value"] is not None or cell["at_least"]]
-    s = np.arange(min(passed), max(passed), STEP)
+    length = fleet.scenario.section.recipe.length if fleet.scenario.section.recipe is not None else max(passed)
+    s = np.arange(max(min(passed), 0.0), min(max(passed), length), STEP)
     friction = fleet.friction(0, s)
     for first, behind in runs(friction < LOW):
         begin, end = float(s[first]), float(s[behind - 1])

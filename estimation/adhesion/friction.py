@@ -38,6 +38,7 @@ class FrictionParameters:
     most_usual: float = 5.0  # 1/mu of places that show b: where creep is far from linear its law matters more
     law_std: float = 0.1  # of 1/mu, relative: creep laws differ
     track_std: float = 0.8  # of 1/mu: the error of the alignment is the same in all passes
+    neighbours: float = 0.25  # weight of the places next to one: friction changes over some 100 m
     least_upper: float = 0.6  # an interval that reaches beyond says no more than a lower bound
     rounds: int = 12
 
@@ -92,10 +93,11 @@ def section_friction(passes: Sequence[WindowAdhesion], parameters: FrictionParam
         return ()
     stack = _stacked(known)
     found = _solved(stack, parameters)
-    misfits = _misfits(stack, found.creep, found.slope, found.noise, parameters)
+    misfits = _with_neighbours(stack, _misfits(stack, found.creep, found.slope, found.noise, parameters), parameters)
+    inverse = np.array([_least(misfit) for misfit in misfits.sum(axis=0)])
     by_creep = found.creep_std * _slope(stack, found.inverse)
     return tuple(
-        _cell(int(cell), float(found.inverse[c]), misfits[stack.there[:, c], c], by_creep[c], parameters)
+        _cell(int(cell), float(inverse[c]), misfits[stack.there[:, c], c], by_creep[c], parameters)
         for c, cell in enumerate(stack.cells)
     )
 
@@ -203,6 +205,16 @@ def _least(misfit: FloatArray) -> float:
     if bend <= 0.0:
         return float(x[1])
     return float(np.clip(0.5 * (x[0] + x[1]) - 0.5 * left / bend, x[0], x[2]))
+
+
+def _with_neighbours(stack: _Stack, misfits: FloatArray, parameters: FrictionParameters) -> FloatArray:
+    """Return sums of squares (p, c, k) with a share of those of the places before and behind."""
+    adjoining = (np.diff(stack.cells) == 1)[None, :, None]
+    shared = parameters.neighbours * adjoining
+    found = misfits.copy()
+    found[:, 1:] += shared * misfits[:, :-1]
+    found[:, :-1] += shared * misfits[:, 1:]
+    return found
 
 
 def _slope(stack: _Stack, inverse: FloatArray) -> FloatArray:

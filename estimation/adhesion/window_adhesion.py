@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from estimation.values.intervals import with_interval
 from estimation.values.motion import Motion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import TrackSectionRecord
+from estimation.values.track import Correction, TrackSectionRecord
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import VehicleClass
 
@@ -36,6 +36,7 @@ class AdhesionInputs:
     wheel_profile: str  # on file
     section: TrackSectionRecord
     mounted_reversed: bool = False
+    correction: Correction = field(default_factory=Correction)  # from measured positions to the true ones
 
 
 def window_adhesion(
@@ -46,7 +47,7 @@ def window_adhesion(
     Parameters
     ----------
     window
-        Samples, at the positions at which ``motion`` was found.
+        Samples, at positions as measured.
     content_digest
         Of the samples.
     forces
@@ -56,10 +57,11 @@ def window_adhesion(
     inputs
         Of the wheelset and the section.
     """
+    of_window = (window.wheelset, window.start_ns, window.vehicle, window.track_section, content_digest)
     if isinstance(forces, Reason):
-        return refused(window, content_digest, forces)
+        return refused(*of_window, forces)
     if isinstance(motion, Reason):
-        return refused(window, content_digest, motion)
+        return refused(*of_window, motion)
     geometry, parameters = inputs.geometry, inputs.parameters
     curve = (geometry.bin_centres, geometry.rolling_radius_difference.value)
     vehicle = parameters.vehicle
@@ -75,15 +77,12 @@ def window_adhesion(
     )
     if found.valid.sum() < FEWEST_SAMPLES:
         few = Reason(ReasonCode.TOO_FEW_USABLE, f"{found.valid.sum()} samples of creep, {FEWEST_SAMPLES} are needed")
-        return refused(window, content_digest, few)
+        return refused(*of_window, few)
     forces_found = _forces(found, angles, parameters.vehicle_class, vehicle.half_contact_distance)
-    sums = None if isinstance(angles, Reason) else friction_sums(found, motion, window.distance, curve, vehicle)
+    distance = inputs.correction.at(window.distance)
+    sums = None if isinstance(angles, Reason) else friction_sums(found, motion, distance, curve, vehicle)
     return WindowAdhesion(
-        window.wheelset,
-        window.start_ns,
-        window.vehicle,
-        window.track_section,
-        content_digest,
+        *of_window,
         Status.ESTIMATED,
         forces_found.contact,
         forces_found.lateral,
@@ -130,13 +129,15 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def refused(window: Window, content_digest: str, reason: Reason) -> WindowAdhesion:
+def refused(
+    wheelset: str, start_ns: int, vehicle: str, track_section: str | None, content_digest: str, reason: Reason
+) -> WindowAdhesion:
     """Return that a window has no creep forces.
 
     Parameters
     ----------
-    window
-        The window.
+    wheelset, start_ns, vehicle, track_section
+        Of the window.
     content_digest
         Of its samples.
     reason
@@ -145,10 +146,10 @@ def refused(window: Window, content_digest: str, reason: Reason) -> WindowAdhesi
     status = Status.MODEL_MISMATCH if reason.code is ReasonCode.DIVERGED else Status.UNESTIMATED
     unknown = Estimate.unknown(reason, 1.0, status)
     return WindowAdhesion(
-        window.wheelset,
-        window.start_ns,
-        window.vehicle,
-        window.track_section,
+        wheelset,
+        start_ns,
+        vehicle,
+        track_section,
         content_digest,
         status,
         unknown,

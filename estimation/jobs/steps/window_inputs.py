@@ -26,6 +26,7 @@ class WindowInputs:
     assumed: Assumed | Reason  # of its vehicle
     mounting: Mounting | None  # at its begin
     partner: str | None  # digest of the window on the other axle of the bogie
+    low_adhesion: tuple[tuple[float, float], ...] = ()  # m, stretches of its section that had little friction then
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +98,15 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
             of_vehicle,
             vehicles.mounting_at(record.vehicle, record.axle, record.start_ns),
             known[partner].content_digest if partner in known else None,
+            _low_adhesion(unit, record),
         )
     return BatchInputs(vehicles, known, found)
+
+
+def _low_adhesion(unit: UnitOfWork, record: WindowRecord) -> tuple[tuple[float, float], ...]:
+    """Return where the section of a window had little friction at its time, m."""
+    found = None if record.track_section is None else unit.adhesion.section(record.track_section, record.start_ns)
+    return () if found is None else found.low_stretches
 
 
 def _assumed(classes: ClassLookup, record: WindowRecord) -> Assumed | Reason | Exception:
