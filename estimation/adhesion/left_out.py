@@ -13,6 +13,8 @@ from estimation.values.track import Correction
 from estimation.values.windows import Window
 
 MARGIN = 25.0  # m kept from a stretch of low friction: half a place
+MOST_LEFT_OUT = 0.25  # share of the samples from which low friction is why too few are left
+TOO_LITTLE = frozenset({ReasonCode.NO_USABLE_SAMPLE, ReasonCode.INTERRUPTED, ReasonCode.TOO_FEW_USABLE})
 
 
 def away_from_low_adhesion(
@@ -40,6 +42,23 @@ def away_from_low_adhesion(
     if not left.any() and window.valid.any():
         return Reason(ReasonCode.LOW_ADHESION, "all of the window is on rails of low friction")
     return replace(window, valid=left)
+
+
+def refused_for_low_adhesion(reason: Reason, window: Window, kept: Window) -> Reason:
+    """Return why a window is refused: low friction, where that took most of its samples and too few are left.
+
+    Parameters
+    ----------
+    reason
+        Of the refusal of what was kept.
+    window, kept
+        The window, and what is left of it.
+    """
+    share = 1.0 - float(kept.valid.sum()) / max(int(window.valid.sum()), 1)
+    if share < MOST_LEFT_OUT or reason.code not in TOO_LITTLE:
+        return reason
+    text = f"{share:.0%} of its samples are on rails of low friction; of the rest: {reason.text}"
+    return Reason(ReasonCode.LOW_ADHESION, text)
 
 
 def touched(one: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:

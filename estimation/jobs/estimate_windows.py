@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from estimation.adhesion.left_out import away_from_low_adhesion
+from estimation.adhesion.left_out import away_from_low_adhesion, refused_for_low_adhesion
 from estimation.errors import DamagedError, PassingFaultError, TreadwatchError
 from estimation.jobs.hand_out import Unit, hand_out, unit_size
 from estimation.jobs.isolation import Isolation, fails_alone
@@ -263,7 +263,7 @@ def _cells(
     kept = away_from_low_adhesion(window, work.inputs.low_adhesion, correction)
     if isinstance(kept, Reason):
         return kept
-    return cells_of_window(
+    found = cells_of_window(
         kept,
         work.track,
         parameters,
@@ -272,3 +272,4 @@ def _cells(
         mounted_reversed=work.mounted_reversed,
         layout=work.layout,
     )
+    return refused_for_low_adhesion(found, window, kept) if isinstance(found, Reason) else found

@@ -18,10 +18,12 @@ from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_findin
 from estimation.alerts.section_alerts import section_transition
 from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.steps.section_looks import NO_SECTION, note_sections, section_news
 from estimation.jobs.steps.window_creep import creep_of_windows
 from estimation.storage import UnitOfWork
 from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
 from estimation.values.alerts import CloseReason
+from estimation.values.look import SectionLook
 from estimation.values.quarantine import SubjectKind
 from estimation.values.windows import WindowKey, WindowMark, WindowState
 
@@ -31,40 +33,51 @@ HOUR_NS = 3_600_000_000_000
 
 
 def run(context: JobContext) -> Mapping[str, int]:
-    """Look at the creep of new windows, and at the friction of their sections."""
+    """Look at the creep of new windows, and at the friction of their sections; one without news is not looked at."""
     counts: Counter[str] = Counter(dict.fromkeys(("windows", "refused", "sections", "low", "estimated_again"), 0))
     isolation = Isolation(context, STAGE)
-    newest = _windows(context, counts)
-    for section, to_ns in sorted(newest.items()):
+    with context.storage.read() as unit:
+        news = section_news(unit, context, STAGE)
+    failed = {item.key for item in isolation.held(SubjectKind.SECTION)}
+    done: dict[str, SectionLook] = {}
+    for number, section in enumerate(sorted({*news, *failed} - {NO_SECTION})):
+        context.checkpoint(number, len(news))
+        if isolation.waits(SubjectKind.SECTION, section):
+            continue
         with isolation.alone(SubjectKind.SECTION, section):
-            counts.update(_section(context, section, to_ns))
+            newest = _windows(context, section, counts)
+            if newest is not None:
+                counts.update(_section(context, section, newest))
+            with context.storage.read() as unit:
+                seen = not unit.adhesion.unlooked(section)
+            if seen and section in news:
+                done[section] = news[section]
+    if NO_SECTION in news:
+        done[NO_SECTION] = news[NO_SECTION]
+    note_sections(context, STAGE, done)
     counts["quarantined"] = isolation.quarantined
     return counts
 
 
-def _windows(context: JobContext, counts: Counter[str]) -> dict[str, int]:
-    """Store the creep of the windows that wait; return by section when the newest of them began."""
-    newest: dict[str, int] = {}
+def _windows(context: JobContext, section: str, counts: Counter[str]) -> int | None:
+    """Store the creep of the windows of a section that wait; return when the newest of them began."""
+    newest: int | None = None
     last: WindowKey | None = None
-    done = 0
     while True:
-        context.checkpoint(done, done + 1)
         with context.storage.read() as unit:
-            keys = unit.adhesion.waiting(last, BATCH)
+            keys = unit.adhesion.waiting(section, last, BATCH)
             found = creep_of_windows(unit, keys, context.settings.estimation) if keys else []
         if not keys:
             return newest
-        last, done = keys[-1], done + len(keys)
+        last = keys[-1]
         with context.storage.write() as unit:
             now = {one.key: one.content_digest for one in unit.windows.several([one.key for one in found])}
             for one in found:
                 if now.get(one.key) == one.content_digest:
                     unit.adhesion.put(one)
-        for one in found:
-            counts["windows"] += 1
-            counts["refused"] += one.reason is not None
-            if one.track_section is not None:
-                newest[one.track_section] = max(one.start_ns, newest.get(one.track_section, 0))
+        counts["windows"] += len(found)
+        counts["refused"] += sum(one.reason is not None for one in found)
+        newest = max([newest or 0, *(start_ns for _, start_ns in keys)])
 
 
 @dataclass(frozen=True, slots=True)

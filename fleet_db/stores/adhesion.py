@@ -30,32 +30,38 @@ class AdhesionStore:
 
     connection: Connection
 
-    def waiting(self, after: WindowKey | None, limit: int) -> Sequence[WindowKey]:
-        """Return windows that are estimated and whose creep has not been looked at, by wheelset and start.
+    def waiting(self, section: str, after: WindowKey | None, limit: int) -> Sequence[WindowKey]:
+        """Return windows of a section that are estimated and whose creep has not been looked at, by time and wheelset.
 
         Their wheelsets have a geometry, and their samples are there. Each window is returned until what was found of
         its content is stored.
 
         Parameters
         ----------
+        section
+            Code.
         after
-            Behind this one; None from the beginning.
+            Wheelset and start of the one behind which to go on; None from the beginning.
         limit
             How many at most.
         """
         wheelset, start_ns = WINDOWS.c.wheelset, WINDOWS.c.start_ns
         known = select(GEOMETRIES.c.wheelset).where(GEOMETRIES.c.wheelset == wheelset).correlate(WINDOWS).exists()
-        statement = (
-            select(wheelset, start_ns)
-            .select_from(WINDOWS.outerjoin(OF_WINDOWS, SAME))
-            .where(WINDOWS.c.state == WindowState.ESTIMATED.value, WINDOWS.c.track_section.is_not(None))
-            .where(WINDOWS.c.samples_purged_ns.is_(None), known)
-            .where(or_(OF_WINDOWS.c.content_digest.is_(None), OF_WINDOWS.c.content_digest != WINDOWS.c.content_digest))
-        )
+        statement = _not_looked_at(section).where(known)
         if after is not None:
-            statement = statement.where(or_(wheelset > after[0], and_(wheelset == after[0], start_ns > after[1])))
-        rows = self.connection.execute(statement.order_by(wheelset, start_ns).limit(limit))
+            statement = statement.where(or_(start_ns > after[1], and_(start_ns == after[1], wheelset > after[0])))
+        rows = self.connection.execute(statement.order_by(start_ns, wheelset).limit(limit))
         return [(row.wheelset, row.start_ns) for row in rows]
+
+    def unlooked(self, section: str) -> bool:
+        """Return whether there are windows of a section that are estimated and not looked at, geometry or not.
+
+        Parameters
+        ----------
+        section
+            Code.
+        """
+        return self.connection.execute(_not_looked_at(section).limit(1)).first() is not None
 
     def put(self, found: WindowAdhesion) -> None:
         """Store the creep of a window; an earlier one is replaced."""
@@ -125,3 +131,14 @@ class AdhesionStore:
 
 def _window(row: Row[Any]) -> WindowAdhesion:
     return unpack_window_adhesion(row.packed, where=f"creep of window {row.wheelset}@{row.start_ns}")
+
+
+def _not_looked_at(section: str) -> Select[Any]:
+    """Return a statement for the keys of windows of a section whose content has not been looked at."""
+    looked_at = OF_WINDOWS.c.content_digest
+    return (
+        select(WINDOWS.c.wheelset, WINDOWS.c.start_ns)
+        .select_from(WINDOWS.outerjoin(OF_WINDOWS, SAME))
+        .where(WINDOWS.c.track_section == section, WINDOWS.c.state == WindowState.ESTIMATED.value)
+        .where(WINDOWS.c.samples_purged_ns.is_(None), or_(looked_at.is_(None), looked_at != WINDOWS.c.content_digest))
+    )
