@@ -21,6 +21,7 @@ from estimation.values.intervals import NORMAL_95
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 
+LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of a place
 TINY = np.finfo(float).tiny
 MEDIAN_SQUARE = 0.4549  # of a standard normal variable
 
@@ -96,8 +97,9 @@ def section_friction(passes: Sequence[WindowAdhesion], parameters: FrictionParam
     misfits = _with_neighbours(stack, _misfits(stack, found.creep, found.slope, found.noise, parameters), parameters)
     inverse = np.array([_least(misfit) for misfit in misfits.sum(axis=0)])
     by_creep = found.creep_std * _slope(stack, found.inverse)
+    left = _left_std(stack, found, parameters)
     return tuple(
-        _cell(int(cell), float(inverse[c]), misfits[stack.there[:, c], c], by_creep[c], parameters)
+        _cell(int(cell), float(inverse[c]), misfits[stack.there[:, c], c], by_creep[c], left[c], parameters)
         for c, cell in enumerate(stack.cells)
     )
 
@@ -217,6 +219,16 @@ def _with_neighbours(stack: _Stack, misfits: FloatArray, parameters: FrictionPar
     return found
 
 
+def _left_std(stack: _Stack, found: _Solution, parameters: FrictionParameters) -> FloatArray:
+    """Return the std of 1/mu (c,) that noise and what is known beforehand leave: the spread of few passes may be small.
+
+    About 1/mu g is in proportion to it.
+    """
+    _, gg, _, _ = _at(stack, found.inverse).sum(axis=1)
+    known = gg / np.maximum(found.inverse, TINY) ** 2 / max(found.noise, TINY)
+    return np.asarray(1.0 / np.sqrt(known + 1.0 / parameters.usual_std**2))
+
+
 def _slope(stack: _Stack, inverse: FloatArray) -> FloatArray:
     """Return by how much 1/mu (c,) falls as b of all vehicles rises."""
     _, gg, gq, _ = _at(stack, inverse).sum(axis=1)
@@ -224,7 +236,7 @@ def _slope(stack: _Stack, inverse: FloatArray) -> FloatArray:
 
 
 def _cell(
-    cell: int, inverse: float, misfits: FloatArray, by_creep: float, parameters: FrictionParameters
+    cell: int, inverse: float, misfits: FloatArray, by_creep: float, left: float, parameters: FrictionParameters
 ) -> CellFriction:
     """Return the friction of a place from the sums of squares (n, k) of its passes."""
     n = len(misfits)
@@ -232,7 +244,10 @@ def _cell(
         few = Reason(ReasonCode.TOO_FEW_PASSES, f"{n} of {parameters.fewest_passes} passes that are needed")
         return CellFriction(cell, Estimate.unknown(few, float(n)), 0.0, 0.0, n)
     left_out = np.array([_least(misfits.sum(axis=0) - own) for own in misfits])
-    sampled = float(np.sqrt((n - 1) / n * ((left_out - left_out.mean()) ** 2).sum()))
+    if left > LEARNT * parameters.usual_std:
+        small = Reason(ReasonCode.CREEP_TOO_SMALL, f"creep is so small in {n} passes that it shows no friction")
+        return CellFriction(cell, Estimate.unknown(small, float(n)), 0.0, 0.0, n)
+    sampled = max(left, float(np.sqrt((n - 1) / n * ((left_out - left_out.mean()) ** 2).sum())))
     systematic = float(np.sqrt((parameters.law_std * inverse) ** 2 + parameters.track_std**2 + by_creep**2))
     half = float(np.hypot(stdtrit(n - 1, 0.975) * sampled, NORMAL_95 * systematic))
     std = float(np.hypot(sampled, systematic))
