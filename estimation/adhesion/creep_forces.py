@@ -156,7 +156,7 @@ def smoothed_states(
         made.measured,
         made.gain,
         frozen_array(measurements, (samples, m), name="measurements"),
-        known,
+        frozen_array(known, (samples,), np.bool_, name="known"),
         varying,
         frozen_array(excess, (samples,), name="excess"),
         predicted,
